@@ -1,0 +1,72 @@
+"""mbdkit: planar multibody dynamics with constraints, from a run spec to a trustworthy archive.
+
+Names are loaded when they are first used, so that ``import mbdkit`` costs next to nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mbdkit.archive.reader import load
+    from mbdkit.archive.run import Run
+    from mbdkit.errors import MbdkitError, PluginError, RunError, SpecError
+    from mbdkit.integrators.tableau import ButcherTableau
+    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.registry.hookspecs import hookimpl
+    from mbdkit.registry.items import Claims, IntegratorPlugin, ModelPlugin
+    from mbdkit.simulation import run
+    from mbdkit.spec import RunSpec
+
+__all__ = [
+    "ButcherTableau",
+    "Claims",
+    "IntegratorPlugin",
+    "MbdkitError",
+    "Mechanism",
+    "ModelPlugin",
+    "PluginError",
+    "Run",
+    "RunError",
+    "RunSpec",
+    "SpecError",
+    "__version__",
+    "hookimpl",
+    "load",
+    "run",
+]
+
+_HOME = {
+    "ButcherTableau": "mbdkit.integrators.tableau",
+    "Claims": "mbdkit.registry.items",
+    "IntegratorPlugin": "mbdkit.registry.items",
+    "MbdkitError": "mbdkit.errors",
+    "Mechanism": "mbdkit.mechanism.mechanism",
+    "ModelPlugin": "mbdkit.registry.items",
+    "PluginError": "mbdkit.errors",
+    "Run": "mbdkit.archive.run",
+    "RunError": "mbdkit.errors",
+    "RunSpec": "mbdkit.spec",
+    "SpecError": "mbdkit.errors",
+    "hookimpl": "mbdkit.registry.hookspecs",
+    "load": "mbdkit.archive.reader",
+    "run": "mbdkit.simulation",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value: Any = version("mbdkit")
+    elif name in _HOME:
+        value = getattr(importlib.import_module(_HOME[name]), name)
+    else:
+        raise AttributeError(f"module 'mbdkit' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(set(globals()) | set(__all__))
