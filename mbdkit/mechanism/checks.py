@@ -1,0 +1,70 @@
+"""Checks across the elements of a mechanism: names that exist and are sane, and what can stand between which bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Mapping
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.elements import GROUND, Assembly, Body, Force, Joint, PointForce, Torque
+from mbdkit.text import did_you_mean
+
+
+def check_mechanism(
+    bodies: Mapping[str, Body], joints: Mapping[str, Joint], forces: Mapping[str, Force], assembly: Assembly
+) -> None:
+    """Raise a SpecError with the key path of the first thing that is wrong."""
+    if not bodies:
+        raise SpecError("a mechanism needs at least one body", key="model.bodies")
+    for kind, names in (("bodies", bodies), ("joints", joints), ("forces", forces)):
+        for name in names:
+            check_name(name, f"model.{kind}.{name}")
+    points = {name for name, body in bodies.items() if body.inertia is None}
+    for name, joint in joints.items():
+        _check_element(f"model.joints.{name}", joint, bodies, points)
+    for name, force in forces.items():
+        _check_element(f"model.forces.{name}", force, bodies, points)
+    for index, name in enumerate(assembly.fix):
+        check_known(name, bodies, f"model.assembly.fix[{index}]")
+
+
+def check_name(name: object, key: str) -> None:
+    """Raise a SpecError unless `name` can name a body, a joint or a force in spec and archive."""
+    if not isinstance(name, str):
+        raise SpecError(f"a name is text; got {name!r}", key=key)
+    if name == GROUND:
+        raise SpecError("the name 'ground' is the global frame's own; choose another", key=key)
+    if not name or name != name.strip() or any(letter in "/." or not letter.isprintable() for letter in name):
+        raise SpecError(
+            f"a name is printable text without '/' or '.', not empty and without spaces around it; got {name!r}",
+            key=key,
+        )
+
+
+def check_known(name: object, bodies: Iterable[str], key: str) -> None:
+    """Raise a SpecError unless `name` is the ground or one of the `bodies`."""
+    if not isinstance(name, str):
+        raise SpecError(f"a body's name is wanted; got {name!r}", key=key)
+    if name != GROUND and name not in bodies:
+        raise SpecError(f"there is no body '{name}'{did_you_mean(name, [GROUND, *bodies])}", key=key)
+
+
+def _check_element(key: str, element: Joint | Force, bodies: Iterable[str], point_masses: Container[str]) -> None:
+    places = element.places()
+    for place, body in places:
+        check_known(body, bodies, f"{key}.{place}")
+    if len(places) == 2 and places[0][1] == places[1][1]:
+        where, body = places[1]
+        raise SpecError(f"the two bodies must differ; both are '{body}'", key=f"{key}.{where}")
+    if isinstance(element, Torque | PointForce) and element.body == GROUND:
+        raise SpecError(f"a {element.type} on the ground does nothing; name a body", key=f"{key}.body")
+    for place, body, point in element.attachments():
+        if body in point_masses and point != (0.0, 0.0):
+            raise SpecError(
+                f"'{body}' is a point mass (it has no inertia), so it can be held only at [0, 0]", key=f"{key}.{place}"
+            )
+    for place, body in element.angles():
+        if body in point_masses:
+            raise SpecError(
+                f"'{body}' is a point mass (it has no inertia), so it has no angle for a {element.type}",
+                key=f"{key}.{place}",
+            )

@@ -1,0 +1,261 @@
+"""Expressions of time: parsed by a whitelist over Python's `ast`, kept as a postfix program, never evaluated by Python.
+
+The grammar is ``+ - * / **``, parentheses, numbers, ``t``, ``pi`` and the functions of :data:`FUNCTIONS`. The program
+is a list of stack instructions, which the engine runs on truncated Taylor series to obtain value, rate and
+acceleration.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from mbdkit.errors import SpecError
+from mbdkit.text import did_you_mean
+
+if TYPE_CHECKING:
+    import sympy
+
+MAX_LENGTH = 10_000
+MAX_DEPTH = 32
+MAX_NESTING = 100
+MAX_INTEGER_POWER = 1_000_000
+
+Program = tuple[tuple[str, float], ...]
+
+FUNCTIONS: dict[str, Callable[..., float]] = {
+    "sin": math.sin,
+    "cos": math.cos,
+    "tan": math.tan,
+    "asin": math.asin,
+    "acos": math.acos,
+    "atan": math.atan,
+    "atan2": math.atan2,
+    "exp": math.exp,
+    "log": math.log,
+    "sqrt": math.sqrt,
+    "abs": abs,
+    "tanh": math.tanh,
+    "min": min,
+    "max": max,
+}
+"""The functions by name; `atan2` takes two arguments, `min` and `max` two or more, the others one."""
+
+_OPERATORS: dict[type[ast.operator], str] = {
+    ast.Add: "add",
+    ast.Sub: "sub",
+    ast.Mult: "mul",
+    ast.Div: "div",
+    ast.Pow: "pow",
+}
+_ARITHMETIC: dict[str, Callable[..., float]] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
+    "pow": math.pow,
+    "neg": lambda a: -a,
+}
+_BINARY = {"add", "sub", "mul", "div", "pow", "atan2", "min", "max"}
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A scalar function of time.
+
+    Attributes
+    ----------
+    text
+        As the user wrote it.
+    program
+        Postfix instructions (operation, number). ``const`` pushes its number and ``t`` the time; ``add sub mul div pow
+        atan2 min max`` take two operands off the stack; ``neg`` and the other functions take one, and so does ``powi``,
+        whose number is the integer exponent. Elsewhere the number is 0.
+    depth
+        Largest number of operands on the stack, at most 32.
+    """
+
+    text: str
+    program: Program
+    depth: int
+
+    @staticmethod
+    def parse(text: str) -> Expression:
+        """Return the expression that `text` says.
+
+        Raises
+        ------
+        SpecError
+            What cannot be read, and where in the text.
+        """
+        return _parse(text)
+
+    def to_sympy(self) -> sympy.Expr:
+        """Return it as a SymPy expression of the real symbol ``t``."""
+        import sympy as sp
+
+        functions: dict[str, Callable[..., Any]] = {
+            "abs": sp.Abs,
+            "min": sp.Min,
+            "max": sp.Max,
+            "neg": lambda a: -a,
+            "pow": sp.Pow,
+            "add": sp.Add,
+            "mul": sp.Mul,
+            "sub": lambda a, b: a - b,
+            "div": lambda a, b: a / b,
+        }
+        stack: list[Any] = []
+        for operation, number in self.program:
+            if operation == "const":
+                stack.append(sp.Integer(int(number)) if number.is_integer() else sp.Float(number))
+            elif operation == "t":
+                stack.append(sp.Symbol("t", real=True))
+            elif operation == "powi":
+                stack.append(stack.pop() ** sp.Integer(int(number)))
+            else:
+                count = 2 if operation in _BINARY else 1
+                operands = stack[-count:]
+                del stack[-count:]
+                stack.append((functions.get(operation) or getattr(sp, operation))(*operands))
+        return stack.pop()
+
+
+@lru_cache(maxsize=4096)
+def _parse(text: str) -> Expression:
+    program = tuple(_Compiler(text).program())
+    depth = height = 0
+    for operation, _ in program:
+        height += 1 if operation in ("const", "t") else -1 if operation in _BINARY else 0
+        depth = max(depth, height)
+    if depth > MAX_DEPTH:
+        raise SpecError(
+            f"the expression keeps {depth} intermediate values at once, more than {MAX_DEPTH}; write it less nested"
+        )
+    return Expression(text, program, depth)
+
+
+class _Compiler:
+    """Walks the syntax tree of one text; every node that is not on the whitelist is an error with its position."""
+
+    def __init__(self, text: str):
+        if len(text) > MAX_LENGTH:
+            raise SpecError(f"the expression has {len(text)} characters, more than {MAX_LENGTH}")
+        self.source = " ".join(text.splitlines()).rstrip()
+        self.shift = len(self.source) - len(self.source.lstrip())
+        self.source = self.source.lstrip()
+        if not self.source:
+            raise SpecError("the expression is empty; a number or an expression of t is wanted")
+        for place, letter in enumerate(self.source):
+            if not letter.isascii() or not letter.isprintable() or letter in "#\\;":
+                self.refuse(f"the character {letter!r} is not part of an expression", place)
+
+    def program(self) -> list[tuple[str, float]]:
+        try:
+            tree = ast.parse(self.source, mode="eval")
+        except SyntaxError as error:
+            place = min(max((error.offset or 1) - 1, 0), len(self.source) - 1)
+            self.refuse(f"the expression cannot be read ({error.msg})", place)
+        except (RecursionError, MemoryError, ValueError):
+            raise SpecError("the expression is too deeply nested to be read") from None
+        return self.compile(tree.body, 0)
+
+    def refuse(self, message: str, place: ast.AST | int) -> NoReturn:
+        column = place if isinstance(place, int) else getattr(place, "col_offset", 0)
+        shown = self.source if len(self.source) <= 60 else self.source[max(column - 30, 0) :][:60] + "..."
+        raise SpecError(f"{message} (position {column + self.shift + 1} of '{shown}')")
+
+    def segment(self, node: ast.expr) -> str:
+        return (ast.get_source_segment(self.source, node) or self.source)[:40]
+
+    def compile(self, node: ast.expr, nesting: int) -> list[tuple[str, float]]:
+        if nesting > MAX_NESTING:
+            self.refuse("the expression is too deeply nested", node)
+        match node:
+            case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+                return self.constant(lambda: float(value), node)
+            case ast.Name(id="t"):
+                return [("t", 0.0)]
+            case ast.Name(id="pi"):
+                return [("const", math.pi)]
+            case ast.Name(id=name) if name in FUNCTIONS:
+                self.refuse(f"'{name}' is a function and needs its argument in parentheses", node)
+            case ast.Name():
+                name = self.segment(node)
+                self.refuse(f"unknown name '{name}'{did_you_mean(name, ['t', 'pi', *FUNCTIONS])}", node)
+            case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+                return self.compile(operand, nesting + 1)
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return self.apply("neg", [self.compile(operand, nesting + 1)], node)
+            case ast.BinOp():
+                return self.chain(node, nesting)
+            case ast.Call():
+                return self.call(node, nesting)
+        return self.refuse(
+            f"'{self.segment(node)}' is not part of an expression of t, which has numbers, t, pi, + - * / **, "
+            f"parentheses and the functions {', '.join(FUNCTIONS)}",
+            node,
+        )
+
+    def chain(self, node: ast.BinOp, nesting: int) -> list[tuple[str, float]]:
+        """Compile a run of left-associative operators without recursion, so that a long sum is not deep nesting."""
+        links = [node]
+        while isinstance(links[-1].left, ast.BinOp):
+            links.append(links[-1].left)
+        program = self.compile(links[-1].left, nesting + 1)
+        for link in reversed(links):
+            operation = _OPERATORS.get(type(link.op))
+            if operation is None:
+                hint = "; a power is written **" if isinstance(link.op, ast.BitXor) else ""
+                self.refuse(f"only the operators + - * / ** can be used{hint}", link)
+            program = self.apply(operation, [program, self.compile(link.right, nesting + 1)], link)
+        return program
+
+    def call(self, node: ast.Call, nesting: int) -> list[tuple[str, float]]:
+        if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS:
+            name = self.segment(node.func)
+            self.refuse(f"'{name}' is not a function that can be used{did_you_mean(name, FUNCTIONS)}", node)
+        name = node.func.id
+        least, most = (2, None) if name in ("min", "max") else (2, 2) if name == "atan2" else (1, 1)
+        count = len(node.args)
+        if node.keywords or count < least or (most is not None and count > most):
+            wanted = f"{least} or more arguments" if most is None else "1 argument" if least == 1 else "2 arguments"
+            self.refuse(f"'{name}' takes {wanted}", node)
+        operands = [self.compile(argument, nesting + 1) for argument in node.args]
+        if most is not None:
+            return self.apply(name, operands, node)
+        program = operands[0]
+        for operand in operands[1:]:
+            program = self.apply(name, [program, operand], node)
+        return program
+
+    def apply(self, operation: str, operands: list[list[tuple[str, float]]], node: ast.expr) -> list[tuple[str, float]]:
+        """Append `operation` to its operands' programs, or compute it where all of them are constants."""
+        if all(len(operand) == 1 and operand[0][0] == "const" for operand in operands):
+            function = _ARITHMETIC.get(operation) or FUNCTIONS[operation]
+            return self.constant(lambda: function(*(operand[0][1] for operand in operands)), node)
+        program = operands[0]
+        if operation == "pow" and operands[1][0][0] == "const" and len(operands[1]) == 1:
+            exponent = operands[1][0][1]
+            if exponent.is_integer():
+                if abs(exponent) > MAX_INTEGER_POWER:
+                    self.refuse(f"the exponent is larger than {MAX_INTEGER_POWER}", node)
+                program.append(("powi", exponent))
+                return program
+        for operand in operands[1:]:
+            program.extend(operand)
+        program.append((operation, 0.0))
+        return program
+
+    def constant(self, compute: Callable[[], float], node: ast.expr) -> list[tuple[str, float]]:
+        try:
+            value = compute()
+        except (ArithmeticError, ValueError):
+            value = math.nan
+        if not math.isfinite(value):
+            self.refuse(f"'{self.segment(node)}' is not a finite number", node)
+        return [("const", value)]

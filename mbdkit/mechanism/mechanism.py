@@ -1,0 +1,472 @@
+"""The mechanism: bodies, joints and forces by name, with a builder, a check, and the way to and from a spec."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism._errors import spec_error
+from mbdkit.mechanism.checks import check_known, check_mechanism, check_name
+from mbdkit.mechanism.elements import (
+    GROUND,
+    Assembly,
+    Body,
+    Distance,
+    Driver,
+    Element,
+    Force,
+    Joint,
+    MechanismData,
+    Point,
+    PointForce,
+    Revolute,
+    SpringDamper,
+    Torque,
+    TorsionSpring,
+)
+
+Pair = Sequence[float]
+Value = float | str
+AnyElement = TypeVar("AnyElement", bound=Element)
+
+_POINT: TypeAdapter[tuple[float, float]] = TypeAdapter(Point)
+
+
+class Mechanism:
+    """A planar multibody system as data.
+
+    Built by its methods or by :meth:`from_spec`. Bodies are named by text: :meth:`body` returns the name, ready for use
+    as an argument, and `ground` is the global frame. A point is given either in the bodies' own frames (`points`) or in
+    the global frame at the initial positions (`at`, `from_`, `to`); add a body before the joints on it.
+
+    Parameters
+    ----------
+    gravity
+        Gravitational acceleration (x, y) [m/s^2].
+    name
+        Name of the model that makes it.
+
+    Attributes
+    ----------
+    bodies, joints, forces : dict
+        The elements by name, in the order in which they were written.
+    assembly : Assembly
+        How the start is made consistent.
+
+    Examples
+    --------
+    >>> m = Mechanism()
+    >>> rod = m.body("rod", mass=1, inertia=1 / 12, position=(0.5, 0))
+    >>> m.revolute("A", m.ground, rod, at=(0, 0))
+    >>> m.joints["A"].points
+    ((0.0, 0.0), (-0.5, 0.0))
+    """
+
+    def __init__(self, gravity: Pair = (0.0, -9.81), *, name: str = "mechanism"):
+        self.name = name
+        self.gravity = _point(gravity, "model.gravity")
+        self.bodies: dict[str, Body] = {}
+        self.joints: dict[str, Joint] = {}
+        self.forces: dict[str, Force] = {}
+        self.assembly = Assembly()
+
+    @property
+    def ground(self) -> str:
+        """The global frame, as a body argument."""
+        return GROUND
+
+    # ---- builder -------------------------------------------------------------------------------------------------
+
+    def body(
+        self,
+        name: str,
+        *,
+        mass: float,
+        inertia: float | None = None,
+        position: Pair = (0.0, 0.0),
+        angle: float = 0.0,
+        velocity: Pair = (0.0, 0.0),
+        angular_velocity: float = 0.0,
+    ) -> str:
+        """Add a rigid body, or a point mass where `inertia` is left out, and return its name.
+
+        Parameters
+        ----------
+        name
+            Its name.
+        mass
+            Mass [kg].
+        inertia
+            Moment of inertia about the centre of mass [kg m^2].
+        position, angle
+            Initial centre of mass (x, y) [m] and tilt from the +x axis [rad].
+        velocity, angular_velocity
+            Initial velocity (x, y) [m/s] and angular velocity [rad/s].
+        """
+        key = self._new(name, self.bodies, "bodies")
+        self.bodies[name] = _make(
+            Body,
+            key,
+            mass=mass,
+            inertia=inertia,
+            position=position,
+            angle=angle,
+            velocity=velocity,
+            angular_velocity=angular_velocity,
+        )
+        return name
+
+    def revolute(
+        self, name: str, a: str, b: str, *, at: Pair | None = None, points: Sequence[Pair] | None = None
+    ) -> None:
+        """Pin bodies `a` and `b` together.
+
+        Parameters
+        ----------
+        name
+            Its name.
+        a, b
+            The two bodies.
+        at
+            The pin (x, y) [m] in the global frame at the initial positions.
+        points
+            Instead of `at`: the pin in a's and in b's own frame, ((x, y), (x, y)) [m].
+        """
+        key = self._new(name, self.joints, "joints")
+        held = self._points(key, a, b, points, at, at, "at")
+        self.joints[name] = _make(Revolute, key, bodies=(a, b), points=held)
+
+    def distance(
+        self,
+        name: str,
+        a: str,
+        b: str,
+        *,
+        from_: Pair | None = None,
+        to: Pair | None = None,
+        points: Sequence[Pair] | None = None,
+        length: float | None = None,
+    ) -> None:
+        """Hold a point of `a` and a point of `b` at a distance.
+
+        Parameters
+        ----------
+        name
+            Its name.
+        a, b
+            The two bodies.
+        from_, to
+            The point of a and the point of b (x, y) [m] in the global frame at the initial positions.
+        points
+            Instead of `from_` and `to`: the points in a's and in b's own frame, ((x, y), (x, y)) [m].
+        length
+            The distance [m]; left out, the one between `from_` and `to`.
+        """
+        key = self._new(name, self.joints, "joints")
+        held = self._points(key, a, b, points, from_, to, "from_ and to")
+        if length is None:
+            if from_ is None or to is None:
+                raise SpecError("'length' is missing; it can be left out only with from_ and to", key=f"{key}.length")
+            (x1, y1), (x2, y2) = _point(from_, f"{key}.from_"), _point(to, f"{key}.to")
+            length = ((x2 - x1) ** 2 + (y2 - y1) ** 2) ** 0.5
+        self.joints[name] = _make(Distance, key, bodies=(a, b), points=held, length=length)
+
+    def driver(
+        self,
+        name: str,
+        a: str,
+        b: str,
+        *,
+        coordinate: Literal["angle", "x", "y"],
+        motion: Value,
+        points: Sequence[Pair] | None = None,
+    ) -> None:
+        """Prescribe the motion of `b` relative to `a`.
+
+        Parameters
+        ----------
+        name
+            Its name.
+        a, b
+            The two bodies.
+        coordinate
+            ``angle`` (angle_b - angle_a), or the ``x`` or ``y`` of b's point in a's frame, from a's origin.
+        motion
+            Number or expression of t [rad or m].
+        points
+            For x and y: ((0, 0), b's point in its own frame) [m]; left out, b's origin.
+        """
+        key = self._new(name, self.joints, "joints")
+        self._known(a, f"{key}.bodies[0]")
+        self._known(b, f"{key}.bodies[1]")
+        self.joints[name] = _make(Driver, key, bodies=(a, b), coordinate=coordinate, motion=motion, points=points)
+
+    def spring_damper(
+        self,
+        name: str,
+        a: str,
+        b: str,
+        *,
+        from_: Pair | None = None,
+        to: Pair | None = None,
+        points: Sequence[Pair] | None = None,
+        stiffness: float = 0.0,
+        damping: float = 0.0,
+        free_length: float = 0.0,
+    ) -> None:
+        """Stretch a linear spring and damper between a point of `a` and a point of `b`.
+
+        Parameters
+        ----------
+        name
+            Its name.
+        a, b
+            The two bodies.
+        from_, to
+            The point of a and the point of b (x, y) [m] in the global frame at the initial positions.
+        points
+            Instead of `from_` and `to`: the points in a's and in b's own frame, ((x, y), (x, y)) [m].
+        stiffness, damping, free_length
+            [N/m], [N s/m] and [m].
+        """
+        key = self._new(name, self.forces, "forces")
+        self.forces[name] = _make(
+            SpringDamper,
+            key,
+            bodies=(a, b),
+            points=self._points(key, a, b, points, from_, to, "from_ and to"),
+            stiffness=stiffness,
+            damping=damping,
+            free_length=free_length,
+        )
+
+    def torsion_spring(
+        self, name: str, a: str, b: str, *, stiffness: float = 0.0, damping: float = 0.0, free_angle: float = 0.0
+    ) -> None:
+        """Put a linear torsion spring and damper on angle_b - angle_a.
+
+        Parameters
+        ----------
+        name
+            Its name.
+        a, b
+            The two bodies.
+        stiffness, damping, free_angle
+            [N m/rad], [N m s/rad] and [rad].
+        """
+        key = self._new(name, self.forces, "forces")
+        self._known(a, f"{key}.bodies[0]")
+        self._known(b, f"{key}.bodies[1]")
+        self.forces[name] = _make(
+            TorsionSpring, key, bodies=(a, b), stiffness=stiffness, damping=damping, free_angle=free_angle
+        )
+
+    def torque(self, name: str, body: str, *, value: Value, reaction_body: str | None = None) -> None:
+        """Apply a torque to a body.
+
+        Parameters
+        ----------
+        name
+            Its name.
+        body
+            The body that is turned.
+        value
+            Torque [N m]: number or expression of t.
+        reaction_body
+            The body that takes the opposite torque, if any.
+        """
+        key = self._new(name, self.forces, "forces")
+        self._known(body, f"{key}.body")
+        if reaction_body is not None:
+            self._known(reaction_body, f"{key}.reaction_body")
+        self.forces[name] = _make(Torque, key, body=body, value=value, reaction_body=reaction_body)
+
+    def force(
+        self, name: str, body: str, *, value: Sequence[Value], at: Pair | None = None, point: Pair | None = None
+    ) -> None:
+        """Apply a force to a point of a body.
+
+        Parameters
+        ----------
+        name
+            Its name.
+        body
+            The body that the force acts on.
+        value
+            Force (x, y) [N] in the global frame: numbers or expressions of t.
+        at
+            Where it acts (x, y) [m], in the global frame at the initial position.
+        point
+            Instead of `at`: where it acts, in the body's own frame [m]; the centre of mass by default.
+        """
+        key = self._new(name, self.forces, "forces")
+        self._known(body, f"{key}.body")
+        if at is not None and point is not None:
+            raise SpecError("give either 'at' or 'point', not both", key=key)
+        if at is not None:
+            point = self.to_local(body, _point(at, f"{key}.at"))
+        place = (0.0, 0.0) if point is None else point
+        self.forces[name] = _make(PointForce, key, body=body, point=place, value=value)
+
+    def hold(self, *bodies: str, tolerance: float = 1e-12) -> None:
+        """Say which bodies stay where they are while the start is made consistent, and to which residual.
+
+        Parameters
+        ----------
+        bodies
+            Names of the bodies to hold; they replace the ones named before.
+        tolerance
+            Largest residual of a start that counts as consistent [m, rad].
+        """
+        for index, name in enumerate(bodies):
+            self._known(name, f"model.assembly.fix[{index}]")
+        self.assembly = _make(Assembly, "model.assembly", fix=bodies, tolerance=tolerance)
+
+    # ---- questions -----------------------------------------------------------------------------------------------
+
+    def to_local(self, body: str, point: Pair) -> tuple[float, float]:
+        """Return a global `point` (x, y) [m] in the frame of `body` at its initial position."""
+        return (point[0], point[1]) if body == GROUND else self.bodies[body].to_local((point[0], point[1]))
+
+    def to_global(self, body: str, point: Pair) -> tuple[float, float]:
+        """Return where a `point` (x, y) [m] of the frame of `body` is at the initial position."""
+        return (point[0], point[1]) if body == GROUND else self.bodies[body].to_global((point[0], point[1]))
+
+    def constraint_rows(self) -> list[tuple[str, str]]:
+        """Return (name, unit) of every constraint row, such as ``("A.x", "m")``, in the order of the joints."""
+        return [
+            (f"{name}.{row}", unit)
+            for name, joint in self.joints.items()
+            for row, unit in zip(joint.rows, joint.units, strict=True)
+        ]
+
+    def description(self) -> str:
+        """Return what it is made of in a line: numbers of elements, of constraint rows, and freedoms by count."""
+        drivers = sum(isinstance(joint, Driver) for joint in self.joints.values())
+        rows = sum(len(joint.rows) for joint in self.joints.values())
+        freedoms = sum(2 if body.inertia is None else 3 for body in self.bodies.values()) - rows
+        return (
+            f"{_count(len(self.bodies), 'body', 'bodies')}, {_count(len(self.joints) - drivers, 'joint')}, "
+            f"{_count(drivers, 'driver')}, {_count(len(self.forces), 'force')}; {_count(rows, 'constraint row')}; "
+            f"{_count(freedoms, 'degree of freedom', 'degrees of freedom')} by count"
+        )
+
+    def validate(self) -> None:
+        """Check that names exist and are sane, and that each element can stand between the bodies that it names.
+
+        Raises
+        ------
+        SpecError
+            With the key path of the first thing that is wrong.
+        """
+        check_mechanism(self.bodies, self.joints, self.forces, self.assembly)
+
+    # ---- to and from a spec --------------------------------------------------------------------------------------
+
+    def to_spec(self) -> dict[str, Any]:
+        """Return the `model` mapping of a spec: the free-form model `mechanism`, plain values, defaults left out."""
+        spec: dict[str, Any] = {"name": "mechanism"}
+        if self.gravity != MechanismData.model_fields["gravity"].default:
+            spec["gravity"] = list(self.gravity)
+        spec["bodies"] = {name: _plain(body) for name, body in self.bodies.items()}
+        for kind, elements in (("joints", self.joints), ("forces", self.forces)):
+            if elements:
+                spec[kind] = {name: {"type": one.type, **_plain(one)} for name, one in elements.items()}
+        if self.assembly != Assembly():
+            spec["assembly"] = _plain(self.assembly)
+        return spec
+
+    @classmethod
+    def from_spec(cls, spec: Mapping[str, Any]) -> Mechanism:
+        """Return the mechanism of a `model` mapping as :meth:`to_spec` writes it.
+
+        Parameters
+        ----------
+        spec
+            ``gravity``, ``bodies``, ``joints``, ``forces``, ``assembly``, and ``name: mechanism`` or no name.
+
+        Raises
+        ------
+        SpecError
+            With the key path of the first thing that is wrong.
+        """
+        if not isinstance(spec, Mapping):
+            raise SpecError(f"a mapping is wanted; got {type(spec).__name__}", key="model")
+        values = dict(spec)
+        name = values.pop("name", "mechanism")
+        if name != "mechanism":
+            raise SpecError(f"only the free-form model 'mechanism' can be read here; got {name!r}", key="model.name")
+        return cls.from_data(_validated(MechanismData, "model", values))
+
+    @classmethod
+    def from_data(cls, data: MechanismData) -> Mechanism:
+        """Return the mechanism of validated `data`, cross-checked."""
+        mechanism = cls(data.gravity)
+        mechanism.bodies = dict(data.bodies)
+        mechanism.joints = dict(data.joints)
+        mechanism.forces = dict(data.forces)
+        mechanism.assembly = data.assembly
+        mechanism.validate()
+        return mechanism
+
+    # ---- private -------------------------------------------------------------------------------------------------
+
+    def _new(self, name: str, taken: Mapping[str, Any], kind: str) -> str:
+        key = f"model.{kind}.{name}"
+        check_name(name, key)
+        if name in taken:
+            raise SpecError(f"the name '{name}' is taken by an earlier one", key=key)
+        return key
+
+    def _known(self, name: str, key: str) -> None:
+        check_known(name, self.bodies, key)
+
+    def _points(
+        self,
+        key: str,
+        a: str,
+        b: str,
+        points: Sequence[Pair] | None,
+        at_a: Pair | None,
+        at_b: Pair | None,
+        alternative: str,
+    ) -> Sequence[Pair]:
+        self._known(a, f"{key}.bodies[0]")
+        self._known(b, f"{key}.bodies[1]")
+        if points is not None and at_a is None and at_b is None:
+            return points
+        if points is not None or at_a is None or at_b is None:
+            raise SpecError(
+                f"say where it is, either by points= (in the bodies' frames) or by {alternative} (in the global frame)",
+                key=key,
+            )
+        return self.to_local(a, _point(at_a, key)), self.to_local(b, _point(at_b, key))
+
+
+def _make(cls: type[AnyElement], key: str, **values: Any) -> AnyElement:
+    return _validated(cls, key, values)
+
+
+def _validated(cls: type[AnyElement], key: str, values: Mapping[str, Any]) -> AnyElement:
+    try:
+        return cls.model_validate(values)
+    except ValidationError as error:
+        raise spec_error(error, key, cls) from None
+
+
+def _point(value: Any, key: str) -> tuple[float, float]:
+    try:
+        return _POINT.validate_python(value, strict=True)
+    except ValidationError as error:
+        raise spec_error(error, key, MechanismData) from None
+
+
+def _plain(element: Element) -> dict[str, Any]:
+    return element.model_dump(mode="json", exclude_defaults=True)
+
+
+def _count(number: int, one: str, many: str = "") -> str:
+    return f"{number} {one if number == 1 else many or one + 's'}"

@@ -1,0 +1,107 @@
+"""Elements are strict about their values and know what they hold on to."""
+
+import math
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from mbdkit.mechanism.elements import Body, Distance, Driver, PointForce, Revolute, SpringDamper, Torque, TorsionSpring
+
+POINTS = ((0.0, 0.0), (1.0, 0.0))
+
+
+def test_a_body_takes_whole_numbers_lists_and_arrays():
+    body = Body(mass=1, inertia=np.float64(2), position=[1, 2], velocity=np.array([3, 4]))
+    assert body == Body(mass=1.0, inertia=2.0, position=(1.0, 2.0), velocity=(3.0, 4.0))
+
+
+@pytest.mark.parametrize("value", [0, -1, math.nan, math.inf, True, "1", None, [1], 10**400])
+def test_a_mass_is_a_positive_finite_number(value):
+    with pytest.raises(ValidationError):
+        Body(mass=value)
+
+
+@pytest.mark.parametrize("value", [0, -1, math.nan, True, "1"])
+def test_an_inertia_is_positive_or_left_out(value):
+    with pytest.raises(ValidationError):
+        Body(mass=1, inertia=value)
+    assert Body(mass=1).inertia is None
+
+
+@pytest.mark.parametrize("value", [[1], [1, 2, 3], "12", 1, None, [1, "2"], [1, True], [1, math.nan], {1, 2}])
+def test_a_point_is_two_finite_numbers(value):
+    with pytest.raises(ValidationError):
+        Body(mass=1, position=value)
+
+
+@pytest.mark.parametrize("key", ["angle", "angular_velocity"])
+def test_a_point_mass_does_not_turn(key):
+    with pytest.raises(ValidationError, match="point mass"):
+        Body(mass=1, **{key: 0.1})
+
+
+def test_elements_are_frozen_and_know_their_keys():
+    with pytest.raises(ValidationError):
+        Body(mass=1).mass = 2
+    with pytest.raises(ValidationError):
+        Body(mass=1, weight=9.81)
+
+
+@pytest.mark.parametrize("length", [0, -1, math.nan])
+def test_a_distance_is_longer_than_zero(length):
+    with pytest.raises(ValidationError):
+        Distance(bodies=("a", "b"), points=POINTS, length=length)
+
+
+@pytest.mark.parametrize("motion", ["", "x", "t.real", "9**9**9", True, None, math.nan, -math.inf, [1], 10**400])
+def test_a_motion_is_a_finite_number_or_an_expression(motion):
+    with pytest.raises(ValidationError):
+        Driver(bodies=("a", "b"), coordinate="angle", motion=motion)
+
+
+@pytest.mark.parametrize("motion", [0, 1.5, "0.5*sin(2*pi*t)"])
+def test_a_motion_is_kept_as_written(motion):
+    assert Driver(bodies=("a", "b"), coordinate="angle", motion=motion).motion == motion
+
+
+def test_a_driver_takes_points_only_where_they_mean_something():
+    assert Driver(bodies=("a", "b"), coordinate="x", motion=0).point == (0.0, 0.0)
+    assert Driver(bodies=("a", "b"), coordinate="x", motion=0, points=POINTS).point == (1.0, 0.0)
+    with pytest.raises(ValidationError, match="takes no points"):
+        Driver(bodies=("a", "b"), coordinate="angle", motion=0, points=POINTS)
+    with pytest.raises(ValidationError, match="from the origin of the first body"):
+        Driver(bodies=("a", "b"), coordinate="y", motion=0, points=((1, 0), (0, 0)))
+    with pytest.raises(ValidationError):
+        Driver(bodies=("a", "b"), coordinate="z", motion=0)
+
+
+@pytest.mark.parametrize("key", ["stiffness", "damping", "free_length"])
+def test_a_spring_has_no_negative_parameters(key):
+    with pytest.raises(ValidationError):
+        SpringDamper(bodies=("a", "b"), points=POINTS, **{key: -1.0})
+
+
+def test_rows_and_units_name_the_constraints():
+    assert Revolute(bodies=("a", "b"), points=POINTS).rows == ("x", "y")
+    assert Distance(bodies=("a", "b"), points=POINTS, length=1).units == ("m",)
+    angle, x = (Driver(bodies=("a", "b"), coordinate=coordinate, motion=0) for coordinate in ("angle", "x"))
+    assert (angle.rows, angle.units, x.rows, x.units) == (("angle",), ("rad",), ("x",), ("m",))
+
+
+def test_elements_say_which_points_they_hold_and_whose_angle_they_use():
+    spring = SpringDamper(bodies=("a", "b"), points=POINTS)
+    assert spring.attachments() == [("points[0]", "a", (0.0, 0.0)), ("points[1]", "b", (1.0, 0.0))]
+    assert spring.angles() == []
+    across = Driver(bodies=("a", "b"), coordinate="y", motion=0, points=POINTS)
+    assert across.attachments() == [("points[1]", "b", (1.0, 0.0))]
+    assert across.angles() == [("bodies[0]", "a")]
+    assert TorsionSpring(bodies=("a", "b")).angles() == [("bodies[0]", "a"), ("bodies[1]", "b")]
+    assert Torque(body="a", value=1, reaction_body="b").angles() == [("body", "a"), ("reaction_body", "b")]
+    assert PointForce(body="a", value=(0, "t"), point=(1, 2)).attachments() == [("point", "a", (1.0, 2.0))]
+
+
+def test_points_go_to_the_global_frame_and_back():
+    body = Body(mass=1, inertia=1, position=(1, 2), angle=math.pi / 2)
+    assert body.to_global((3, 0)) == pytest.approx((1, 5))
+    assert body.to_local((1, 5)) == pytest.approx((3, 0))

@@ -1,0 +1,232 @@
+"""The builder, the spec form and the cross-checks of a mechanism."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.elements import Body, Revolute
+from mbdkit.mechanism.mechanism import Mechanism
+
+SPEC = {
+    "name": "mechanism",
+    "gravity": [0.0, -1.62],
+    "bodies": {
+        "crank": {"mass": 1.0, "inertia": 0.0833, "position": [0.5, 0.0], "angular_velocity": 2.0},
+        "rod": {"mass": 2.0, "inertia": 0.1, "position": [1.5, 0.0], "angle": 0.25, "velocity": [0.0, 1.0]},
+        "bob": {"mass": 0.5, "position": [2.0, 0.0]},
+    },
+    "joints": {
+        "A": {"type": "revolute", "bodies": ["ground", "crank"], "points": [[0.0, 0.0], [-0.5, 0.0]]},
+        "D": {"type": "distance", "bodies": ["crank", "rod"], "points": [[0.5, 0.0], [-0.5, 0.0]], "length": 0.1},
+        "E": {"type": "driver", "bodies": ["ground", "crank"], "coordinate": "angle", "motion": "0.5*sin(2*pi*t)"},
+        "Y": {"type": "driver", "bodies": ["ground", "bob"], "coordinate": "y", "motion": 0.0},
+    },
+    "forces": {
+        "s": {
+            "type": "spring-damper",
+            "bodies": ["ground", "rod"],
+            "points": [[0.0, 1.0], [0.5, 0.0]],
+            "stiffness": 100.0,
+            "damping": 1.0,
+            "free_length": 0.5,
+        },
+        "t": {"type": "torsion-spring", "bodies": ["crank", "rod"], "stiffness": 5.0, "free_angle": -0.1},
+        "m": {"type": "torque", "body": "crank", "value": "0.033", "reaction_body": "rod"},
+        "f": {"type": "force", "body": "rod", "point": [0.1, 0.0], "value": [1.0, "2*cos(t)"]},
+    },
+    "assembly": {"fix": ["crank"], "tolerance": 1e-10},
+}
+
+
+def built() -> Mechanism:
+    m = Mechanism(gravity=(0, -1.62))
+    crank = m.body("crank", mass=1, inertia=0.0833, position=(0.5, 0), angular_velocity=2)
+    rod = m.body("rod", mass=2, inertia=0.1, position=(1.5, 0), angle=0.25, velocity=(0, 1))
+    bob = m.body("bob", mass=0.5, position=(2, 0))
+    m.revolute("A", m.ground, crank, at=(0, 0))
+    m.distance("D", crank, rod, points=[(0.5, 0), (-0.5, 0)], length=0.1)
+    m.driver("E", m.ground, crank, coordinate="angle", motion="0.5*sin(2*pi*t)")
+    m.driver("Y", m.ground, bob, coordinate="y", motion=0)
+    m.spring_damper("s", m.ground, rod, points=[(0, 1), (0.5, 0)], stiffness=100, damping=1, free_length=0.5)
+    m.torsion_spring("t", crank, rod, stiffness=5, free_angle=-0.1)
+    m.torque("m", crank, value="0.033", reaction_body=rod)
+    m.force("f", rod, point=(0.1, 0), value=(1, "2*cos(t)"))
+    m.hold(crank, tolerance=1e-10)
+    return m
+
+
+def test_builder_and_spec_give_the_same_mechanism():
+    assert built().to_spec() == SPEC
+    read = Mechanism.from_spec(SPEC)
+    assert read.to_spec() == SPEC
+    assert (read.bodies, read.joints, read.forces) == (built().bodies, built().joints, built().forces)
+    assert (read.gravity, read.assembly) == (built().gravity, built().assembly)
+
+
+def test_names_keep_the_order_in_which_they_were_written():
+    read = Mechanism.from_spec(SPEC)
+    assert list(read.bodies) == ["crank", "rod", "bob"]
+    assert list(read.joints) == ["A", "D", "E", "Y"]
+    assert list(read.forces) == ["s", "t", "m", "f"]
+
+
+def test_a_name_is_no_part_of_what_must_be_said():
+    assert Mechanism.from_spec({"bodies": {"a": {"mass": 1}}}).to_spec() == {
+        "name": "mechanism",
+        "bodies": {"a": {"mass": 1.0}},
+    }
+
+
+def test_global_points_are_turned_into_the_bodies_frames():
+    m = Mechanism()
+    a = m.body("a", mass=1, inertia=1, position=(1, 0), angle=math.pi / 2)
+    b = m.body("b", mass=1, inertia=1, position=(1, 3))
+    m.revolute("J", a, b, at=(1, 2))
+    assert m.joints["J"].points[0] == pytest.approx((2, 0))
+    assert m.joints["J"].points[1] == pytest.approx((0, -1))
+    m.distance("D", m.ground, b, from_=(4, -1), to=(1, 3))
+    assert m.joints["D"].length == pytest.approx(5)
+    assert m.joints["D"].points == ((4.0, -1.0), (0.0, 0.0))
+    m.spring_damper("s", a, b, from_=(1, 1), to=(2, 3), stiffness=1)
+    assert m.forces["s"].points[0] == pytest.approx((1, 0))
+    assert m.forces["s"].points[1] == pytest.approx((1, 0))
+    m.force("f", a, at=(0, 0), value=(1, 0))
+    assert m.forces["f"].point == pytest.approx((0, 1))
+    assert m.to_global("a", m.to_local("a", (0.3, 0.7))) == pytest.approx((0.3, 0.7))
+
+
+def test_description_counts_elements_rows_and_freedoms():
+    assert built().description() == (
+        "3 bodies, 2 joints, 2 drivers, 4 forces; 5 constraint rows; 3 degrees of freedom by count"
+    )
+    m = Mechanism()
+    m.revolute("A", m.ground, m.body("a", mass=1, inertia=1), at=(0, 0))
+    assert m.description() == "1 body, 1 joint, 0 drivers, 0 forces; 2 constraint rows; 1 degree of freedom by count"
+
+
+def test_constraint_rows_are_named_by_joint_and_row():
+    assert built().constraint_rows() == [
+        ("A.x", "m"),
+        ("A.y", "m"),
+        ("D.length", "m"),
+        ("E.angle", "rad"),
+        ("Y.y", "m"),
+    ]
+
+
+CHANGES = {
+    "unknown body": ("joints.A.bodies", ["ground", "cranc"], "model.joints.A.bodies[1]", "did you mean 'crank'"),
+    "unknown force body": ("forces.m.body", "rodd", "model.forces.m.body", "did you mean 'rod'"),
+    "unknown reaction body": ("forces.m.reaction_body", "x", "model.forces.m.reaction_body", "no body 'x'"),
+    "unknown fixed body": ("assembly.fix", ["cranck"], "model.assembly.fix[0]", "did you mean 'crank'"),
+    "one body twice": ("joints.A.bodies", ["rod", "rod"], "model.joints.A.bodies[1]", "must differ"),
+    "ground twice": ("joints.A.bodies", ["ground", "ground"], "model.joints.A.bodies[1]", "must differ"),
+    "three bodies": ("joints.A.bodies", ["ground", "rod", "bob"], "model.joints.A.bodies", "two body names"),
+    "one point": ("joints.A.points", [[0, 0]], "model.joints.A.points", "two points"),
+    "point of three": ("joints.A.points", [[0, 0], [0, 0, 0]], "model.joints.A.points[1]", "two numbers"),
+    "text in a point": ("joints.A.points", [[0, 0], [0, "1"]], "model.joints.A.points[1][1]", "number"),
+    "boolean mass": ("bodies.rod.mass", True, "model.bodies.rod.mass", "number"),
+    "negative mass": ("bodies.rod.mass", -1.0, "model.bodies.rod.mass", "greater than 0"),
+    "nan": ("bodies.rod.angle", math.nan, "model.bodies.rod.angle", "finite"),
+    "unknown key": ("bodies.rod.mas", 1.0, "model.bodies.rod.mas", "did you mean 'mass'"),
+    "unknown key of a joint": ("joints.D.lenght", 1.0, "model.joints.D.lenght", "did you mean 'length'"),
+    "unknown section": ("joint", {}, "model.joint", "did you mean 'joints'"),
+    "unknown key of assembly": ("assembly.fixed", [], "model.assembly.fixed", "did you mean 'fix'"),
+    "unknown type": ("joints.A.type", "revolut", "model.joints.A.type", "did you mean 'revolute'"),
+    "type of a force": ("joints.A.type", "torque", "model.joints.A.type", "known: revolute, distance, driver"),
+    "zero distance": ("joints.D.length", 0.0, "model.joints.D.length", "greater than 0"),
+    "unreadable motion": ("joints.E.motion", "sine(t)", "model.joints.E.motion", "did you mean 'sin'"),
+    "unreadable force": ("forces.f.value", [1, "__import__('os')"], "model.forces.f.value[1]", "not a function"),
+    "points on an angle": ("joints.E.points", [[0, 0], [0, 0]], "model.joints.E.points", "takes no points"),
+    "point mass off centre": ("joints.A.bodies", ["ground", "bob"], "model.joints.A.points[1]", "held only at [0, 0]"),
+    "point mass turned": ("forces.m.body", "bob", "model.forces.m.body", "no angle"),
+    "point mass on a spring": ("forces.t.bodies", ["bob", "rod"], "model.forces.t.bodies[0]", "no angle"),
+    "drive from a point mass": ("joints.Y.bodies", ["bob", "rod"], "model.joints.Y.bodies[0]", "no angle"),
+    "force on a point mass": ("forces.f.body", "bob", "model.forces.f.point", "held only at [0, 0]"),
+    "force on the ground": ("forces.f.body", "ground", "model.forces.f.body", "does nothing"),
+    "name with a dot": ("bodies.a/b", {"mass": 1}, "model.bodies.a/b", "without '/' or '.'"),
+    "name of the ground": ("bodies.ground", {"mass": 1}, "model.bodies.ground", "global frame's own"),
+    "empty name": ("joints.", SPEC["joints"]["A"], "model.joints.", "not empty"),
+    "control character": ("joints.a\tb", SPEC["joints"]["A"], "model.joints.a\tb", "printable"),
+    "no mapping": ("bodies.rod", 3, "model.bodies.rod", "Body"),
+    "no bodies": ("bodies", {}, "model.bodies", "at least one body"),
+    "gravity in one": ("gravity", [9.81], "model.gravity", "two numbers"),
+    "another model": ("name", "double-pendulum", "model.name", "'mechanism'"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_wrong_spec_is_answered_with_its_key_and_what_would_be_right(change):
+    path, value, key, words = CHANGES[change]
+    spec = copy.deepcopy(SPEC)
+    *parents, last = path.split(".")
+    place = spec
+    for parent in parents:
+        place = place[parent]
+    place[last] = value
+    with pytest.raises(SpecError) as caught:
+        Mechanism.from_spec(spec)
+    assert caught.value.key == key
+    assert words in caught.value.message
+
+
+@pytest.mark.parametrize("missing", ["type", "bodies", "points"])
+def test_a_missing_key_is_named(missing):
+    spec = copy.deepcopy(SPEC)
+    del spec["joints"]["A"][missing]
+    with pytest.raises(SpecError, match=f"'{missing}' is missing"):
+        Mechanism.from_spec(spec)
+
+
+def test_the_builder_answers_at_once():
+    m = Mechanism()
+    rod = m.body("rod", mass=1, inertia=1)
+    with pytest.raises(SpecError, match="taken"):
+        m.body("rod", mass=1)
+    with pytest.raises(SpecError, match=r"model\.bodies\.bob\.mass: .*greater than 0"):
+        m.body("bob", mass=0)
+    with pytest.raises(SpecError, match="did you mean 'rod'"):
+        m.revolute("A", m.ground, "rodd", at=(0, 0))
+    with pytest.raises(SpecError, match=r"either by points= .* or by at "):
+        m.revolute("A", m.ground, rod)
+    with pytest.raises(SpecError, match=r"either by points= .* or by from_ and to "):
+        m.spring_damper("s", m.ground, rod, from_=(0, 0), stiffness=1)
+    with pytest.raises(SpecError, match="'length' is missing"):
+        m.distance("D", m.ground, rod, points=[(0, 0), (0, 0)])
+    with pytest.raises(SpecError, match="greater than 0"):
+        m.distance("D", m.ground, rod, from_=(1, 1), to=(1, 1))
+    with pytest.raises(SpecError, match="not both"):
+        m.force("f", rod, value=(1, 0), at=(0, 0), point=(0, 0))
+    with pytest.raises(SpecError, match=r"model\.gravity"):
+        Mechanism(gravity=(0, math.inf))
+    with pytest.raises(SpecError, match="a body's name is wanted"):
+        m.revolute("A", 0, rod, at=(0, 0))
+    assert not m.joints
+    assert not m.forces
+
+
+def test_arrays_are_points():
+    m = Mechanism(gravity=np.array([0, -9.81]))
+    rod = m.body("rod", mass=np.float64(1), inertia=1, position=np.array([1, 0]))
+    m.revolute("A", m.ground, rod, points=np.zeros((2, 2)))
+    m.force("f", rod, point=np.array([0, 1]), value=(0, 1))
+    assert m.forces["f"].point == (0.0, 1.0)
+    assert Mechanism.from_spec(m.to_spec()).to_spec() == m.to_spec()
+
+
+def test_a_key_that_is_no_text_is_refused():
+    with pytest.raises(SpecError):
+        Mechanism.from_spec({"bodies": {"a": {"mass": 1}}, 1: 2})
+
+
+def test_validate_finds_what_was_put_in_by_hand():
+    m = Mechanism()
+    with pytest.raises(SpecError, match="at least one body"):
+        m.validate()
+    m.bodies["a"] = Body(mass=1)
+    m.joints["J"] = Revolute(bodies=("ground", "a"), points=((0, 0), (0.1, 0)))
+    with pytest.raises(SpecError, match="point mass"):
+        m.validate()
