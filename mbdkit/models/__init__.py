@@ -1,0 +1,29 @@
+"""The built-in models: each file turns a few parameters into a mechanism."""
+
+from mbdkit.models import double_pendulum, four_bar_knee, free, n_pendulum, single_pendulum
+from mbdkit.registry.items import ModelPlugin
+
+MODELS = (
+    ModelPlugin(
+        "single-pendulum",
+        single_pendulum.SUMMARY,
+        single_pendulum.SinglePendulumOptions,
+        single_pendulum.build,
+    ),
+    ModelPlugin(
+        "double-pendulum",
+        double_pendulum.SUMMARY,
+        double_pendulum.DoublePendulumOptions,
+        double_pendulum.build,
+    ),
+    ModelPlugin("n-pendulum", n_pendulum.SUMMARY, n_pendulum.NPendulumOptions, n_pendulum.build),
+    ModelPlugin(
+        "four-bar-knee",
+        four_bar_knee.SUMMARY,
+        four_bar_knee.FourBarKneeOptions,
+        four_bar_knee.build,
+        four_bar_knee.REFERENCES,
+    ),
+    ModelPlugin("mechanism", free.SUMMARY, free.MechanismOptions, free.build),
+)
+"""The models that mbdkit ships, in the order in which `mbdkit plugins list` names them."""

@@ -1,0 +1,148 @@
+"""The crossed four-bar linkage of a knee: its pose, its rates and its range, in closed form.
+
+Points are complex numbers x + i y [m], and angles are in radians.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+from mbdkit.errors import SpecError
+
+_SCAN = math.radians(1.0)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the joints are in the tibia's frame: origin A, x forward and y up when the leg is straight."""
+
+    A: complex
+    B: complex
+    C: complex
+    D: complex
+
+    @property
+    def crossed(self) -> bool:
+        """Whether the rods B-C and D-A cross between their ends."""
+        a, b, c, d = self.A, self.B, self.C, self.D
+        return _turn(b, c, d) * _turn(b, c, a) < 0 and _turn(d, a, b) * _turn(d, a, c) < 0
+
+    @property
+    def instant_centre(self) -> complex:
+        """The point of the tibia that is at rest relative to the femur: where the rods cross."""
+        rod, other = self.C - self.B, self.A - self.D
+        return self.B + rod * _cross(self.D - self.B, other) / _cross(rod, other)
+
+
+@dataclass(frozen=True)
+class CrossedFourBar:
+    """Two rods B-C and D-A that cross between a tibial link A-B and a femoral link C-D, posterior ends A and C.
+
+    Parameters
+    ----------
+    tibial, femoral, acl, pcl
+        Lengths of A-B, C-D, B-C and D-A [m].
+    tibial_pitch, femoral_pitch
+        How far A-B and C-D point below the forward horizontal when the leg is straight [rad].
+
+    Raises
+    ------
+    SpecError
+        If the straight leg cannot be put together with crossed rods.
+    """
+
+    tibial: float
+    femoral: float
+    acl: float
+    pcl: float
+    tibial_pitch: float
+    femoral_pitch: float
+
+    def __post_init__(self) -> None:
+        if self._branch == 0:
+            lengths = f"tibial {self.tibial:g}, femoral {self.femoral:g}, acl {self.acl:g}, pcl {self.pcl:g}"
+            raise SpecError(
+                f"the straight leg cannot be put together with crossed rods from links of these lengths ({lengths} m) "
+                "and these pitches",
+                key="links",
+            )
+
+    def pose(self, flexion: float) -> Pose:
+        """Return the pose at a `flexion` [rad], on the branch that the straight leg is on.
+
+        Raises
+        ------
+        SpecError
+            If the rods do not stay crossed between the straight leg and there.
+        """
+        low, high = self.range
+        pose = self._solve(flexion, self._branch) if low < flexion < high else None
+        if pose is None:
+            raise SpecError(
+                f"should be between {low:.3f} and {high:.3f} rad ({math.degrees(low):.1f} and {math.degrees(high):.1f} "
+                f"degrees), where the rods stay crossed, not {flexion!r}",
+                key="flexion",
+            )
+        return pose
+
+    def rod_rates(self, pose: Pose, rate: float) -> tuple[float, float]:
+        """Return the angular velocities of the rods B-C and D-A against the femur when the tibia turns at `rate`.
+
+        The velocity of B against A, once through the rods and once through the tibia, gives two equations for them.
+        """
+        acl, pcl, link = pose.B - pose.C, pose.A - pose.D, pose.B - pose.A
+        determinant = _cross(acl, pcl)
+        return rate * _cross(link, pcl) / determinant, rate * _cross(link, acl) / determinant
+
+    @cached_property
+    def range(self) -> tuple[float, float]:
+        """The flexions [rad] between which the rods stay crossed, starting from the straight leg."""
+        return -self._limit(-1.0), self._limit(1.0)
+
+    @cached_property
+    def _branch(self) -> int:
+        """Which of the two ways to close the linkage is the crossed one with the femur on top; 0 if neither is."""
+        for branch in (1, -1):
+            pose = self._solve(0.0, branch)
+            if pose is not None and pose.crossed and (pose.C + pose.D - pose.A - pose.B).imag > 0:
+                return branch
+        return 0
+
+    def _limit(self, sign: float) -> float:
+        """Return how far the leg can turn in one direction: a scan by one degree, then bisection."""
+
+        def fits(angle: float) -> bool:
+            pose = self._solve(sign * angle, self._branch)
+            return pose is not None and pose.crossed
+
+        steps = next((step for step in range(1, 361) if not fits(step * _SCAN)), 361)
+        inside, outside = (steps - 1) * _SCAN, steps * _SCAN
+        while inside < (middle := 0.5 * (inside + outside)) < outside:
+            inside, outside = (middle, outside) if fits(middle) else (inside, middle)
+        return inside
+
+    def _solve(self, flexion: float, branch: int) -> Pose | None:
+        """Return the pose: C lies on a circle about B, and on another about the end of D-C drawn backwards from A."""
+        b = cmath.rect(self.tibial, -self.tibial_pitch)
+        femur = cmath.rect(self.femoral, flexion - self.femoral_pitch)
+        line = -femur - b
+        distance = abs(line)
+        if distance == 0:
+            return None
+        along = (self.acl**2 - self.pcl**2 + distance**2) / (2 * distance)
+        across_squared = (self.acl - along) * (self.acl + along)
+        if across_squared < 0:
+            return None
+        c = b + line / distance * complex(along, branch * math.sqrt(across_squared))
+        return Pose(0j, b, c, c + femur)
+
+
+def _cross(u: complex, v: complex) -> float:
+    return u.real * v.imag - u.imag * v.real
+
+
+def _turn(p: complex, q: complex, r: complex) -> float:
+    return _cross(q - p, r - p)

@@ -1,0 +1,212 @@
+r"""The knee as a crossed four-bar linkage: a seated or standing person's lower leg on two rods that cross.
+
+The thigh is held at `thigh_angle`, so its joint points C and D are points of the ground. Two rods, `acl` (B-C) and
+`pcl` (D-A), carry the `shank` with the foot. Four revolute joints, one degree of freedom. The straight leg, facing +x::
+
+                   y
+              C    |   thigh (held)          A  tibial link, posterior     pcl - shank
+               \   |                         B  tibial link, anterior      acl - shank
+                \  |                         C  femoral link, posterior    ground - acl
+                 \ |          ___... D       D  femoral link, anterior     ground - pcl
+     A ___...-----\O---------- - - - x
+                   \                         O  anatomical knee joint of the straight leg: the origin
+                   |\                           of the thigh's, of the shank's and of the global frame
+                   | \
+                   |  B
+                   |   shank and foot
+
+Frames
+    The *thigh's frame* has its origin in O; y points along the thigh from the knee to the hip, and x forward. The
+    *shank's frame* coincides with it when the leg is straight and is carried by the shank: y points from the ankle
+    to the knee, x to the toes' side. Points of springs are given in these two frames. O is the origin of the global
+    frame.
+Angles
+    `thigh_angle` is the absolute tilt of the thigh's long axis, from hip to knee, from the +x axis: 0 for a seated
+    person with a level thigh, -pi/2 for a standing one. `flexion` is 0 for the straight leg and positive in
+    flexion, clockwise: body `shank` has the angle ``thigh_angle + pi/2 - flexion``.
+Linkage
+    Lengths and pitches of a lower-limb exoskeleton's knee for a height of 1.78 m, scaled with `height`. Its source
+    puts the middle of the tibial link on the shank's axis, 9 mm below O, and names 9 mm above O for the femoral
+    link as well. The closed linkage contradicts the latter (its middles are 24 mm apart in height, not 18 mm), and
+    the source does not use it: here the tibial link is mounted as said, and the femoral link follows from the
+    closure, 15 mm above O and 8 mm in front.
+Masses
+    Shank and foot by Winter's fractions of body mass and height, the foot at a right angle to the shank, as one
+    body; rods uniform. Body frames have their origins in the centres of mass: the rods' x axes point from the
+    femoral to the tibial joint, the shank's are parallel to those of the shank's frame.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+from pydantic import Field
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.elements import Element, NotNegative, Number, Point, Points, Positive
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.models._crossed_four_bar import CrossedFourBar
+from mbdkit.models._leg import FRACTIONS, GAIT2D, WINTER, foot, shank
+
+SUMMARY = "The lower leg on a crossed four-bar linkage, the thigh held, with springs and dampers."
+
+EXOSKELETON = """@misc{group3exoskeleton,
+  author       = {{emelieseguin}},
+  title        = {Group3\\_Matlab: lower-limb exoskeleton design, FourBarLinkageMathDefined\\_FromGait.m},
+  howpublished = {\\url{https://github.com/emelieseguin/Group3_Matlab}},
+  note         = {Commit 0664a50104cb4168398461bcf314e19321871145; link lengths and pitches for a height of 1.78 m}
+}"""
+REFERENCES = (EXOSKELETON, WINTER, FRACTIONS, GAIT2D)
+
+REFERENCE_HEIGHT = 1.78  # m, of the person whom the linkage fits
+LINKS = {"tibial": 0.0445, "femoral": 0.0409, "acl": 0.0516, "pcl": 0.0472}  # m, at that height
+MOUNTING = 0.009  # m, of the tibial link's middle below the knee joint, at that height
+DAMPER = "knee-damping"
+
+
+class KneeLinks(Element):
+    """Lengths of the links [m]; what is left out is scaled with the height."""
+
+    tibial: Positive | None = None
+    """Tibial link, from joint A to joint B [m]."""
+    femoral: Positive | None = None
+    """Femoral link, from joint C to joint D [m]."""
+    acl: Positive | None = None
+    """Anterior cruciate rod, from joint B to joint C [m]."""
+    pcl: Positive | None = None
+    """Posterior cruciate rod, from joint D to joint A [m]."""
+
+
+class KneePitches(Element):
+    """How far the links point below the forward horizontal when the leg is straight [rad]."""
+
+    femoral: Number = math.radians(27.5)
+    """Femoral link, from joint C to joint D [rad]."""
+    tibial: Number = math.radians(19.5)
+    """Tibial link, from joint A to joint B [rad]."""
+
+
+class KneeSpring(Element):
+    """A linear spring and damper between a point of the thigh and a point of the shank."""
+
+    points: Points
+    """The points in the thigh's and in the shank's frame, ``[[x, y], [x, y]]`` [m]: origin at the knee joint, x
+    forward, y up along the thigh and along the shank."""
+    stiffness: NotNegative = 0.0
+    """Stiffness [N/m]."""
+    damping: NotNegative = 0.0
+    """Damping [N s/m]."""
+    free_length: NotNegative = 0.0
+    """Length without force [m]."""
+
+
+class FourBarKneeOptions(Element):
+    """Parameters of `four-bar-knee`."""
+
+    height: Positive = 1.78
+    """Height of the person [m]; scales linkage and segments."""
+    body_mass: Positive = 75.0
+    """Mass of the person [kg]."""
+    thigh_angle: Number = 0.0
+    """Tilt of the thigh's long axis, from hip to knee, from the +x axis [rad]: 0 is seated, -pi/2 is standing."""
+    flexion: Number = 0.0
+    """Initial flexion of the knee [rad]: 0 is the straight leg, positive in flexion."""
+    flexion_rate: Number = 0.0
+    """Initial rate of flexion [rad/s]."""
+    links: KneeLinks = KneeLinks()
+    """Lengths of the links [m]."""
+    pitches: KneePitches = KneePitches()
+    """Pitches of the links when the leg is straight [rad]."""
+    rod_mass: Positive = 0.05
+    """Mass of each of the two rods [kg]."""
+    damping: NotNegative = 0.0
+    """Damping of the knee, between thigh and shank [N m s/rad]."""
+    springs: dict[str, KneeSpring] = Field(default_factory=dict)
+    """Springs and dampers between thigh and shank, by name."""
+    gravity: Point = (0.0, -9.81)
+    """Gravitational acceleration (x, y) [m/s^2]."""
+
+
+def linkage(options: FourBarKneeOptions) -> CrossedFourBar:
+    """Return the four-bar linkage that the `options` describe."""
+    scale = options.height / REFERENCE_HEIGHT
+    given = options.links.model_dump(exclude_none=True)
+    lengths = {name: given.get(name, scale * length) for name, length in LINKS.items()}
+    return CrossedFourBar(**lengths, tibial_pitch=options.pitches.tibial, femoral_pitch=options.pitches.femoral)
+
+
+def build(options: FourBarKneeOptions) -> Mechanism:
+    """Return bodies `acl`, `pcl` and `shank` on joints `A`, `B`, `C`, `D`, at the given flexion.
+
+    Raises
+    ------
+    SpecError
+        If the links do not fit together, or not at this flexion, or if a spring's name cannot be used.
+    """
+    four_bar = linkage(options)
+    straight, pose = four_bar.pose(0.0), four_bar.pose(options.flexion)
+    knee = 0.5 * (straight.A + straight.B) + 1j * MOUNTING * options.height / REFERENCE_HEIGHT  # O in the tibia's frame
+
+    # The shank's frame in the global one: the thigh's, turned back by the flexion, with C where the thigh has it.
+    thigh = cmath.rect(1.0, options.thigh_angle + 0.5 * math.pi)
+    turn = thigh * cmath.rect(1.0, -options.flexion)
+    c = thigh * (straight.C - knee)
+    d = thigh * (straight.D - knee)
+    a = c + turn * (pose.A - pose.C)
+    b = c + turn * (pose.B - pose.C)
+
+    rate = -options.flexion_rate
+    acl_rate, pcl_rate = four_bar.rod_rates(pose, rate)
+    leg = shank(options.body_mass, options.height) + foot(options.body_mass, options.height)
+    to_centre = turn * (leg.centre - (pose.B - knee))
+
+    mechanism = Mechanism(options.gravity, name="four-bar-knee")
+    rods = (("acl", four_bar.acl, c, b, acl_rate), ("pcl", four_bar.pcl, d, a, pcl_rate))
+    for name, length, start, end, spin in rods:
+        mechanism.body(
+            name,
+            mass=options.rod_mass,
+            inertia=options.rod_mass * length**2 / 12,
+            position=_xy(0.5 * (start + end)),
+            angle=cmath.phase(end - start),
+            velocity=_xy(0.5j * spin * (end - start)),
+            angular_velocity=spin,
+        )
+    mechanism.body(
+        "shank",
+        mass=leg.mass,
+        inertia=leg.inertia,
+        position=_xy(b + to_centre),
+        angle=options.thigh_angle + 0.5 * math.pi - options.flexion,
+        velocity=_xy(1j * acl_rate * (b - c) + 1j * rate * to_centre),
+        angular_velocity=rate,
+    )
+
+    acl, pcl = 0.5 * four_bar.acl, 0.5 * four_bar.pcl
+    mechanism.revolute("A", "pcl", "shank", points=((pcl, 0.0), _xy(pose.A - knee - leg.centre)))
+    mechanism.revolute("B", "acl", "shank", points=((acl, 0.0), _xy(pose.B - knee - leg.centre)))
+    mechanism.revolute("C", mechanism.ground, "acl", points=(_xy(c), (-acl, 0.0)))
+    mechanism.revolute("D", mechanism.ground, "pcl", points=(_xy(d), (-pcl, 0.0)))
+
+    if options.damping > 0:
+        mechanism.torsion_spring(DAMPER, mechanism.ground, "shank", damping=options.damping)
+    for name, spring in options.springs.items():
+        on_thigh, on_shank = (complex(*point) for point in spring.points)
+        try:
+            mechanism.spring_damper(
+                name,
+                mechanism.ground,
+                "shank",
+                points=(_xy(thigh * on_thigh), _xy(on_shank - leg.centre)),
+                stiffness=spring.stiffness,
+                damping=spring.damping,
+                free_length=spring.free_length,
+            )
+        except SpecError as error:
+            raise SpecError(error.message, key=f"springs.{name}") from None
+    return mechanism
+
+
+def _xy(point: complex) -> tuple[float, float]:
+    return point.real, point.imag

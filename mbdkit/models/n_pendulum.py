@@ -1,0 +1,100 @@
+"""The n-pendulum: a chain of any number of rods."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.elements import Element, Number, Point, Positive, sequence
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.models._chain import chain
+
+SUMMARY = "A chain of n rods, equal or each with its own parameters."
+
+_QUANTITIES = {"length": "lengths", "mass": "masses", "inertia": "inertias", "angle": "angles", "rate": "rates"}
+
+
+_list = BeforeValidator(sequence)
+PositiveList = Annotated[tuple[Positive, ...], _list, Field(min_length=1)]
+NumberList = Annotated[tuple[Number, ...], _list, Field(min_length=1)]
+
+
+class NPendulumOptions(Element):
+    """Parameters of `n-pendulum`.
+
+    Each quantity is either one number for all rods or, under its plural name, a list with one number for each rod from
+    the ground outwards. `n` can be left out where there is a list.
+    """
+
+    n: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
+    """Number of rods."""
+    length: Positive | None = None
+    """Length of every rod [m]; 1 by default."""
+    mass: Positive | None = None
+    """Mass of every rod [kg]; 1 by default."""
+    inertia: Positive | None = None
+    """Moment of inertia of every rod about its middle [kg m^2]; left out, that of a uniform rod."""
+    angle: Number | None = None
+    """Initial tilt of every rod from the +x axis [rad]; 0 by default, -pi/2 hangs straight down."""
+    rate: Number | None = None
+    """Initial angular velocity of every rod, absolute [rad/s]; 0 by default."""
+    lengths: PositiveList | None = None
+    """Lengths of the rods [m]."""
+    masses: PositiveList | None = None
+    """Masses of the rods [kg]."""
+    inertias: PositiveList | None = None
+    """Moments of inertia about the rods' middles [kg m^2]."""
+    angles: NumberList | None = None
+    """Initial tilts of the rods from the +x axis, absolute [rad]."""
+    rates: NumberList | None = None
+    """Initial angular velocities, absolute [rad/s]."""
+    gravity: Point = (0.0, -9.81)
+    """Gravitational acceleration (x, y) [m/s^2]."""
+
+    @model_validator(mode="after")
+    def _lists_agree(self) -> NPendulumOptions:
+        count, source = self.n, "n"
+        for one, many in _QUANTITIES.items():
+            values = getattr(self, many)
+            if values is None:
+                continue
+            if getattr(self, one) is not None:
+                raise SpecError(f"give either '{one}' for all rods or the list '{many}', not both", key=many)
+            if count is not None and len(values) != count:
+                raise SpecError(f"has {len(values)} numbers, but '{source}' says {count} rods", key=many)
+            count, source = len(values), many
+        if count is None:
+            raise SpecError("'n', the number of rods, is missing (or a list such as 'lengths')", key="n")
+        return self
+
+    def each(self, one: str, default: float) -> tuple[float, ...]:
+        """Return the quantity `one` of every rod."""
+        values = getattr(self, _QUANTITIES[one])
+        if values is not None:
+            return tuple(values)
+        value = getattr(self, one)
+        return (default if value is None else value,) * self.count
+
+    @property
+    def count(self) -> int:
+        """The number of rods."""
+        if self.n is not None:
+            return self.n
+        return next(len(values) for many in _QUANTITIES.values() if (values := getattr(self, many)) is not None)
+
+
+def build(options: NPendulumOptions) -> Mechanism:
+    """Return bodies `rod1` to `rodn` on joints `J1` to `Jn`."""
+    o = options
+    uniform = o.inertia is None and o.inertias is None
+    return chain(
+        "n-pendulum",
+        o.gravity,
+        o.each("length", 1.0),
+        o.each("mass", 1.0),
+        o.each("angle", 0.0),
+        o.each("rate", 0.0),
+        None if uniform else o.each("inertia", 0.0),
+    )
