@@ -1,0 +1,1 @@
+"""The registry: through which models and integrators arrive, ours and anybody's."""

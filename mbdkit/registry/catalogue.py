@@ -1,0 +1,147 @@
+"""The catalogue of what was loaded: models and integrators by name, and a report on everything that was tried."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from mbdkit.errors import SpecError
+from mbdkit.registry.items import IntegratorPlugin, ModelPlugin
+from mbdkit.text import did_you_mean, listed
+
+Kind = Literal["model", "integrator"]
+KINDS: tuple[Kind, ...] = ("model", "integrator")
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where an item came from: a distribution, its version, and the entry point that led to it."""
+
+    distribution: str
+    version: str
+    entry_point: str
+
+
+@dataclass(frozen=True)
+class Registered:
+    """One model or integrator in the registry, with where it came from."""
+
+    kind: Kind
+    plugin: ModelPlugin | IntegratorPlugin
+    origin: Origin
+
+    @property
+    def name(self) -> str:
+        """The short alias."""
+        return self.plugin.name
+
+    @property
+    def id(self) -> str:
+        """The long id, ``distribution:name``."""
+        return f"{self.origin.distribution}:{self.plugin.name}"
+
+    @property
+    def spec_name(self) -> str:
+        """The name in a canonical spec: short for mbdkit's own items, long for all others."""
+        return self.name if self.origin.distribution == "mbdkit" else self.id
+
+
+@dataclass(frozen=True)
+class Report:
+    """What became of one entry point or of one of its items, for ``mbdkit plugins list`` and ``doctor``.
+
+    `status` is ``ok``, ``clash`` (the short name is taken twice; the long id works) or ``error``.
+    `kind` is None for an entry point that handed over no items; `seconds` is its loading time.
+    """
+
+    id: str
+    kind: Kind | None
+    origin: Origin
+    status: Literal["ok", "clash", "error"]
+    error: str | None
+    seconds: float
+
+
+class Registry:
+    """All models and integrators that could be loaded, and a report on everything that was tried.
+
+    Parameters
+    ----------
+    items
+        What was loaded; ids are unique within a kind.
+    reports
+        One for each item and for each failure.
+    """
+
+    def __init__(self, items: Iterable[Registered], reports: Iterable[Report] = ()):
+        self.items = tuple(items)
+        self._reports = tuple(reports)
+
+    @property
+    def reports(self) -> tuple[Report, ...]:
+        """Reports on items and failures, with clashes of short names marked."""
+        return tuple(self._with_clash(report) for report in self._reports)
+
+    @property
+    def failures(self) -> tuple[Report, ...]:
+        """Reports on everything that could not be loaded."""
+        return tuple(report for report in self._reports if report.status == "error")
+
+    def of_kind(self, kind: Kind) -> tuple[Registered, ...]:
+        """Return the items of one kind."""
+        return tuple(item for item in self.items if item.kind == kind)
+
+    def only(self, distribution: str) -> Registry:
+        """Return the registry of one distribution's items alone."""
+        return Registry(
+            (item for item in self.items if item.origin.distribution == distribution),
+            (report for report in self._reports if report.origin.distribution == distribution),
+        )
+
+    def names(self, kind: Kind) -> list[str]:
+        """Return what a spec may say to name the items of one kind: short where that is unique, else the long id."""
+        return [item.id if len(self._namesakes(kind, item.name)) > 1 else item.name for item in self.of_kind(kind)]
+
+    def accepted(self, item: Registered) -> list[str]:
+        """Return every name that a spec may use for this item."""
+        return [item.id] if len(self._namesakes(item.kind, item.name)) > 1 else [item.name, item.id]
+
+    def get(self, kind: Kind, name: str) -> Registered:
+        """Return the item of this kind by short alias or long id.
+
+        Raises
+        ------
+        SpecError
+            If there is none, or if the short alias is claimed by several distributions.
+        """
+        namesakes = self._namesakes(kind, name)
+        if len(namesakes) > 1:
+            owners = listed([f"{item.origin.distribution} {item.origin.version}" for item in namesakes], "and")
+            ids = listed([f"'{item.id}'" for item in namesakes], "or")
+            raise SpecError(f"the {kind} name '{name}' is claimed by {owners}; write {ids}", key=f"{kind}.name")
+        if namesakes:
+            return namesakes[0]
+        for item in self.of_kind(kind):
+            if item.id == name:
+                return item
+        names = self.names(kind)
+        message = f"there is no {kind} '{name}'{did_you_mean(name, names)}; installed: {listed(names) or 'none'}"
+        if self.failures:
+            broken = listed([f"'{report.id}'" for report in self.failures], "and")
+            message += f"; not loaded: {broken} (see `mbdkit plugins doctor`)"
+        raise SpecError(message, key=f"{kind}.name")
+
+    def _namesakes(self, kind: Kind, name: str) -> list[Registered]:
+        return [item for item in self.of_kind(kind) if item.name == name]
+
+    def _with_clash(self, report: Report) -> Report:
+        if report.status != "ok" or report.kind is None:
+            return report
+        name = report.id.partition(":")[2]
+        others = [item for item in self._namesakes(report.kind, name) if item.id != report.id]
+        if not others:
+            return report
+        owners = listed([f"{item.origin.distribution} {item.origin.version}" for item in others], "and")
+        error = f"the short name '{name}' is also claimed by {owners}; write the long id '{report.id}'"
+        return Report(report.id, report.kind, report.origin, "clash", error, report.seconds)

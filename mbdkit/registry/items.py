@@ -1,0 +1,106 @@
+"""What a plugin hands over: models and integrators, each with its options, its references and what it claims."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from mbdkit.mechanism.mechanism import Mechanism
+
+
+@dataclass(frozen=True)
+class Claims:
+    """What an integrator claims of itself; the conformance checks hold it to its word.
+
+    Parameters
+    ----------
+    order
+        Order of convergence of positions and velocities; None where the method controls its own error.
+    symmetric
+        A step back by -h undoes a step by h.
+    symplectic
+        The method conserves the symplectic form of an unconstrained Hamiltonian system.
+    quadratic_invariants
+        The method conserves quadratic first integrals.
+    adaptive
+        The method chooses its own steps; ``time.step`` is only its first one.
+    stages
+        Number of stages, where that means something.
+    drift
+        One sentence on how the constraints drift.
+    needs
+        What the method asks of the problem beyond accelerations, such as ``"tangents"``.
+    formulations
+        Formulations of the equations that the method can serve.
+    """
+
+    order: float | None = None
+    symmetric: bool = False
+    symplectic: bool = False
+    quadratic_invariants: bool = False
+    adaptive: bool = False
+    stages: int | None = None
+    drift: str = ""
+    needs: tuple[str, ...] = ()
+    formulations: tuple[str, ...] = ("index-1",)
+
+
+@dataclass(frozen=True)
+class ModelPlugin:
+    """A model: parameters in, mechanism out.
+
+    Parameters
+    ----------
+    name
+        Short name, such as ``double-pendulum``; what a spec says under ``model.name``.
+    summary
+        One line of what it is.
+    options
+        Pydantic model of the parameters, without ``name``.
+    build
+        Turns an instance of `options` into a Mechanism; raises SpecError for parameters that make none. Any other
+        exception counts as a failure of the plugin.
+    references
+        BibTeX entries of the sources.
+    """
+
+    name: str
+    summary: str
+    options: type[BaseModel]
+    build: Callable[[Any], Mechanism]
+    references: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class IntegratorPlugin:
+    """An integrator: how the state is advanced.
+
+    Parameters
+    ----------
+    name
+        Short name, such as ``gauss``; what a spec says under ``integrator.name``.
+    summary
+        One line of what it is.
+    options
+        Pydantic model of the options, without ``name``.
+    create
+        Turns an instance of `options` into the method that the simulation steps.
+    claims
+        Turns an instance of `options` into the claims of that method.
+    references
+        BibTeX entries of the sources.
+    dense_output
+        The method can be evaluated between its steps, so ``output.interval`` may be used.
+    """
+
+    name: str
+    summary: str
+    options: type[BaseModel]
+    create: Callable[[Any], Any]
+    claims: Callable[[Any], Claims]
+    references: tuple[str, ...] = ()
+    dense_output: bool = False

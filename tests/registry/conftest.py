@@ -1,0 +1,93 @@
+"""Stand-ins for installed plugins: entry points that hand over whatever a test wants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+from mbdkit import Claims, IntegratorPlugin, ModelPlugin, hookimpl
+
+
+class SwingOptions(BaseModel):
+    length: float = 1.0
+
+
+class EulerOptions(BaseModel):
+    damping: float = 0.0
+
+
+@dataclass
+class FakeEntryPoint:
+    """An entry point whose `load` calls `loader`."""
+
+    loader: Callable[[], Any]
+    distribution: str = "acme"
+    version: str = "2.0"
+    name: str = "plugin"
+    value: str = "acme.plugin"
+
+    @property
+    def dist(self) -> Any:
+        return SimpleNamespace(name=self.distribution, version=self.version)
+
+    def load(self) -> Any:
+        return self.loader()
+
+
+@pytest.fixture
+def entry_point() -> type[FakeEntryPoint]:
+    return FakeEntryPoint
+
+
+@pytest.fixture
+def swing() -> Callable[..., ModelPlugin]:
+    """Make a model plugin; keywords replace what it is made of."""
+
+    def make(**changes: Any) -> ModelPlugin:
+        return ModelPlugin(**{"name": "swing", "summary": "A swing", "options": SwingOptions, "build": print} | changes)
+
+    return make
+
+
+@pytest.fixture
+def euler() -> Callable[..., IntegratorPlugin]:
+    """Make an integrator plugin; keywords replace what it is made of."""
+
+    def make(**changes: Any) -> IntegratorPlugin:
+        made = {
+            "name": "euler",
+            "summary": "Euler",
+            "options": EulerOptions,
+            "create": print,
+            "claims": claim_order_one,
+        }
+        return IntegratorPlugin(**made | changes)
+
+    return make
+
+
+@pytest.fixture
+def offering() -> Callable[..., SimpleNamespace]:
+    """Make a plugin module that offers the given models and integrators."""
+
+    def make(models: Any = (), integrators: Any = ()) -> SimpleNamespace:
+        @hookimpl
+        def mbdkit_models() -> Any:
+            return models
+
+        @hookimpl
+        def mbdkit_integrators() -> Any:
+            return integrators
+
+        return SimpleNamespace(mbdkit_models=mbdkit_models, mbdkit_integrators=mbdkit_integrators)
+
+    return make
+
+
+def claim_order_one(options: BaseModel) -> Claims:
+    return Claims(order=1)

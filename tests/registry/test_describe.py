@@ -1,0 +1,74 @@
+"""What `mbdkit plugins` shows."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from mbdkit.errors import PluginError, SpecError
+from mbdkit.registry import describe
+from mbdkit.registry.manager import load_registry, registry
+
+
+@pytest.fixture
+def mixed(entry_point, offering, swing, euler):
+    def fail():
+        raise ImportError("no acme here")
+
+    return load_registry(
+        [
+            entry_point(lambda: offering([swing(references=("@book{swing}",))], [euler(name="swing")]), "fine"),
+            entry_point(fail, "broken"),
+        ]
+    )
+
+
+def test_the_listing_has_the_keys_of_the_contract(mixed):
+    listing = describe.listing(mixed)
+    assert json.loads(json.dumps(listing)) == listing
+    assert listing["plugins"][-1] == {
+        "id": "fine:swing",
+        "kind": "integrator",
+        "distribution": "fine",
+        "version": "2.0",
+        "status": "ok",
+        "error": None,
+    }
+    assert listing["plugins"][0]["status"] == "error"
+    assert listing["plugins"][0]["error"] == "ImportError: no acme here"
+
+
+def test_the_doctor_says_what_failed_and_how_long_loading_took(mixed):
+    text = describe.diagnosis_text(mixed)
+    assert "broken:plugin: error: ImportError: no acme here" in text
+    assert "2 of 2 loaded in" in text
+    assert all(entry["load_s"] >= 0 for entry in describe.diagnosis(mixed)["plugins"])
+    assert not describe.is_sound(mixed)
+
+
+def test_show_finds_a_model_and_an_integrator_of_one_name(mixed):
+    assert [item.kind for item in describe.find("swing", mixed)] == ["model", "integrator"]
+
+
+def test_show_of_a_broken_plugin_says_why_it_is_broken(mixed):
+    with pytest.raises(PluginError, match="no acme here"):
+        describe.find("broken:plugin", mixed)
+
+
+def test_show_of_an_unknown_one_suggests(mixed):
+    with pytest.raises(SpecError, match="did you mean 'swing'"):
+        describe.find("swnig", mixed)
+
+
+@pytest.mark.parametrize("item", registry().items, ids=lambda item: item.id)
+def test_every_built_in_has_a_page_and_details(item):
+    page = describe.page(item)
+    assert item.id in page
+    assert item.plugin.summary in page
+    details = json.loads(json.dumps(describe.details(item)))
+    assert details["kind"] == item.kind
+    assert "name" in details["options"]["properties"]
+    for name, field in item.plugin.options.model_fields.items():
+        assert name in page
+        assert field.description, f"option {name} of {item.id} is not described"
