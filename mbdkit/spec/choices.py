@@ -1,0 +1,52 @@
+"""The choice of a model or an integrator by `name`: a discriminated union over the options of the installed plugins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+from mbdkit.registry.catalogue import Kind, Registry
+from mbdkit.registry.manager import registry
+from mbdkit.registry.options import item_of, named_options
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Annotation that makes a field the union of all options of one kind of plugin, told apart by `name`.
+
+    Parameters
+    ----------
+    kind
+        ``"model"`` or ``"integrator"``.
+    installed
+        The registry to choose from; None for what is installed.
+    """
+
+    kind: Kind
+    installed: Registry | None = None
+
+    @property
+    def registry(self) -> Registry:
+        """The registry to choose from."""
+        return self.installed if self.installed is not None else registry()
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        items = self.registry.of_kind(self.kind)
+        choices = {item.id: handler.generate_schema(named_options(item)) for item in items}
+        if not choices:
+            return core_schema.no_info_plain_validator_function(self._tag)
+        return core_schema.tagged_union_schema(choices, self._tag)
+
+    def _tag(self, data: Any) -> str | None:
+        if isinstance(data, BaseModel):  # on the way out
+            return item_of(data).id
+        name = data.get("name") if isinstance(data, dict) else None
+        return self.registry.get(self.kind, name).id if isinstance(name, str) else None
+
+
+def choice_of(root: type[BaseModel], kind: Kind) -> Choice:
+    """Return the choice that the field `kind` of a spec offers."""
+    return next(extra for extra in root.model_fields[kind].metadata if isinstance(extra, Choice))

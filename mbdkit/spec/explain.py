@@ -1,0 +1,177 @@
+"""What pydantic says about a spec, turned into one sentence for the person who wrote it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+from pydantic_core.core_schema import ErrorType
+
+from mbdkit.errors import SpecError
+from mbdkit.registry.options import is_of_item, item_of
+from mbdkit.spec.choices import choice_of
+from mbdkit.spec.plain import Path, found, parse_path, path_text
+from mbdkit.spec.walk import walk
+from mbdkit.text import did_you_mean, listed
+
+WANTED = {
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "string_type": "text",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "model_type": "a mapping (`key: value`)",
+    "model_attributes_type": "a mapping (`key: value`)",
+    "dict_type": "a mapping (`key: value`)",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "none_required": "left out",
+}
+BOUNDS = {
+    "greater_than": "greater than {:g}",
+    "greater_than_equal": "at least {:g}",
+    "less_than": "less than {:g}",
+    "less_than_equal": "at most {:g}",
+}
+MORE = 5
+PYDANTIC_KINDS = frozenset(get_args(ErrorType))
+
+
+def explain(error: ValidationError, root: type[BaseModel]) -> SpecError:
+    """Return the complaints of pydantic as one SpecError.
+
+    Parameters
+    ----------
+    error
+        What pydantic raised.
+    root
+        The model that was validated.
+
+    Returns
+    -------
+    SpecError
+        The first complaint, with the others after it, one a line.
+    """
+    complaints: dict[Path, list[str]] = {}
+    for details in error.errors(include_url=False):
+        path, sentence = _complaint(details, root)
+        if sentence not in complaints.setdefault(path, []):
+            complaints[path].append(sentence)
+    # What is wrong inside a value tells more than that no member of a union takes it.
+    paths = [path for path in complaints if not any(other[: len(path)] == path != other for other in complaints)]
+    # A mistyped key explains why another one is missing.
+    paths.sort(key=lambda path: not complaints[path][0].startswith("unknown key"))
+    first, *others = [(path, complaints[path]) for path in paths]
+    message = _either(first[1])
+    for path, sentences in others[:MORE]:
+        message += f"\n  also: {path_text(path)}: {_either(sentences)}"
+    if len(others) > MORE:
+        message += f"\n  and {len(others) - MORE} more"
+    return SpecError(message, key=path_text(first[0]))
+
+
+def _complaint(details: ErrorDetails, root: type[BaseModel]) -> tuple[Path, str]:
+    path, owner = walk(details["loc"], root)
+    kind, given, context = details["type"], details["input"], details.get("ctx", {})
+    inner = context.get("error")
+    if isinstance(inner, SpecError):
+        return _inner_path(path, parse_path(inner.key)), inner.message
+    match kind:
+        case "extra_forbidden":
+            return path, _unknown_key(str(path[-1]), owner, root)
+        case "missing":
+            return path, f"is missing{_purpose(owner, str(path[-1]))}"
+        case "union_tag_not_found":
+            return _without_tag(path, given, root)
+        case "union_tag_invalid":
+            tags = [tag.strip("' ") for tag in str(context["expected_tags"]).split(",")]
+            key, tag = str(context["discriminator"]).strip("'"), str(context["tag"])
+            return (*path, key), f"there is no {key} '{tag}'{did_you_mean(tag, tags)}; known: {listed(tags)}"
+        case "literal_error" | "enum":
+            values = re.findall(r"'[^']*'|[^',\s]+", str(context["expected"]).replace(" or ", ", "))
+            words = [value.strip("'") for value in values] if len(values) > 1 else []
+            hint = did_you_mean(given, words) if isinstance(given, str) else ""
+            return path, f"should be {listed(values, 'or')}, not {found(given)}{hint}"
+        case "too_short" | "too_long" if isinstance(given, list | tuple):
+            bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
+            return path, f"should have {bound} items, not {len(given)}"
+        case "value_error":
+            return path, str(inner)
+    if kind in WANTED:
+        return path, f"should be {WANTED[kind]}, not {found(given)}{_hint(kind, given)}"
+    if kind in BOUNDS:
+        return path, f"should be {BOUNDS[kind].format(*context.values())}, not {found(given)}"
+    message = details["msg"]
+    if kind in PYDANTIC_KINDS:
+        message = f"{message[:1].lower()}{message[1:]}, not {found(given)}"
+    return path, message
+
+
+def _inner_path(path: Path, key: Path) -> Path:
+    """Return the path of an error raised inside a validator; its key may count from there or from the top."""
+    return key if path and key[: len(path)] == path else path + key
+
+
+def _unknown_key(key: str, owner: type[BaseModel] | None, root: type[BaseModel]) -> str:
+    if owner is None:
+        return "unknown key"
+    fields = owner.model_fields
+    known = sorted((info.alias or name for name, info in fields.items()), key=lambda name: name != "name")
+    message = f"unknown key{did_you_mean(key, known)}"
+    if is_of_item(owner):
+        item = item_of(owner)
+        items = choice_of(root, item.kind).registry.of_kind(item.kind)
+        others = [f"'{other.name}'" for other in items if key in other.plugin.options.model_fields]
+        if others:
+            message = f"'{key}' belongs to {listed(others, 'and')}, not to the {item.kind} '{item.name}'"
+    for name, info in fields.items():
+        section = info.annotation
+        if isinstance(section, type) and issubclass(section, BaseModel) and key in section.model_fields:
+            message = f"unknown key: '{key}' belongs under '{name}'"
+    return f"{message}; known here: {listed(known)}"
+
+
+def _purpose(owner: type[BaseModel] | None, key: str) -> str:
+    if key == "mbdkit":
+        return "; write `mbdkit: 1`, the version of the spec"
+    info = None if owner is None else owner.model_fields.get(key)
+    text = " ".join((info.description or "").split()).rstrip(".") if info else ""
+    return f": {text[:1].lower()}{text[1:]}" if text else ""
+
+
+def _without_tag(path: Path, given: Any, root: type[BaseModel]) -> tuple[Path, str]:
+    if path not in (("model",), ("integrator",)):
+        return (*path, "type"), "is missing: it says which kind of element this is"
+    choice = choice_of(root, "model" if path == ("model",) else "integrator")
+    names = listed(choice.registry.names(choice.kind))
+    if not isinstance(given, Mapping):
+        example = given if isinstance(given, str) and given in choice.registry.names(choice.kind) else "NAME"
+        return path, f"should be a mapping such as `{{name: {example}}}`, not {found(given)}; installed: {names}"
+    if "name" in given:
+        return (*path, "name"), f"should be text, not {found(given['name'])}; installed: {names}"
+    return (*path, "name"), f"is missing: it says which {choice.kind}; installed: {names}"
+
+
+def _hint(kind: str, given: Any) -> str:
+    if not isinstance(given, str) or not kind.startswith(("float", "int")):
+        return ""
+    if re.fullmatch(r"\s*[-+]?\d+,\d+\s*", given):
+        return " (write the decimal comma as a point)"
+    if re.fullmatch(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", given):
+        return " (leave out the quotes)"
+    return ""
+
+
+def _either(sentences: list[str]) -> str:
+    """Join what the members of a union want: "should be a or b, not c"."""
+    parts = [re.fullmatch(r"should be (.*?)(, not .*)", sentence, re.S) for sentence in sentences]
+    if len(parts) < 2 or not all(parts):
+        return " or ".join(sentences)
+    return f"should be {listed([part[1] for part in parts if part], 'or')}{parts[-1][2] if parts[-1] else ''}"

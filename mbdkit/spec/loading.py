@@ -1,0 +1,106 @@
+"""From whatever a user names as a spec to a checked RunSpec."""
+
+from __future__ import annotations
+
+import copy
+import importlib.resources
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path as FilePath
+from typing import Any
+
+from mbdkit.errors import SpecError
+from mbdkit.spec.document import Document
+from mbdkit.spec.reading import read_file, read_stdin, read_text, set_value
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.text import did_you_mean, listed
+
+VERSION = 1
+
+
+def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> RunSpec:
+    """Return the checked spec that `source` names, with its mechanism built.
+
+    Parameters
+    ----------
+    source
+        A file (YAML, TOML, JSON), ``"-"`` for the standard input, the name of a packaged example, a mapping, a
+        `Mechanism`, or a `RunSpec`.
+    overrides
+        Assignments such as ``"time.step=0.005"``, their values in YAML.
+    sections
+        Top-level keys of the spec, such as ``time={"end": 5, "step": 0.01}``, that take the place of those in `source`.
+
+    Returns
+    -------
+    RunSpec
+        Strict and frozen.
+
+    Raises
+    ------
+    SpecError
+        If anything is wrong, with file, line and key path where there are any.
+    """
+    if isinstance(source, RunSpec) and not sections and not tuple(overrides):
+        source.mechanism()
+        return source
+    document = _document(source)
+    document.data |= sections
+    for assignment in overrides:
+        set_value(document, assignment)
+    try:
+        spec = RunSpec(**document.data)
+        spec.mechanism()
+    except SpecError as error:
+        raise document.place(error) from None
+    spec._document = document
+    return spec
+
+
+def example_names() -> list[str]:
+    """Return the names of the packaged examples, which stand for their specs."""
+    return sorted(path.name.removesuffix(".yaml") for path in _examples().iterdir() if path.name.endswith(".yaml"))
+
+
+def _examples() -> Any:
+    return importlib.resources.files("mbdkit.models") / "examples"
+
+
+def _document(source: Any) -> Document:
+    if isinstance(source, RunSpec):
+        return Document({name: getattr(source, name) for name in type(source).model_fields})
+    if isinstance(source, Mapping):
+        return Document(copy.deepcopy(dict(source)))
+    if isinstance(source, str | FilePath):
+        return _named(source)
+    if hasattr(source, "to_spec"):
+        return Document({"mbdkit": VERSION, "model": source.to_spec()})
+    raise SpecError(
+        f"a spec is a file, the name of an example, a dict, a Mechanism or a RunSpec, not {type(source).__name__}"
+    )
+
+
+def _named(source: str | FilePath) -> Document:
+    if source == "-":
+        return read_stdin()
+    path = FilePath(source)
+    names = example_names()
+    if str(source) in names and not os.path.isfile(path):
+        return read_text((_examples() / f"{source}.yaml").read_text("utf-8"), f"{source} (packaged example)")
+    if not _exists(path):
+        raise SpecError(
+            f"there is no such file, and no packaged example of this name{did_you_mean(str(source), names)}; "
+            f"examples: {listed(names)}",
+            file=str(source)[:200],
+        )
+    return read_file(path)
+
+
+def _exists(path: FilePath) -> bool:
+    try:
+        path.stat()
+    except PermissionError:
+        return True
+    except (OSError, ValueError):  # there is none, its name is too long, or has a null character in it
+        return False
+    return True

@@ -1,0 +1,107 @@
+"""Plain data in and out: what a spec may consist of, and its one canonical form."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel
+
+from mbdkit.errors import SpecError
+from mbdkit.text import listed
+
+Path = tuple[str | int, ...]
+
+
+def path_text(path: Path) -> str:
+    """Return a key path such as ``model.joints.A.bodies[1]``."""
+    text = ""
+    for part in path:
+        text += f"[{part}]" if isinstance(part, int) else f"{'.' if text else ''}{part}"
+    return text
+
+
+def parse_path(text: str) -> Path:
+    """Return the parts of a key path such as ``model.joints.A.bodies[1]``; the inverse of `path_text`."""
+    parts: list[str | int] = []
+    for word in text.split(".") if text else ():
+        name, *indices = re.split(r"\[(\d+)\]", word)
+        parts += [name] if name or not indices else []
+        parts += [int(index) for index in indices[::2]]
+    return tuple(parts)
+
+
+def plain(value: Any, path: Path = ()) -> Any:
+    """Return `value` made of dicts, lists, text, numbers, booleans and None alone.
+
+    Raises
+    ------
+    SpecError
+        For a number that is not finite, a key that is not text, or anything that a spec cannot hold.
+    """
+    match value:
+        case None | bool() | str():
+            return value
+        case int():
+            return int(value)
+        case float():
+            if not math.isfinite(value):
+                raise SpecError(f"should be a finite number, not {float(value)!r}", key=path_text(path))
+            return float(value)
+        case BaseModel():
+            return plain(canonical(value), path)
+        case Mapping():
+            return {_key(key, path): plain(item, (*path, key)) for key, item in value.items()}
+        case list() | tuple():
+            return [plain(item, (*path, index)) for index, item in enumerate(value)]
+        case os.PathLike():
+            return os.fspath(value)
+    if hasattr(value, "tolist"):  # a NumPy array or number
+        return plain(value.tolist(), path)
+    raise SpecError(f"a spec cannot hold an object of type {type(value).__name__}", key=path_text(path))
+
+
+def canonical(value: Any) -> Any:
+    """Return models as dicts with sorted keys, in which mappings from the user's own names keep their order."""
+    match value:
+        case BaseModel():
+            fields = type(value).model_fields
+            names = {name: info.serialization_alias or info.alias or name for name, info in fields.items()}
+            return {names[name]: canonical(getattr(value, name)) for name in sorted(names, key=lambda n: names[n])}
+        case Mapping():
+            return {key: canonical(item) for key, item in value.items()}
+        case list() | tuple():
+            return [canonical(item) for item in value]
+        case set() | frozenset():
+            return sorted(canonical(item) for item in value)
+    return value
+
+
+def found(value: Any) -> str:
+    """Return what was given, as an error message shows it: short, and naming its type where that may surprise."""
+    match value:
+        case None:
+            return "nothing"
+        case bool():
+            return "true" if value else "false"
+        case str():
+            return f"the text '{value if len(value) <= 60 else value[:57] + '...'}'"
+        case Mapping():
+            return (
+                f"a mapping with the keys {listed(str(key) for key in list(value)[:5])}"
+                if value
+                else "an empty mapping"
+            )
+        case list() | tuple():
+            return f"a list of {len(value)}" if value else "an empty list"
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _key(key: Any, path: Path) -> str:
+    if not isinstance(key, str):
+        raise SpecError(f"the key {key!r} is not text; write it in quotes if you mean it", key=path_text(path))
+    return key

@@ -1,0 +1,198 @@
+"""Reading a spec file: YAML, JSON or TOML by its suffix, every mistake one sentence."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path as FilePath
+from typing import Any
+
+from mbdkit.errors import SpecError
+from mbdkit.spec.document import Document
+from mbdkit.spec.plain import Path, found, parse_path, path_text
+from mbdkit.spec.yaml import read_yaml
+
+LARGEST_FILE = 64 * 2**20  # bytes
+STDIN = "<stdin>"
+
+
+def read_file(path: FilePath) -> Document:
+    """Return the document in a file; the suffix ``.json`` or ``.toml`` says so, everything else is YAML.
+
+    Raises
+    ------
+    SpecError
+        With the file, and with the line where there is one.
+    """
+    file = str(path)
+    if os.path.isdir(path):
+        raise SpecError("this is a folder; a spec is a YAML, TOML or JSON file", file=file)
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(LARGEST_FILE + 1)
+    except OSError as error:
+        raise SpecError(f"this file cannot be read: {error.strerror or error}", file=file) from None
+    return read_text(_decoded(raw, file), file, path.suffix.lower())
+
+
+def read_stdin() -> Document:
+    """Return the document on the standard input, YAML or JSON."""
+    return read_text(_decoded(sys.stdin.buffer.read(LARGEST_FILE + 1), STDIN), STDIN)
+
+
+def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
+    """Return the document in a text.
+
+    Parameters
+    ----------
+    text
+        What was read.
+    file
+        Where from, for messages.
+    suffix
+        ``.json``, ``.toml``, or anything else for YAML.
+    """
+    try:
+        match suffix:
+            case ".json":
+                data, document = _json(text), Document({}, file, lambda: read_yaml(text)[1])
+            case ".toml":
+                data, document = _toml(text), Document({}, file, lambda: _toml_lines(text))
+            case _:
+                data, lines = read_yaml(text)
+                document = Document({}, file, lambda: lines)
+    except SpecError as error:
+        raise error.located(file=file) from None
+    if data is None:
+        raise SpecError("this file is empty; a spec begins with `mbdkit: 1`", file=file)
+    if not isinstance(data, Mapping):
+        raise SpecError(f"a spec is a mapping (`key: value`) from the top, not {found(data)}", file=file, line=1)
+    document.data = dict(data)
+    return document
+
+
+def read_value(text: str) -> Any:
+    """Return the value of a ``--set key=value``, which is YAML."""
+    return read_yaml(text)[0]
+
+
+def _decoded(raw: bytes, file: str) -> str:
+    if raw.startswith(b"\x89HDF"):
+        raise SpecError("this is an HDF5 file, not a spec; `mbdkit rerun` runs the spec in an archive again", file=file)
+    if len(raw) > LARGEST_FILE:
+        raise SpecError(f"this file is larger than {LARGEST_FILE >> 20} MiB, which is no spec", file=file)
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw[: error.start].count(b"\n") + 1
+        raise SpecError("this is not text in UTF-8", file=file, line=line) from None
+    control = re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]", text)
+    if control:
+        line = text[: control.start()].count("\n") + 1
+        raise SpecError(f"there is a control character {control[0]!r} here; is this a text file?", file=file, line=line)
+    return text
+
+
+def _json(text: str) -> Any:
+    if not text.strip():
+        return None
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        for key, value in pairs:
+            if key in result:
+                raise SpecError(f"the key '{key}' stands twice in one object")
+            result[key] = value
+        return result
+
+    try:
+        return json.loads(text, object_pairs_hook=unique)
+    except json.JSONDecodeError as error:
+        message = f"this is not valid JSON: {error.msg[:1].lower()}{error.msg[1:]} (column {error.colno})"
+        raise SpecError(message, line=error.lineno) from None
+    except RecursionError:
+        raise SpecError("this JSON is nested too deeply") from None
+    except ValueError as error:
+        if isinstance(error, SpecError):
+            raise
+        raise SpecError(f"this is not valid JSON: {error}") from None
+
+
+def _toml(text: str) -> Any:
+    if not text.strip():
+        return None
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        where = re.search(r" \(at line (\d+), column \d+\)", str(error))
+        problem = str(error).replace(where[0], "") if where else str(error)
+        message = f"this is not valid TOML: {problem[:1].lower()}{problem[1:]}"
+        raise SpecError(message, line=int(where[1]) if where else None) from None
+    except RecursionError:
+        raise SpecError("this TOML is nested too deeply") from None
+    except ValueError as error:  # an integer of thousands of digits, say
+        raise SpecError(f"this is not valid TOML: {error}") from None
+
+
+def _toml_lines(text: str) -> dict[Path, int]:
+    """Return the line of each key that a line begins with; keys inside inline tables are on their table's line."""
+    lines: dict[Path, int] = {}
+    table: Path = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        header = re.match(r"\s*\[\[?\s*([^\]]+?)\s*\]", line)
+        entry = re.match(r"""\s*((?:[\w-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[\w-]+|"[^"]*"|'[^']*'))*)\s*=""", line)
+        if header:
+            table = _toml_key(header[1])
+            lines.setdefault(table, number)
+        elif entry:
+            lines.setdefault(table + _toml_key(entry[1]), number)
+    return lines
+
+
+def _toml_key(text: str) -> Path:
+    words = re.findall(r"""[\w-]+|"[^"]*"|'[^']*'""", text)
+    return tuple(word.strip("\"'") for word in words)
+
+
+def set_value(document: Document, assignment: str) -> None:
+    """Set one key of the document from a ``key.path=value`` typed on the command line.
+
+    Raises
+    ------
+    SpecError
+        If this is no assignment, if its value is no YAML, or if its path leads through something that has no keys.
+    """
+    where = f"--set {assignment}"
+    key, equals, text = assignment.partition("=")
+    path = _parsed_key(key.strip())
+    if not equals or not path:
+        raise SpecError("this should be of the form KEY=VALUE, such as time.step=0.005", file=where)
+    try:
+        value = read_value(text)
+    except SpecError as error:
+        raise SpecError(error.message, key=key.strip(), file=where) from None
+    place: Any = document.data
+    for index, part in enumerate(path):
+        here = path_text(path[:index]) or "the spec"
+        last = index == len(path) - 1
+        if isinstance(place, list) and isinstance(part, int):
+            if part >= len(place):
+                raise SpecError(f"{here} has {len(place)} items, counted from 0", key=path_text(path), file=where)
+        elif isinstance(place, dict) and isinstance(part, str):
+            if not last and place.get(part) is None and isinstance(path[index + 1], str):
+                place[part] = {}
+        else:
+            raise SpecError(f"{here} is {found(place)}, so it has no '{part}'", key=path_text(path), file=where)
+        if last:
+            place[part] = value
+        else:
+            place = place.get(part) if isinstance(place, dict) else place[part]
+    document.overridden[path] = assignment
+
+
+def _parsed_key(key: str) -> Path:
+    return () if not key or ".." in f".{key}." else parse_path(key)

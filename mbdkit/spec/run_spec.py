@@ -1,0 +1,195 @@
+"""The run spec as one strict, frozen pydantic model; models and integrators come from the registry."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    create_model,
+    model_validator,
+)
+
+from mbdkit.errors import PluginError, SpecError
+from mbdkit.registry.catalogue import KINDS, Registered, Registry
+from mbdkit.registry.items import Claims, IntegratorPlugin, ModelPlugin
+from mbdkit.registry.options import item_of
+from mbdkit.spec.choices import Choice, choice_of
+from mbdkit.spec.document import Document
+from mbdkit.spec.explain import explain
+from mbdkit.spec.plain import canonical, plain
+from mbdkit.spec.sections import Limits, Output, Section, Time
+from mbdkit.text import listed, one_line
+
+if TYPE_CHECKING:
+    from mbdkit.mechanism.mechanism import Mechanism
+
+
+class RunSpec(Section):
+    """All that a run is told; equal specs give equal runs.
+
+    Models and integrators are those of the installed plugins, told apart by `name`, with their own options beside it.
+
+    Raises
+    ------
+    SpecError
+        If anything is wrong, with the key path.
+    """
+
+    model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
+
+    mbdkit: Literal[1]
+    """Version of the spec."""
+    title: str = ""
+    """Free text."""
+    model: Annotated[BaseModel, Choice("model")]
+    """What moves: the name of a model and its parameters."""
+    formulation: Literal["index-1"] = "index-1"
+    """Formulation of the equations of motion."""
+    stabilization: Literal["none"] = "none"
+    """What is done against the drift of constraints."""
+    integrator: Annotated[BaseModel, Choice("integrator")]
+    """How it is integrated: the name of a method and its options."""
+    time: Time
+    """Start, end and step."""
+    output: Output = Field(default_factory=lambda: Output(every=1))
+    """What is recorded, and how often."""
+    limits: Limits = Limits()
+    """What stops the run early."""
+
+    _mechanism: Any = PrivateAttr(default=None)
+    _document: Document | None = PrivateAttr(default=None)
+
+    def __init__(self, **data: Any):
+        # A spec is JSON data whatever it was written in, so it is validated as such.
+        try:
+            text = json.dumps(plain(data), allow_nan=False)
+            self.__pydantic_validator__.validate_json(text, self_instance=self)
+        except ValidationError as error:
+            raise explain(error, type(self)) from None
+        except RecursionError:
+            raise SpecError("this spec is nested too deeply, or contains itself") from None
+
+    @model_validator(mode="after")
+    def _suits_the_method(self) -> RunSpec:
+        item, claims = self.integrator_item, self.claims
+        if self.formulation not in claims.formulations:
+            raise SpecError(
+                f"integrator '{item.name}' cannot serve the formulation '{self.formulation}', "
+                f"only {listed(claims.formulations, 'and')}",
+                key="formulation",
+            )
+        if self.time.step is None and not claims.adaptive:
+            raise SpecError(f"is missing: the fixed-step method '{item.name}' needs a step in seconds", key="time.step")
+        if self.output.interval is not None and not self.integrator_plugin.dense_output:
+            dense = [
+                other.name
+                for other in choice_of(type(self), "integrator").registry.of_kind("integrator")
+                if isinstance(other.plugin, IntegratorPlugin) and other.plugin.dense_output
+            ]
+            raise SpecError(
+                f"integrator '{item.name}' has no dense output, so use `every` (a number of steps) instead; "
+                f"methods with dense output: {listed(dense) or 'none installed'}",
+                key="output.interval",
+            )
+        return self
+
+    @property
+    def model_item(self) -> Registered:
+        """The model in the registry, with where it came from."""
+        return item_of(self.model)
+
+    @property
+    def integrator_item(self) -> Registered:
+        """The integrator in the registry, with where it came from."""
+        return item_of(self.integrator)
+
+    @property
+    def model_plugin(self) -> ModelPlugin:
+        """The model as its plugin registered it."""
+        plugin = self.model_item.plugin
+        assert isinstance(plugin, ModelPlugin)
+        return plugin
+
+    @property
+    def integrator_plugin(self) -> IntegratorPlugin:
+        """The integrator as its plugin registered it."""
+        plugin = self.integrator_item.plugin
+        assert isinstance(plugin, IntegratorPlugin)
+        return plugin
+
+    @property
+    def claims(self) -> Claims:
+        """What the integrator claims of itself with these options."""
+        try:
+            claims = self.integrator_plugin.claims(self.integrator)
+        except SpecError:
+            raise
+        except Exception as error:
+            raise PluginError(f"{self.integrator_item.id} failed to state its claims: {one_line(error)}") from error
+        if not isinstance(claims, Claims):
+            raise PluginError(f"{self.integrator_item.id} stated its claims as {type(claims).__name__}, not as Claims")
+        return claims
+
+    def mechanism(self) -> Mechanism:
+        """Return the mechanism that the model builds from its parameters; built once.
+
+        Raises
+        ------
+        SpecError
+            If the parameters make no mechanism.
+        PluginError
+            If the model of a plugin fails.
+        """
+        if self._mechanism is None:
+            self._mechanism = self._build()
+        built: Mechanism = self._mechanism
+        return built
+
+    def _build(self) -> Mechanism:
+        from mbdkit.mechanism.mechanism import Mechanism
+
+        try:
+            mechanism = self.model_plugin.build(self.model)
+        except SpecError as error:
+            raise error if error.key.startswith("model") else error.located(prefix="model") from None
+        except Exception as error:
+            raise PluginError(f"model {self.model_item.id} failed to build: {one_line(error)}") from error
+        if not isinstance(mechanism, Mechanism):
+            raise PluginError(f"model {self.model_item.id} built {type(mechanism).__name__}, not a Mechanism")
+        return mechanism
+
+    def placed(self, error: SpecError) -> SpecError:
+        """Return an error about this spec with the file and line where its key was written, if it came from a file."""
+        return error if self._document is None else self._document.place(error)
+
+    def canonical_json(self) -> str:
+        """Return the spec as canonical JSON: defaults filled in, keys of options sorted, numbers at their shortest.
+
+        Names that the user gave (bodies, joints, forces) keep their order, which is that of the arrays in the archive.
+        """
+        return json.dumps(canonical(self), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of the canonical JSON in UTF-8, as hexadecimal digits."""
+        return hashlib.sha256(self.canonical_json().encode()).hexdigest()
+
+    def run_id(self) -> str:
+        """Return 16 hexadecimal digits that name this spec run with these versions of its plugins."""
+        used = [f"{item.id}=={item.origin.version}" for item in (self.model_item, self.integrator_item)]
+        return hashlib.sha256("\n".join([self.canonical_json(), *used]).encode()).hexdigest()[:16]
+
+
+def spec_type(installed: Registry) -> type[RunSpec]:
+    """Return the RunSpec whose models and integrators are those of the given registry, not of what is installed."""
+    fields: dict[str, Any] = {
+        kind: (Annotated[BaseModel, Choice(kind, installed)], Field(description=RunSpec.model_fields[kind].description))
+        for kind in KINDS
+    }
+    return create_model("RunSpec", __base__=RunSpec, __doc__=RunSpec.__doc__, **fields)
