@@ -1,0 +1,5 @@
+"""The symbolic room: every element defined once, at position level, in SymPy; it writes ``engine/elements.py``.
+
+Nothing here is imported while a simulation runs. ``python -m mbdkit.symbolic`` writes the generated file anew,
+``python -m mbdkit.symbolic --check`` says whether the one that is checked in is fresh.
+"""

@@ -1,0 +1,152 @@
+"""Position-level definitions of every element, in SymPy: the one place where mechanics is written down.
+
+Planar bodies have the coordinates ``q = (x, y, theta)``: centre of mass and tilt. A body-fixed point ``s`` of body
+``b`` is at ``r_b + R(theta_b) s`` in the global frame. An element joins a first body ``a`` and a second body ``b``;
+ground is a body that stays at ``q = 0``. From the functions below the generator derives every derivative in use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import sympy as sp
+
+xa, ya, tha, xb, yb, thb = BODY_COORDINATES = sp.symbols("xa ya tha xb yb thb", real=True)
+BODY_VELOCITIES = sp.symbols("vxa vya wa vxb vyb wb", real=True)
+BODY_ACCELERATIONS = sp.symbols("axa aya ala axb ayb alb", real=True)
+u, u_dot, u_ddot = MOTION = sp.symbols("u_value u_dot u_ddot", real=True)
+PARAMETERS = sp.symbols("p0:6", real=True)
+"""Element parameters; points first: ``p0, p1`` in the frame of the first body, ``p2, p3`` in that of the second."""
+
+
+ca, sa, cb, sb = sp.symbols("ca sa cb sb", real=True)
+"""Cosine and sine of ``theta_a`` and ``theta_b``."""
+ax, ay, bx, by = sp.symbols("ax ay bx by", real=True)
+"""Global components of the two points, from their bodies' centres of mass."""
+gx, gy, length = sp.symbols("gx gy length", positive=True)
+"""The gap ``p_b - p_a`` and its norm."""
+
+INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
+    ax: ca * PARAMETERS[0] - sa * PARAMETERS[1],
+    ay: sa * PARAMETERS[0] + ca * PARAMETERS[1],
+    bx: cb * PARAMETERS[2] - sb * PARAMETERS[3],
+    by: sb * PARAMETERS[2] + cb * PARAMETERS[3],
+    gx: xb + bx - xa - ax,
+    gy: yb + by - ya - ay,
+    length: sp.sqrt(gx**2 + gy**2),
+}
+"""Named intermediate quantities, each in terms of coordinates, parameters and earlier ones."""
+
+_DERIVATIVES: dict[sp.Symbol, dict[sp.Symbol, sp.Expr]] = {
+    ca: {tha: -sa},
+    sa: {tha: ca},
+    cb: {thb: -sb},
+    sb: {thb: cb},
+    ax: {tha: -ay},
+    ay: {tha: ax},
+    bx: {thb: -by},
+    by: {thb: bx},
+    gx: {xb: sp.Integer(1), xa: sp.Integer(-1), tha: ay, thb: -by},
+    gy: {yb: sp.Integer(1), ya: sp.Integer(-1), tha: -ax, thb: bx},
+}
+_DERIVATIVES[length] = {
+    q: (gx * _DERIVATIVES[gx].get(q, 0) + gy * _DERIVATIVES[gy].get(q, 0)) / length for q in BODY_COORDINATES
+}
+
+
+def differentiate(expr: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
+    """Return the total derivative of `expr` by `symbol`, intermediates taken as functions of the coordinates."""
+    total = expr.diff(symbol)
+    for inner, rules in _DERIVATIVES.items():
+        if symbol in rules and expr.has(inner):
+            total += expr.diff(inner) * rules[symbol]
+    return total
+
+
+def jacobian(exprs: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> sp.Matrix:
+    """Return the matrix of total derivatives, one row an expression."""
+    return sp.Matrix([[differentiate(e, s) for s in symbols] for e in exprs])
+
+
+@dataclass(frozen=True)
+class ConstraintKind:
+    """A kinematic constraint of one or two rows, ``Phi(q_a, q_b, u(t)) = 0``."""
+
+    name: str
+    rows: tuple[sp.Expr, ...]
+    row_names: tuple[str, ...]
+    units: tuple[str, ...]
+    note: str
+
+
+_ARM = (xb + bx - xa, yb + by - ya)
+
+CONSTRAINTS = (
+    ConstraintKind("revolute", (gx, gy), ("x", "y"), ("m", "m"), "Two points coincide: Phi = p_b - p_a"),
+    ConstraintKind("distance", (length - PARAMETERS[4],), ("length",), ("m",), "Phi = |p_b - p_a| - length"),
+    ConstraintKind("driver_angle", (thb - tha - u,), ("angle",), ("rad",), "Phi = theta_b - theta_a - u(t)"),
+    ConstraintKind(
+        "driver_x", (ca * _ARM[0] + sa * _ARM[1] - u,), ("x",), ("m",), "Phi = x of b's point in a's frame - u(t)"
+    ),
+    ConstraintKind(
+        "driver_y", (ca * _ARM[1] - sa * _ARM[0] - u,), ("y",), ("m",), "Phi = y of b's point in a's frame - u(t)"
+    ),
+)
+
+
+@dataclass(frozen=True)
+class PathwayKind:
+    """A generalised length ``s(q_a, q_b)`` along which a scalar force law acts; the force on q is ``-F s_q``."""
+
+    name: str
+    length: sp.Expr
+    note: str
+
+
+PATHWAYS = (
+    PathwayKind("two_points", length, "s = |p_b - p_a| [m]"),
+    PathwayKind("relative_angle", thb - tha, "s = theta_b - theta_a [rad]"),
+)
+
+
+def derive_constraint(kind: ConstraintKind) -> dict[str, sp.Matrix]:
+    """Derive the Jacobian, the right sides and the tangents of a constraint.
+
+    Parameters
+    ----------
+    kind
+        The constraint, ``r`` rows.
+
+    Returns
+    -------
+    dict
+        ``phi`` (r, 1), ``phi_t`` (r, 1), ``jacobian`` (r, 6), ``gamma`` (r, 1) with
+        ``gamma = -(Phi_q v)_q v - 2 Phi_qt v - Phi_tt``, and the tangents at given ``v``, ``a`` and ``lambda``:
+        ``stiffness`` (6, 6) = d(Phi_q^T lambda)/dq, ``gamma_v`` (r, 6), ``residual_q`` (r, 6) = (Phi_q a - gamma)_q.
+    """
+    q, v, a = BODY_COORDINATES, sp.Matrix(BODY_VELOCITIES), sp.Matrix(BODY_ACCELERATIONS)
+    lam = sp.Matrix(sp.symbols(f"lam0:{len(kind.rows)}", real=True))
+    phi_q = jacobian(kind.rows, q)
+    phi_t = sp.Matrix([row.diff(u) * u_dot for row in kind.rows])
+    rate = phi_q * v + phi_t
+    gamma = -(jacobian(rate, q) * v + rate.diff(u) * u_dot + rate.diff(u_dot) * u_ddot)
+    return {
+        "phi": sp.Matrix(kind.rows),
+        "phi_t": phi_t,
+        "jacobian": phi_q,
+        "gamma": gamma,
+        "stiffness": jacobian(phi_q.T * lam, q),
+        "gamma_v": gamma.jacobian(v),
+        "residual_q": jacobian(phi_q * a - gamma, q),
+    }
+
+
+def derive_pathway(kind: PathwayKind) -> dict[str, sp.Matrix]:
+    """Derive ``length`` (1, 1), its ``gradient`` (1, 6) and its ``hessian`` (6, 6) with respect to ``q_a, q_b``."""
+    gradient = jacobian([kind.length], BODY_COORDINATES)
+    return {
+        "length": sp.Matrix([kind.length]),
+        "gradient": gradient,
+        "hessian": jacobian(gradient.T, BODY_COORDINATES),
+    }

@@ -1,0 +1,180 @@
+"""Write ``mbdkit/engine/elements.py``: plain Python kernels for every element, reduced by common subexpressions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import sympy as sp
+from sympy.printing.pycode import PythonCodePrinter
+
+from mbdkit.symbolic import definitions as d
+
+TARGET = Path(__file__).resolve().parent.parent / "engine" / "elements.py"
+
+HEADER = '''"""Element kernels, written by ``python -m mbdkit.symbolic`` from its definitions. Do not edit.
+
+Every kernel writes the values of element `k` into rows of flat arrays. Arguments that all of them share:
+
+k : element number; a, b : first and second body; m : number of the motion that drives it
+q, v, acc : (3 (B + 1),) coordinates x, y, theta of every body, their rates and accelerations; ground comes last
+cs : (B + 1, 2) cosine and sine of every theta
+p : (K, 6) parameters, points in body frames first; u : (motions, 3) value, rate and second derivative of each motion
+lam : (K, 2) multipliers
+
+Columns of a Jacobian are (x_a, y_a, theta_a, x_b, y_b, theta_b); a square tangent is stored by rows in 36 columns.
+Entries that are zero for every argument are never written.
+"""
+
+# fmt: off
+from math import sqrt
+
+from mbdkit.engine.cache import element
+'''
+
+_READS = {
+    **{name: f"q[3*a+{i}]" for i, name in enumerate(("xa", "ya", "tha"))},
+    **{name: f"q[3*b+{i}]" for i, name in enumerate(("xb", "yb", "thb"))},
+    **{name: f"v[3*a+{i}]" for i, name in enumerate(("vxa", "vya", "wa"))},
+    **{name: f"v[3*b+{i}]" for i, name in enumerate(("vxb", "vyb", "wb"))},
+    **{name: f"acc[3*a+{i}]" for i, name in enumerate(("axa", "aya", "ala"))},
+    **{name: f"acc[3*b+{i}]" for i, name in enumerate(("axb", "ayb", "alb"))},
+    "ca": "cs[a, 0]",
+    "sa": "cs[a, 1]",
+    "cb": "cs[b, 0]",
+    "sb": "cs[b, 1]",
+    **{name: f"u[m, {i}]" for i, name in enumerate(("u_value", "u_dot", "u_ddot"))},
+    **{f"p{i}": f"p[k, {i}]" for i in range(6)},
+    **{f"lam{i}": f"lam[k, {i}]" for i in range(2)},
+}
+"""Where a kernel reads each symbol."""
+
+
+class _Printer(PythonCodePrinter):
+    """Print bare function names and small integer powers as products."""
+
+    def __init__(self) -> None:
+        super().__init__({"fully_qualified_modules": False})
+
+    def _print_Pow(self, expr: sp.Pow, rational: bool = False, sqrt: str = "math.sqrt") -> str:
+        base, exponent = expr.as_base_exp()
+        text = self.parenthesize(base, 100)
+        if exponent == sp.Rational(1, 2):
+            return f"sqrt({self._print(base)})"
+        if exponent == -sp.Rational(1, 2):
+            return f"(1.0/sqrt({self._print(base)}))"
+        if exponent.is_Integer and 1 < abs(exponent) <= 4:
+            product = "*".join([text] * abs(int(exponent)))
+            return f"({product})" if exponent > 0 else f"(1.0/({product}))"
+        if exponent == -1:
+            return f"(1.0/{text})"
+        if exponent == sp.Rational(3, 2):
+            return f"({text}*sqrt({self._print(base)}))"
+        if exponent == -sp.Rational(3, 2):
+            return f"(1.0/({text}*sqrt({self._print(base)})))"
+        raise ValueError(f"no plain form for the power {expr}")
+
+    def _print_Rational(self, expr: sp.Rational) -> str:
+        return f"({float(expr.p)!r}/{float(expr.q)!r})"
+
+
+def _kernel(name: str, arguments: str, note: str, outputs: Sequence[tuple[str, sp.Matrix]]) -> str:
+    """Return the source of one kernel that writes the non-zero entries of `outputs` into arrays of these names."""
+    targets: list[str] = []
+    expressions: list[sp.Expr] = []
+    for array, matrix in outputs:
+        for index, entry in enumerate(matrix):
+            if not _vanishes(entry):
+                targets.append(f"{array}[k, {index}]")
+                expressions.append(entry)
+    temporaries, reduced_all = sp.cse(expressions, symbols=sp.numbered_symbols("t", real=True), optimizations="basic")
+    printer = _Printer()
+    lines = ["@element", f"def {name}({arguments}):", f'    """{note}"""']
+    lines += _reads([e for _, e in temporaries] + list(reduced_all), printer)
+    lines += [f"    {symbol} = {printer.doprint(expr)}" for symbol, expr in temporaries]
+    lines += [f"    {target} = {_literal(printer, expr)}" for target, expr in zip(targets, reduced_all, strict=True)]
+    return "\n".join(lines)
+
+
+def _reads(expressions: Iterable[sp.Expr], printer: _Printer) -> list[str]:
+    """Return the lines that load or compute, in order, every named quantity that the expressions need."""
+    used = set().union(*(e.free_symbols for e in expressions))
+    inner = []
+    for symbol, expr in reversed(d.INTERMEDIATES.items()):
+        if symbol in used:
+            used |= expr.free_symbols
+            inner.append(f"    {symbol} = {printer.doprint(expr)}")
+    names = {str(s) for s in used}
+    return [f"    {name} = {text}" for name, text in _READS.items() if name in names] + inner[::-1]
+
+
+def _vanishes(entry: sp.Expr) -> bool:
+    return bool(sp.expand(entry) == 0)
+
+
+def _literal(printer: _Printer, expr: sp.Expr) -> str:
+    return repr(float(expr)) if expr.is_Integer else printer.doprint(expr)
+
+
+def _mask(matrix: sp.Matrix) -> tuple[int, ...]:
+    """Return the flat indices of the entries that are not zero for every argument."""
+    return tuple(i for i, entry in enumerate(matrix) if not _vanishes(entry))
+
+
+def _masks(name: str, kinds: Iterable[tuple[str, sp.Matrix]]) -> str:
+    rows = "\n".join(f'    "{kind}": {_mask(matrix)!r},' for kind, matrix in kinds)
+    return f"{name} = {{\n{rows}\n}}"
+
+
+def source() -> str:
+    """Return the text of the generated module."""
+    parts = [HEADER]
+    constraints = {kind.name: (kind, d.derive_constraint(kind)) for kind in d.CONSTRAINTS}
+    pathways = {kind.name: (kind, d.derive_pathway(kind)) for kind in d.PATHWAYS}
+    parts.append("CONSTRAINT_KINDS = " + repr(tuple(constraints)))
+    parts.append("PATHWAY_KINDS = " + repr(tuple(pathways)))
+    parts.append("ROW_NAMES = " + repr({name: kind.row_names for name, (kind, _) in constraints.items()}))
+    parts.append("ROW_UNITS = " + repr({name: kind.units for name, (kind, _) in constraints.items()}))
+    for key in ("jacobian", "stiffness", "gamma_v", "residual_q"):
+        terms_by_kind = ((name, terms[key]) for name, (_, terms) in constraints.items())
+        parts.append(_masks(f"{key.upper()}_ENTRIES", terms_by_kind))
+    for key in ("gradient", "hessian"):
+        parts.append(_masks(f"{key.upper()}_ENTRIES", ((name, terms[key]) for name, (_, terms) in pathways.items())))
+    for name, (kind, terms) in constraints.items():
+        parts += _constraint_kernels(name, kind.note, terms)
+    for name, (path, terms) in pathways.items():
+        note, outputs = f"{path.note} and its gradient.", [("s", terms["length"]), ("grad", terms["gradient"])]
+        parts += [
+            _kernel(f"{name}_gradient", "k, a, b, q, cs, p, s, grad", note, outputs),
+            _kernel(
+                f"{name}_hessian",
+                "k, a, b, q, cs, p, hess",
+                f"Second derivatives of {path.note}.",
+                [("hess", terms["hessian"])],
+            ),
+        ]
+    return "\n\n\n".join(parts) + "\n"
+
+
+def _constraint_kernels(name: str, note: str, terms: dict[str, sp.Matrix]) -> list[str]:
+    """Return the three kernels of a constraint kind: position, acceleration and tangent level."""
+    return [
+        _kernel(
+            f"{name}_position",
+            "k, a, b, m, q, cs, p, u, phi, phi_t",
+            f"{note}; and its partial derivative by time.",
+            [("phi", terms["phi"]), ("phi_t", terms["phi_t"])],
+        ),
+        _kernel(
+            f"{name}_acceleration",
+            "k, a, b, m, q, v, cs, p, u, jac, gamma",
+            "Jacobian and right side of Phi_q a = gamma.",
+            [("jac", terms["jacobian"]), ("gamma", terms["gamma"])],
+        ),
+        _kernel(
+            f"{name}_tangent",
+            "k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q",
+            "d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq.",
+            [("stiff", terms["stiffness"]), ("gamma_v", terms["gamma_v"]), ("res_q", terms["residual_q"])],
+        ),
+    ]
