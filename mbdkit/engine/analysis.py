@@ -1,0 +1,231 @@
+"""Orders of elimination, worked out once per mechanism: for the Schur complement and for pivoted sparse LU."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbdkit.engine.lu import Factors, Pattern
+from mbdkit.engine.schur import Schur
+
+
+class SingularSystemError(Exception):
+    """A matrix has no pivots left; `index` is the unknown at which they ran out, -1 where that is not known."""
+
+    def __init__(self, index: int = -1):
+        super().__init__(index)
+        self.index = index
+
+
+def neighbours(pairs: Sequence[tuple[int, int]], ground: int) -> list[set[int]]:
+    """Return for every pair of constraint rows the others that share a body with it (ground is not shared)."""
+    on_body: dict[int, list[int]] = {}
+    for k, bodies in enumerate(pairs):
+        for body in set(bodies) - {ground}:
+            on_body.setdefault(body, []).append(k)
+    adjacent: list[set[int]] = [set() for _ in pairs]
+    for members in on_body.values():
+        for k in members:
+            adjacent[k].update(members)
+    for k, others in enumerate(adjacent):
+        others.discard(k)
+    return adjacent
+
+
+def minimum_degree(adjacent: Sequence[set[int]]) -> tuple[list[int], list[set[int]]]:
+    """Order the nodes of a graph by minimum degree.
+
+    Returns
+    -------
+    order : list of int
+        Nodes in order of elimination.
+    below : list of set
+        For each node, those eliminated later that are adjacent to it at its turn: the rows of its column.
+    """
+    graph = [set(others) for others in adjacent]
+    heap = [(len(others), node) for node, others in enumerate(graph)]
+    heapq.heapify(heap)
+    done = [False] * len(graph)
+    order: list[int] = []
+    while heap:
+        degree, node = heapq.heappop(heap)
+        if done[node] or degree != len(graph[node]):
+            continue
+        done[node] = True
+        order.append(node)
+        rest = graph[node]
+        for other in rest:
+            if len(rest) > 1:
+                graph[other] |= rest
+                graph[other].discard(other)
+            graph[other].discard(node)
+            heapq.heappush(heap, (len(graph[other]), other))
+    return order, graph
+
+
+def schur_schedule(
+    pairs: Sequence[tuple[int, int]], ground: int, order: Sequence[int], below: Sequence[set[int]]
+) -> Schur:
+    """Work out storage and schedule of the block LDL^T.
+
+    Parameters
+    ----------
+    pairs
+        First and second body of each pair of rows, already numbered in elimination order.
+    ground
+        Number of the ground body.
+    order, below
+        What `minimum_degree` returned for the numbering before.
+    """
+    place = {node: k for k, node in enumerate(order)}
+    columns = [sorted(place[other] for other in below[node]) for node in order]
+    start = np.concatenate([[0], np.cumsum([len(c) for c in columns])]).astype(np.int64)
+    block = {(i, k): int(start[k]) + e for k, rows in enumerate(columns) for e, i in enumerate(rows)}
+    update = [block[i, j] for rows in columns for e, i in enumerate(rows) for j in rows[:e]]
+    on_body: dict[int, list[tuple[int, int]]] = {}
+    for k, (a, b) in enumerate(pairs):
+        for body, column in ((a, 0), (b, 3)):
+            if body != ground:
+                on_body.setdefault(body, []).append((k, column))
+    coupling = [
+        (block[r, k], r, i0, k, j0, body)
+        for body, members in on_body.items()
+        for x, (k, j0) in enumerate(members)
+        for r, i0 in members[x + 1 :]
+        if r != k
+    ]
+    blocks = len(block)
+    return Schur(
+        start=start,
+        row=np.array([i for rows in columns for i in rows], dtype=np.int64),
+        update=np.array(update, dtype=np.int64),
+        coupling=np.array(coupling, dtype=np.int64).reshape(-1, 6),
+        diagonal=np.zeros((len(pairs), 3)),
+        below=np.zeros((blocks, 4)),
+        scaled=np.zeros((blocks, 4)),
+    )
+
+
+def empty_schur() -> Schur:
+    """Return a schedule of nothing, for mechanisms that always take the pivoted path."""
+    return schur_schedule([], -1, [], [])
+
+
+def pivot_order(n: int, row: np.ndarray, column: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Choose pivots of a sparse matrix by its numbers: SuperLU with partial pivoting on equilibrated rows.
+
+    Parameters
+    ----------
+    n
+        Number of unknowns.
+    row, column, values
+        (nnz,) the entries.
+
+    Returns
+    -------
+    row_of, column_of : (n,) arrays
+        Row and column of the matrix at each pivot position.
+
+    Raises
+    ------
+    SingularSystemError
+        Where no pivot is left.
+    """
+    from scipy.sparse import csc_array, diags_array
+    from scipy.sparse.linalg import splu
+
+    matrix = csc_array((values, (row, column)), shape=(n, n))
+    largest = abs(matrix).max(axis=1).toarray().ravel()
+    if not np.all(np.isfinite(largest)):
+        raise SingularSystemError
+    if not np.all(largest > 0):
+        raise SingularSystemError(int(np.argmin(largest)))
+    scaled = (diags_array(1 / largest) @ matrix).tocsc()
+    best = None
+    for ordering in ("COLAMD", "MMD_AT_PLUS_A"):
+        for threshold in (1.0, 0.1):
+            try:
+                lu = splu(scaled, permc_spec=ordering, diag_pivot_thresh=threshold)
+            except RuntimeError:
+                continue
+            if best is None or lu.nnz < best.nnz:
+                best = lu
+    if best is None:
+        raise SingularSystemError
+    row_of = np.empty(n, dtype=np.int64)
+    row_of[best.perm_r] = np.arange(n)
+    column_of = np.empty(n, dtype=np.int64)
+    column_of[best.perm_c] = np.arange(n)
+    return row_of, column_of
+
+
+def symbolic_lu(
+    n: int, row: np.ndarray, column: np.ndarray, row_of: np.ndarray, column_of: np.ndarray
+) -> tuple[Pattern, np.ndarray]:
+    """Work out the pattern of the factors for a fixed order of pivots.
+
+    Returns
+    -------
+    Pattern
+        Patterns of A and of its factors in pivot order.
+    position : (nnz,) int array
+        Where each given entry stands among the values of A.
+    """
+    row_place, column_place = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    row_place[row_of] = np.arange(n)
+    column_place[column_of] = np.arange(n)
+    i, j = row_place[row], column_place[column]
+    sort = np.lexsort((j, i))
+    position = np.empty(len(row), dtype=np.int64)
+    position[sort] = np.arange(len(row))
+    a_start = np.searchsorted(i[sort], np.arange(n + 1)).astype(np.int64)
+    a_column = j[sort].astype(np.int64)
+    lower: list[list[int]] = []
+    upper: list[list[int]] = []
+    columns = a_column.tolist()
+    bounds = a_start.tolist()
+    for r in range(n):
+        pattern = set(columns[bounds[r] : bounds[r + 1]])
+        pattern.add(r)
+        todo = [c for c in pattern if c < r]
+        heapq.heapify(todo)
+        below: list[int] = []
+        while todo:
+            k = heapq.heappop(todo)
+            below.append(k)
+            for c in upper[k]:
+                if c not in pattern:
+                    pattern.add(c)
+                    if c < r:
+                        heapq.heappush(todo, c)
+        lower.append(below)
+        upper.append(sorted(c for c in pattern if c > r))
+    l_start, l_column = _flat(lower)
+    u_start, u_column = _flat(upper)
+    return Pattern(a_start, a_column, l_start, l_column, u_start, u_column, row_of, column_of), position
+
+
+def _flat(rows: list[list[int]]) -> tuple[np.ndarray, np.ndarray]:
+    start = np.concatenate([[0], np.cumsum([len(r) for r in rows])]).astype(np.int64)
+    return start, np.array([c for r in rows for c in r], dtype=np.int64)
+
+
+def empty_pattern() -> Pattern:
+    """Return the pattern of a matrix without unknowns."""
+    none = np.zeros(0, dtype=np.int64)
+    zero = np.zeros(1, dtype=np.int64)
+    return Pattern(zero, none, zero, none, zero, none, none, none)
+
+
+def new_factors(pattern: Pattern, dtype: type) -> Factors:
+    """Return storage for the values that go with `pattern`."""
+    n = len(pattern.row_of)
+    return Factors(
+        a=np.zeros(len(pattern.a_column), dtype),
+        lower=np.zeros(len(pattern.l_column), dtype),
+        upper=np.zeros(len(pattern.u_column), dtype),
+        pivot=np.zeros(n, dtype),
+        work=np.zeros(n, dtype),
+    )

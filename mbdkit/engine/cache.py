@@ -1,0 +1,126 @@
+"""Where compiled kernels live, and the decorators that put them there.
+
+Numba's own cache looks only at the file that holds a kernel, so a change in a callee of another file would go on
+serving stale physics. Hence the cache folder is named after a hash of *all* kernel sources, the Numba version and the
+processor: ``<user cache>/mbdkit/<hash>``. Importing this module decides the folder; `kernel` and `element` use it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import os
+import shutil
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding as llvm
+import numba
+from numba import config, njit
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+_MARKER = "compiled"
+
+
+def kernel_sources() -> list[Path]:
+    """Return every source file whose text decides what a compiled kernel does, sorted."""
+    return sorted(path for room in ("engine", "integrators") for path in (_PACKAGE / room).glob("*.py"))
+
+
+def fingerprint() -> str:
+    """Return 16 hex digits that change with any kernel source, the Numba version and the processor."""
+    digest = hashlib.sha256()
+    for path in kernel_sources():
+        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    features = llvm.get_host_cpu_features().flatten()
+    digest.update(f"{numba.__version__} {sys.version_info[:2]} {llvm.get_host_cpu_name()} {features}".encode())
+    return digest.hexdigest()[:16]
+
+
+def _user_cache() -> Path:
+    if chosen := os.environ.get("MBDKIT_CACHE_DIR"):
+        return Path(chosen)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "mbdkit"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "mbdkit"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mbdkit"
+
+
+def _open_cache() -> Path:
+    """Return a writable folder for compiled kernels; a temporary one, with a warning, where the user's is not."""
+    folder = _user_cache() / fingerprint()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (OSError, RuntimeError) as error:
+        warnings.warn(
+            f"the cache folder {folder} cannot be written ({error}): kernels are compiled anew in every process; "
+            "set MBDKIT_CACHE_DIR to a folder that can",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        folder = Path(tempfile.mkdtemp(prefix="mbdkit-"))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+FOLDER = _open_cache()
+
+
+def _jit(function: Callable[..., Any], **options: Any) -> Any:
+    """Compile without Numba's reference counts: kernels allocate nothing, and counting costs more than a pendulum."""
+    before = vars(config)["CACHE_DIR"]
+    vars(config)["CACHE_DIR"] = str(FOLDER)
+    try:
+        compiler: Any = njit
+        return compiler(function, error_model="numpy", _nrt=False, **options)
+    finally:
+        vars(config)["CACHE_DIR"] = before
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function that Python calls: cached on disk, releases the interpreter lock, IEEE arithmetic."""
+    return _jit(function, cache=True, nogil=True)
+
+
+def part(function: Callable[..., Any]) -> Any:
+    """Compile a function that only kernels call."""
+    return _jit(function)
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """Compile a function that only kernels call, copied into each of its callers."""
+    return _jit(function, forceinline=True)
+
+
+element = part
+
+
+def is_warm() -> bool:
+    """Return whether all kernels have been compiled into the cache folder."""
+    return (FOLDER / _MARKER).exists()
+
+
+@contextmanager
+def compiling() -> Iterator[bool]:
+    """Hold the compile lock; yields whether this process has to compile (another may have done it meanwhile)."""
+    with open(FOLDER / "lock", "w", encoding="ascii") as lock:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(lock.fileno(), msvcrt.LK_LOCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        cold = not is_warm()
+        yield cold
+        if cold:
+            (FOLDER / _MARKER).touch()

@@ -1,0 +1,117 @@
+"""What is recorded of a state: index-1 accelerations, multipliers, residuals, reactions and energies."""
+
+from __future__ import annotations
+
+from mbdkit.engine.cache import kernel
+from mbdkit.engine.constraints import constraint_accelerations, constraint_positions
+from mbdkit.engine.forces import potential_energy
+from mbdkit.engine.system import OK, evaluate_powers, evaluate_tangents, prepare, solve_accelerations
+from mbdkit.engine.vectors import copy
+
+
+@kernel
+def observe(top, w, solver, times, q, v, acc, lam, phi, phi_rate, reactions, kinetic, potential):
+    """Evaluate recorded states in a row.
+
+    Parameters
+    ----------
+    top, w, solver
+        Mechanism, working arrays and solver in use.
+    times : (T,) array
+        Times [s].
+    q, v : (T, 3 (B + 1)) arrays
+        Positions and velocities, ground last.
+    acc : (T, 3 (B + 1)) array
+        Receives accelerations.
+    lam, phi, phi_rate : (T, P, 2) arrays
+        Receive multipliers, residuals Phi and their rates Phi_q v + Phi_t.
+    reactions : (T, P, 3) array
+        Receives force (x, y) and torque that the first body exerts on the second, at the second's joint point.
+    kinetic, potential : (T,) arrays
+        Receive energies [J].
+
+    Returns
+    -------
+    status : int
+        OK, or why the index-1 system could not be solved.
+    row : int
+        The row at which it stopped.
+    """
+    bodies = len(top.mass) - 1
+    for r in range(len(times)):
+        prepare(top, w, times[r], q[r])
+        status = solve_accelerations(top, w, solver, q[r], v[r], acc[r], lam[r], True)
+        if status != OK:
+            return status, r
+        constraint_positions(top.pairs, top.pair_parameters, q[r], w.cs, w.u, w.phi, w.phi_t)
+        for k in range(len(top.pairs)):
+            a, b = top.pairs[k, 1], top.pairs[k, 2]
+            for i in range(2):
+                rate = w.phi_t[k, i]
+                for d in range(3):
+                    rate += w.jac[k, 6 * i + d] * v[r, 3 * a + d] + w.jac[k, 6 * i + 3 + d] * v[r, 3 * b + d]
+                phi[r, k, i] = w.phi[k, i]
+                phi_rate[r, k, i] = rate
+            for d in range(3):
+                reactions[r, k, d] = -(w.jac[k, 3 + d] * lam[r, k, 0] + w.jac[k, 9 + d] * lam[r, k, 1])
+            c, s = w.cs[b, 0], w.cs[b, 1]
+            px, py = top.pair_parameters[k, 2], top.pair_parameters[k, 3]
+            arm_x, arm_y = c * px - s * py, s * px + c * py
+            reactions[r, k, 2] -= arm_x * reactions[r, k, 1] - arm_y * reactions[r, k, 0]
+        energy = 0.0
+        for b in range(bodies):
+            for d in range(3):
+                energy += 0.5 * top.mass[b, d] * v[r, 3 * b + d] * v[r, 3 * b + d]
+        kinetic[r] = energy
+        potential[r] = potential_energy(
+            top.springs, top.spring_points, top.spring_laws, top.mass, top.gravity, q[r], w.cs, w.s, w.grad
+        )
+    return OK, len(times)
+
+
+@kernel
+def tangents_at(top, w, solver, t, q, v, acc, lam):
+    """Solve for accelerations and multipliers and evaluate all tangents there; return a status."""
+    prepare(top, w, t, q)
+    status = solve_accelerations(top, w, solver, q, v, acc, lam, True)
+    if status == OK:
+        evaluate_tangents(top, w, t, q, v, acc, lam)
+    return status
+
+
+@kernel
+def first_order_rates(top, w, solver, has_power, t, y, acc, lam, rates):
+    """Write the right side of the first-order form, y = (q, v, work, dissipated), into `rates`; return a status.
+
+    `y` and `rates` are (6 B + 2,); `acc` (3, 3 (B + 1)) and `lam` (P, 2) are scratch.
+    """
+    n3 = 3 * (len(top.mass) - 1)
+    q, v, a = acc[0], acc[1], acc[2]
+    copy(y[:n3], q)
+    copy(y[n3 : 2 * n3], v)
+    prepare(top, w, t, q)
+    status = solve_accelerations(top, w, solver, q, v, a, lam, True)
+    copy(v[:n3], rates)
+    copy(a[:n3], rates[n3:])
+    rates[2 * n3] = rates[2 * n3 + 1] = 0.0
+    if status == OK and has_power:
+        rates[2 * n3], rates[2 * n3 + 1] = evaluate_powers(top, w, q, v, lam)
+    return status
+
+
+@kernel
+def constraints_at(top, w, t, q, v):
+    """Evaluate Phi, Phi_t, the Jacobian and gamma into ``w.phi``, ``w.phi_t``, ``w.jac`` and ``w.gamma``."""
+    prepare(top, w, t, q)
+    constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
+    constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
+
+
+@kernel
+def note_all(top, w, times, q, worst):
+    """Raise `worst` (P,) by the squared misalignments of the states `q` (T, 3 (B + 1)) at `times` (T,)."""
+    for r in range(len(times)):
+        prepare(top, w, times[r], q[r])
+        constraint_positions(top.pairs, top.pair_parameters, q[r], w.cs, w.u, w.phi, w.phi_t)
+        for k in range(len(worst)):
+            worst[k] = max(worst[k], w.phi[k, 0] * w.phi[k, 0] + w.phi[k, 1] * w.phi[k, 1])

@@ -1,0 +1,244 @@
+"""One run's hold on a compiled mechanism: working arrays, the solver in use, and how its pivots are chosen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mbdkit.engine import elements as e
+from mbdkit.engine.analysis import (
+    empty_pattern,
+    empty_schur,
+    new_factors,
+    pivot_order,
+    schur_schedule,
+    symbolic_lu,
+)
+from mbdkit.engine.compiled import CompiledMechanism
+from mbdkit.engine.constraints import KINDS
+from mbdkit.engine.forces import PATHWAYS, POINT_FORCE
+from mbdkit.engine.lu import Factors, Pattern
+from mbdkit.engine.motions import MAX_DEPTH
+from mbdkit.engine.system import Scatter, Scratch, Solver
+
+MOST_COUPLINGS = 60
+"""Couplings per pair of rows above which a body has too many joints for the Schur complement."""
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The entries of the stage matrix: ``source`` number of each term, its row and column, and its factor's class."""
+
+    source: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    factor: np.ndarray
+
+    def chosen(self, *, tangents: bool) -> Terms:
+        """Return all terms, or without `tangents` those of the bare KKT matrix."""
+        keep = np.ones(len(self.factor), dtype=bool) if tangents else self.factor == 0
+        return Terms(self.source[keep], self.row[keep], self.column[keep], self.factor[keep])
+
+    def coefficients(self, rate: complex) -> np.ndarray:
+        """Return the factor of each term for ``rate = h mu``."""
+        return np.array([1.0, rate, -rate, rate * rate])[self.factor]
+
+
+@dataclass
+class Problem:
+    """A compiled mechanism with the arrays and the solver of one run.
+
+    Parameters
+    ----------
+    mechanism
+        The compiled mechanism.
+    t0
+        Start time [s].
+    q0, v0
+        (3 (B + 1),) consistent start: positions and velocities, ground last.
+    """
+
+    mechanism: CompiledMechanism
+    t0: float
+    q0: np.ndarray
+    v0: np.ndarray
+    scratch: Scratch = field(init=False)
+    solver: Solver = field(init=False)
+    terms: Terms = field(init=False)
+    pivotings: int = field(init=False, default=0)
+    """How often pivots were chosen by numbers."""
+
+    def __post_init__(self) -> None:
+        self.scratch, offsets = new_scratch(self.mechanism)
+        self.terms = _stage_terms(self.mechanism, offsets)
+        top = self.mechanism.topology
+        pairs = [(int(a), int(b)) for a, b in top.pairs[:, 1:3]]
+        on_body = np.bincount(top.pairs[:, 1:3].ravel(), minlength=len(top.mass))[:-1]
+        crowded = int(np.sum(on_body**2)) > MOST_COUPLINGS * max(len(pairs), 1)
+        pivoted = crowded or not self.mechanism.well_scaled
+        ground = len(self.mechanism.bodies)
+        below = [set(later) for later in self.mechanism.below]
+        self.solver = Solver(
+            pivoted=np.array([int(pivoted)]),
+            schur=empty_schur() if pivoted else schur_schedule(pairs, ground, self.mechanism.order, below),
+            pattern=empty_pattern(),
+            factors=new_factors(empty_pattern(), np.float64),
+            scatter=_scatter(self.terms.chosen(tangents=False), np.zeros(0, dtype=np.int64)),
+            row_index=self.mechanism.row_index,
+            failed=np.array([-1]),
+        )
+
+    @property
+    def unknowns(self) -> int:
+        """Number of accelerations and multipliers, 3 B + m."""
+        return 3 * len(self.mechanism.bodies) + len(self.mechanism.rows)
+
+    def choose_pivots(self, rate: complex | None = None) -> tuple[Pattern, Factors, Scatter]:
+        """Choose pivots for the numbers that stand in ``scratch.source`` now.
+
+        Parameters
+        ----------
+        rate
+            ``h mu`` of a stage matrix, real or complex; None for the bare KKT matrix.
+
+        Returns
+        -------
+        Pattern, Factors, Scatter
+            What `mbdkit.engine.lu` and `gather_values` need.
+
+        Raises
+        ------
+        SingularSystemError
+            Where the matrix is singular.
+        """
+        self.pivotings += 1
+        terms = self.terms.chosen(tangents=rate is not None)
+        n = self.unknowns
+        flat = terms.row * n + terms.column
+        entries, which = np.unique(flat, return_inverse=True)
+        row, column = entries // n, entries % n
+        values = np.zeros(len(entries), dtype=complex if isinstance(rate, complex) else float)
+        np.add.at(
+            values, which, terms.coefficients(rate if rate is not None else 0.0) * self.scratch.source[terms.source]
+        )
+        row_of, column_of = pivot_order(n, row, column, values)
+        pattern, position = symbolic_lu(n, row, column, row_of, column_of)
+        scatter = _scatter(terms, position[which])
+        return pattern, new_factors(pattern, values.dtype.type), scatter
+
+    def use_pivots(self) -> None:
+        """Solve for accelerations with newly chosen pivots from now on; raises SingularSystemError."""
+        pattern, factors, scatter = self.choose_pivots()
+        self.solver.pivoted[0] = 1
+        self.solver = self.solver._replace(pattern=pattern, factors=factors, scatter=scatter)
+
+
+def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
+    """Return working arrays, and where each array of terms begins in `source`."""
+    top = mechanism.topology
+    n3, p, s, loads = 3 * len(mechanism.bodies), len(top.pairs), len(top.springs), len(top.loads)
+    shapes = {
+        "jac": (p, 12), "stiff": (p, 36), "gamma_v": (p, 12), "res_q": (p, 12),
+        "spring_stiff": (s, 36), "spring_damp": (s, 36), "load_stiff": (loads, 1),
+    }  # fmt: skip
+    offsets, total = {"mass": 0}, n3
+    for name, (rows, columns) in shapes.items():
+        offsets[name] = total
+        total += rows * columns
+    source = np.zeros(total)
+    source[:n3] = top.mass[:-1].ravel()
+    views = {name: source[offsets[name] : offsets[name] + r * c].reshape(r, c) for name, (r, c) in shapes.items()}
+    cs = np.zeros((len(mechanism.bodies) + 1, 2))
+    cs[:, 0] = 1.0
+    unknowns = n3 + len(mechanism.rows)
+    scratch = Scratch(
+        cs=cs,
+        u=np.zeros((len(top.motion_start) - 1, 3)),
+        stack=np.zeros((MAX_DEPTH, 3)),
+        force=np.zeros(mechanism.size),
+        phi=np.zeros((p, 2)),
+        phi_t=np.zeros((p, 2)),
+        gamma=np.zeros((p, 2)),
+        refinement=np.zeros((p, 2)),
+        s=np.zeros((s, 1)),
+        grad=np.zeros((s, 6)),
+        hess=np.zeros((s, 36)),
+        source=source,
+        right=np.zeros(unknowns),
+        solution=np.zeros(unknowns),
+        correction=np.zeros(unknowns),
+        **views,
+    )
+    return scratch, offsets
+
+
+def _stage_terms(mechanism: CompiledMechanism, offsets: dict[str, int]) -> Terms:
+    """List every term of the stage matrix; factor classes 0..3 are 1, h mu, -h mu and h^2 mu^2."""
+    top, row_index = mechanism.topology, mechanism.row_index
+    n3 = 3 * len(mechanism.bodies)
+    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, int]] = []
+
+    def add(source: np.ndarray, row: np.ndarray, column: np.ndarray, factor: int) -> None:
+        keep = ((row < n3) | (row >= n3 + 3)) & ((column < n3) | (column >= n3 + 3))
+        parts.append((source[keep], row[keep], column[keep], factor))
+
+    def coordinate(bodies: np.ndarray, column: int) -> np.ndarray:
+        return 3 * bodies[:, column // 3] + column % 3
+
+    def multiplier(members: np.ndarray, place: int) -> np.ndarray:
+        return row_index[members, place] + 3  # ground's three coordinates come between, and go out again below
+
+    diagonal = np.arange(n3)
+    add(diagonal, diagonal, diagonal, 0)
+    for kind, code in KINDS.items():
+        members = np.flatnonzero(top.pairs[:, 0] == code)
+        bodies = top.pairs[members, 1:3]
+        for entry in e.JACOBIAN_ENTRIES[kind]:
+            source = offsets["jac"] + 12 * members + entry
+            add(source, multiplier(members, entry // 6), coordinate(bodies, entry % 6), 0)
+            add(source, coordinate(bodies, entry % 6), multiplier(members, entry // 6), 0)
+        for entry in e.STIFFNESS_ENTRIES[kind]:
+            add(
+                offsets["stiff"] + 36 * members + entry,
+                coordinate(bodies, entry // 6),
+                coordinate(bodies, entry % 6),
+                3,
+            )
+        for entry in e.GAMMA_V_ENTRIES[kind]:
+            add(
+                offsets["gamma_v"] + 12 * members + entry,
+                multiplier(members, entry // 6),
+                coordinate(bodies, entry % 6),
+                2,
+            )
+        for entry in e.RESIDUAL_Q_ENTRIES[kind]:
+            add(
+                offsets["res_q"] + 12 * members + entry,
+                multiplier(members, entry // 6),
+                coordinate(bodies, entry % 6),
+                3,
+            )
+    for path, code in PATHWAYS.items():
+        members = np.flatnonzero(top.springs[:, 0] == code)
+        bodies = top.springs[members, 1:3]
+        for i in e.GRADIENT_ENTRIES[path]:
+            for j in e.GRADIENT_ENTRIES[path]:
+                entry = 6 * i + j
+                add(offsets["spring_stiff"] + 36 * members + entry, coordinate(bodies, i), coordinate(bodies, j), 3)
+                add(offsets["spring_damp"] + 36 * members + entry, coordinate(bodies, i), coordinate(bodies, j), 1)
+    members = np.flatnonzero(top.loads[:, 0] == POINT_FORCE)
+    theta = 3 * top.loads[members, 1] + 2
+    add(offsets["load_stiff"] + members, theta, theta, 3)
+
+    source, row, column = (np.concatenate([part[i] for part in parts]).astype(np.int64) for i in range(3))
+    factor = np.concatenate([np.full(len(part[0]), part[3], dtype=np.int64) for part in parts])
+    return Terms(source, np.where(row >= n3, row - 3, row), np.where(column >= n3, column - 3, column), factor)
+
+
+def _scatter(terms: Terms, target: np.ndarray) -> Scatter:
+    """Sort terms by their factor into the lists that `gather_values` runs through."""
+    if len(target) == 0:
+        target = np.zeros(len(terms.source), dtype=np.int64)
+    both = np.column_stack([terms.source, target]).astype(np.int64)
+    return Scatter(*(np.ascontiguousarray(both[terms.factor == factor]) for factor in range(4)))

@@ -1,0 +1,272 @@
+"""The index-1 system of a whole mechanism: accelerations, residuals of the stage equations, and their tangents.
+
+    [ M      Phi_q^T ] [ a      ]   [ Q     ]
+    [ Phi_q  0       ] [ lambda ] = [ gamma ]
+
+State vectors are flat, (3 (B + 1),), ground last and at rest; multipliers are (P, 2), a row a pair of constraints.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.cache import inlined, part
+from mbdkit.engine.constraints import constraint_accelerations, constraint_positions, constraint_tangents, turn_bodies
+from mbdkit.engine.forces import applied_forces, force_tangents, powers
+from mbdkit.engine.lu import Factors, Pattern, factorize, residual, substitute
+from mbdkit.engine.motions import evaluate_motions
+from mbdkit.engine.schur import Schur
+from mbdkit.engine.schur import factor as schur_factor
+from mbdkit.engine.schur import solve as schur_solve
+
+OK, REPIVOT, REPIVOT_STAGES, NOT_FINITE, DIVERGED = range(5)
+"""What a kernel reports: done; the index-1 system or the stage matrix needs new pivots; overflow; no convergence."""
+
+KKT_TOLERANCE = 1e-9
+"""Largest row residual, relative to the row's terms, that a solution of the pivoted system may have."""
+
+
+class Topology(NamedTuple):
+    """A compiled mechanism: what does not change while it moves. B bodies and ground, P pairs, S springs, L loads."""
+
+    mass: np.ndarray
+    """(B + 1, 3) diagonal of the mass matrix; ground has ones."""
+    weight: np.ndarray
+    """(B + 1, 3) its inverse; ground has zeros."""
+    gravity: np.ndarray
+    pairs: np.ndarray
+    """(P, 4) kind, first body, second body, motion (-1: none)."""
+    rows: np.ndarray
+    """(P,) number of real rows, 1 or 2."""
+    pair_parameters: np.ndarray
+    springs: np.ndarray
+    """(S, 3) pathway, first body, second body."""
+    spring_points: np.ndarray
+    spring_laws: np.ndarray
+    """(S, 3) stiffness, damping, free length."""
+    loads: np.ndarray
+    """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
+    load_points: np.ndarray
+    motion_start: np.ndarray
+    motion_ops: np.ndarray
+    motion_values: np.ndarray
+
+
+class Scratch(NamedTuple):
+    """Working arrays of one run. `source` holds every term of the stage matrix; the others are views or apart."""
+
+    cs: np.ndarray
+    u: np.ndarray
+    stack: np.ndarray
+    force: np.ndarray
+    phi: np.ndarray
+    phi_t: np.ndarray
+    gamma: np.ndarray
+    refinement: np.ndarray
+    s: np.ndarray
+    grad: np.ndarray
+    hess: np.ndarray
+    source: np.ndarray
+    jac: np.ndarray
+    stiff: np.ndarray
+    gamma_v: np.ndarray
+    res_q: np.ndarray
+    spring_stiff: np.ndarray
+    spring_damp: np.ndarray
+    load_stiff: np.ndarray
+    right: np.ndarray
+    """(n,) right side of the pivoted system."""
+    solution: np.ndarray
+    correction: np.ndarray
+
+
+class Scatter(NamedTuple):
+    """Where each entry of `Scratch.source` goes in the values of a sparse matrix, by its factor."""
+
+    one: np.ndarray
+    """(n1, 2) source, target: factor 1."""
+    rate: np.ndarray
+    """(n2, 2) source, target: factor h mu (damping)."""
+    minus_rate: np.ndarray
+    """(n3, 2) source, target: factor -h mu (gamma_v)."""
+    level: np.ndarray
+    """(n4, 2) source, target: factor h^2 mu^2 (stiffness, residual_q)."""
+
+
+class Solver(NamedTuple):
+    """How accelerations are solved for: by the Schur complement, or by the pivoted whole."""
+
+    pivoted: np.ndarray
+    """(1,) whether the pivoted system is in use."""
+    schur: Schur
+    pattern: Pattern
+    factors: Factors
+    scatter: Scatter
+    row_index: np.ndarray
+    """(P, 2) unknown of each multiplier in the pivoted system; -1 for an empty row."""
+    failed: np.ndarray
+    """(1,) pair or pivot position at which the last factorization failed."""
+
+
+@inlined
+def prepare(top, w, t, q):
+    """Evaluate what depends on time and positions alone: motions, cosines and sines."""
+    evaluate_motions(t, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
+    turn_bodies(q, w.cs)
+
+
+@inlined
+def applied(top, w, q, v):
+    """Evaluate the applied forces into ``w.force``; needs `prepare`."""
+    applied_forces(
+        top.springs, top.spring_points, top.spring_laws, top.loads, top.load_points,
+        q, v, w.cs, w.u, w.s, w.grad, w.force,
+    )  # fmt: skip
+
+
+@inlined
+def evaluate_powers(top, w, q, v, lam):
+    """Return (power of loads and drivers, dissipated power) [W]; needs `prepare` and `applied`."""
+    constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
+    return powers(
+        top.springs, top.spring_laws, top.loads, top.load_points, top.pairs, v, w.cs, w.u, w.grad, w.phi_t, lam
+    )
+
+
+@part
+def free_accelerations(mass, weight, gravity, has_forces, force, acc):
+    """Write the accelerations that the bodies would have without joints."""
+    for b in range(len(mass) - 1):
+        acc[3 * b] = gravity[0]
+        acc[3 * b + 1] = gravity[1]
+        acc[3 * b + 2] = 0.0
+        if has_forces:
+            for i in range(3):
+                acc[3 * b + i] += weight[b, i] * force[3 * b + i]
+
+
+@part
+def joint_right_side(pairs, rows, jac, gamma, acc, lam):
+    """Write ``Phi_q a_free - gamma`` into `lam`."""
+    for k in range(len(pairs)):
+        a, b = 3 * pairs[k, 1], 3 * pairs[k, 2]
+        r0, r1 = -gamma[k, 0], -gamma[k, 1]
+        for i in range(3):
+            r0 += jac[k, i] * acc[a + i] + jac[k, 3 + i] * acc[b + i]
+            r1 += jac[k, 6 + i] * acc[a + i] + jac[k, 9 + i] * acc[b + i]
+        lam[k, 0] = r0
+        lam[k, 1] = r1 if rows[k] == 2 else 0.0
+
+
+@part
+def apply_multipliers(pairs, jac, weight, lam, acc):
+    """Subtract ``M^-1 Phi_q^T lambda`` from the accelerations."""
+    for k in range(len(pairs)):
+        a, b = pairs[k, 1], pairs[k, 2]
+        l0, l1 = lam[k, 0], lam[k, 1]
+        for i in range(3):
+            acc[3 * a + i] -= weight[a, i] * (jac[k, i] * l0 + jac[k, 6 + i] * l1)
+            acc[3 * b + i] -= weight[b, i] * (jac[k, 3 + i] * l0 + jac[k, 9 + i] * l1)
+
+
+@part
+def gather_values(source, scatter, rate, values):
+    """Fill the values of a sparse matrix from the element terms; `rate` is h mu, and 0 leaves the bare KKT matrix."""
+    values[:] = 0.0
+    for e in range(len(scatter.one)):
+        values[scatter.one[e, 1]] += source[scatter.one[e, 0]]
+    if rate != 0.0:
+        level = rate * rate
+        for e in range(len(scatter.rate)):
+            values[scatter.rate[e, 1]] += rate * source[scatter.rate[e, 0]]
+        for e in range(len(scatter.minus_rate)):
+            values[scatter.minus_rate[e, 1]] -= rate * source[scatter.minus_rate[e, 0]]
+        for e in range(len(scatter.level)):
+            values[scatter.level[e, 1]] += level * source[scatter.level[e, 0]]
+
+
+@part
+def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
+    """Solve the whole index-1 system by pivoted sparse LU with one step of refinement; return a status."""
+    n3 = 3 * (len(top.mass) - 1)
+    pattern, factors, row_index = solver.pattern, solver.factors, solver.row_index
+    right, solution, correction = w.right, w.solution, w.correction
+    if len(pattern.row_of) != len(right):  # no pivots have been chosen yet
+        return REPIVOT
+    for b in range(len(top.mass) - 1):
+        right[3 * b] = top.mass[b, 0] * top.gravity[0]
+        right[3 * b + 1] = top.mass[b, 1] * top.gravity[1]
+        right[3 * b + 2] = 0.0
+    if has_forces:
+        for i in range(n3):
+            right[i] += w.force[i]
+    for k in range(len(top.pairs)):
+        for r in range(top.rows[k]):
+            right[row_index[k, r]] = w.gamma[k, r]
+    gather_values(w.source, solver.scatter, 0.0, factors.a)
+    solver.failed[0] = factorize(pattern, factors)
+    if solver.failed[0] >= 0:
+        return REPIVOT
+    substitute(pattern, factors, right, solution)
+    residual(pattern, factors, right, solution, correction)
+    substitute(pattern, factors, correction, correction)
+    for i in range(len(solution)):
+        solution[i] += correction[i]
+    worst = residual(pattern, factors, right, solution, correction)
+    if not worst < KKT_TOLERANCE:
+        return REPIVOT
+    for i in range(n3):
+        acc[i] = solution[i]
+    for k in range(len(top.pairs)):
+        for r in range(top.rows[k]):
+            lam[k, r] = solution[row_index[k, r]]
+    return OK
+
+
+@inlined
+def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
+    """Solve for accelerations and multipliers at a prepared position; return a status.
+
+    With `refine`, one step of iterative refinement brings ``Phi_q a = gamma`` down to round-off.
+    """
+    has_forces = len(top.springs) + len(top.loads) > 0
+    if has_forces:
+        applied(top, w, q, v)
+    constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
+    if solver.pivoted[0] != 0:
+        status = pivoted_accelerations(top, w, solver, has_forces, acc, lam)
+    else:
+        free_accelerations(top.mass, top.weight, top.gravity, has_forces, w.force, acc)
+        joint_right_side(top.pairs, top.rows, w.jac, w.gamma, acc, lam)
+        s = solver.schur
+        solver.failed[0] = schur_factor(
+            top.pairs, top.rows, w.jac, top.weight, s.start, s.row, s.update, s.coupling, s.diagonal, s.below, s.scaled
+        )
+        status = OK
+        if solver.failed[0] >= 0:
+            status = REPIVOT
+        else:
+            schur_solve(s.start, s.row, s.diagonal, s.below, lam)
+            apply_multipliers(top.pairs, w.jac, top.weight, lam, acc)
+            if refine:
+                joint_right_side(top.pairs, top.rows, w.jac, w.gamma, acc, w.refinement)
+                schur_solve(s.start, s.row, s.diagonal, s.below, w.refinement)
+                apply_multipliers(top.pairs, w.jac, top.weight, w.refinement, acc)
+                for k in range(len(lam)):
+                    lam[k, 0] += w.refinement[k, 0]
+                    lam[k, 1] += w.refinement[k, 1]
+    return status
+
+
+@inlined
+def evaluate_tangents(top, w, t, q, v, acc, lam):
+    """Evaluate every term of the stage matrix into ``w.source`` (the masses stand there from the start)."""
+    prepare(top, w, t, q)
+    constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
+    constraint_tangents(top.pairs, top.pair_parameters, q, v, acc, w.cs, w.u, lam, w.stiff, w.gamma_v, w.res_q)
+    force_tangents(
+        top.springs, top.spring_points, top.spring_laws, top.loads, top.load_points, q, v, w.cs, w.u,
+        w.s, w.grad, w.hess, w.spring_stiff, w.spring_damp, w.load_stiff,
+    )  # fmt: skip

@@ -1,0 +1,25 @@
+"""Small loops over flat vectors; kernels have no use of NumPy's own, which would allocate."""
+
+from __future__ import annotations
+
+from mbdkit.engine.cache import part
+
+
+@part
+def copy(x, out):
+    """Copy the vector `x` into the beginning of `out`."""
+    for d in range(len(x)):
+        out[d] = x[d]
+
+
+@part
+def add_compensated(x, low, increment):
+    """Add `increment` to `x`, whose rounding errors are carried in `low`; return whether all of `x` is finite."""
+    total = 0.0
+    for d in range(len(x)):
+        y = increment[d] + low[d]
+        new = x[d] + y
+        low[d] = y - (new - x[d])
+        x[d] = new
+        total += new * 0.0
+    return total == 0.0

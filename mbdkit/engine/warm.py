@@ -1,0 +1,69 @@
+"""Compile every kernel once per installation, in one process while others wait."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+from mbdkit.engine.cache import FOLDER, compiling, is_warm
+
+
+def to_stderr(message: str) -> None:
+    """Print a message where progress goes."""
+    print(message, file=sys.stderr, flush=True)
+
+
+def ensure_compiled(notify: Callable[[str], None] = to_stderr) -> None:
+    """Make sure that all kernels stand compiled in the cache.
+
+    Parameters
+    ----------
+    notify
+        Is told what is happening, where there is something to wait for.
+    """
+    if is_warm():
+        return
+    notify("mbdkit compiles its kernels; this happens once per installation and takes up to a minute ...")
+    begin = time.perf_counter()
+    with compiling() as cold:
+        if cold:
+            _run_everything()
+            notify(f"... compiled in {time.perf_counter() - begin:.0f} s, kept in {FOLDER}")
+
+
+def _run_everything() -> None:
+    """Step a small mechanism through every kernel; their argument types are the same for all mechanisms."""
+    import numpy as np
+
+    from mbdkit.engine.assembly import assemble
+    from mbdkit.engine.compiled import compile_mechanism
+    from mbdkit.engine.observe import observe
+    from mbdkit.engine.problem import Problem
+    from mbdkit.integrators import gauss, rk4
+    from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta, Method, SciPySolver
+    from mbdkit.integrators.stepping import Timetable
+    from mbdkit.mechanism.mechanism import Mechanism
+
+    m = Mechanism()
+    rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    m.revolute("A", m.ground, rod, at=(0.0, 0.0))
+    compiled = compile_mechanism(m)
+    start = assemble(m, 0.0, compiled)
+    q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
+    table = Timetable(0.0, 0.2, step=0.1, steps=2)
+    methods: tuple[Method, ...] = (
+        ExplicitRungeKutta(rk4.tableau()),
+        ImplicitRungeKutta(gauss.tableau(3)),
+        SciPySolver("Radau", 1e-3, 1e-3, needs_jacobian=True),
+    )
+    for method in methods:
+        problem = Problem(compiled, 0.0, q0, v0)
+        stretch = method.start(problem, table).advance()
+        rows, pairs = len(stretch.time), len(compiled.topology.pairs)
+        shape = (rows, pairs, 2)
+        observe(
+            compiled.topology, problem.scratch, problem.solver, stretch.time, stretch.q, stretch.v,
+            np.zeros_like(stretch.q), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros((rows, pairs, 3)),
+            np.zeros(rows), np.zeros(rows),
+        )  # fmt: skip
