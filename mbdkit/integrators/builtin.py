@@ -1,0 +1,90 @@
+"""The integrators that mbdkit ships, as the plugin items that the registry takes; light to import."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mbdkit.integrators import gauss, rk4, rk_gill
+from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta, SciPySolver
+from mbdkit.integrators.options import AdaptiveOptions, ExplicitOptions, GaussOptions
+from mbdkit.registry.items import Claims, IntegratorPlugin
+
+_POLYNOMIAL_DRIFT = "constraints hold at acceleration level only: drift of the method's order, growing with time"
+_TOLERANCE_DRIFT = "constraints hold at acceleration level only: drift follows the tolerance and grows with time"
+
+_SCIPY = """@article{scipy2020,
+  author = {Virtanen, Pauli and others},
+  title = {{SciPy} 1.0: fundamental algorithms for scientific computing in {P}ython},
+  journal = {Nature Methods}, volume = {17}, pages = {261--272}, year = {2020}, doi = {10.1038/s41592-019-0686-2}}"""
+_HAIRER_WANNER = """@book{hairer1996,
+  author = {Hairer, Ernst and Wanner, Gerhard},
+  title = {Solving Ordinary Differential Equations {II}: Stiff and Differential-Algebraic Problems},
+  edition = {2}, publisher = {Springer}, year = {1996}, doi = {10.1007/978-3-642-05221-7}}"""
+_HAIRER_NORSETT = """@book{hairer1993,
+  author = {Hairer, Ernst and N{\\o}rsett, Syvert P. and Wanner, Gerhard},
+  title = {Solving Ordinary Differential Equations {I}: Nonstiff Problems},
+  edition = {2}, publisher = {Springer}, year = {1993}, doi = {10.1007/978-3-540-78862-1}}"""
+_PETZOLD = """@article{petzold1983,
+  author = {Petzold, Linda},
+  title = {Automatic selection of methods for solving stiff and nonstiff systems of ordinary differential equations},
+  journal = {SIAM Journal on Scientific and Statistical Computing},
+  volume = {4}, number = {1}, pages = {136--148}, year = {1983}, doi = {10.1137/0904010}}"""
+
+
+def _explicit(name: str, summary: str, module: Any) -> IntegratorPlugin:
+    return IntegratorPlugin(
+        name=name,
+        summary=summary,
+        options=ExplicitOptions,
+        create=lambda options: ExplicitRungeKutta(module.tableau()),
+        claims=lambda options: Claims(order=4, stages=4, drift=_POLYNOMIAL_DRIFT, needs=("accelerations",)),
+        references=(module.REFERENCE,),
+    )
+
+
+def _scipy(name: str, solver: str, summary: str, source: str, *, jacobian: bool = False) -> IntegratorPlugin:
+    needs = ("accelerations", "tangents") if jacobian else ("accelerations",)
+    return IntegratorPlugin(
+        name=name,
+        summary=summary,
+        options=AdaptiveOptions,
+        create=lambda options: SciPySolver(solver, options.rtol, options.atol, needs_jacobian=jacobian),
+        claims=lambda options: Claims(adaptive=True, drift=_TOLERANCE_DRIFT, needs=needs),
+        references=(_SCIPY, source),
+        dense_output=True,
+    )
+
+
+INTEGRATORS: list[IntegratorPlugin] = [
+    _explicit("rk-gill", "Runge-Kutta-Gill: explicit, 4 stages, order 4, fixed steps.", rk_gill),
+    _explicit("rk4", "Classical Runge-Kutta: explicit, 4 stages, order 4, fixed steps.", rk4),
+    IntegratorPlugin(
+        name="gauss",
+        summary="Gauss-Legendre collocation: implicit, 1 to 6 stages, order 2 s, symmetric, symplectic, fixed steps.",
+        options=GaussOptions,
+        create=lambda options: ImplicitRungeKutta(
+            gauss.tableau(options.stages), options.stage_solver, options.tolerance, options.max_iterations
+        ),
+        claims=lambda options: Claims(
+            order=2 * options.stages,
+            symmetric=True,
+            symplectic=True,
+            quadratic_invariants=True,
+            stages=options.stages,
+            drift=_POLYNOMIAL_DRIFT,
+            needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
+        ),
+        references=(gauss.REFERENCE,),
+    ),
+    _scipy(
+        "scipy-radau", "Radau", "SciPy's Radau IIA: implicit, order 5, adaptive steps.", _HAIRER_WANNER, jacobian=True
+    ),
+    _scipy("scipy-dop853", "DOP853", "SciPy's DOP853: explicit, order 8, adaptive steps.", _HAIRER_NORSETT),
+    _scipy(
+        "scipy-lsoda",
+        "LSODA",
+        "SciPy's LSODA: Adams and BDF with automatic switching, adaptive steps.",
+        _PETZOLD,
+        jacobian=True,
+    ),
+]

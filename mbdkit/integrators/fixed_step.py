@@ -1,0 +1,237 @@
+"""The Python side of every method in fixed steps: stretches, the shorter last step, rows, new pivots and failures."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mbdkit.engine.analysis import SingularSystemError
+from mbdkit.engine.cache import part
+from mbdkit.engine.problem import Problem
+from mbdkit.engine.system import DIVERGED, NOT_FINITE, OK, REPIVOT, Topology
+from mbdkit.integrators.stepping import Counters, Failure, Pace, Stretch, Timetable
+
+MOST_ROWS = 4096
+ROW_BYTES = 1 << 24
+"""Bounds on the buffer of recorded states: rows, and bytes."""
+
+
+@part
+def note_misalignment(phi, worst):
+    """Raise `worst` (P,) to the squared norm of each pair's `phi` (P, 2) where that is larger."""
+    for k in range(len(phi)):
+        gap = phi[k, 0] * phi[k, 0] + phi[k, 1] * phi[k, 1]
+        if gap > worst[k]:
+            worst[k] = gap
+
+
+def has_power(top: Topology) -> bool:
+    """Return whether loads, drivers or dampers act, so that work and dissipated energy change."""
+    return bool(len(top.loads) or np.any(top.pairs[:, 3] >= 0) or np.any(top.spring_laws[:, 1]))
+
+
+@dataclass
+class State:
+    """The state of a fixed-step run, with the low parts of its compensated sums, and the rows recorded from it."""
+
+    q: np.ndarray
+    v: np.ndarray
+    rows: int
+    q_low: np.ndarray = field(init=False)
+    v_low: np.ndarray = field(init=False)
+    energy: np.ndarray = field(init=False)
+    """(2,) work of loads and drivers, and dissipated energy [J]."""
+    energy_low: np.ndarray = field(init=False)
+    row_q: np.ndarray = field(init=False)
+    row_v: np.ndarray = field(init=False)
+    row_energy: np.ndarray = field(init=False)
+    iterations: np.ndarray = field(init=False)
+    """(2,) sum and maximum of the iterations a step since the last recorded state."""
+    row_iterations: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.q_low, self.v_low = np.zeros_like(self.q), np.zeros_like(self.v)
+        self.energy, self.energy_low = np.zeros(2), np.zeros(2)
+        self.row_q, self.row_v = np.zeros((self.rows, len(self.q))), np.zeros((self.rows, len(self.q)))
+        self.row_energy = np.zeros((self.rows, 2))
+        self.iterations, self.row_iterations = np.zeros(2, dtype=np.int64), np.zeros((self.rows, 2), dtype=np.int64)
+
+
+class FixedStepper:
+    """Base of the steppers in fixed steps; a family brings `steps`.
+
+    Parameters
+    ----------
+    problem
+        The mechanism and its consistent start.
+    timetable
+        With a fixed step.
+    hint
+        What a user may try when numbers run away.
+    """
+
+    def __init__(self, problem: Problem, timetable: Timetable, *, hint: str):
+        self.problem, self.timetable, self.hint = problem, timetable, hint
+        self.counters = Counters()
+        self.finished = False
+        self.failure: Failure | None = None
+        self.time = timetable.start
+        top = problem.mechanism.topology
+        self.has_power = has_power(top)
+        self.worst_pairs = np.zeros(len(top.pairs))
+        rows = max(2, min(MOST_ROWS, ROW_BYTES // (16 * problem.mechanism.size)))
+        self.state = State(problem.q0.copy(), problem.v0.copy(), rows)
+        self.done = 0
+        self.recorded = 0
+        self.pace = Pace()
+        self._pivoted_at = (-1, OK)
+
+    def steps(self, h: float, t0: float, first: int, last: int, every: int, state: State) -> tuple[int, int, int]:
+        """Take steps `first` to `last - 1` of size `h`, step k from ``t0 + k h``; return (status, next, rows)."""
+        raise NotImplementedError
+
+    def renew(self, status: int) -> bool:
+        """Choose new pivots after `status`; return whether that can help. Raises SingularSystemError."""
+        if status != REPIVOT:
+            return False
+        self.problem.use_pivots()
+        return True
+
+    def describe_divergence(self) -> str:
+        """Return where the stage equations failed to converge; implicit families know."""
+        return ""
+
+    def advance(self) -> Stretch:
+        """Go on for about `STRETCH` seconds; see `Stepper.advance`."""
+        table = self.timetable
+        total, every = table.steps, table.every
+        allowed = min(total, table.max_steps)
+        begin = time.perf_counter()
+        first = self.done
+        short = table.last_step != table.step and allowed == total
+        last_full = total - 1 if short else allowed
+        rows = 0
+        if self.done < last_full:
+            fit = (len(self.state.row_q) - 1) * every - self.done % every
+            last = min(last_full, self.done + self.pace.steps, self.done + max(fit, 1))
+            assert table.step is not None
+            rows = self._run(table.step, table.start, last, every)
+            self.time = table.start + self.done * table.step
+        elif self.done < total:
+            t0 = table.start + (total - 1) * (table.step or 0.0)
+            # the step's number starts again at 0 there, so that its time is exact
+            status_rows = self._run_last(t0)
+            rows = status_rows
+        self.pace.timed(self.done - first, begin)
+        stretch = self._collect(rows)
+        if self.failure is None and self.done >= allowed:
+            if self.done < total:
+                self.failure = Failure("max-steps", f"stopped after limits.max_steps = {table.max_steps} steps.")
+            else:
+                self.finished, self.time = True, table.end
+                if self.recorded < self.done:
+                    stretch = self._append_end(stretch)
+                elif len(stretch.time):
+                    stretch.time[-1] = table.end
+                    stretch.intervals[-1, 0] = table.end
+        return stretch
+
+    def _run(self, h: float, t0: float, last: int, every: int) -> int:
+        """Take full steps up to `last`, renewing pivots where asked for; return the rows written."""
+        rows = 0
+        while self.done < last and self.failure is None:
+            before = self.done
+            view = self._rows_from(rows)
+            status, self.done, written = self.steps(h, t0, self.done, last, every, view)
+            rows += written
+            self.counters.steps = self.counters.accepted = self.done
+            if status != OK:
+                self._handle(status, before)
+        return rows
+
+    def _run_last(self, t0: float) -> int:
+        total = self.timetable.steps
+        while self.done < total and self.failure is None:
+            status, reached, _ = self.steps(self.timetable.last_step, t0, 0, 1, 2, self.state)
+            if status == OK:
+                self.done += reached
+                self.counters.steps = self.counters.accepted = self.done
+            else:
+                self._handle(status, self.done)
+        return 0
+
+    def _rows_from(self, rows: int) -> State:
+        """Return the state with its row buffers from `rows` on."""
+        if rows == 0:
+            return self.state
+        view = State.__new__(State)
+        view.__dict__.update(self.state.__dict__)
+        view.row_q, view.row_v = self.state.row_q[rows:], self.state.row_v[rows:]
+        view.row_energy, view.row_iterations = self.state.row_energy[rows:], self.state.row_iterations[rows:]
+        return view
+
+    def _handle(self, status: int, before: int) -> None:
+        """Renew the pivots once a step, or note why the run stops."""
+        step = self.done + 1
+        t = self.timetable.start + self.done * (self.timetable.step or 0.0)
+        where = f"in step {step} from t = {t:.6g} s"
+        try:
+            if status != NOT_FINITE and self._pivoted_at != (self.done, status) and self.renew(status):
+                self._pivoted_at = (self.done, status)
+                return
+        except SingularSystemError as error:
+            name = self.problem.mechanism.unknown_name(error.index)
+            self.failure = Failure("singular", f"no independent equations are left at {name} {where}.")
+            return
+        if status == NOT_FINITE:
+            self.failure = Failure("not-finite", f"numbers overflowed {where}; {self.hint}.")
+        elif status == DIVERGED:
+            self.failure = Failure("newton-failed", f"{where}{self.describe_divergence()}; {self.hint}.")
+        else:
+            index = int(self.problem.solver.failed[0])
+            column = self.problem.solver.pattern.column_of
+            name = self.problem.mechanism.unknown_name(int(column[index]) if 0 <= index < len(column) else -1)
+            self.failure = Failure("singular", f"the equations lost their last pivot at {name} {where}.")
+
+    def _collect(self, rows: int) -> Stretch:
+        every, step = self.timetable.every, self.timetable.step or 0.0
+        numbers = self.recorded + every * np.arange(1, rows + 1)
+        if rows:
+            self.recorded = int(numbers[-1])
+        intervals = np.zeros((rows, 6))
+        intervals[:, 0] = times = self.timetable.start + numbers * step
+        intervals[:, 1], intervals[:, 2] = every, step
+        state = self.state
+        intervals[:, 3:5] = state.row_iterations[:rows]
+        return Stretch(
+            times,
+            state.row_q[:rows].copy(),
+            state.row_v[:rows].copy(),
+            state.row_energy[:rows, 0].copy(),
+            state.row_energy[:rows, 1].copy(),
+            intervals,
+        )
+
+    def last_state(self) -> Stretch:
+        """Return the state reached as one row; see `Stepper.last_state`."""
+        intervals = np.zeros((1, 6))
+        size = self.timetable.last_step if self.finished else (self.timetable.step or 0.0)
+        intervals[0, :3] = self.time, self.done - self.recorded, size
+        self.recorded = self.done
+        state = self.state
+        intervals[0, 3:5] = state.iterations
+        state.iterations[:] = 0
+        return Stretch(
+            np.array([self.time]),
+            state.q[None].copy(),
+            state.v[None].copy(),
+            state.energy[:1].copy(),
+            state.energy[1:].copy(),
+            intervals,
+        )
+
+    def _append_end(self, stretch: Stretch) -> Stretch:
+        end = self.last_state()
+        return Stretch(*(np.concatenate([getattr(stretch, f), getattr(end, f)]) for f in Stretch.__dataclass_fields__))

@@ -1,0 +1,523 @@
+"""Fully implicit Runge-Kutta methods in fixed steps: stages solved for accelerations, in compiled code.
+
+Stage i, in second-order form, with A the tableau, the unknowns a_i and f the index-1 accelerations:
+
+    v_i = v_n + h sum_j A_ij a_j,        q_i = q_n + h c_i v_n + h^2 sum_j (A A)_ij a_j,        a_i = f(t_i, q_i, v_i)
+
+Simplified Newton with one tangent for all stages decouples along the eigenvectors of A (Butcher 1976, Bickart 1977).
+The defect r = a - f of each eigenvalue mu takes one sparse system, complex for a pair of conjugate eigenvalues, with
+all terms of the tangents of M a + Phi_q^T lambda - Q and of Phi_q a - gamma,
+
+    [ M + h mu C + h^2 mu^2 K                               Phi_q^T ] [ x  ]   [ M r     ]
+    [ Phi_q - h mu gamma_v + h^2 mu^2 (Phi_q a - gamma)_q   0       ] [ nu ] = [ Phi_q r ]
+
+which is (1 - h mu f_v - h^2 mu^2 f_q) x = r without forming f_v and f_q. Because f is evaluated exactly at every
+stage, only its derivatives are frozen, and the contraction of the iteration is O(h^2).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.engine.analysis import new_factors
+from mbdkit.engine.cache import kernel, part
+from mbdkit.engine.constraints import constraint_positions, turn_bodies
+from mbdkit.engine.lu import Factors, factorize, substitute
+from mbdkit.engine.motions import evaluate_motions
+from mbdkit.engine.observe import tangents_at
+from mbdkit.engine.system import (
+    DIVERGED,
+    NOT_FINITE,
+    OK,
+    REPIVOT,
+    REPIVOT_STAGES,
+    evaluate_powers,
+    evaluate_tangents,
+    gather_values,
+    prepare,
+    solve_accelerations,
+)
+from mbdkit.engine.vectors import add_compensated, copy
+from mbdkit.integrators.fixed_step import FixedStepper, State, note_misalignment
+
+if TYPE_CHECKING:
+    from mbdkit.engine.problem import Problem
+    from mbdkit.integrators.methods import ImplicitRungeKutta
+    from mbdkit.integrators.stepping import Timetable
+    from mbdkit.integrators.tableau import ButcherTableau
+
+NEWTON, FIXED_POINT = range(2)
+
+ROUND_OFF = 1e-18
+"""A change of the accelerations that is expected to stay below this, relative to their size, ends the iteration."""
+
+STAGNANT = 1e-12
+"""Iterations that no longer shrink count as round-off below this relative change, and as divergence above it."""
+
+SLOW = 0.25
+"""Contraction above which the tangent is taken anew within the step."""
+
+
+@part
+def _stages(h, a, a2, c, q, v, acc, q_stage, v_stage):
+    """Evaluate positions and velocities of every stage."""
+    s = len(c)
+    for i in range(s):
+        qs, vs = q_stage[i], v_stage[i]
+        qs[:] = 0.0
+        vs[:] = 0.0
+        for j in range(s):
+            w1, w2 = a[i, j], a2[i, j]
+            k = acc[j]
+            for d in range(len(q)):
+                vs[d] += w1 * k[d]
+                qs[d] += w2 * k[d]
+        drift = h * c[i]
+        for d in range(len(q)):
+            qs[d] = q[d] + (drift * v[d] + h * h * qs[d])
+            vs[d] = v[d] + h * vs[d]
+
+
+@part
+def _extrapolate(weights, x, scratch):
+    """Replace stage values, rows of `x`, by those of the collocation polynomial at the stages of the next step."""
+    stages, size = x.shape
+    for i in range(stages):
+        for d in range(size):
+            scratch[i, d] = x[i, d]
+            x[i, d] = 0.0
+    for i in range(stages):
+        for j in range(stages):
+            w = weights[i, j]
+            for d in range(size):
+                x[i, d] += w * scratch[j, d]
+
+
+@part
+def _mean(x, out):
+    """Write the mean over stages into `out`."""
+    out[:] = 0.0
+    for i in range(len(x)):
+        for d in range(len(out)):
+            out[d] += x[i, d] / len(x)
+
+
+@part
+def _sizes(acc, change, bodies):
+    """Return the largest change of an acceleration relative to the largest one, linear and angular apart."""
+    size_t = size_r = change_t = change_r = 0.0
+    for i in range(len(acc)):
+        for b in range(bodies):
+            size_t = max(size_t, abs(acc[i, 3 * b]), abs(acc[i, 3 * b + 1]))
+            size_r = max(size_r, abs(acc[i, 3 * b + 2]))
+            change_t = max(change_t, abs(change[i, 3 * b]), abs(change[i, 3 * b + 1]))
+            change_r = max(change_r, abs(change[i, 3 * b + 2]))
+    relative_t = change_t / size_t if change_t > 0.0 else 0.0
+    relative_r = change_r / size_r if change_r > 0.0 else 0.0
+    return max(relative_t, relative_r)
+
+
+@part
+def _force_level(top, w, lam, acc, bodies, change):
+    """Return the largest change of an acceleration relative to what single forces would give: a floor for round-off."""
+    level_t = level_r = 0.0
+    for b in range(bodies):
+        level_t = max(level_t, abs(top.gravity[0]), abs(top.gravity[1]))
+        for i in range(3):
+            scale = abs(acc[3 * b + i]) + abs(w.force[3 * b + i]) * top.weight[b, i]
+            if i < 2:
+                level_t = max(level_t, scale)
+            else:
+                level_r = max(level_r, scale)
+    for k in range(len(top.pairs)):
+        for side in range(2):
+            b = top.pairs[k, 1 + side]
+            for i in range(3):
+                c = 3 * side + i
+                scale = (abs(w.jac[k, c] * lam[k, 0]) + abs(w.jac[k, 6 + c] * lam[k, 1])) * top.weight[b, i]
+                if i < 2:
+                    level_t = max(level_t, scale)
+                else:
+                    level_r = max(level_r, scale)
+    worst = 0.0
+    for i in range(len(change)):
+        for b in range(bodies):
+            worst = max(worst, abs(change[i, 3 * b]) / level_t, abs(change[i, 3 * b + 1]) / level_t)
+            if change[i, 3 * b + 2] != 0.0:
+                worst = max(worst, abs(change[i, 3 * b + 2]) / level_r)
+    return worst
+
+
+@part
+def _factorize_all(source, scatter, pattern, real, cplx, mu_real, mu_complex, h):
+    """Gather and factorize the matrix of every eigenvalue; return the failed pivot position or -1."""
+    for e in range(len(mu_real)):
+        gather_values(source, scatter, h * mu_real[e], real.a[e])
+        failed = factorize(pattern, Factors(real.a[e], real.lower[e], real.upper[e], real.pivot[e], real.work[e]))
+        if failed >= 0:
+            return failed
+    for e in range(len(mu_complex)):
+        gather_values(source, scatter, h * mu_complex[e], cplx.a[e])
+        failed = factorize(pattern, Factors(cplx.a[e], cplx.lower[e], cplx.upper[e], cplx.pivot[e], cplx.work[e]))
+        if failed >= 0:
+            return failed
+    return -1
+
+
+@part
+def _lift(mass, pairs, rows, row_index, jac, x, n3, b):
+    """Write ``[M x, Phi_q x]`` into `b` (n,) for an acceleration `x` (3 (B + 1),) that vanishes on the ground."""
+    for body in range(len(mass) - 1):
+        for i in range(3):
+            b[3 * body + i] = mass[body, i] * x[3 * body + i]
+    for k in range(len(pairs)):
+        first, second = 3 * pairs[k, 1], 3 * pairs[k, 2]
+        for r in range(rows[k]):
+            total = x[n3] * 0.0
+            for i in range(3):
+                total += jac[k, 6 * r + i] * x[first + i] + jac[k, 6 * r + 3 + i] * x[second + i]
+            b[row_index[k, r]] = total
+
+
+@part
+def _newton_changes(
+    top, row_index, jac, pattern, real, cplx, t_real, t_real_inv, t_complex, t_complex_inv,
+    defects, z_real, z_complex, b_real, x_real, b_complex, x_complex, change,
+):  # fmt: skip
+    """Solve the transformed systems for the change of every stage's accelerations; `defects` (s, 3 (B + 1))."""
+    s, size = defects.shape
+    n3 = size - 3
+    change[:, :] = 0.0
+    for e in range(len(real.a)):
+        z_real[:] = 0.0
+        for j in range(s):
+            w = t_real_inv[e, j]
+            for d in range(n3):
+                z_real[d] += w * defects[j, d]
+        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_real, n3, b_real)
+        substitute(
+            pattern, Factors(real.a[e], real.lower[e], real.upper[e], real.pivot[e], real.work[e]), b_real, x_real
+        )
+        for i in range(s):
+            w = t_real[i, e]
+            for d in range(n3):
+                change[i, d] -= w * x_real[d]
+    for e in range(len(cplx.a)):
+        for d in range(n3):
+            z_complex[d] = 0.0
+        for j in range(s):
+            z = t_complex_inv[e, j]
+            for d in range(n3):
+                z_complex[d] += z * defects[j, d]
+        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_complex, n3, b_complex)
+        substitute(
+            pattern, Factors(cplx.a[e], cplx.lower[e], cplx.upper[e], cplx.pivot[e], cplx.work[e]), b_complex, x_complex
+        )
+        for i in range(s):
+            z = t_complex[i, e]
+            for d in range(n3):
+                change[i, d] -= 2.0 * (z.real * x_complex[d].real - z.imag * x_complex[d].imag)
+
+
+@kernel
+def run_implicit(
+    top, w, solver, a, a2, b, b2, c, weights, kind, tolerance, max_iterations, has_power, fresh,
+    t_real, t_real_inv, mu_real, t_complex, t_complex_inv, mu_complex, pattern, scatter, real, cplx,
+    t0, h, first, last, every, q, q_low, v, v_low, energy, energy_low,
+    acc, lam, f, q_stage, v_stage, change, mean, mean_lam, mean_jac,
+    z_real, z_complex, b_real, x_real, b_complex, x_complex,
+    worst, iterations, row_q, row_v, row_energy, row_iterations, counts, report,
+):  # fmt: skip
+    """Take steps `first` to `last - 1` of size `h`; return (status, next step, rows written).
+
+    `counts`: evaluations of the right side, of tangents, factorizations, iterations. `report`: on divergence the
+    largest change of an acceleration and its coordinate. `fresh`: no stage values of a step before stand in `acc`.
+    """
+    s = len(c)
+    bodies = len(top.mass) - 1
+    n3 = 3 * bodies
+    rows = 0
+    for k in range(first, last):
+        t = t0 + k * h
+        prepare(top, w, t, q)
+        constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
+        note_misalignment(w.phi, worst)
+        if fresh:
+            counts[0] += 1
+            counts[2] += 1
+            status = solve_accelerations(top, w, solver, q, v, acc[0], lam[0], True)
+            if status != OK:
+                return status, k, rows
+            for i in range(1, s):
+                copy(acc[0], acc[i])
+            for i in range(s):
+                for p in range(len(top.pairs)):
+                    copy(lam[0, p], lam[i, p])
+        else:
+            _extrapolate(weights, acc, f)
+        fresh = False
+        _stages(h, a, a2, c, q, v, acc, q_stage, v_stage)
+        stale = True
+        taken_at = 0
+        before = np.inf
+        status = DIVERGED
+        m = 0
+        while m < max_iterations:
+            if kind == NEWTON and stale:
+                _mean(q_stage, mean[0])
+                _mean(v_stage, mean[1])
+                _mean(acc, mean[2])
+                for r in range(2):
+                    _mean(lam[:, :, r], mean_lam[:, r])
+                evaluate_tangents(top, w, t + 0.5 * h, mean[0], mean[1], mean[2], mean_lam)
+                for p in range(len(top.pairs)):
+                    copy(w.jac[p], mean_jac[p])
+                counts[1] += 1
+                counts[2] += len(mu_real) + len(mu_complex)
+                solver.failed[0] = _factorize_all(w.source, scatter, pattern, real, cplx, mu_real, mu_complex, h)
+                if solver.failed[0] >= 0:
+                    return REPIVOT_STAGES, k, rows
+                stale = False
+                taken_at = m
+            for i in range(s):
+                evaluate_motions(t + c[i] * h, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
+                turn_bodies(q_stage[i], w.cs)
+                status = solve_accelerations(top, w, solver, q_stage[i], v_stage[i], f[i], lam[i], True)
+                if status != OK:
+                    return status, k, rows
+            status = DIVERGED
+            counts[0] += s
+            counts[2] += s
+            counts[3] += 1
+            m += 1
+            if kind == NEWTON:
+                for i in range(s):
+                    for d in range(n3):
+                        f[i, d] = acc[i, d] - f[i, d]
+                _newton_changes(
+                    top, solver.row_index, mean_jac, pattern, real, cplx, t_real, t_real_inv, t_complex, t_complex_inv,
+                    f, z_real, z_complex, b_real, x_real, b_complex, x_complex, change,
+                )  # fmt: skip
+            else:
+                for i in range(s):
+                    for d in range(n3):
+                        change[i, d] = f[i, d] - acc[i, d]
+            for i in range(s):
+                for d in range(n3):
+                    acc[i, d] += change[i, d]
+            _stages(h, a, a2, c, q, v, acc, q_stage, v_stage)
+            now = _sizes(acc, change, bodies)
+            if not now < 1e300:
+                break
+            if now == 0.0:
+                status = OK
+                break
+            ratio = now / before
+            if m > 1 and ratio < 0.9 and ratio / (1.0 - ratio) * now <= tolerance:
+                status = OK
+                break
+            if (
+                m > 1
+                and ratio > 0.5
+                and (now <= STAGNANT or _force_level(top, w, lam[s - 1], acc[s - 1], bodies, change) <= STAGNANT)
+            ):
+                status = OK
+                break
+            if m > 4 and ratio > 4.0:
+                break
+            stale = m - taken_at >= 3 and ratio > SLOW
+            before = now
+        if status != OK:
+            report[0] = 0.0
+            for i in range(s):
+                for d in range(n3):
+                    if not abs(change[i, d]) <= report[0]:
+                        report[0], report[1] = abs(change[i, d]), d
+            return status, k, rows
+        if has_power:
+            for i in range(s):
+                evaluate_motions(t + c[i] * h, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
+                turn_bodies(q_stage[i], w.cs)
+                status = solve_accelerations(top, w, solver, q_stage[i], v_stage[i], f[i], lam[i], True)
+                if status != OK:
+                    return status, k, rows
+                work, lost = evaluate_powers(top, w, q_stage[i], v_stage[i], lam[i])
+                energy[2 + 2 * i], energy[3 + 2 * i] = work, lost
+            for e in range(2):
+                gain = 0.0
+                for i in range(s):
+                    gain += b[i] * energy[2 + 2 * i + e]
+                y = h * gain + energy_low[e]
+                new = energy[e] + y
+                energy_low[e] = y - (new - energy[e])
+                energy[e] = new
+        dq, dv = mean[0], mean[1]
+        dq[:] = 0.0
+        dv[:] = 0.0
+        for i in range(s):
+            w1, w2 = h * b[i], h * h * b2[i]
+            for d in range(n3):
+                dv[d] += w1 * acc[i, d]
+                dq[d] += w2 * acc[i, d]
+        for d in range(n3):
+            dq[d] += h * v[d] + h * v_low[d]
+        finite = add_compensated(q, q_low, dq)
+        finite = add_compensated(v, v_low, dv) and finite
+        if not finite:
+            return NOT_FINITE, k, rows
+        iterations[0] += m
+        iterations[1] = max(iterations[1], m)
+        if (k + 1) % every == 0:
+            copy(q, row_q[rows])
+            copy(v, row_v[rows])
+            row_energy[rows, 0], row_energy[rows, 1] = energy[0], energy[1]
+            row_iterations[rows, 0], row_iterations[rows, 1] = iterations[0], iterations[1]
+            iterations[:] = 0
+            rows += 1
+    return OK, last, rows
+
+
+def extrapolation_weights(c: np.ndarray, ratio: float) -> np.ndarray:
+    """Return the (s, s) weights that carry stage values of one step to the stages of the next.
+
+    Parameters
+    ----------
+    c
+        (s,) nodes.
+    ratio
+        Size of the next step over that of the last.
+    """
+    at = 1.0 + ratio * c
+    weights = np.ones((len(c), len(c)))
+    for j in range(len(c)):
+        for m in range(len(c)):
+            if m != j:
+                weights[:, j] *= (at - c[m]) / (c[j] - c[m])
+    return weights
+
+
+class Eigenvalues:
+    """The eigenvalues of a tableau's matrix, real ones and one of each conjugate pair, with their transformations."""
+
+    def __init__(self, tableau: ButcherTableau):
+        a, _, _ = tableau.floats()
+        values, vectors = np.linalg.eig(a)
+        inverse = np.linalg.inv(vectors)
+        real = np.abs(values.imag) < 1e-12
+        upper = ~real & (values.imag > 0)
+        self.mu_real = np.ascontiguousarray(values[real].real)
+        self.t_real = np.ascontiguousarray(vectors[:, real].real)
+        self.t_real_inv = np.ascontiguousarray(inverse[real].real)
+        self.mu_complex = np.ascontiguousarray(values[upper].astype(complex))
+        self.t_complex = np.ascontiguousarray(vectors[:, upper].astype(complex))
+        self.t_complex_inv = np.ascontiguousarray(inverse[upper].astype(complex))
+
+
+class ImplicitStepper(FixedStepper):
+    """Runs a fully implicit tableau over a timetable."""
+
+    def __init__(self, method: ImplicitRungeKutta, problem: Problem, timetable: Timetable):
+        super().__init__(problem, timetable, hint="a smaller time.step may help")
+        self.method = method
+        self.a, self.b, self.c = method.tableau.floats()
+        self.a2, self.b2 = method.tableau.second_order_floats()
+        self.eigen = Eigenvalues(method.tableau)
+        self.kind = NEWTON if method.stage_solver == "newton" else FIXED_POINT
+        self.tolerance = method.tolerance if method.tolerance is not None else ROUND_OFF
+        s, size, pairs, n = method.tableau.stages, problem.mechanism.size, len(self.worst_pairs), problem.unknowns
+        self.acc, self.f, self.change = np.zeros((3, s, size))
+        self.q_stage, self.v_stage = np.zeros((2, s, size))
+        self.lam = np.zeros((s, pairs, 2))
+        self.mean, self.mean_lam, self.mean_jac = np.zeros((3, size)), np.zeros((pairs, 2)), np.zeros((pairs, 12))
+        self.z_real, self.z_complex = np.zeros(size), np.zeros(size, dtype=complex)
+        self.b_real, self.x_real = np.zeros((2, n))
+        self.b_complex, self.x_complex = np.zeros((2, n), dtype=complex)
+        self.energy = np.zeros(2 + 2 * s)
+        self.counts, self.report = np.zeros(4, dtype=np.int64), np.zeros(2)
+        self.fresh, self.last_h = True, 0.0
+        self.weights = np.zeros((s, s))
+        self._pivot(timetable.step or 0.0)
+
+    def _pivot(self, h: float) -> None:
+        """Choose pivots for the stage matrix by the numbers of the moment, and make room for all eigenvalues."""
+        eigen, problem = self.eigen, self.problem
+        if self.kind == FIXED_POINT:
+            rate: complex | None = None
+        elif len(eigen.mu_complex):
+            rate = complex(h * eigen.mu_complex[0])
+        else:
+            rate = float(h * eigen.mu_real[0])
+        if rate is not None and not self._has_terms:
+            self._first_terms()
+        self.pattern, _, self.scatter = problem.choose_pivots(rate)
+        self.real = _stack(self.pattern, len(eigen.mu_real), np.float64)
+        self.cplx = _stack(self.pattern, len(eigen.mu_complex), np.complex128)
+
+    _has_terms = False
+
+    def _first_terms(self) -> None:
+        """Evaluate the tangents at the start, so that there are numbers to choose pivots by."""
+        problem, state = self.problem, self.state
+        top, scratch = problem.mechanism.topology, problem.scratch
+        for _ in range(2):
+            status = tangents_at(
+                top, scratch, problem.solver, self.timetable.start, state.q, state.v, self.acc[0], self.lam[0]
+            )
+            if status == OK:
+                break
+            problem.use_pivots()
+        self._has_terms = True
+
+    def renew(self, status: int) -> bool:
+        """Choose new pivots for the system that failed, and start the step without stage values from before."""
+        self.fresh = True
+        if status == REPIVOT:
+            return super().renew(status)
+        if self.kind == FIXED_POINT:
+            return False
+        self._pivot(self.last_h)
+        return True
+
+    def describe_divergence(self) -> str:
+        """Return the largest residual and where it is."""
+        name = self.problem.mechanism.unknown_name(int(self.report[1]))
+        return (
+            f": the stage equations did not converge in {self.method.max_iterations} iterations, "
+            f"accelerations still change by {self.report[0]:.3g} at {name}"
+        )
+
+    def steps(self, h: float, t0: float, first: int, last: int, every: int, state: State) -> tuple[int, int, int]:
+        """Take steps in compiled code; see `FixedStepper.steps`."""
+        if h != self.last_h:
+            self.weights = extrapolation_weights(self.c, h / self.last_h if self.last_h else 1.0)
+        problem, e = self.problem, self.eigen
+        self.energy[:2] = state.energy
+        result = run_implicit(
+            problem.mechanism.topology, problem.scratch, problem.solver, self.a, self.a2, self.b, self.b2, self.c,
+            self.weights, self.kind, self.tolerance, self.method.max_iterations, self.has_power, self.fresh,
+            e.t_real, e.t_real_inv, e.mu_real, e.t_complex, e.t_complex_inv, e.mu_complex,
+            self.pattern, self.scatter, self.real, self.cplx,
+            t0, h, first, last, every, state.q, state.q_low, state.v, state.v_low, self.energy, state.energy_low,
+            self.acc, self.lam, self.f, self.q_stage, self.v_stage, self.change,
+            self.mean, self.mean_lam, self.mean_jac, self.z_real, self.z_complex,
+            self.b_real, self.x_real, self.b_complex, self.x_complex,
+            self.worst_pairs, state.iterations, state.row_q, state.row_v, state.row_energy, state.row_iterations,
+            self.counts, self.report,
+        )  # fmt: skip
+        state.energy[:] = self.energy[:2]
+        self.fresh = result[0] != OK
+        if h != self.last_h:
+            self.last_h = h
+            self.weights = extrapolation_weights(self.c, 1.0)
+        counters = self.counters
+        counters.rhs_evaluations, counters.jacobian_evaluations = int(self.counts[0]), int(self.counts[1])
+        counters.factorizations, counters.newton_iterations = int(self.counts[2]), int(self.counts[3])
+        return result
+
+
+def _stack(pattern, count: int, dtype: type) -> Factors:
+    """Return storage for the factors of `count` matrices of one pattern."""
+    one = new_factors(pattern, dtype)
+    return Factors(*(np.zeros((count, len(x)), dtype) for x in one))

@@ -1,0 +1,252 @@
+"""SciPy's adaptive solvers on the first-order form y = (q, v) of the index-1 equations.
+
+Where loads, drivers or dampers act, work and dissipated energy [J] are two more states, so that they are integrated by
+the method's own weights. The exact Jacobian of the accelerations goes to the solvers that take one.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.engine.analysis import SingularSystemError
+from mbdkit.engine.observe import first_order_rates, note_all, tangents_at
+from mbdkit.engine.problem import Problem
+from mbdkit.engine.system import OK
+from mbdkit.integrators.fixed_step import has_power
+from mbdkit.integrators.stepping import STRETCH, Counters, Failure, Stretch, Timetable
+
+if TYPE_CHECKING:
+    from mbdkit.integrators.methods import SciPySolver
+
+_RADAU_FIRST_NODE = (4 - 6**0.5) / 10
+
+
+class _StoppedError(Exception):
+    """The right side cannot be evaluated; carries why."""
+
+    def __init__(self, failure: Failure):
+        super().__init__(failure.sentence)
+        self.failure = failure
+
+
+class SciPyStepper:
+    """Runs an `OdeSolver` of SciPy over a timetable; see `mbdkit.integrators.stepping.Stepper`."""
+
+    def __init__(self, method: SciPySolver, problem: Problem, timetable: Timetable):
+        import scipy.integrate
+
+        self.problem, self.timetable = problem, timetable
+        self.counters = Counters()
+        self.finished = False
+        self.failure: Failure | None = None
+        self.time = timetable.start
+        top = problem.mechanism.topology
+        self.worst_pairs = np.zeros(len(top.pairs))
+        self.has_power = has_power(top)
+        self.n3 = 3 * len(problem.mechanism.bodies)
+        self._acc = np.zeros((3, problem.mechanism.size))
+        self._lam = np.zeros((len(top.pairs), 2))
+        self._times: list[float] = []
+        y0 = np.concatenate([problem.q0[: self.n3], problem.v0[: self.n3], np.zeros(2 * self.has_power)])
+        solver = getattr(scipy.integrate, method.solver) if isinstance(method.solver, str) else method.solver
+        options: dict[str, Any] = {"rtol": max(method.rtol, 100 * np.finfo(float).eps), "atol": method.atol}
+        if method.needs_jacobian:
+            options["jac"] = self.jacobian
+        if timetable.step is not None:
+            options["first_step"] = min(timetable.step, timetable.end - timetable.start)
+        self.solver: Any = None
+        try:
+            self.solver = solver(self.rates, timetable.start, y0, timetable.end, **options)
+        except _StoppedError as stop:
+            self.failure = stop.failure
+        self.y = y0
+        self._since = np.zeros(6)  # steps, -, -, iterations, most iterations, rejected since the last row
+        self._next = 1
+
+    def rates(self, t: float, y: np.ndarray) -> np.ndarray:
+        """Return dy/dt; raises `_StoppedError` where the mechanism is singular."""
+        self.counters.rhs_evaluations += 1
+        self.counters.factorizations += 1
+        self._times.append(t)
+        out = np.empty(2 * self.n3 + 2)
+        full = y if self.has_power else np.concatenate([y, np.zeros(2)])
+        for attempt in range(2):
+            problem = self.problem
+            status = first_order_rates(
+                problem.mechanism.topology, problem.scratch, problem.solver, self.has_power,
+                float(t), full, self._acc, self._lam, out,
+            )  # fmt: skip
+            if status == OK:
+                break
+            if not np.all(np.isfinite(y)):
+                out[:] = np.nan
+                break
+            try:
+                if attempt:
+                    raise SingularSystemError
+                problem.use_pivots()
+            except SingularSystemError as error:
+                name = problem.mechanism.unknown_name(error.index)
+                raise _StoppedError(
+                    Failure("singular", f"no independent equations are left at {name} at t = {t:.6g} s.")
+                ) from None
+        return out if self.has_power else out[: 2 * self.n3]
+
+    def jacobian(self, t: float, y: np.ndarray) -> np.ndarray:
+        """Return d(dy/dt)/dy: exact in q and v; the two energies are quadratures and take no part."""
+        self.counters.jacobian_evaluations += 1
+        n3, problem = self.n3, self.problem
+        q, v = np.zeros((2, problem.mechanism.size))
+        q[:n3], v[:n3] = y[:n3], y[n3 : 2 * n3]
+        status = tangents_at(
+            problem.mechanism.topology, problem.scratch, problem.solver, float(t), q, v, self._acc[2], self._lam
+        )
+        if status != OK:
+            self.rates(t, y)
+            return self.jacobian(t, y)
+        n, terms = problem.unknowns, problem.terms
+        values = problem.scratch.source[terms.source]
+        sign = np.array([1.0, 1.0, -1.0, 1.0])[terms.factor]
+        parts = np.zeros((3, n, n))  # KKT matrix, then derivatives of its residual by v and by q
+        np.add.at(parts, (np.array([0, 1, 1, 2])[terms.factor], terms.row, terms.column), sign * values)
+        right = -np.concatenate([parts[2][:, :n3], parts[1][:, :n3]], axis=1)
+        out = np.zeros((len(y), len(y)))
+        out[:n3, n3 : 2 * n3] = np.eye(n3)
+        out[n3 : 2 * n3, : 2 * n3] = np.linalg.solve(parts[0], right)[:n3]
+        return out
+
+    def advance(self) -> Stretch:
+        """Step for about `STRETCH` seconds; see `Stepper.advance`."""
+        rows: list[tuple[float, np.ndarray, np.ndarray]] = []
+        until = time.perf_counter() + STRETCH
+        table = self.timetable
+        while self.failure is None and not self.finished and time.perf_counter() < until:
+            if self.counters.steps >= table.max_steps:
+                self.failure = Failure("max-steps", f"stopped after limits.max_steps = {table.max_steps} steps.")
+                break
+            if not self._step():
+                break
+            rows += self._due()
+        return self._stretch(rows)
+
+    def _step(self) -> bool:
+        """Take one step of the solver; return whether it succeeded."""
+        solver, before = self.solver, self.solver.t
+        self._times.clear()
+        lu = solver.nlu
+        try:
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore")
+                message = solver.step()
+        except _StoppedError as stop:
+            self.failure = stop.failure
+            return False
+        except (ValueError, np.linalg.LinAlgError):  # SciPy's linear algebra met a number that is not finite
+            self.failure = self._overflow(before)
+            return False
+        self.counters.factorizations += solver.nlu - lu
+        if solver.status == "failed":
+            if not np.all(np.isfinite(self._last_rates())):
+                self.failure = self._overflow(before)
+            else:
+                self.failure = Failure("step-too-small", f"at t = {before:.6g} s: {message}".rstrip(".") + ".")
+            return False
+        if not np.all(np.isfinite(solver.y)):
+            self.failure = self._overflow(before)
+            return False
+        iterations, attempts = self._effort(before)
+        self.counters.steps += 1
+        self.counters.accepted += 1
+        self.counters.rejected += attempts - 1
+        self.counters.newton_iterations += iterations
+        self._since += (1, 0, 0, iterations, 0, attempts - 1)
+        self._since[2] = solver.t - before
+        self._since[4] = max(self._since[4], iterations)
+        self.time, self.y = float(solver.t), solver.y.copy()
+        self.finished = solver.status == "finished"
+        if self.finished:
+            self.time = self.timetable.end
+        problem = self.problem
+        note_all(
+            problem.mechanism.topology,
+            problem.scratch,
+            np.array([self.time]),
+            self._positions(self.y)[None],
+            self.worst_pairs,
+        )
+        return True
+
+    def _last_rates(self) -> np.ndarray:
+        try:
+            return self.rates(self.solver.t, self.solver.y)
+        except _StoppedError:
+            return np.zeros(1)
+
+    def _overflow(self, t: float) -> Failure:
+        return Failure("not-finite", f"numbers overflowed after t = {t:.6g} s; tighter tolerances may help.")
+
+    def _effort(self, t: float) -> tuple[int, int]:
+        """Return the Newton iterations and the attempts of the last step, read off the times of its evaluations."""
+        times = self._times
+        stages = getattr(self.solver, "n_stages", None)
+        if stages:
+            return 0, max(1, round(len(times) / stages))
+        if type(self.solver).__name__ == "Radau":
+            sizes: list[float] = []
+            i = 0
+            while i + 2 < len(times):
+                h = times[i + 2] - t
+                if h > 0 and abs(times[i] - t - _RADAU_FIRST_NODE * h) < 1e-6 * h:
+                    sizes.append(h)
+                    i += 3
+                else:
+                    i += 1
+            return len(sizes), max(1, len(set(sizes)))
+        return 0, max(1, len({x for x in times if x != t}))
+
+    def _due(self) -> list[tuple[float, np.ndarray, np.ndarray]]:
+        """Return the rows that the last step made due."""
+        table, rows = self.timetable, []
+        if table.interval is None:
+            if self.counters.steps % table.every == 0 or self.finished:
+                rows.append(self._row(self.time, self.y))
+            return rows
+        dense = None
+        while (at := table.start + self._next * table.interval) < self.time - 1e-12 * abs(table.interval) or (
+            at == self.time and not self.finished
+        ):
+            if dense is None:
+                dense = self.solver.dense_output()
+            rows.append(self._row(at, np.asarray(dense(at))))
+            self._next += 1
+        if self.finished:
+            rows.append(self._row(self.time, self.y))
+        return rows
+
+    def _row(self, t: float, y: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        effort = self._since.copy()
+        self._since[:] = 0
+        effort = np.array([t, effort[0], effort[2], effort[3], effort[4], effort[5]])
+        return t, y, effort
+
+    def _positions(self, y: np.ndarray) -> np.ndarray:
+        return np.concatenate([y[: self.n3], np.zeros(3)])
+
+    def _stretch(self, rows: list[tuple[float, np.ndarray, np.ndarray]]) -> Stretch:
+        n3, count = self.n3, len(rows)
+        q, v = np.zeros((2, count, self.problem.mechanism.size))
+        work, lost = np.zeros((2, count))
+        for i, (_, y, _) in enumerate(rows):
+            q[i, :n3], v[i, :n3] = y[:n3], y[n3 : 2 * n3]
+            if self.has_power:
+                work[i], lost[i] = y[2 * n3 :]
+        intervals = np.array([effort for _, _, effort in rows]).reshape(-1, 6)
+        return Stretch(np.array([t for t, _, _ in rows]), q, v, work, lost, intervals)
+
+    def last_state(self) -> Stretch:
+        """Return the state reached as one row; see `Stepper.last_state`."""
+        return self._stretch([self._row(self.time, self.y)])

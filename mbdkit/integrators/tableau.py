@@ -1,0 +1,332 @@
+"""Runge-Kutta methods as data: Butcher tableaus with exact coefficients that check themselves when they are built."""
+
+from __future__ import annotations
+
+import ast
+import operator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any
+
+import mpmath
+
+from mbdkit.errors import MbdkitError
+
+if TYPE_CHECKING:
+    import numpy as np
+    import sympy as sp
+
+Coefficient = int | float | Fraction | str | Any
+"""An exact number (text such as ``"1/4 - sqrt(3)/6"``, int, Fraction, SymPy or mpmath number) or a rounded float."""
+
+_DIGITS = 60
+_EXACT = mpmath.mpf(10) ** -50
+_ROUNDED = mpmath.mpf(10) ** -13
+_OPERATORS: dict[type, Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+
+
+class TableauError(MbdkitError, ValueError):
+    """A tableau that is not what it claims to be."""
+
+
+def _read(text: str, number: Callable[[str], Any], root: Callable[[Any], Any]) -> Any:
+    """Evaluate an exact coefficient written with + - * / ** and sqrt."""
+
+    def visit(node: ast.expr) -> Any:
+        if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+            return _OPERATORS[type(node.op)](visit(node.left), visit(node.right))
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            return -visit(node.operand)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "sqrt":
+            return root(visit(node.args[0]))
+        if isinstance(node, ast.Constant) and isinstance(node.value, int | float):
+            return number(ast.get_source_segment(text, node) or str(node.value))
+        raise TableauError(f"cannot read the coefficient {text!r}: use numbers, + - * / ** and sqrt")
+
+    try:
+        return visit(ast.parse(text, mode="eval").body)
+    except SyntaxError as error:
+        raise TableauError(f"cannot read the coefficient {text!r}: {error.msg}") from None
+
+
+def _precise(value: Coefficient) -> mpmath.mpf:
+    if isinstance(value, str):
+        return _read(value, mpmath.mpf, mpmath.sqrt)
+    if isinstance(value, Fraction):
+        return mpmath.mpf(value.numerator) / value.denominator
+    if hasattr(value, "_to_mpmath"):
+        return value._to_mpmath(mpmath.mp.prec)
+    return mpmath.mpf(value)
+
+
+def _exact(value: Coefficient) -> sp.Expr:
+    import sympy as sp
+
+    if isinstance(value, str):
+        return _read(value, sp.Number, sp.sqrt)
+    if isinstance(value, mpmath.mpf):
+        return sp.Float(value, _DIGITS)
+    return sp.sympify(value) if isinstance(value, Fraction | int | float) else value
+
+
+Tree = tuple["Tree", ...]
+
+
+@lru_cache(maxsize=16)
+def rooted_trees(order: int) -> tuple[Tree, ...]:
+    """Return all rooted trees with `order` vertices; a tree is the sorted tuple of its root's subtrees."""
+    if order == 1:
+        return ((),)
+    found: set[Tree] = set()
+
+    def forests(vertices: int, largest: int) -> Iterator[Tree]:
+        if vertices == 0:
+            yield ()
+        for size in range(min(vertices, largest), 0, -1):
+            for first in rooted_trees(size):
+                for rest in forests(vertices - size, size):
+                    yield (first, *rest)
+
+    for children in forests(order - 1, order - 1):
+        found.add(tuple(sorted(children, key=repr)))
+    return tuple(sorted(found, key=repr))
+
+
+@dataclass(frozen=True)
+class ButcherTableau:
+    """Coefficients of a Runge-Kutta method, checked when built: row sums and order conditions to the claimed order.
+
+    Parameters
+    ----------
+    name
+        Name of the method.
+    a
+        (s, s) matrix, row by row; an explicit method may leave out the zeros on and above the diagonal.
+    b
+        (s,) weights.
+    c
+        (s,) nodes.
+    order
+        The order it claims, 1 or more.
+    reference
+        Where it comes from, as a BibTeX entry.
+
+    Raises
+    ------
+    TableauError
+        Where a row does not sum to its node or an order condition fails; the message says which one, and by how much.
+
+    Notes
+    -----
+    Conditions are evaluated with 60 digits. Exact coefficients must meet them to 1e-50, a tableau that contains
+    rounded floats to 1e-13. Order p follows from the simplifying assumptions B(p), C(eta), D(zeta) with
+    p <= eta + zeta + 1 and p <= 2 eta + 2 (Butcher 1964), or else from all rooted trees up to order p.
+    """
+
+    name: str
+    a: tuple[tuple[Coefficient, ...], ...]
+    b: tuple[Coefficient, ...]
+    c: tuple[Coefficient, ...]
+    order: int
+    reference: str = ""
+
+    def __init__(
+        self,
+        name: str,
+        a: Sequence[Sequence[Coefficient]],
+        b: Sequence[Coefficient],
+        c: Sequence[Coefficient],
+        order: int,
+        reference: str = "",
+    ):
+        stages = len(b)
+        if any(len(row) > stages for row in a) or len(a) != stages or len(c) != stages or stages == 0:
+            raise TableauError(
+                f"{name}: a, b and c do not belong together: {len(a)} rows, {stages} weights, {len(c)} nodes"
+            )
+        padded = tuple(tuple(row) + (0,) * (stages - len(row)) for row in a)
+        for field, value in (("name", name), ("a", padded), ("b", tuple(b)), ("c", tuple(c)), ("order", order)):
+            object.__setattr__(self, field, value)
+        object.__setattr__(self, "reference", reference)
+        self._check()
+
+    @property
+    def stages(self) -> int:
+        """Number of stages s."""
+        return len(self.b)
+
+    @cached_property
+    def _numbers(self) -> tuple[list[list[mpmath.mpf]], list[mpmath.mpf], list[mpmath.mpf]]:
+        with mpmath.workdps(_DIGITS):
+            return (
+                [[_precise(x) for x in row] for row in self.a],
+                [_precise(x) for x in self.b],
+                [_precise(x) for x in self.c],
+            )
+
+    @cached_property
+    def _tolerance(self) -> mpmath.mpf:
+        rounded = any(isinstance(x, float) for row in (*self.a, self.b, self.c) for x in row)
+        return _ROUNDED if rounded else _EXACT
+
+    @property
+    def is_explicit(self) -> bool:
+        """Whether no stage needs a later one or itself."""
+        a, _, _ = self._numbers
+        return all(a[i][j] == 0 for i in range(self.stages) for j in range(i, self.stages))
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether a step by -h undoes a step by h: ``a[s-1-i][s-1-j] + a[i][j] = b[j]``."""
+        a, b, _ = self._numbers
+        s = self.stages
+        with mpmath.workdps(_DIGITS):
+            defects = [abs(a[s - 1 - i][s - 1 - j] + a[i][j] - b[j]) for i in range(s) for j in range(s)]
+            return bool(max(defects) < self._tolerance)
+
+    @property
+    def is_symplectic(self) -> bool:
+        """Whether quadratic invariants are conserved: ``b_i a_ij + b_j a_ji = b_i b_j``."""
+        a, b, _ = self._numbers
+        s = self.stages
+        with mpmath.workdps(_DIGITS):
+            defects = [abs(b[i] * a[i][j] + b[j] * a[j][i] - b[i] * b[j]) for i in range(s) for j in range(s)]
+            return bool(max(defects) < self._tolerance)
+
+    def floats(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return ``a`` (s, s), ``b`` (s,) and ``c`` (s,), each coefficient rounded once."""
+        import numpy as np
+
+        a, b, c = self._numbers
+        return np.array(a, dtype=float), np.array(b, dtype=float), np.array(c, dtype=float)
+
+    def second_order_floats(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return ``A A`` (s, s) and ``A^T b`` (s,): weights of accelerations in positions, each rounded once."""
+        import numpy as np
+
+        a, b, _ = self._numbers
+        s = range(self.stages)
+        with mpmath.workdps(_DIGITS):
+            squared = [[mpmath.fsum(a[i][k] * a[k][j] for k in s) for j in s] for i in s]
+            weights = [mpmath.fsum(b[i] * a[i][j] for i in s) for j in s]
+        return np.array(squared, dtype=float), np.array(weights, dtype=float)
+
+    def to_sympy(self) -> tuple[sp.Matrix, sp.Matrix, sp.Matrix]:
+        """Return ``a`` (s, s), ``b`` (s, 1) and ``c`` (s, 1) as SymPy matrices, exact where they were given exactly."""
+        import sympy as sp
+
+        return (
+            sp.Matrix([[_exact(x) for x in row] for row in self.a]),
+            sp.Matrix([_exact(x) for x in self.b]),
+            sp.Matrix([_exact(x) for x in self.c]),
+        )
+
+    def check_trees(self, order: int) -> None:
+        """Check the order conditions of every rooted tree with at most `order` vertices; raise TableauError."""
+        a, b, _ = self._numbers
+        s = range(self.stages)
+        weights: dict[Tree, list[mpmath.mpf]] = {}
+
+        def stage_weights(tree: Tree) -> list[mpmath.mpf]:
+            if tree not in weights:
+                product = [mpmath.mpf(1)] * self.stages
+                for child in tree:
+                    inner = stage_weights(child)
+                    product = [product[i] * mpmath.fsum(a[i][j] * inner[j] for j in s) for i in s]
+                weights[tree] = product
+            return weights[tree]
+
+        def size(tree: Tree) -> int:
+            return 1 + sum(size(child) for child in tree)
+
+        def density(tree: Tree) -> int:
+            result = size(tree)
+            for child in tree:
+                result *= density(child)
+            return result
+
+        with mpmath.workdps(_DIGITS):
+            for vertices in range(1, order + 1):
+                for tree in rooted_trees(vertices):
+                    inner = stage_weights(tree)
+                    defect = mpmath.fsum(b[i] * inner[i] for i in s) - mpmath.mpf(1) / density(tree)
+                    if abs(defect) > self._tolerance:
+                        raise TableauError(
+                            f"{self.name} claims order {order}, but an order condition of order {vertices} "
+                            f"is off by {mpmath.nstr(defect, 3)}"
+                        )
+
+    def _check(self) -> None:
+        a, b, c = self._numbers
+        with mpmath.workdps(_DIGITS):
+            for i, row in enumerate(a):
+                defect = mpmath.fsum(row) - c[i]
+                if abs(defect) > self._tolerance:
+                    raise TableauError(
+                        f"{self.name}: row {i + 1} of a sums to its node plus {mpmath.nstr(defect, 3)}, "
+                        f"it should sum to the node c{i + 1}"
+                    )
+            if not self._simplified_order_reaches(a, b, c):
+                self.check_trees(self.order)
+
+    def _simplified_order_reaches(self, a: list[list[Any]], b: list[Any], c: list[Any]) -> bool:
+        """Return whether B(p), C(eta) and D(zeta) imply the claimed order."""
+        s, p = range(self.stages), self.order
+
+        def holds(defects: Iterator[Any]) -> bool:
+            return all(abs(d) <= self._tolerance for d in defects)
+
+        if not holds(mpmath.fsum(b[i] * c[i] ** (k - 1) for i in s) - mpmath.mpf(1) / k for k in range(1, p + 1)):
+            return False
+        eta = zeta = 0
+        while eta < p and holds(
+            mpmath.fsum(a[i][j] * c[j] ** eta for j in s) - c[i] ** (eta + 1) / (eta + 1) for i in s
+        ):
+            eta += 1
+        while zeta < p and holds(
+            mpmath.fsum(b[i] * c[i] ** zeta * a[i][j] for i in s) - b[j] * (1 - c[j] ** (zeta + 1)) / (zeta + 1)
+            for j in s
+        ):
+            zeta += 1
+        return p <= eta + zeta + 1 and p <= 2 * eta + 2
+
+
+def collocation(name: str, nodes: Sequence[Coefficient], order: int, reference: str = "") -> ButcherTableau:
+    """Return the collocation method with the given nodes.
+
+    Parameters
+    ----------
+    name
+        Name of the method.
+    nodes
+        (s,) distinct nodes in [0, 1].
+    order
+        The order it claims.
+    reference
+        Where it comes from, as a BibTeX entry.
+
+    Returns
+    -------
+    ButcherTableau
+        With ``a_ij`` and ``b_j`` the integrals of the Lagrange polynomials up to ``c_i`` and 1.
+    """
+    with mpmath.workdps(_DIGITS + 15):
+        c = [_precise(node) for node in nodes]
+        integrals = []
+        for j in range(len(c)):
+            poly = [mpmath.mpf(1)]
+            for m, cm in enumerate(c):
+                if m != j:
+                    shifted = [mpmath.mpf(0), *poly]
+                    poly = [(x - cm * y) / (c[j] - cm) for x, y in zip(shifted, [*poly, mpmath.mpf(0)], strict=True)]
+            integrals.append([mpmath.mpf(0)] + [x / (k + 1) for k, x in enumerate(poly)])
+        values = [[mpmath.polyval(poly[::-1], x) for poly in integrals] for x in [*c, mpmath.mpf(1)]]
+    return ButcherTableau(name, values[:-1], values[-1], c, order, reference)
