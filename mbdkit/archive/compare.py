@@ -1,0 +1,117 @@
+"""Compares two runs: the same to the bit, or by how much they differ, and which versions may be the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import h5py
+import numpy as np
+
+from mbdkit.archive.damage import reading
+from mbdkit.archive.fingerprint import blocks, datasets, is_text
+from mbdkit.archive.layout import is_timing
+from mbdkit.archive.run import Run
+
+#: What provenance says of one run that says nothing about its numbers.
+_NOT_VERSIONS = {"command"}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How two runs differ.
+
+    Parameters
+    ----------
+    same_data
+        Whether their `data_sha256` are equal, that is every array but timings, to the bit.
+    same_spec
+        Whether their `spec_sha256` are equal.
+    differences
+        For every array but timings the largest difference, relative to the largest magnitude in the array of
+        either run; infinite where shape, names or finiteness differ or one run lacks it.
+    versions
+        For everything in their provenance that differs, but the command, what it is in each.
+    """
+
+    same_data: bool
+    same_spec: bool
+    differences: Mapping[str, float]
+    versions: Mapping[str, tuple[str, str]]
+
+    @property
+    def largest(self) -> float:
+        """The largest of the differences."""
+        return max(self.differences.values(), default=0.0)
+
+    def __str__(self) -> str:
+        """Return the comparison in a few lines of plain text."""
+        if self.same_data:
+            lines = ["the data are the same to the bit"]
+        else:
+            lines = [f"the data differ by {self.largest:.2g}, relative to the largest value of the array"]
+            worst = sorted(self.differences.items(), key=lambda item: -item[1])
+            lines += [f"  {path:<32} {value:.2g}" for path, value in worst if value > 0]
+        if not self.same_spec:
+            lines.append("the specs differ")
+        lines += [
+            f"{name}: {first or 'none'} and {second or 'none'}" for name, (first, second) in self.versions.items()
+        ]
+        return "\n".join(lines)
+
+
+def compare(first: Run, second: Run) -> Comparison:
+    """Compare two runs.
+
+    Parameters
+    ----------
+    first, second
+        The runs.
+
+    Raises
+    ------
+    MbdkitError
+        If one is closed.
+    """
+    same = bool(first.data_sha256) and first.data_sha256 == second.data_sha256
+    with reading("something", first.path):
+        one = _arrays(first)
+    with reading("something", second.path):
+        two = _arrays(second)
+    differences = {}
+    for path in sorted({*one, *two}):
+        with reading(path, None):
+            differences[path] = 0.0 if same else _difference(one.get(path), two.get(path))
+    return Comparison(
+        same_data=same,
+        same_spec=first.spec_sha256 == second.spec_sha256,
+        differences=differences,
+        versions={
+            name: (str(first.provenance.get(name, "")), str(second.provenance.get(name, "")))
+            for name in sorted({*first.provenance, *second.provenance} - _NOT_VERSIONS)
+            if first.provenance.get(name) != second.provenance.get(name)
+        },
+    )
+
+
+def _arrays(run: Run) -> dict[str, h5py.Dataset]:
+    return {item.name.lstrip("/"): item for item in datasets(run.file) if not is_timing(item.name)}
+
+
+def _difference(one: h5py.Dataset | None, two: h5py.Dataset | None) -> float:
+    if one is None or two is None or one.shape != two.shape or is_text(one) != is_text(two):
+        return float("inf")
+    largest = difference = 0.0
+    for left, right in zip(blocks(one), blocks(two), strict=True):
+        if is_text(one):
+            if not np.array_equal(left, right):
+                return float("inf")
+            continue
+        if not np.array_equal(np.isfinite(left), np.isfinite(right)):
+            return float("inf")
+        both = np.isfinite(left)
+        for values in (left, right):
+            largest = max(largest, float(np.max(np.abs(values), where=both, initial=0.0)))
+        with np.errstate(invalid="ignore"):
+            difference = max(difference, float(np.max(np.abs(left - right), where=both, initial=0.0)))
+    return difference / largest if difference > 0 else 0.0

@@ -1,0 +1,68 @@
+"""Arrays with attributes and dimension scales, made by HDF5's own calls: that takes half the time of h5py's."""
+
+from __future__ import annotations
+
+import h5py
+import numpy as np
+from h5py import h5a, h5d, h5ds, h5p, h5s, h5t
+
+from mbdkit.archive.layout import TEXT, Array
+
+_STRING = h5t.py_create(h5py.string_dtype(), logical=True)  # in the file
+_STR = h5t.py_create(h5py.string_dtype())  # in memory: references to Python strings
+_SCALAR = h5s.create(h5s.SCALAR)
+
+
+def set_text(target: h5py.Group | h5py.Dataset, name: str, value: str) -> None:
+    """Give a group or array a new attribute: a variable-length UTF-8 string."""
+    attribute = h5a.create(target.id, name.encode(), _STRING, _SCALAR)
+    attribute.write(np.array(value, dtype=object), mtype=_STR)
+
+
+def create(file: h5py.File, array: Array, values: np.ndarray, *, chunks: tuple[int, ...] | None = None) -> h5py.Dataset:
+    """Create an array of the layout with its values and attributes; its scales are there or it is one.
+
+    Parameters
+    ----------
+    file
+        The archive; the array's group exists.
+    array
+        Its entry in the layout.
+    values
+        Contiguous, of the array's type; strings as objects.
+    chunks
+        The shape of a chunk, for an array whose first axis grows; None for one of fixed size.
+    """
+    plan = None
+    limits = None
+    if chunks is not None:
+        plan = h5p.create(h5p.DATASET_CREATE)
+        plan.set_chunk(chunks)
+        # HDF5 refuses chunks beyond a fixed axis, and so any chunk of an axis of length zero.
+        limits = (h5s.UNLIMITED, *(size or h5s.UNLIMITED for size in values.shape[1:]))
+    kind, of_values = (_STRING, _STR) if array.dtype == TEXT else 2 * (h5t.py_create(np.dtype(array.dtype)),)
+    identifier = h5d.create(file.id, array.path.encode(), kind, h5s.create_simple(values.shape, limits), plan)
+    if values.size:
+        identifier.write(h5s.ALL, h5s.ALL, values, mtype=of_values)
+    dataset = h5py.Dataset(identifier)
+    if array.is_scale:
+        h5ds.set_scale(identifier, array.name.encode())
+    else:
+        for axis, dim in enumerate(array.dims):
+            h5ds.attach_scale(identifier, h5d.open(file.id, f"{array.group}/{dim}".encode()), axis)
+    set_text(dataset, "units", array.units)
+    set_text(dataset, "long_name", array.long_name)
+    if array.row_units:
+        set_text(dataset, "row_units", array.row_units)
+    return dataset
+
+
+def dims(dataset: h5py.Dataset) -> tuple[str, ...]:
+    """Return the names of an array's axes: those of their scales, or a made-up one for an axis without."""
+    name = dataset.name.rpartition("/")[2]
+    if dataset.is_scale:
+        return (name,)
+    return tuple(
+        dim.values()[0].name.rpartition("/")[2] if len(dim) else f"{name}_{axis}"
+        for axis, dim in enumerate(dataset.dims)
+    )

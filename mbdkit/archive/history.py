@@ -1,0 +1,200 @@
+"""What a run tells of one body, one joint or one constraint row: named columns of the archive's arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Protocol, TypeVar, overload
+
+import numpy as np
+
+from mbdkit.archive.layout import BY_PATH, MIXED
+from mbdkit.errors import MbdkitError
+from mbdkit.text import did_you_mean, listed
+
+
+class UnknownNameError(MbdkitError, KeyError):
+    """A run was asked for a name that it does not have."""
+
+    def __init__(self, what: str, name: object, known: Sequence[str]):
+        few = listed(known[:8]) + (", ..." if len(known) > 8 else "")
+        hint = did_you_mean(str(name), known) or (f"; there is {few}" if known else "; there is none")
+        super().__init__(f"the run has no {what} {name!r}{hint}")
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+class NotRecordedError(MbdkitError, KeyError):
+    """A run was asked for an array that its spec did not have it record."""
+
+    def __init__(self, what: str):
+        super().__init__(f"this run did not record {what}; `output.quantities` in its spec says what it records")
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+class Source(Protocol):
+    """Where columns are read from: a run."""
+
+    def column(self, path: str, index: int | None, part: slice | int | None) -> np.ndarray:
+        """Return the array at `path`, at `index` of its second axis and `part` of its third."""
+        ...
+
+
+class Column:
+    """A property that reads one column of an array of the archive, as a read-only array.
+
+    Parameters
+    ----------
+    path
+        The array.
+    part
+        The piece of its last axis, where it has three.
+    what
+        What that piece is, with shape and unit, where the layout's own words do not say it.
+    """
+
+    def __init__(self, path: str, part: slice | int | None = None, what: str = ""):
+        array = BY_PATH[path]
+        self.path = path
+        self.part = part
+        units = "units by row" if array.units == MIXED else array.units
+        rows = "N" if array.dims[0] == "interval" else "T"
+        shape = f"({rows}, 2)" if array.dims[-1] == "axis" else f"({rows},)"
+        self.__doc__ = what or f"{array.long_name}, {shape}, {units}"
+
+    @overload
+    def __get__(self, view: None, owner: type) -> Column: ...
+
+    @overload
+    def __get__(self, view: View, owner: type) -> np.ndarray: ...
+
+    def __get__(self, view: View | None, owner: type) -> Any:
+        if view is None:
+            return self
+        return view.source.column(self.path, view.index, self.part)
+
+
+class View:
+    """Some columns of a run.
+
+    Parameters
+    ----------
+    source
+        The run.
+    name
+        The name of the body, joint or row; empty for a whole group.
+    index
+        Its place along the second axis.
+    """
+
+    def __init__(self, source: Source, name: str = "", index: int | None = None):
+        self.source = source
+        self.name = name
+        self.index = index
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.name}>" if self.name else f"<{type(self).__name__}>"
+
+
+_XY = slice(0, 2)
+_THETA = 2
+
+
+class BodyHistory(View):
+    """The motion of one body: of its centre of mass in the global frame, and of its angle."""
+
+    position = Column("trajectory/position", _XY, "position of the centre of mass, (T, 2), m")
+    angle = Column("trajectory/position", _THETA, "angle from the global x axis, never wrapped, (T,), rad")
+    velocity = Column("trajectory/velocity", _XY, "velocity of the centre of mass, (T, 2), m/s")
+    angular_velocity = Column("trajectory/velocity", _THETA, "angular velocity, (T,), rad/s")
+    acceleration = Column("trajectory/acceleration", _XY, "acceleration of the centre of mass, (T, 2), m/s^2")
+    angular_acceleration = Column("trajectory/acceleration", _THETA, "angular acceleration, (T,), rad/s^2")
+
+
+class JointHistory(View):
+    """How well one joint meets, and what it carries: force and torque of its first body on its second."""
+
+    misalignment = Column("joints/misalignment")
+    velocity_misalignment = Column("joints/velocity_misalignment")
+    angle_misalignment = Column("joints/angle_misalignment")
+    reaction_force = Column("joints/reaction_force")
+    reaction_torque = Column("joints/reaction_torque")
+
+    def __init__(self, source: Source, name: str, index: int, misalignment_max: float):
+        super().__init__(source, name, index)
+        #: Largest misalignment over every step, recorded or not, m.
+        self.misalignment_max = misalignment_max
+
+
+class ConstraintHistory(View):
+    """One row of the constraints: its residuals and its multiplier."""
+
+    position_residual = Column("constraints/position_residual")
+    velocity_residual = Column("constraints/velocity_residual")
+    multiplier = Column("constraints/multiplier")
+    method_multiplier = Column("constraints/method_multiplier")
+
+    def __init__(self, source: Source, name: str, index: int, units: str):
+        super().__init__(source, name, index)
+        #: What the row measures: ``m`` or ``rad``.
+        self.units = units
+
+
+class Energy(View):
+    """The energies of the whole mechanism."""
+
+    kinetic = Column("energy/kinetic")
+    potential = Column("energy/potential")
+    total = Column("energy/total")
+    dissipated = Column("energy/dissipated")
+    work = Column("energy/work")
+    balance = Column("energy/balance")
+
+
+class Steps(View):
+    """What the integrator did in each recorded interval; interval i ends at row i of the run."""
+
+    time = Column("steps/time")
+    steps = Column("steps/steps")
+    size = Column("steps/size")
+    iterations = Column("steps/iterations")
+    iterations_max = Column("steps/iterations_max")
+    rejected = Column("steps/rejected")
+
+
+V = TypeVar("V", bound=View)
+
+
+class Histories(Mapping[str, V]):
+    """The histories of a run by name, in the order of the archive.
+
+    Parameters
+    ----------
+    what
+        What they are of: ``body``, ``joint``, ``constraint``.
+    names
+        Their names.
+    make
+        Makes the history of a name and its place.
+    """
+
+    def __init__(self, what: str, names: Sequence[str], make: Callable[[str, int], V]):
+        self._what = what
+        self._index = {name: index for index, name in enumerate(names)}
+        self._make = make
+
+    def __getitem__(self, name: str) -> V:
+        if name not in self._index:
+            raise UnknownNameError(self._what, name, list(self._index))
+        return self._make(name, self._index[name])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._index)
+
+    def __len__(self) -> int:
+        return len(self._index)
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} of {self._what}: {', '.join(list(self)[:8])}{', ...' if len(self) > 8 else ''}>"

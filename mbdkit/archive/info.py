@@ -1,0 +1,114 @@
+"""What is in an archive, for people and for programs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from mbdkit.archive.damage import reading
+from mbdkit.archive.fingerprint import datasets, is_text
+from mbdkit.archive.hdf5 import dims
+from mbdkit.archive.layout import COUNTERS, TEXT, TIMINGS
+from mbdkit.archive.reader import load
+
+#: So many of a list are printed.
+NAMES_SHOWN = 32
+
+
+def describe(path: str | Path) -> dict[str, Any]:
+    """Describe a run archive in values that JSON can hold.
+
+    Parameters
+    ----------
+    path
+        The archive.
+
+    Returns
+    -------
+    dict
+        Its identity, how it ended, its spec's title, model and integrator, the names in it, statistics, provenance,
+        hashes, and of every array dims, shape, type and units.
+
+    Raises
+    ------
+    SpecError
+        If there is no archive there that this version can read.
+    """
+    path = Path(path)
+    with load(path) as run, reading("something", path):
+        time = run.time
+        return {
+            "path": str(path),
+            "bytes": path.stat().st_size,
+            "format_version": run.format_version,
+            "run_id": run.run_id,
+            "created_utc": run.created_utc,
+            "status": run.status,
+            "status_reason": run.status_reason,
+            "title": run.spec.get("title") or "",
+            "model": run.spec.get("model"),
+            "integrator": run.spec.get("integrator"),
+            "rows": len(time),
+            "start": float(time[0]) if len(time) else None,
+            "end": float(time[-1]) if len(time) else None,
+            "bodies": list(run.bodies),
+            "joints": list(run.joints),
+            "misalignment_max": {
+                name: None if math.isnan(joint.misalignment_max) else joint.misalignment_max
+                for name, joint in run.joints.items()
+            },
+            "stats": {name: run.stats[name] for name in (*COUNTERS, *TIMINGS) if name in run.stats},
+            "provenance": dict(run.provenance),
+            "spec_sha256": run.spec_sha256,
+            "data_sha256": run.data_sha256,
+            "arrays": {dataset.name.lstrip("/"): _array(dataset) for dataset in datasets(run.file)},
+        }
+
+
+def _array(dataset: h5py.Dataset) -> dict[str, Any]:
+    return {
+        "dims": list(dims(dataset)),
+        "shape": list(dataset.shape),
+        "type": TEXT if is_text(dataset) else dataset.dtype.str,
+        "units": dataset.attrs.get("units", ""),
+        "long_name": dataset.attrs.get("long_name", ""),
+    }
+
+
+def text(description: Mapping[str, Any]) -> str:
+    """Return what `describe` gave as plain text, the arrays in a table.
+
+    Parameters
+    ----------
+    description
+        The dictionary.
+    """
+    lines = []
+    for name, value in description.items():
+        if name == "arrays":
+            continue
+        if isinstance(value, Mapping):
+            value = _few([f"{key} {_plain(item)}" for key, item in value.items() if item is not None])
+        elif isinstance(value, list):
+            value = _few(value)
+        if value not in ("", None):
+            lines.append(f"{name:<17} {_plain(value)}")
+    arrays = description["arrays"]
+    width = max(map(len, arrays), default=0)
+    for path, array in arrays.items():
+        axes = ", ".join(f"{dim} {length}" for dim, length in zip(array["dims"], array["shape"], strict=True))
+        lines.append(f"{path:<{width}}  ({axes})  {array['units']}")
+    return "\n".join(lines)
+
+
+def _few(words: Sequence[str]) -> str:
+    more = f", ... ({len(words)} in all)" if len(words) > NAMES_SHOWN else ""
+    return ", ".join(words[:NAMES_SHOWN]) + more
+
+
+def _plain(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

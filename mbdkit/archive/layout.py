@@ -1,0 +1,236 @@
+"""The layout of a run archive, once: the writer writes it, the checker compares, `schemas/archive.md` prints it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+FORMAT = "mbdkit-run"
+FORMAT_VERSION = "1.0"
+
+STATUSES = ("running", "complete", "failed", "interrupted")
+REASONS = (
+    "max-steps",
+    "wall-time",
+    "newton-failed",
+    "singular",
+    "step-too-small",
+    "not-finite",
+    "event",
+    "plugin-error",
+)
+QUANTITIES = frozenset({"joints", "constraints", "energy"})
+
+ROOT_ATTRIBUTES = (
+    "format",
+    "format_version",
+    "status",
+    "status_reason",
+    "run_id",
+    "created_utc",
+    "spec",
+    "spec_sha256",
+    "data_sha256",
+)
+COUNTERS = (
+    "steps",
+    "accepted",
+    "rejected",
+    "rhs_evaluations",
+    "jacobian_evaluations",
+    "factorizations",
+    "newton_iterations",
+    "projections",
+)
+TIMINGS = ("setup_s", "wall_s", "finish_s", "cpu_s")
+
+FLOAT = "<f8"
+INTEGER = "<i8"
+TEXT = "utf-8"
+
+MIXED = "mixed"
+COORDINATES = ("x", "y", "theta")
+AXES = ("x", "y")
+
+#: What one row of a constraint measures, and so the units of its rate and of its multiplier.
+RATE_UNITS = {"m": "m/s", "rad": "rad/s"}
+MULTIPLIER_UNITS = {"m": "N", "rad": "N m"}
+
+
+@dataclass(frozen=True)
+class Array:
+    """One array of the archive.
+
+    Parameters
+    ----------
+    path
+        ``group/name`` in the file.
+    dims
+        The dimension scales of its axes, each an array of that name in the same group.
+    units
+        SI units; ``mixed`` where rows differ, ``1`` for names and counts.
+    long_name
+        What it is, in words.
+    dtype
+        ``<f8``, ``<i8`` or ``utf-8`` (variable-length strings).
+    row_units
+        Where `units` is ``mixed``: the array in the same group that names the units row by row.
+    optional
+        Whether a method may leave it out.
+    """
+
+    path: str
+    dims: tuple[str, ...]
+    units: str
+    long_name: str
+    dtype: str = FLOAT
+    row_units: str = ""
+    optional: bool = False
+
+    @property
+    def group(self) -> str:
+        """The group it lies in."""
+        return self.path.partition("/")[0]
+
+    @property
+    def name(self) -> str:
+        """Its name in the group."""
+        return self.path.partition("/")[2]
+
+    @property
+    def is_scale(self) -> bool:
+        """Whether it is the dimension scale of its own axis."""
+        return self.dims == (self.name,)
+
+    @property
+    def grows(self) -> bool:
+        """Whether rows are appended to it while the run is under way."""
+        return self.dims[0] in GROWING
+
+    @property
+    def key(self) -> str:
+        """What its rows are called when they are appended: its path, but one ``time`` serves every group."""
+        return "time" if self.dims == ("time",) and self.is_scale else self.path
+
+
+#: Axes that grow during a run: recorded rows, and the intervals between them.
+GROWING = ("time", "interval")
+
+
+def _time(group: str) -> Array:
+    return Array(f"{group}/time", ("time",), "s", "time of the recorded row")
+
+
+def _names(path: str, what: str) -> Array:
+    return Array(path, (path.partition("/")[2],), "1", what, TEXT)
+
+
+def _row_units(path: str, dim: str, what: str) -> Array:
+    return Array(path, (dim,), "1", f"units of {what}, row by row", TEXT)
+
+
+_TBC = ("time", "body", "coordinate")
+_TJ = ("time", "joint")
+_TM = ("time", "constraint")
+_T = ("time",)
+_N = ("interval",)
+
+LAYOUT: tuple[Array, ...] = (
+    _time("trajectory"),
+    _names("trajectory/body", "name of the body"),
+    _names("trajectory/coordinate", "coordinate of a body: its centre of mass in the global frame, and its angle"),
+    _row_units("trajectory/row_units", "coordinate", "position"),
+    _row_units("trajectory/velocity_row_units", "coordinate", "velocity"),
+    _row_units("trajectory/acceleration_row_units", "coordinate", "acceleration"),
+    Array("trajectory/position", _TBC, MIXED, "position and angle of the body", row_units="row_units"),
+    Array("trajectory/velocity", _TBC, MIXED, "velocity and angular velocity", row_units="velocity_row_units"),
+    Array(
+        "trajectory/acceleration",
+        _TBC,
+        MIXED,
+        "acceleration and angular acceleration, index-1, at the recorded state",
+        row_units="acceleration_row_units",
+    ),
+    Array("trajectory/elapsed_s", _T, "s", "wall time since the first step"),
+    _time("joints"),
+    _names("joints/joint", "name of the joint"),
+    _names("joints/axis", "axis of the global frame"),
+    Array("joints/misalignment", _TJ, "m", "distance by which the joint fails to meet"),
+    Array("joints/velocity_misalignment", _TJ, "m/s", "relative point velocity in the constrained directions"),
+    Array("joints/angle_misalignment", _TJ, "rad", "angle by which the joint fails to meet"),
+    Array(
+        "joints/reaction_force",
+        ("time", "joint", "axis"),
+        "N",
+        "force of the first body on the second, global frame",
+    ),
+    Array("joints/reaction_torque", _TJ, "N m", "torque of the first body on the second, at the second's joint point"),
+    _time("constraints"),
+    _names("constraints/constraint", "joint and row of the constraint: joint.row"),
+    _row_units("constraints/row_units", "constraint", "position_residual"),
+    _row_units("constraints/velocity_row_units", "constraint", "velocity_residual"),
+    _row_units("constraints/multiplier_row_units", "constraint", "multiplier and method_multiplier"),
+    Array("constraints/position_residual", _TM, MIXED, "constraint function Phi(q, t)", row_units="row_units"),
+    Array(
+        "constraints/velocity_residual",
+        _TM,
+        MIXED,
+        "time derivative of the constraint function, Phi_q v + Phi_t",
+        row_units="velocity_row_units",
+    ),
+    Array(
+        "constraints/multiplier",
+        _TM,
+        MIXED,
+        "Lagrange multiplier, index-1, at the recorded state",
+        row_units="multiplier_row_units",
+    ),
+    Array(
+        "constraints/method_multiplier",
+        _TM,
+        MIXED,
+        "Lagrange multiplier as the integrator carries it",
+        row_units="multiplier_row_units",
+        optional=True,
+    ),
+    _time("energy"),
+    Array("energy/kinetic", _T, "J", "kinetic energy"),
+    Array("energy/potential", _T, "J", "potential energy of gravity and springs"),
+    Array("energy/total", _T, "J", "kinetic + potential energy"),
+    Array("energy/dissipated", _T, "J", "energy dissipated since the start"),
+    Array("energy/work", _T, "J", "work of applied loads and drivers since the start"),
+    Array("energy/balance", _T, "J", "total + dissipated - work - total at the start: zero but for numerical error"),
+    Array("steps/interval", _N, "1", "number of the recorded interval, from 1: it ends at that row", INTEGER),
+    Array("steps/time", _N, "s", "time at the end of the interval"),
+    Array("steps/steps", _N, "1", "steps taken in the interval", INTEGER),
+    Array("steps/size", _N, "s", "size of the last step of the interval"),
+    Array("steps/iterations", _N, "1", "stage iterations in the interval, summed over its steps", INTEGER),
+    Array("steps/iterations_max", _N, "1", "most stage iterations of a step of the interval", INTEGER),
+    Array("steps/rejected", _N, "1", "steps rejected in the interval", INTEGER),
+)
+
+BY_PATH: Mapping[str, Array] = {array.path: array for array in LAYOUT}
+GROUPS = ("trajectory", "joints", "constraints", "energy", "steps")
+
+
+def is_timing(path: str) -> bool:
+    """Whether the array at `path` holds wall time, which no hash covers: its name ends in ``_s``."""
+    return path.endswith("_s")
+
+
+def recorded(quantities: frozenset[str], extra: frozenset[str] = frozenset()) -> tuple[Array, ...]:
+    """Return the arrays of an archive that records `quantities`.
+
+    Parameters
+    ----------
+    quantities
+        Subset of `QUANTITIES`; trajectory and steps are always there, and so are the names of the joints.
+    extra
+        Paths of the optional arrays that the method brings.
+    """
+    return tuple(
+        array
+        for array in LAYOUT
+        if (array.group not in QUANTITIES or array.group in quantities or array.path == "joints/joint")
+        and (not array.optional or array.path in extra)
+    )

@@ -1,0 +1,125 @@
+"""A run on a few lines of plain text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+#: So many joints are named with their misalignment, the worst first.
+JOINTS_NAMED = 4
+
+_COUNTERS = {
+    "rhs_evaluations": "right sides",
+    "jacobian_evaluations": "Jacobians",
+    "factorizations": "factorizations",
+    "newton_iterations": "iterations",
+    "projections": "projections",
+    "rejected": "rejections",
+}
+
+
+def summary(run: Run) -> str:
+    """Return what matters about a run: model, method, time, speed, misalignment, energy, counters, status, archive.
+
+    Parameters
+    ----------
+    run
+        The run, complete or not.
+
+    Returns
+    -------
+    str
+        Lines without a newline at the end.
+    """
+    spec = run.spec
+    bodies, joints = len(run.bodies), len(run.joints)
+    lines = [
+        ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
+        ("model", ", ".join((_named(spec, "model"), _count(bodies, "body", "bodies"), _count(joints, "joint")))),
+        ("integrator", _method(spec)),
+        ("time", _time(run)),
+        ("speed", _speed(run.stats)),
+        ("misalignment", _misalignment(run)),
+        ("energy", _energy(run)),
+        ("counters", _counters(run.stats)),
+        ("archive", "in memory" if run.path is None else str(run.path)),
+    ]
+    if spec.get("title"):
+        lines.insert(0, ("run", " ".join(str(spec["title"]).split())))
+    return "\n".join(f"{label:<13} {text}" for label, text in lines if text)
+
+
+def _count(number: int, one: str, many: str = "") -> str:
+    return f"{number} {one if number == 1 else many or one + 's'}"
+
+
+def _named(spec: Mapping[str, Any], kind: str) -> str:
+    return str(spec.get(kind, {}).get("name", "unknown"))
+
+
+def _method(spec: Mapping[str, Any]) -> str:
+    parts = [_named(spec, "integrator")]
+    parts += [
+        f"{key} {value}" for key, value in spec.get("integrator", {}).items() if key != "name" and value is not None
+    ]
+    step = spec.get("time", {}).get("step")
+    if step is not None:
+        parts.append(f"step {step:g} s")
+    for key in ("formulation", "stabilization"):
+        value = spec.get(key)
+        if isinstance(value, Mapping):
+            value = " ".join(str(item) for item in value.values())
+        if value not in (None, "none"):
+            parts.append(str(value))
+    return ", ".join(parts)
+
+
+def _time(run: Run) -> str:
+    rows = len(run.time)
+    if rows == 0:
+        return "no row recorded"
+    steps = run.stats.get("steps")
+    taken = "" if steps is None else f", {_count(int(steps), 'step')}"
+    return f"{run.time[0]:g} to {run.time[-1]:g} s{taken}, {_count(rows, 'row')}"
+
+
+def _speed(stats: Mapping[str, int | float]) -> str:
+    if "wall_s" not in stats:
+        return ""
+    steps = stats.get("steps", 0)
+    each = f" ({_seconds(stats['wall_s'] / steps)} a step)" if steps else ""
+    before = f", setup {_seconds(stats['setup_s'])}" if "setup_s" in stats else ""
+    return f"{_seconds(stats['wall_s'])}{each}{before}"
+
+
+def _seconds(value: float) -> str:
+    unit, factor = ("s", 1.0) if value >= 1.0 else ("ms", 1e3) if value >= 1e-3 else ("us", 1e6)
+    return f"{value * factor:.3g} {unit}"
+
+
+def _misalignment(run: Run) -> str:
+    if not run.joints or math.isnan(run.misalignment_max):
+        return ""
+    worst = sorted(run.joints.values(), key=lambda joint: -joint.misalignment_max)
+    named = ", ".join(f"{joint.name} {joint.misalignment_max:.2g}" for joint in worst[:JOINTS_NAMED])
+    more = f", {len(worst) - JOINTS_NAMED} more" if len(worst) > JOINTS_NAMED else ""
+    return f"{run.misalignment_max:.3g} m at most ({named}{more})"
+
+
+def _energy(run: Run) -> str:
+    if not run.records("energy/balance") or len(run.time) == 0:
+        return ""
+    drift = float(np.max(np.abs(run.energy.balance)))
+    most = float(np.max(run.energy.kinetic))
+    share = f", {drift / most:.2g} of the largest kinetic energy" if most > 0 else ""
+    return f"balance within {drift:.3g} J{share}"
+
+
+def _counters(stats: Mapping[str, int | float]) -> str:
+    return ", ".join(f"{stats[name]} {words}" for name, words in _COUNTERS.items() if stats.get(name))

@@ -1,0 +1,59 @@
+"""A run archive as an xarray tree."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import h5py
+
+from mbdkit.archive.fingerprint import is_text
+from mbdkit.archive.hdf5 import dims
+from mbdkit.errors import MbdkitError
+
+if TYPE_CHECKING:
+    import xarray
+
+
+def to_datatree(file: h5py.File) -> xarray.DataTree:
+    """Return an open archive as a tree of datasets in memory.
+
+    Parameters
+    ----------
+    file
+        The archive.
+
+    Returns
+    -------
+    xarray.DataTree
+        Equal to what `xarray.open_datatree(path, engine="h5netcdf")` gives.
+    """
+    try:
+        import xarray
+    except ImportError as error:
+        raise MbdkitError("to_xarray needs the package xarray: pip install xarray") from error
+
+    nodes: dict[str, xarray.Dataset] = {"/": xarray.Dataset(attrs=_attributes(file))}
+    for name, group in file.items():
+        variables = {
+            item: xarray.Variable(
+                dims(dataset),
+                dataset.asstr()[:] if is_text(dataset) else dataset[:],
+                _attributes(dataset),
+            )
+            for item, dataset in group.items()
+        }
+        nodes[f"/{name}"] = xarray.Dataset(variables, attrs=_attributes(group))
+    return xarray.DataTree.from_dict(nodes)
+
+
+#: What HDF5 keeps about dimension scales in attributes; xarray shows it as dimensions.
+_OF_SCALES = {"CLASS", "NAME", "REFERENCE_LIST", "DIMENSION_LIST"}
+
+
+def _attributes(item: h5py.Group | h5py.Dataset) -> dict[str, Any]:
+    # netCDF knows no difference between an array of one value and the value.
+    return {
+        name: value[0] if getattr(value, "shape", None) == (1,) else value
+        for name, value in item.attrs.items()
+        if name not in _OF_SCALES
+    }

@@ -1,0 +1,339 @@
+"""Writes one run archive while the run is under way."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import itertools
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from mbdkit.archive import layout
+from mbdkit.archive.damage import cause
+from mbdkit.archive.fingerprint import digest_lines, line, text_bytes
+from mbdkit.archive.hdf5 import create, set_text
+from mbdkit.archive.layout import Array
+from mbdkit.archive.table import Table
+from mbdkit.archive.target import LIBVER, Target
+from mbdkit.errors import MbdkitError
+
+#: Seconds between flushes, after which a crash loses nothing.
+FLUSH_INTERVAL = 1.0
+
+#: HDF5 tells files in memory apart by name.
+_MEMORY = itertools.count(1)
+
+#: All that rows may bring.
+_KEYS = frozenset(array.key for array in layout.LAYOUT)
+
+#: Room for attributes.
+_ATTRIBUTE_BYTES = 1 << 15
+
+
+@dataclass(frozen=True)
+class ArchiveNames:
+    """The names along the axes of an archive.
+
+    Parameters
+    ----------
+    bodies, joints
+        Names, in the order of the engine.
+    constraints
+        ``joint.row`` for every constraint row, such as ``J1.x``.
+    constraint_units
+        For every constraint row what it measures, ``m`` or ``rad``.
+    """
+
+    bodies: Sequence[str]
+    joints: Sequence[str]
+    constraints: Sequence[str]
+    constraint_units: Sequence[str]
+
+
+class ArchiveWriter:
+    """One archive in the making: append rows, flush now and then, finish.
+
+    Parameters
+    ----------
+    path
+        The final name, ending in ``.h5``; written as ``.part`` until `finish`. None: an archive in memory.
+    names
+        The names of bodies, joints and constraint rows.
+    spec_json, spec_sha256
+        The canonical JSON of the spec, and the SHA-256 of its UTF-8 bytes.
+    run_id
+        A name of this run, unique to it.
+    provenance
+        Attributes of ``/provenance``: versions, platform, command.
+    quantities
+        Which of ``joints``, ``constraints``, ``energy`` are recorded.
+    extra_datasets
+        Paths of optional arrays that the method brings, such as ``constraints/method_multiplier``.
+    overwrite
+        Whether an existing file is replaced, when the archive is finished.
+
+    Raises
+    ------
+    SpecError
+        If no archive may be written at `path`.
+    """
+
+    def __init__(
+        self,
+        path: Path | None,
+        names: ArchiveNames,
+        spec_json: str,
+        spec_sha256: str,
+        run_id: str,
+        provenance: Mapping[str, str | int | float],
+        quantities: frozenset[str] = layout.QUANTITIES,
+        extra_datasets: Iterable[str] = (),
+        overwrite: bool = False,
+    ):
+        arrays = layout.recorded(quantities, frozenset(extra_datasets))
+        sizes = {
+            "body": len(names.bodies),
+            "coordinate": len(layout.COORDINATES),
+            "joint": len(names.joints),
+            "axis": len(layout.AXES),
+            "constraint": len(names.constraints),
+        }
+        growing = [array for array in arrays if array.grows]
+        self._rows = Table([array for array in growing if array.dims[0] == "time"], sizes, self._write_more)
+        self._steps = Table([array for array in growing if array.dims[0] == "interval"], sizes, self._write_more)
+        self._lines: list[str] = []
+        self._flushed: float | None = None
+        self._kept = False
+        self._ended = False
+        self._target = None if path is None else Target(Path(path), overwrite=overwrite)
+        self._file: h5py.File = (
+            h5py.File(f"memory-{next(_MEMORY)}", "w", driver="core", backing_store=False, libver=LIBVER)
+            if self._target is None
+            else self._target.file
+        )
+        try:
+            text = len(spec_json) + 64 * (len(names.bodies) + len(names.joints) + 4 * len(names.constraints))
+            with self._storing(), self._room(more=False, also=_ATTRIBUTE_BYTES + text):
+                self._write_head(spec_json, spec_sha256, run_id, provenance, arrays)
+                self._write_names([array for array in arrays if not array.grows], names)
+        except BaseException:
+            self.abandon()
+            raise
+
+    @property
+    def row_keys(self) -> frozenset[str]:
+        """The keys that `append` needs; others of the layout are taken and left out."""
+        return self._rows.keys
+
+    @property
+    def path(self) -> Path | None:
+        """The final name; None in memory."""
+        return None if self._target is None else self._target.path
+
+    def append(self, rows: Mapping[str, np.ndarray]) -> None:
+        """Take recorded rows; they are copied.
+
+        Parameters
+        ----------
+        rows
+            For every key of `row_keys`, a dataset path such as ``trajectory/position`` (T, B, 3) or ``time`` (T,)
+            for all groups, an array with the same number of rows T.
+
+        Raises
+        ------
+        MbdkitError
+            If the archive cannot be written, as on a full disk.
+        """
+        self._take(self._rows, rows)
+
+    def append_steps(self, rows: Mapping[str, np.ndarray]) -> None:
+        """Take the statistics of recorded intervals; they are copied.
+
+        Parameters
+        ----------
+        rows
+            ``time``, ``steps``, ``size``, ``iterations``, ``iterations_max``, ``rejected``, each (N,).
+        """
+        count = len(rows["time"])
+        numbers = np.arange(self._steps.rows + 1, self._steps.rows + count + 1)
+        keyed = {f"steps/{name}": values for name, values in rows.items()}
+        self._take(self._steps, {**keyed, "steps/interval": numbers})
+
+    def _take(self, table: Table, rows: Mapping[str, np.ndarray]) -> None:
+        unknown = rows.keys() - _KEYS
+        if unknown:
+            raise ValueError(f"the layout has no {', '.join(sorted(unknown))}")
+        if self._flushed is None:
+            self._flushed = time.monotonic()
+        with self._storing():
+            table.append(rows)
+
+    def flush_if_due(self) -> None:
+        """Write what waits and flush, if the last flush is a second ago; a crash later loses none of it."""
+        if self._target is None or self._flushed is None:
+            return
+        if time.monotonic() - self._flushed >= FLUSH_INTERVAL:
+            with self._storing():
+                self._write_more()
+
+    def finish(
+        self, status: str, reason: str, stats: Mapping[str, int | float], misalignment_max: np.ndarray
+    ) -> h5py.File | None:
+        """Write the rest, the hash and the status, and give the archive its final name.
+
+        Parameters
+        ----------
+        status
+            ``complete``, ``failed`` or ``interrupted``.
+        reason
+            Why it is not complete: a code and a sentence, as in ``newton-failed: the step at t = ...``.
+        stats
+            Attributes of ``/stats``: counters (integers) and ``setup_s``, ``wall_s``, ``cpu_s``; ``finish_s`` is
+            added here and ends when the file has its final name.
+        misalignment_max
+            Largest misalignment of each joint over every step, (J,), m.
+
+        Returns
+        -------
+        h5py.File or None
+            The open archive if it is in memory; None if it is a file, which is closed.
+
+        Raises
+        ------
+        MbdkitError
+            If the archive cannot be written or renamed.
+        """
+        started = time.perf_counter()
+        if status not in layout.STATUSES[1:]:
+            raise ValueError(f"a run ends as complete, failed or interrupted, not {status!r}")
+        file = self._file
+        with self._storing():
+            with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(misalignment_max)):
+                self._write_tables(more=False)
+                self._write_end(status, reason, {**stats, "finish_s": 0.0}, np.asarray(misalignment_max, layout.FLOAT))
+            if self._target is None:
+                self._end(started)
+                file.flush()
+                return file
+            self._target.sync()
+            try:
+                self._target.publish()
+            finally:
+                self._end(started)
+                self._target.close()
+            return None
+
+    def abandon(self) -> None:
+        """Drop the archive: nothing of it remains; without effect once it is finished or could not be written."""
+        if self._ended:
+            return
+        self._ended = True
+        if self._target is None:
+            self._file.close()
+        else:
+            self._target.drop()
+
+    def _write_head(
+        self, spec: str, sha256: str, run_id: str, provenance: Mapping[str, str | int | float], arrays: Sequence[Array]
+    ) -> None:
+        now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        values = (layout.FORMAT, layout.FORMAT_VERSION, "running", "", run_id, now, spec, sha256, "")
+        for name, value in zip(layout.ROOT_ATTRIBUTES, values, strict=True):
+            set_text(self._file, name, value)
+        present = {array.group for array in arrays}
+        for group in (*(group for group in layout.GROUPS if group in present), "stats", "provenance"):
+            self._file.create_group(group)
+        target = self._file["provenance"]
+        for name, entry in provenance.items():
+            if isinstance(entry, str):
+                set_text(target, name, entry)
+            else:
+                target.attrs[name] = _number(entry)
+
+    def _write_names(self, arrays: Sequence[Array], names: ArchiveNames) -> None:
+        units = names.constraint_units
+        rates = [f"{unit}/s" for unit in ("m", "m", "rad")]
+        values: dict[str, Sequence[str]] = {
+            "trajectory/body": names.bodies,
+            "trajectory/coordinate": layout.COORDINATES,
+            "trajectory/row_units": ("m", "m", "rad"),
+            "trajectory/velocity_row_units": rates,
+            "trajectory/acceleration_row_units": [f"{rate}^2" for rate in rates],
+            "joints/joint": names.joints,
+            "joints/axis": layout.AXES,
+            "constraints/constraint": names.constraints,
+            "constraints/row_units": units,
+            "constraints/velocity_row_units": [layout.RATE_UNITS[unit] for unit in units],
+            "constraints/multiplier_row_units": [layout.MULTIPLIER_UNITS[unit] for unit in units],
+        }
+        for array in sorted(arrays, key=lambda array: not array.is_scale):
+            text = values[array.path]
+            create(self._file, array, np.array(text, dtype=object))
+            digest = hashlib.sha256(text_bytes(text)).hexdigest()
+            self._lines.append(line(array.path, array.dtype, (len(text),), digest))
+
+    def _write_end(
+        self, status: str, reason: str, stats: Mapping[str, int | float], misalignment_max: np.ndarray
+    ) -> None:
+        attributes, joints = self._file["stats"].attrs, self._file["joints"]
+        for name, value in stats.items():
+            attributes[name] = _number(value)
+        joints.attrs["misalignment_max"] = misalignment_max
+        if "misalignment" in joints:
+            joints["misalignment"].attrs["misalignment_max"] = misalignment_max
+        grown = (series.line() for table in (self._rows, self._steps) for series in table.series)
+        self._file.attrs.modify("data_sha256", digest_lines([*self._lines, *filter(None, grown)]))
+        self._file.attrs.modify("status_reason", reason)
+        self._file.attrs.modify("status", status)
+
+    def _end(self, started: float) -> None:
+        self._ended = True
+        if self._file:
+            self._file["stats"].attrs.modify("finish_s", time.perf_counter() - started)
+
+    def _write_tables(self, *, more: bool) -> None:
+        for table in (self._rows, self._steps):
+            table.write(self._file, more=more)
+
+    def _write_more(self) -> None:
+        with self._room(more=True):
+            self._write_tables(more=True)
+        self._flushed = time.monotonic()
+        self._kept = True
+
+    def _room(self, *, more: bool, also: int = 0) -> contextlib.AbstractContextManager[None]:
+        """Make room on the disk for what waits, and flush once it is written."""
+        if self._target is None:
+            return contextlib.nullcontext()
+        return self._target.reserved(also + sum(table.size_on_disk(more=more) for table in (self._rows, self._steps)))
+
+    @contextlib.contextmanager
+    def _storing(self) -> Iterator[None]:
+        """Turn what HDF5 raises on a full or vanished disk into a sentence, and save what was flushed before."""
+        if self._ended:
+            raise MbdkitError("the archive is closed")
+        try:
+            yield
+        except (OSError, RuntimeError) as error:
+            if isinstance(error, NotImplementedError | RecursionError):
+                raise
+            self._ended = True
+            if self._target is None:
+                raise MbdkitError(f"the archive in memory cannot be written: {cause(error)}") from error
+            if self._kept:
+                self._target.close()
+                rest = f"; what was recorded until shortly before is in {self._target.part}"
+            else:
+                self._target.drop()
+                rest = ""
+            raise MbdkitError(f"the archive {self._target.path} cannot be written: {cause(error)}{rest}") from error
+
+
+def _number(value: int | float) -> np.int64 | np.float64:
+    return np.int64(value) if isinstance(value, int | np.integer) else np.float64(value)

@@ -1,0 +1,1 @@
+"""Tests of the run archive, on made-up data: no engine is needed."""

@@ -1,0 +1,25 @@
+"""Fixtures for the tests of the archive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mbdkit.archive import writer
+
+from .making import make
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Path:
+    """Return a complete archive of 11 rows, two bodies and two joints."""
+    path = tmp_path / "run.h5"
+    make(path)
+    return path
+
+
+@pytest.fixture
+def always_due(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make every flush due."""
+    monkeypatch.setattr(writer, "FLUSH_INTERVAL", 0.0)

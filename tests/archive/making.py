@@ -1,0 +1,123 @@
+"""Makes archives of made-up runs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbdkit.archive import layout
+from mbdkit.archive.writer import ArchiveNames, ArchiveWriter
+
+SPEC = {
+    "mbdkit": 1,
+    "model": {"name": "double-pendulum", "lengths": [1.0, 1.0]},
+    "integrator": {"name": "gauss", "stages": 2, "tolerance": None},
+    "formulation": "index-1",
+    "stabilization": "none",
+    "time": {"start": 0.0, "end": 0.1, "step": 0.01},
+    "output": {"every": 1, "quantities": "all"},
+}
+STATS = {
+    **{name: 10 * number for number, name in enumerate(layout.COUNTERS, 1)},
+    "setup_s": 0.25,
+    "wall_s": 0.002,
+    "cpu_s": 0.0019,
+}
+PROVENANCE = {"mbdkit": "0.1.0", "numpy": "2.4.6", "command": "mbdkit run double-pendulum", "platform": "Linux"}
+
+
+def names(bodies: int = 2, joints: int = 2, constraints: int | None = None) -> ArchiveNames:
+    """Return the names of a chain; the last constraint row, if there are an odd number, is an angle."""
+    count = 2 * joints if constraints is None else constraints
+    return ArchiveNames(
+        [f"rod{number}" for number in range(1, bodies + 1)],
+        [f"J{number}" for number in range(1, joints + 1)],
+        [f"J{row // 2 + 1}.{'xy'[row % 2]}" for row in range(count)],
+        ["rad" if count % 2 and row == count - 1 else "m" for row in range(count)],
+    )
+
+
+def rows(count: int, named: ArchiveNames, start: int = 0) -> dict[str, np.ndarray]:
+    """Return rows `start` to `start + count` of a made-up run: smooth, different in every column."""
+    sizes = {
+        "body": len(named.bodies),
+        "coordinate": 3,
+        "joint": len(named.joints),
+        "axis": 2,
+        "constraint": len(named.constraints),
+    }
+    time = 0.01 * np.arange(start, start + count)
+    made = {"time": time, "trajectory/elapsed_s": 1e-5 * np.arange(start, start + count)}
+    growing = [array for array in layout.LAYOUT if array.dims[0] == "time" and array.key not in made]
+    for number, array in enumerate(growing, 1):
+        shape = tuple(sizes[dim] for dim in array.dims[1:])
+        phase = np.arange(np.prod(shape, dtype=int)).reshape(shape) + 10.0 * number
+        made[array.path] = np.abs(np.sin(time.reshape(-1, *(1 for _ in shape)) + phase))
+    return made
+
+
+def steps(count: int, start: int = 0) -> dict[str, np.ndarray]:
+    """Return the statistics of the intervals that end at rows `start + 1` to `start + count`."""
+    return {
+        "time": 0.01 * np.arange(start + 1, start + count + 1),
+        "steps": np.full(count, 2),
+        "size": np.full(count, 0.005),
+        "iterations": np.full(count, 7),
+        "iterations_max": np.full(count, 4),
+        "rejected": np.zeros(count, dtype=int),
+    }
+
+
+def writer(
+    path: Path | None, named: ArchiveNames | None = None, spec: dict[str, Any] | None = None, **options: Any
+) -> ArchiveWriter:
+    """Return a writer for a made-up run."""
+    text = json.dumps(SPEC if spec is None else spec, sort_keys=True, separators=(",", ":"))
+    options = {"run_id": "run-1", "provenance": PROVENANCE, **options}
+    return ArchiveWriter(path, named or names(), text, hashlib.sha256(text.encode()).hexdigest(), **options)
+
+
+def fill(
+    into: ArchiveWriter,
+    count: int,
+    named: ArchiveNames | None = None,
+    piece: int | None = None,
+    after: Callable[[], None] | None = None,
+) -> None:
+    """Append `count` rows and the intervals between them, in pieces, calling `after` each."""
+    named = named or names()
+    piece = piece or max(1, count)
+    for start in range(0, count, piece):
+        size = min(piece, count - start)
+        into.append(rows(size, named, start))
+        first = max(0, start - 1)
+        into.append_steps(steps(start + size - 1 - first, first))
+        if after is not None:
+            after()
+
+
+def largest(count: int, named: ArchiveNames) -> np.ndarray:
+    """Return a misalignment that no recorded one exceeds."""
+    return np.linspace(1.0, 1.0 + 0.001 * (len(named.joints) - 1), len(named.joints))
+
+
+def make(
+    path: Path | None,
+    count: int = 11,
+    named: ArchiveNames | None = None,
+    status: str = "complete",
+    reason: str = "",
+    piece: int | None = None,
+    after: str = "",
+    **options: Any,
+) -> Any:
+    """Write a whole archive; return what `finish` does."""
+    named = named or names()
+    into = writer(path, named, **options)
+    fill(into, count, named, piece, getattr(into, after) if after else None)
+    return into.finish(status, reason, STATS, largest(count, named))

@@ -1,0 +1,95 @@
+"""Two runs are the same to the bit, or the difference is told array by array."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbdkit.archive.compare import Comparison, compare
+from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
+
+from .making import PROVENANCE, SPEC, STATS, largest, make, names, rows, steps, writer
+
+
+def changed(path: str, change: object, **options: object) -> Run:
+    """Return a run in memory in which the rows at `path` are changed."""
+    into = writer(None, **options)  # type: ignore[arg-type]
+    made = rows(11, names())
+    into.append({**made, path: change(made[path])})  # type: ignore[operator]
+    into.append_steps(steps(10))
+    return Run(into.finish("complete", "", STATS, largest(11, names())))
+
+
+def compared(other: Run) -> Comparison:
+    with Run(make(None)) as run, other:
+        return compare(run, other)
+
+
+def test_same_data_in_file_and_memory(archive: Path) -> None:
+    result = compared(load(archive))
+    assert result.same_data
+    assert result.same_spec
+    assert result.largest == 0.0
+    assert result.versions == {}
+    assert str(result) == "the data are the same to the bit"
+
+
+def test_difference_is_relative_to_the_largest_of_the_array() -> None:
+    def change(values: np.ndarray) -> np.ndarray:
+        new = values.copy()
+        new[3] += 1e-6
+        return new
+
+    result = compared(changed("energy/total", change))
+    assert not result.same_data
+    assert result.same_spec
+    scale = rows(11, names())["energy/total"].max()
+    assert result.differences["energy/total"] == pytest.approx(1e-6 / scale, rel=1e-6)
+    assert [path for path, value in result.differences.items() if value] == ["energy/total"]
+    assert result.largest == result.differences["energy/total"]
+    assert "energy/total" in str(result)
+    assert "energy/work" not in str(result)
+
+
+def test_what_is_zero_in_one_run_is_compared_with_the_other() -> None:
+    assert compared(changed("energy/work", np.zeros_like)).differences["energy/work"] == 1.0
+
+
+def test_value_that_is_not_finite_in_one_run_differs_without_bound() -> None:
+    def change(values: np.ndarray) -> np.ndarray:
+        return np.where(np.arange(11) == 4, np.nan, values)
+
+    assert compared(changed("energy/total", change)).largest == np.inf
+
+
+def test_other_shapes_and_names_differ_without_bound() -> None:
+    result = compared(Run(make(None, count=12)))
+    assert result.differences["energy/total"] == np.inf
+    assert result.differences["trajectory/body"] == 0.0
+    result = compared(Run(make(None, quantities=frozenset())))
+    assert result.differences["energy/total"] == np.inf
+    named = names()
+    other = type(named)(["rod1", "rod3"], named.joints, named.constraints, named.constraint_units)
+    assert compared(Run(make(None, named=other))).differences["trajectory/body"] == np.inf
+
+
+def test_specs_and_versions_that_differ_are_told() -> None:
+    other = make(
+        None, spec={**SPEC, "title": "x"}, provenance={**PROVENANCE, "numpy": "1.26", "scipy": "1.11", "command": "y"}
+    )
+    result = compared(Run(other))
+    assert result.same_data
+    assert not result.same_spec
+    assert result.versions == {"numpy": ("2.4.6", "1.26"), "scipy": ("", "1.11")}
+    assert str(result).splitlines()[1:] == ["the specs differ", "numpy: 2.4.6 and 1.26", "scipy: none and 1.11"]
+
+
+def test_crashed_runs_are_never_the_same(tmp_path: Path) -> None:
+    into = writer(tmp_path / "run.h5")
+    assert into._target is not None
+    into._target.close()
+    with load(tmp_path / "run.h5.part") as one, load(tmp_path / "run.h5.part") as two:
+        assert not compare(one, two).same_data

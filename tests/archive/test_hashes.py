@@ -1,0 +1,106 @@
+"""The hashes are those that the document defines, and nothing but results changes them."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from mbdkit.archive.fingerprint import data_sha256
+from mbdkit.archive.layout import LAYOUT, TEXT, is_timing
+
+from .making import fill, largest, make, names, rows, steps, writer
+from .test_layout import DOCUMENT
+
+
+@pytest.mark.parametrize("sizes", [(11, 2, 2, 4), (0, 1, 0, 0), (1, 1, 1, 3)])
+def test_lines_in_the_document_compute_the_hash(tmp_path: Path, sizes: tuple[int, int, int, int]) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+    (script,) = (block for block in blocks if "hashlib" in block)
+    make(tmp_path / "run.h5", count=sizes[0], named=names(*sizes[1:]))
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path / "run.h5")], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "True\n"
+
+
+def test_hash_written_while_writing_is_that_of_the_file(archive: Path) -> None:
+    with h5py.File(archive) as file:
+        assert file.attrs["data_sha256"] == data_sha256(file)
+
+
+@pytest.mark.parametrize("path", [array.path for array in LAYOUT if not array.optional])
+def test_every_array_but_timings_is_covered(archive: Path, path: str) -> None:
+    with h5py.File(archive, "r+") as file:
+        before = data_sha256(file)
+        dataset = file[path]
+        at = (0,) * dataset.ndim
+        dataset[at] = (
+            "other"
+            if h5py.check_string_dtype(dataset.dtype)
+            else np.nextafter(dataset[at], 9, dtype=float)
+            if dataset.dtype.kind == "f"
+            else 99
+        )
+        assert (data_sha256(file) == before) == is_timing(path)
+
+
+def test_names_that_run_into_each_other_differ(tmp_path: Path) -> None:
+    hashes = set()
+    for number, bodies in enumerate((["ab", "c"], ["a", "bc"])):
+        named = type(names())(
+            bodies, *[getattr(names(), kind) for kind in ("joints", "constraints", "constraint_units")]
+        )
+        make(tmp_path / f"{number}.h5", named=named)
+        with h5py.File(tmp_path / f"{number}.h5") as file:
+            hashes.add(file.attrs["data_sha256"])
+    assert len(hashes) == 2
+
+
+def test_elapsed_time_statistics_and_provenance_are_not_covered(tmp_path: Path) -> None:
+    make(tmp_path / "one.h5")
+    into = writer(tmp_path / "two.h5", provenance={"mbdkit": "other"}, run_id="other")
+    into.append({**rows(11, names()), "trajectory/elapsed_s": np.arange(11.0)})
+    into.append_steps(steps(10))
+    into.finish("complete", "", {"wall_s": 11.0}, largest(11, names()))
+    with h5py.File(tmp_path / "one.h5") as one, h5py.File(tmp_path / "two.h5") as two:
+        assert one.attrs["data_sha256"] == two.attrs["data_sha256"]
+
+
+def test_order_in_the_file_is_not_covered(archive: Path, tmp_path: Path) -> None:
+    shutil.copy(archive, tmp_path / "copy.h5")
+    with h5py.File(tmp_path / "copy.h5", "r+") as file:
+        values, attributes = file["energy/work"][:], dict(file["energy/work"].attrs)
+        before = data_sha256(file)
+        del file["energy/work"]
+        assert data_sha256(file) != before
+        file.create_dataset("energy/work", data=values, chunks=(3,), compression="gzip")
+        assert attributes
+        assert data_sha256(file) == before
+
+
+def test_text_is_hashed_as_utf8(tmp_path: Path) -> None:
+    named = names()
+    make(
+        tmp_path / "run.h5", named=type(named)(["für", "大腿"], named.joints, named.constraints, named.constraint_units)
+    )
+    with h5py.File(tmp_path / "run.h5") as file:
+        assert file.attrs["data_sha256"] == data_sha256(file)
+    assert any(array.dtype == TEXT for array in LAYOUT)
+
+
+def test_pieces_are_not_covered(tmp_path: Path) -> None:
+    hashes = set()
+    for piece in (1, 3, 11):
+        into = writer(tmp_path / f"{piece}.h5")
+        fill(into, 11, piece=piece)
+        into.finish("complete", "", {}, largest(11, names()))
+        with h5py.File(tmp_path / f"{piece}.h5") as file:
+            hashes.add(file.attrs["data_sha256"])
+    assert len(hashes) == 1

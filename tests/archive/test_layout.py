@@ -1,0 +1,89 @@
+"""The layout is the one that users were promised, and its document is fresh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mbdkit.archive import document
+from mbdkit.archive.layout import BY_PATH, GROUPS, LAYOUT, is_timing
+
+DOCUMENT = Path(__file__).parents[2] / "schemas" / "archive.md"
+
+PROMISED = {
+    "trajectory": {
+        "time": "T",
+        "body": "B",
+        "coordinate": "3",
+        "position": "TB3",
+        "velocity": "TB3",
+        "acceleration": "TB3",
+        "elapsed_s": "T",
+    },
+    "joints": {
+        "time": "T",
+        "joint": "J",
+        "axis": "2",
+        "misalignment": "TJ",
+        "velocity_misalignment": "TJ",
+        "angle_misalignment": "TJ",
+        "reaction_force": "TJ2",
+        "reaction_torque": "TJ",
+    },
+    "constraints": {
+        "time": "T",
+        "constraint": "m",
+        "row_units": "m",
+        "position_residual": "Tm",
+        "velocity_residual": "Tm",
+        "multiplier": "Tm",
+        "method_multiplier": "Tm",
+    },
+    "energy": dict.fromkeys(("time", "kinetic", "potential", "total", "dissipated", "work", "balance"), "T"),
+    "steps": dict.fromkeys(("interval", "time", "steps", "size", "iterations", "iterations_max", "rejected"), "N"),
+}
+AXES = {
+    "T": "time",
+    "B": "body",
+    "3": "coordinate",
+    "J": "joint",
+    "2": "axis",
+    "m": "constraint",
+    "N": "interval",
+}
+
+
+def test_layout_has_every_promised_array_with_its_axes() -> None:
+    for group, arrays in PROMISED.items():
+        for name, axes in arrays.items():
+            assert BY_PATH[f"{group}/{name}"].dims == tuple(AXES[axis] for axis in axes)
+
+
+def test_layout_adds_nothing_but_row_units() -> None:
+    added = {array.path for array in LAYOUT} - {
+        f"{group}/{name}" for group, names in PROMISED.items() for name in names
+    }
+    assert all(path.endswith("row_units") for path in added)
+    assert {array.group for array in LAYOUT} == set(GROUPS)
+
+
+def test_every_axis_has_its_scale_in_the_same_group() -> None:
+    for array in LAYOUT:
+        for dim in array.dims:
+            assert BY_PATH[f"{array.group}/{dim}"].is_scale
+
+
+def test_every_array_with_mixed_units_names_them_on_one_of_its_axes() -> None:
+    for array in LAYOUT:
+        assert (array.units == "mixed") == bool(array.row_units)
+        if array.row_units:
+            (dim,) = BY_PATH[f"{array.group}/{array.row_units}"].dims
+            assert dim in array.dims
+
+
+def test_elapsed_time_is_the_only_timing() -> None:
+    assert [array.path for array in LAYOUT if is_timing(array.path)] == ["trajectory/elapsed_s"]
+
+
+def test_document_is_fresh() -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    assert document.renewed(text) == text, "run: python -m mbdkit.archive.document schemas/archive.md"

@@ -1,0 +1,49 @@
+"""The summary tells what matters and fits on a screen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
+
+from .making import SPEC, make, names, rows
+
+
+def test_summary_of_a_complete_run(tmp_path: Path) -> None:
+    make(tmp_path / "run.h5", spec={**SPEC, "title": "two\nrods"})
+    with load(tmp_path / "run.h5") as run:
+        lines = run.summary().splitlines()
+    off = np.abs(rows(11, names())["energy/balance"]).max()
+    most = rows(11, names())["energy/kinetic"].max()
+    assert lines == [
+        "run           two rods",
+        "status        complete",
+        "model         double-pendulum, 2 bodies, 2 joints",
+        "integrator    gauss, stages 2, step 0.01 s, index-1",
+        "time          0 to 0.1 s, 10 steps, 11 rows",
+        "speed         2 ms (200 us a step), setup 250 ms",
+        "misalignment  1 m at most (J2 1, J1 1)",
+        f"energy        balance within {off:.3g} J, {off / most:.2g} of the largest kinetic energy",
+        "counters      40 right sides, 50 Jacobians, 60 factorizations, 70 iterations, 80 projections, 30 rejections",
+        f"archive       {tmp_path / 'run.h5'}",
+    ]
+
+
+def test_summary_of_a_failed_run_says_why() -> None:
+    with Run(make(None, status="failed", reason="singular: the joints A and B bind at t = 0.02 s")) as run:
+        assert "status        failed: singular: the joints A and B bind at t = 0.02 s" in run.summary()
+        assert "archive       in memory" in run.summary()
+
+
+def test_summary_leaves_out_what_was_not_recorded() -> None:
+    with Run(make(None, quantities=frozenset(), named=names(1, 0))) as run:
+        labels = [line.split()[0] for line in run.summary().splitlines()]
+    assert labels == ["status", "model", "integrator", "time", "speed", "counters", "archive"]
+
+
+def test_summary_names_the_worst_joints_of_many() -> None:
+    with Run(make(None, named=names(9, 9))) as run:
+        assert "misalignment  1.01 m at most (J9 1, J8 1, J7 1, J6 1, 5 more)" in run.summary()

@@ -1,0 +1,250 @@
+"""No file is ever damaged: names, locks, renaming, full disks."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import h5py
+import pytest
+
+from mbdkit.archive.check import check
+from mbdkit.archive.reader import load
+from mbdkit.archive.target import check_target
+from mbdkit.errors import MbdkitError, SpecError
+
+from .making import STATS, fill, largest, make, names, writer
+
+HERE = Path(__file__).parent
+as_root = pytest.mark.skipif(hasattr(os, "getuid") and os.getuid() == 0, reason="root may write everywhere")
+
+
+def run_python(script: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a script that can import `making`, in a folder."""
+    head = f"import sys; sys.path.insert(0, {str(HERE)!r}); import making; from pathlib import Path\n"
+    return subprocess.run(
+        [sys.executable, "-c", head + textwrap.dedent(script)],
+        cwd=folder,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("run", "ends in .h5: write run.h5"),
+        ("run.hdf5", "ends in .h5: write run.h5"),
+        ("missing/run.h5", "the folder missing does not exist"),
+        ("file/run.h5", "the folder file is not a folder"),
+        (".", "this is a folder"),
+        ("folder.h5", "this is a folder"),
+        ("there.h5", "exists already"),
+        ("dangling.h5", "not a regular file"),
+        ("n" * 300 + ".h5", "File name too long"),
+    ],
+)
+def test_wrong_names_are_refused_and_nothing_is_left(in_tmp_path: Path, name: str, words: str) -> None:
+    Path("file").touch()
+    Path("folder.h5").mkdir()
+    Path("there.h5").write_text("precious")
+    Path("dangling.h5").symlink_to("nowhere")
+    before = sorted(os.listdir())
+    with pytest.raises(SpecError, match=words) as caught:
+        writer(Path(name))
+    assert caught.value.file == str(Path(name))
+    assert sorted(os.listdir()) == before
+
+
+@as_root
+def test_folder_without_permission_is_refused(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(SpecError, match="cannot be written to"):
+            check_target(tmp_path / "run.h5")
+    finally:
+        tmp_path.chmod(0o700)
+
+
+def test_check_target_touches_nothing(tmp_path: Path) -> None:
+    assert check_target(tmp_path / "run.h5") == tmp_path / "run.h5"
+    assert os.listdir(tmp_path) == []
+
+
+def test_overwriting_replaces_only_at_the_end(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    path.write_text("precious")
+    into = writer(path, overwrite=True)
+    fill(into, 11)
+    assert path.read_text() == "precious"
+    into.finish("complete", "", STATS, largest(11, names()))
+    assert check(path) == []
+    assert os.listdir(tmp_path) == ["run.h5"]
+
+
+def test_abandoned_run_leaves_the_former_archive(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    path.write_text("precious")
+    into = writer(path, overwrite=True)
+    fill(into, 11)
+    into.abandon()
+    assert path.read_text() == "precious"
+    assert os.listdir(tmp_path) == ["run.h5"]
+
+
+def test_file_that_appears_meanwhile_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    into = writer(path)
+    fill(into, 11)
+    path.write_text("precious")
+    with pytest.raises(MbdkitError, match=r"appeared while the run was under way.*run\.h5\.part"):
+        into.finish("complete", "", STATS, largest(11, names()))
+    assert path.read_text() == "precious"
+    assert check(tmp_path / "run.h5.part") == []
+
+
+def test_file_systems_without_hard_links_will_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refuse)
+    make(tmp_path / "run.h5")
+    assert check(tmp_path / "run.h5") == []
+    assert os.listdir(tmp_path) == ["run.h5"]
+    into = writer(tmp_path / "next.h5")
+    (tmp_path / "next.h5").write_text("precious")
+    with pytest.raises(MbdkitError, match="appeared while"):
+        into.finish("complete", "", STATS, largest(0, names()))
+    assert (tmp_path / "next.h5").read_text() == "precious"
+
+
+@pytest.mark.parametrize("left", [b"", b"half an archive"])
+def test_part_of_a_dead_run_is_replaced(tmp_path: Path, left: bytes) -> None:
+    (tmp_path / "run.h5.part").write_bytes(left)
+    make(tmp_path / "run.h5")
+    assert os.listdir(tmp_path) == ["run.h5"]
+
+
+def test_part_that_is_no_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "run.h5.part").mkdir()
+    with pytest.raises(SpecError, match="in the way"):
+        writer(tmp_path / "run.h5")
+
+
+def test_part_of_a_live_run_is_refused(tmp_path: Path) -> None:
+    into = writer(tmp_path / "run.h5")
+    with pytest.raises(SpecError, match="in use by another run"):
+        writer(tmp_path / "run.h5")
+    fill(into, 11)
+    into.finish("complete", "", STATS, largest(11, names()))
+    assert check(tmp_path / "run.h5") == []
+
+
+@pytest.mark.parametrize("locking", ["BEST_EFFORT", "TRUE", "FALSE"])
+def test_part_of_another_live_process_is_refused(tmp_path: Path, locking: str) -> None:
+    script = """
+        import os, subprocess
+        into = making.writer(Path("run.h5"))
+        if "second" not in os.environ:
+            done = subprocess.run([sys.executable, *sys.orig_argv[1:]], env={**os.environ, "second": "yes"})
+            making.fill(into, 11)
+            into.finish("complete", "", making.STATS, making.largest(11, making.names()))
+            sys.exit(0 if done.returncode == 1 else 3)
+    """
+    done = run_python(script, tmp_path, HDF5_USE_FILE_LOCKING=locking)
+    assert done.returncode == 0, done.stderr
+    assert "SpecError: run.h5: run.h5.part is in use by another run" in done.stderr
+    assert check(tmp_path / "run.h5") == []
+
+
+def test_part_is_locked_until_it_has_its_final_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    link = os.link
+    refused = []
+
+    def late(source: Path, target: Path) -> None:
+        with pytest.raises(SpecError, match="in use by another run") as caught:
+            writer(tmp_path / "run.h5")
+        refused.append(caught.value)
+        link(source, target)
+
+    monkeypatch.setattr(os, "link", late)
+    make(tmp_path / "run.h5")
+    assert refused
+    assert check(tmp_path / "run.h5") == []
+
+
+def test_live_part_is_not_read(tmp_path: Path) -> None:
+    into = writer(tmp_path / "run.h5")
+    done = run_python("from mbdkit.archive.reader import load; load('run.h5.part')", tmp_path)
+    assert "SpecError: run.h5.part: a run is still writing this archive" in done.stderr
+    into.abandon()
+
+
+FULL_DISK = """
+    import os, resource
+    from mbdkit.archive import writer
+    from mbdkit.errors import MbdkitError
+    resource.setrlimit(resource.RLIMIT_FSIZE, (int({limit}), resource.RLIM_INFINITY))
+    memfd_create = os.memfd_create
+    def unlimited(name):  # memory is not limited when a disk is full
+        resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+        return memfd_create(name)
+    os.memfd_create = unlimited
+    writer.FLUSH_INTERVAL = {interval}
+    try:
+        into = making.writer(Path("run.h5"), overwrite=True)
+        making.fill(into, 2000, piece=100, after=into.flush_if_due)
+        into.finish("complete", "", making.STATS, making.largest(2000, making.names()))
+    except MbdkitError as error:
+        print(error)
+        into.abandon()
+"""
+
+
+@pytest.mark.parametrize("interval", [0.0, 1e9])
+@pytest.mark.parametrize("limit", [1_000, 14_000, 20_000, 200_000, 700_000, 800_000])
+def test_full_disk_is_said_and_harms_nothing(tmp_path: Path, limit: int, interval: float) -> None:
+    # 2000 rows take about a megabyte; a limit on the size of files stands in for a full disk.
+    (tmp_path / "run.h5").write_text("precious")
+    done = run_python(FULL_DISK.format(limit=limit, interval=interval), tmp_path)
+    assert done.returncode in (0, 1), done.stderr  # no crash in HDF5
+    assert "File too large" in done.stdout + done.stderr
+    assert (tmp_path / "run.h5").read_text() == "precious"
+    part = tmp_path / "run.h5.part"
+    if part.exists():
+        assert str(part.name) in done.stdout
+        with load(part) as run:
+            assert len(run.time) >= 100
+            assert len(run.energy.total) == len(run.time)
+
+
+@pytest.mark.parametrize("interval", [0.0, 1e9])
+@pytest.mark.parametrize("limit", [200_000, 700_000, 800_000])
+def test_disk_that_fails_without_warning_is_said(tmp_path: Path, limit: int, interval: float) -> None:
+    (tmp_path / "run.h5").write_text("precious")
+    script = FULL_DISK.format(limit=limit, interval=interval) + "    os.posix_fallocate = lambda *_: None\n"
+    lines = script.splitlines(keepends=True)
+    done = run_python("".join([*lines[:4], lines[-1], *lines[4:-1]]), tmp_path)
+    assert done.returncode == 0, done.stderr  # no crash in HDF5
+    assert "run.h5 cannot be written: File too large" in done.stdout
+    assert (tmp_path / "run.h5").read_text() == "precious"
+
+
+def test_full_disk_leaves_what_was_flushed(tmp_path: Path) -> None:
+    done = run_python(FULL_DISK.format(limit=800_000, interval=0.0), tmp_path)
+    assert "what was recorded until shortly before is in run.h5.part" in done.stdout
+    with load(tmp_path / "run.h5.part") as run:
+        assert run.status == "running"
+        assert len(run.time) >= 100
+
+
+def test_archive_is_flushed_to_its_exact_size(tmp_path: Path) -> None:
+    make(tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5") as file:
+        assert file.id.get_filesize() == (tmp_path / "run.h5").stat().st_size

@@ -1,0 +1,292 @@
+"""What is appended is what is in the file, in bounded memory and few bytes, whatever ends the run."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from mbdkit.archive import table
+from mbdkit.archive.check import check
+from mbdkit.archive.layout import LAYOUT
+from mbdkit.archive.reader import load
+
+from .making import SPEC, STATS, fill, largest, make, names, rows, steps, writer
+
+
+def assert_holds(path: Path, count: int, named: object = None) -> None:
+    """The archive at `path` holds the first `count` made-up rows."""
+    expected = rows(count, names())
+    with h5py.File(path) as file:
+        for array in LAYOUT:
+            if array.dims[0] == "time" and not array.optional:
+                np.testing.assert_array_equal(file[array.path][:], expected[array.key], err_msg=array.path)
+        for name, values in steps(count - 1).items():
+            np.testing.assert_array_equal(file[f"steps/{name}"][:], values)
+        np.testing.assert_array_equal(file["steps/interval"][:], np.arange(1, count))
+
+
+@pytest.mark.parametrize("piece", [1, 4, 11])
+def test_rows_are_in_the_file_as_appended(tmp_path: Path, piece: int) -> None:
+    make(tmp_path / "run.h5", piece=piece)
+    assert_holds(tmp_path / "run.h5", 11)
+
+
+@pytest.mark.usefixtures("always_due")
+@pytest.mark.parametrize("piece", [1, 4, 7])
+def test_rows_are_in_the_file_as_appended_over_many_flushes(tmp_path: Path, piece: int) -> None:
+    make(tmp_path / "run.h5", count=23, piece=piece, after="flush_if_due")
+    assert_holds(tmp_path / "run.h5", 23)
+    assert check(tmp_path / "run.h5") == []
+
+
+def test_rows_beyond_the_buffer_are_written_as_they_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table, "BUFFER_BYTES", 5000)
+    make(tmp_path / "run.h5", count=500, piece=170)
+    assert_holds(tmp_path / "run.h5", 500)
+    assert check(tmp_path / "run.h5") == []
+
+
+def test_storage_has_no_say_in_the_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make(tmp_path / "one.h5", count=100)
+    monkeypatch.setattr(table, "BUFFER_BYTES", 5000)
+    make(tmp_path / "two.h5", count=100, piece=7)
+    with load(tmp_path / "one.h5") as one, load(tmp_path / "two.h5") as two:
+        assert one.data_sha256 == two.data_sha256
+        assert one.file["energy/total"].chunks is None
+        assert two.file["energy/total"].chunks is not None
+
+
+def test_appended_arrays_are_copied(tmp_path: Path) -> None:
+    named = names()
+    with_rows, with_steps = rows(3, named), steps(2)
+    into = writer(tmp_path / "run.h5")
+    into.append(with_rows)
+    into.append_steps(with_steps)
+    for values in (*with_rows.values(), *with_steps.values()):
+        values[...] = -1
+    into.finish("complete", "", STATS, largest(3, named))
+    assert_holds(tmp_path / "run.h5", 3)
+
+
+def test_part_is_flushed_when_a_second_has_passed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    into = writer(tmp_path / "run.h5")
+    fill(into, 4)
+    size = into._file.id.get_filesize()
+    now = 100.9
+    into.flush_if_due()
+    assert into._file.id.get_filesize() == size
+    now = 101.0
+    into.flush_if_due()
+    assert into._file.id.get_filesize() > size
+    into.abandon()
+
+
+def test_run_killed_after_a_flush_leaves_what_was_flushed(tmp_path: Path) -> None:
+    script = f"""
+        import sys
+        sys.path.insert(0, {str(Path(__file__).parent)!r})
+        import making
+        from pathlib import Path
+        from mbdkit.archive import writer
+        writer.FLUSH_INTERVAL = 0.0
+        into = making.writer(Path("run.h5"))
+        making.fill(into, 300, piece=50, after=into.flush_if_due)
+        into.append(making.rows(5, making.names(), 300))
+        print("flushed", flush=True)
+        sys.stdin.read()
+    """
+    with subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(script)],
+        cwd=tmp_path,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"flushed\n"
+        process.send_signal(signal.SIGKILL)
+    assert not (tmp_path / "run.h5").exists()
+    with load(tmp_path / "run.h5.part") as run:
+        assert run.status == "running"
+        np.testing.assert_array_equal(run.array("joints/reaction_force"), rows(300, names())["joints/reaction_force"])
+        assert run.misalignment_max == run.array("joints/misalignment").max()
+    make(tmp_path / "run.h5")  # the next run replaces what the dead one left
+    assert not (tmp_path / "run.h5.part").exists()
+    assert_holds(tmp_path / "run.h5", 11)
+
+
+@pytest.mark.parametrize(
+    ("status", "reason"),
+    [
+        ("complete", ""),
+        ("failed", "newton-failed: the step at t = 0.05 s did not converge"),
+        ("interrupted", ""),
+    ],
+)
+def test_every_end_gives_the_archive_its_name_and_status(tmp_path: Path, status: str, reason: str) -> None:
+    make(tmp_path / "run.h5", status=status, reason=reason)
+    assert os.listdir(tmp_path) == ["run.h5"]
+    with load(tmp_path / "run.h5") as run:
+        assert (run.status, run.status_reason) == (status, reason)
+    assert check(tmp_path / "run.h5") == []
+
+
+def test_unended_archive_says_running(tmp_path: Path) -> None:
+    into = writer(tmp_path / "run.h5")
+    assert into._file.attrs["status"] == "running"
+    into.abandon()
+    assert os.listdir(tmp_path) == []
+    into.abandon()
+
+
+def test_finish_adds_its_own_time_and_keeps_integers_integers(tmp_path: Path) -> None:
+    make(tmp_path / "run.h5")
+    with load(tmp_path / "run.h5") as run:
+        assert {name: run.stats[name] for name in STATS} == STATS
+        assert [type(run.stats[name]) for name in STATS] == [type(value) for value in STATS.values()]
+        assert 0.0 < run.stats["finish_s"] < 10.0
+
+
+def test_finish_needs_an_end(tmp_path: Path) -> None:
+    into = writer(tmp_path / "run.h5")
+    with pytest.raises(ValueError, match="complete, failed or interrupted"):
+        into.finish("running", "", STATS, np.zeros(2))
+    into.abandon()
+
+
+@pytest.mark.parametrize("recorded", [set(), {"energy"}, {"joints"}, {"constraints", "joints"}])
+def test_only_the_asked_quantities_are_recorded(tmp_path: Path, recorded: set[str]) -> None:
+    spec = {**SPEC, "output": {"quantities": sorted(recorded)}}
+    make(tmp_path / "run.h5", quantities=frozenset(recorded), spec=spec)
+    assert check(tmp_path / "run.h5") == []
+    with load(tmp_path / "run.h5") as run:
+        assert run.records("energy/total") == ("energy" in recorded)
+        assert run.records("joints/misalignment") == ("joints" in recorded)
+        assert run.records("constraints/multiplier") == ("constraints" in recorded)
+        assert run.joints["J2"].misalignment_max == 1.001  # over every step, so it needs no rows
+
+
+def test_row_keys_are_what_append_needs(tmp_path: Path) -> None:
+    into = writer(tmp_path / "run.h5", quantities=frozenset({"energy"}))
+    made = rows(2, names())
+    into.append({key: made[key] for key in into.row_keys})
+    for key in into.row_keys:
+        with pytest.raises(ValueError, match=key):
+            into.append({other: made[other] for other in into.row_keys - {key}})
+    into.abandon()
+
+
+def test_method_brings_its_own_multiplier(tmp_path: Path) -> None:
+    make(tmp_path / "run.h5", extra_datasets=["constraints/method_multiplier"])
+    assert check(tmp_path / "run.h5") == []
+    with load(tmp_path / "run.h5") as run:
+        wanted = rows(11, names())["constraints/method_multiplier"][:, 1]
+        np.testing.assert_array_equal(run.constraints["J1.y"].method_multiplier, wanted)
+
+
+def test_rows_of_another_shape_are_refused(tmp_path: Path) -> None:
+    into = writer(tmp_path / "run.h5")
+    with pytest.raises(ValueError, match="joints/reaction_force has shape"):
+        into.append({**rows(2, names()), "joints/reaction_force": np.zeros((2, 2, 3))})
+    with pytest.raises(ValueError, match="no trajectory/speed"):
+        into.append({**rows(2, names()), "trajectory/speed": np.zeros(2)})
+    into.abandon()
+
+
+def test_refused_rows_leave_no_trace(tmp_path: Path) -> None:
+    into = writer(tmp_path / "run.h5")
+    fill(into, 5)
+    with pytest.raises(ValueError, match="has shape"):
+        into.append({**rows(2, names(), 5), "energy/work": np.zeros(3)})
+    into.finish("complete", "", STATS, largest(5, names()))
+    assert_holds(tmp_path / "run.h5", 5)
+
+
+@pytest.mark.parametrize("torn", ["joints/misalignment", "energy/balance", "steps/size"])
+def test_interrupted_write_is_taken_up_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, torn: str) -> None:
+    into = writer(tmp_path / "run.h5")
+    fill(into, 20, piece=5)
+    into._write_more()
+    into.append(rows(3, names(), 20))
+    into.append_steps(steps(3, 19))
+    extend = table.Series.extend
+
+    def interrupted(series: table.Series, values: np.ndarray, start: int) -> None:
+        if series.array.path == torn:
+            raise KeyboardInterrupt
+        extend(series, values, start)
+
+    monkeypatch.setattr(table.Series, "extend", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        into._write_more()
+    monkeypatch.setattr(table.Series, "extend", extend)
+    into.append(rows(2, names(), 23))
+    into.append_steps(steps(2, 22))
+    into.finish("interrupted", "", STATS, largest(25, names()))
+    assert_holds(tmp_path / "run.h5", 25)
+    assert check(tmp_path / "run.h5") == []
+
+
+def test_archive_in_memory_is_the_archive_in_a_file(tmp_path: Path) -> None:
+    make(tmp_path / "run.h5")
+    memory = make(None)
+    other = make(None)  # another at the same time
+    with h5py.File(tmp_path / "run.h5") as file:
+        assert memory.attrs["data_sha256"] == file.attrs["data_sha256"]
+        there: list[str] = []
+        file.visit(there.append)
+        inside: list[str] = []
+        memory.visit(inside.append)
+        assert there == inside
+    memory.close()
+    other.close()
+
+
+def test_spec_and_misalignments_may_exceed_64_kib(tmp_path: Path) -> None:
+    named = names(1, 10_000, 0)
+    spec = {**SPEC, "title": "x" * 100_000}
+    make(tmp_path / "run.h5", count=2, named=named, spec=spec)
+    with load(tmp_path / "run.h5") as run:
+        assert run.spec["title"] == "x" * 100_000
+        assert run.joints["J10000"].misalignment_max == largest(2, named)[-1]
+
+
+def test_names_may_be_in_any_script(tmp_path: Path) -> None:
+    named = names()
+    named = type(named)(["Schenkel links", "大腿"], ["knee joint", "Hüfte"], named.constraints, named.constraint_units)
+    make(tmp_path / "run.h5", named=named)
+    with load(tmp_path / "run.h5") as run:
+        assert list(run.bodies) == ["Schenkel links", "大腿"]
+        assert list(run.joints) == ["knee joint", "Hüfte"]
+
+
+def test_small_runs_make_small_files(tmp_path: Path) -> None:
+    make(tmp_path / "run.h5", count=3, named=names(1, 1))
+    assert (tmp_path / "run.h5").stat().st_size < 50_000
+
+
+@pytest.mark.usefixtures("always_due")
+def test_slow_runs_make_small_files(tmp_path: Path) -> None:
+    make(tmp_path / "run.h5", count=20, named=names(1, 1), piece=1, after="flush_if_due")
+    assert (tmp_path / "run.h5").stat().st_size < 1_000_000
+
+
+@pytest.mark.usefixtures("always_due")
+def test_chunks_are_of_moderate_size(tmp_path: Path) -> None:
+    make(tmp_path / "run.h5", count=40_000, named=names(3, 1), piece=20_000, after="flush_if_due")
+    with h5py.File(tmp_path / "run.h5") as file:
+        for array in LAYOUT:
+            if array.grows and array.path in file:
+                chunks = file[array.path].chunks
+                assert 1 << 14 <= 8 * np.prod(chunks) <= 1 << 17, array.path
+    assert check(tmp_path / "run.h5") == []
