@@ -1,0 +1,179 @@
+"""The recorder: turns recorded states into the rows of an archive."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.archive.writer import ArchiveNames, ArchiveWriter
+from mbdkit.engine.analysis import SingularSystemError
+from mbdkit.engine.compiled import CompiledMechanism
+from mbdkit.engine.observe import observe
+from mbdkit.engine.problem import Problem
+from mbdkit.engine.system import OK
+from mbdkit.integrators.stepping import Stretch
+
+
+def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
+    """Return the names of bodies, joints and constraint rows, with the rows' units."""
+    return ArchiveNames(
+        bodies=list(mechanism.bodies),
+        joints=list(mechanism.joints),
+        constraints=[row.label for row in mechanism.rows],
+        constraint_units=[row.unit for row in mechanism.rows],
+    )
+
+
+class Recorder:
+    """Evaluates what is recorded of each state and hands it to the archive.
+
+    Parameters
+    ----------
+    problem
+        The mechanism, with the solver of the run.
+    writer
+        The archive in the making.
+    """
+
+    def __init__(self, problem: Problem, writer: ArchiveWriter):
+        self.problem, self.writer = problem, writer
+        mechanism = problem.mechanism
+        self._pair = np.array([row.pair for row in mechanism.rows], dtype=np.int64)
+        self._place = np.array([row.place for row in mechanism.rows], dtype=np.int64)
+        self._metres = np.array([row.unit == "m" for row in mechanism.rows], dtype=bool)
+        number = {pair: j for j, pairs in enumerate(mechanism.joint_pairs) for pair in pairs}
+        self._joint = np.array([number[row.pair] for row in mechanism.rows], dtype=np.int64)
+        self._pair_joint = np.array([number[k] for k in range(len(mechanism.topology.pairs))], dtype=np.int64)
+        self._joints = len(mechanism.joints)
+        self._start_total: float | None = None
+        self.largest = np.zeros(self._joints)
+        """(J,) largest misalignment [m] of the recorded states."""
+
+    def record(self, stretch: Stretch, elapsed: tuple[float, float], *, start: bool = False) -> str:
+        """Write the rows of a stretch.
+
+        Parameters
+        ----------
+        stretch
+            States to be recorded.
+        elapsed
+            Wall time since the first step when the stretch began and when it ended [s]; rows are set evenly between.
+        start
+            Whether this is the start, which ends no interval.
+
+        Returns
+        -------
+        str
+            Empty, or what made the equations singular at a recorded state; nothing from there on is written.
+        """
+        count = len(stretch.time)
+        if count == 0:
+            return ""
+        top, pairs = self.problem.mechanism.topology, len(self.problem.mechanism.topology.pairs)
+        q, v = np.ascontiguousarray(stretch.q), np.ascontiguousarray(stretch.v)
+        acc, lam = np.zeros_like(q), np.zeros((count, pairs, 2))
+        phi, rate, reactions = np.zeros_like(lam), np.zeros_like(lam), np.zeros((count, pairs, 3))
+        kinetic, potential = np.zeros((2, count))
+        singular = ""
+        done, renewed = 0, -1
+        while done < count:
+            arrays = (stretch.time, q, v, acc, lam, phi, rate, reactions, kinetic, potential)
+            status, reached = observe(top, self.problem.scratch, self.problem.solver, *(x[done:] for x in arrays))
+            done += reached
+            if status == OK:
+                break
+            try:
+                if renewed == done:
+                    raise SingularSystemError
+                self.problem.use_pivots()
+                renewed = done
+            except SingularSystemError as error:
+                singular, count = self.problem.mechanism.unknown_name(error.index), done
+        part = slice(0, count)
+        self._write_rows(stretch, part, elapsed, acc, lam, phi, rate, reactions, kinetic, potential)
+        if not start:
+            t, steps, size, iterations, most, rejected = stretch.intervals[part].T
+            self.writer.append_steps(
+                {
+                    "time": t,
+                    "steps": steps.astype(np.int64),
+                    "size": size,
+                    "iterations": iterations.astype(np.int64),
+                    "iterations_max": most.astype(np.int64),
+                    "rejected": rejected.astype(np.int64),
+                }
+            )
+        self.writer.flush_if_due()
+        return singular
+
+    def _write_rows(
+        self, stretch: Stretch, part: slice, elapsed: tuple[float, float], acc: np.ndarray, lam: np.ndarray,
+        phi: np.ndarray, rate: np.ndarray, reactions: np.ndarray, kinetic: np.ndarray, potential: np.ndarray,
+    ) -> None:  # fmt: skip
+        times = stretch.time[part]
+        count = len(times)
+        if count == 0:
+            return
+        bodies = len(self.problem.mechanism.bodies)
+
+        def by_body(x: np.ndarray) -> np.ndarray:
+            return x[part, : 3 * bodies].reshape(count, bodies, 3)
+
+        residual = phi[part][:, self._pair, self._place]
+        residual_rate = rate[part][:, self._pair, self._place]
+        misalignment = np.sqrt(self._by_joint(np.where(self._metres, residual, 0.0) ** 2, self._joint))
+        force = _sum_groups(reactions[part].swapaxes(0, 1), self._pair_joint, self._joints).swapaxes(0, 1)
+        total = kinetic[part] + potential[part]
+        if self._start_total is None:
+            self._start_total = float(total[0])
+        work, lost = stretch.work[part], stretch.dissipated[part]
+        self.largest = np.maximum(self.largest, misalignment.max(axis=0, initial=0.0))
+        self.writer.append(
+            {
+                "time": times,
+                "trajectory/position": by_body(stretch.q),
+                "trajectory/velocity": by_body(stretch.v),
+                "trajectory/acceleration": by_body(acc),
+                "trajectory/elapsed_s": elapsed[0] + (elapsed[1] - elapsed[0]) * np.arange(1, count + 1) / count,
+                "joints/misalignment": misalignment,
+                "joints/velocity_misalignment": np.sqrt(
+                    self._by_joint(np.where(self._metres, residual_rate, 0.0) ** 2, self._joint)
+                ),
+                "joints/angle_misalignment": self._by_joint(np.where(self._metres, 0.0, np.abs(residual)), self._joint),
+                "joints/reaction_force": force[:, :, :2],
+                "joints/reaction_torque": force[:, :, 2],
+                "constraints/position_residual": residual,
+                "constraints/velocity_residual": residual_rate,
+                "constraints/multiplier": lam[part][:, self._pair, self._place],
+                "energy/kinetic": kinetic[part],
+                "energy/potential": potential[part],
+                "energy/total": total,
+                "energy/dissipated": lost,
+                "energy/work": work,
+                "energy/balance": total + lost - work - self._start_total,
+            }
+        )
+
+    def _by_joint(self, rows: np.ndarray, joint: np.ndarray) -> np.ndarray:
+        """Sum constraint rows (T, m) over each joint: (T, J)."""
+        return _sum_groups(rows.T, joint, self._joints).T
+
+    def misalignment_max(self, worst_pairs: np.ndarray) -> np.ndarray:
+        """Return the largest misalignment of each joint [m] over every step.
+
+        Parameters
+        ----------
+        worst_pairs
+            (P,) largest squared norm of each pair's Phi over the steps.
+        """
+        squares = np.zeros(self._joints)
+        metric = np.zeros(len(worst_pairs), dtype=bool)
+        metric[self._pair[self._metres]] = True
+        np.add.at(squares, self._pair_joint, np.where(metric, worst_pairs, 0.0))
+        return np.maximum(np.sqrt(squares), self.largest)
+
+
+def _sum_groups(values: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
+    """Sum `values` (n, ...) over equal entries of `group` (n,): (groups, ...)."""
+    out = np.zeros((groups, *values.shape[1:]))
+    np.add.at(out, group, values)
+    return out

@@ -1,0 +1,279 @@
+"""A run from spec to archive: build, make the start consistent, advance in stretches, record, finish."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
+from mbdkit.archive.target import check_target
+from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.engine.analysis import SingularSystemError
+from mbdkit.engine.assembly import assemble
+from mbdkit.engine.compiled import compile_mechanism
+from mbdkit.engine.problem import Problem
+from mbdkit.engine.warm import ensure_compiled, to_stderr
+from mbdkit.errors import MbdkitError, PluginError, SpecError
+from mbdkit.integrators.methods import Method
+from mbdkit.integrators.stepping import Counters, Failure, Stepper, Stretch, Timetable
+from mbdkit.recorder import Recorder, archive_names
+from mbdkit.spec import RunSpec, load_spec
+from mbdkit.text import one_line
+
+Progress = Callable[[float, float], None]
+
+
+def run(source: Any, *, archive: str | Path | None = None, overwrite: bool = False, **sections: Any) -> Run:
+    """Run a spec.
+
+    Parameters
+    ----------
+    source
+        A file name, the name of a packaged example, a mapping, a RunSpec, or a Mechanism with its `sections`.
+    archive
+        Store the results in this file while running; left out, they stay in memory.
+    overwrite
+        Whether an existing archive may be replaced.
+    **sections
+        Sections of the spec, such as ``integrator={"name": "gauss", "stages": 2}``; they replace those of `source`.
+
+    Returns
+    -------
+    Run
+        The results; a run that stopped early has its status and reason, and `Run.check` raises.
+
+    Raises
+    ------
+    SpecError
+        Where the input is wrong, joints that cannot meet included; no file is left behind.
+    PluginError
+        Where a plugin fails.
+    """
+    spec = load_spec(source, (), **sections)
+    return simulate(spec, path=None if archive is None else Path(archive), overwrite=overwrite)
+
+
+def simulate(
+    spec: RunSpec,
+    *,
+    path: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    notify: Callable[[str], None] = to_stderr,
+) -> Run:
+    """Run a checked spec; see `run`.
+
+    Parameters
+    ----------
+    spec
+        The spec.
+    path
+        Final name of the archive; None keeps it in memory.
+    overwrite
+        Whether an existing archive may be replaced.
+    progress
+        Called with (time reached, end time) [s] several times a second.
+    notify
+        Told what takes long before the first step, such as the one compilation of an installation.
+    """
+    begin = time.perf_counter()
+    if path is not None:
+        check_target(path, overwrite=overwrite)
+    method = _method(spec)
+    compiled = compile_mechanism(spec.mechanism())
+    ensure_compiled(notify)
+    try:
+        start = assemble(spec.mechanism(), spec.time.start, compiled)
+    except SpecError as error:
+        raise spec.placed(error) from error
+    problem = Problem(compiled, spec.time.start, _padded(start.q), _padded(start.v))
+    writer = ArchiveWriter(
+        path,
+        archive_names(compiled),
+        spec.canonical_json(),
+        spec.sha256(),
+        spec.run_id(),
+        {**_provenance(spec), "assembly": start.describe()},
+        spec.output.recorded,
+        overwrite=overwrite,
+    )
+    try:
+        return _Simulation(spec, problem, method, writer, begin).run(progress)
+    except BaseException:
+        writer.abandon()
+        raise
+
+
+def _method(spec: RunSpec) -> Method:
+    """Return the method that the spec asks for; a plugin that fails to make one raises PluginError."""
+    try:
+        method: Method = spec.integrator_plugin.create(spec.integrator)
+    except MbdkitError as error:
+        raise PluginError(f"integrator {spec.integrator_item.id}: {error}") from error
+    except Exception as error:
+        raise PluginError(f"integrator {spec.integrator_item.id} failed to start: {one_line(error)}") from error
+    if not isinstance(method, Method):
+        raise PluginError(
+            f"integrator {spec.integrator_item.id} made {type(method).__name__}, not one of "
+            "ExplicitRungeKutta, ImplicitRungeKutta and SciPySolver"
+        )
+    return method
+
+
+class _Simulation:
+    def __init__(self, spec: RunSpec, problem: Problem, method: Method, writer: ArchiveWriter, begin: float):
+        self.spec, self.problem, self.method, self.writer, self.begin = spec, problem, method, writer, begin
+        self.recorder = Recorder(problem, writer)
+        self.failure: Failure | None = None
+        self.interrupted = False
+
+    def run(self, progress: Progress | None) -> Run:
+        start = self.problem.t0
+        table = _timetable(self.spec)
+        stepper: Stepper | None = None
+        try:
+            first = Stretch(
+                np.array([start]),
+                self.problem.q0[None],
+                self.problem.v0[None],
+                np.zeros(1),
+                np.zeros(1),
+                np.zeros((1, 6)),
+            )
+            singular = self.recorder.record(first, (0.0, 0.0), start=True)
+            if singular:
+                raise SingularSystemError
+            stepper = self.method.start(self.problem, table)
+        except SingularSystemError as error:
+            name = self.problem.mechanism.unknown_name(error.index)
+            self.failure = Failure(
+                "singular",
+                f"the equations have no unique solution at the start, near {name}: constraints are redundant or the "
+                "mechanism stands in a singular position.",
+            )
+        setup = time.perf_counter() - self.begin
+        wall, cpu = time.perf_counter(), time.process_time()
+        if stepper is not None:
+            with _interrupts(self):
+                self.advance(stepper, progress, wall)
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        counters = asdict(stepper.counters) if stepper is not None else asdict(Counters())
+        worst = stepper.worst_pairs if stepper is not None else np.zeros(len(self.problem.mechanism.topology.pairs))
+        status = "failed" if self.failure else "interrupted" if self.interrupted else "complete"
+        reason = f"{self.failure.code}: {self.failure.sentence}" if self.failure else ""
+        if status == "interrupted":
+            reason = f"interrupted: stopped by the user at t = {stepper.time if stepper else start:.6g} s."
+        file = self.writer.finish(
+            status,
+            reason,
+            {**counters, "setup_s": setup, "wall_s": wall, "cpu_s": cpu},
+            self.recorder.misalignment_max(worst),
+        )
+        if file is not None:
+            return Run(file)
+        assert self.writer.path is not None
+        return load(self.writer.path)
+
+    def advance(self, stepper: Stepper, progress: Progress | None, begin: float) -> None:
+        """Step to the end, a limit, a failure or an interrupt, recording on the way."""
+        limit, end = self.spec.limits.wall_time, self.spec.time.final
+        elapsed = 0.0
+        recorded = self.problem.t0
+        while not stepper.finished and stepper.failure is None and self.failure is None and not self.interrupted:
+            stretch = stepper.advance()
+            now = time.perf_counter() - begin
+            singular = self.recorder.record(stretch, (elapsed, now))
+            if len(stretch.time):
+                recorded = float(stretch.time[-1])
+            elapsed = now
+            if singular:
+                self.failure = Failure(
+                    "singular", f"the equations have no unique solution at a recorded state, near {singular}."
+                )
+            if progress is not None:
+                progress(stepper.time, end)
+            if limit is not None and now > limit and not stepper.finished and stepper.failure is None:
+                self.failure = Failure(
+                    "wall-time", f"stopped at t = {stepper.time:.6g} s after limits.wall_time = {limit:g} s."
+                )
+        self.failure = stepper.failure or self.failure
+        if stepper.finished:
+            self.interrupted = False
+        elif recorded < stepper.time and not (self.failure and self.failure.code == "singular"):
+            self.recorder.record(stepper.last_state(), (elapsed, elapsed))
+
+
+def _padded(x: np.ndarray) -> np.ndarray:
+    """Return a state (B, 3) as a flat vector with ground at its end."""
+    return np.concatenate([x.ravel(), np.zeros(3)])
+
+
+def _timetable(spec: RunSpec) -> Timetable:
+    return Timetable(
+        start=spec.time.start,
+        end=spec.time.final,
+        step=spec.time.step,
+        steps=spec.time.count or 0,
+        every=spec.output.every or 1,
+        interval=spec.output.interval,
+        max_steps=spec.limits.max_steps,
+    )
+
+
+@contextmanager
+def _interrupts(simulation: _Simulation) -> Iterator[None]:
+    """Let Ctrl-C end the run after the stretch that is under way; a second one raises KeyboardInterrupt."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def note(number: int, frame: Any) -> None:
+        if simulation.interrupted:
+            raise KeyboardInterrupt
+        simulation.interrupted = True
+
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@cache
+def _versions() -> dict[str, str]:
+    packages = ("numpy", "scipy", "numba", "llvmlite", "h5py", "pydantic", "pluggy")
+    return {name: version(name) for name in packages}
+
+
+def _provenance(spec: RunSpec) -> dict[str, str | int | float]:
+    """Return what a stranger needs to know of how the run came about."""
+    found: dict[str, str | int | float] = {
+        "mbdkit": version("mbdkit"),
+        "python": platform.python_version(),
+        **_versions(),
+        "platform": platform.platform(),
+        "processor": platform.machine(),
+        "cpu_count": os.cpu_count() or 0,
+        "command": shlex.join(sys.argv),
+    }
+    for kind, item in (("model", spec.model_item), ("integrator", spec.integrator_item)):
+        found[kind] = item.id
+        found[f"{kind}_distribution"] = item.origin.distribution
+        found[f"{kind}_version"] = item.origin.version
+        found[f"{kind}_entry_point"] = item.origin.entry_point
+    return found
