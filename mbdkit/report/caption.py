@@ -1,0 +1,68 @@
+"""What a picture says about the run that it shows: title, model, method, step, and how the run ended."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+
+@dataclass(frozen=True)
+class Caption:
+    """Heading of a picture.
+
+    Parameters
+    ----------
+    title
+        The spec's title, or the model's name.
+    settings
+        Model, integrator, step and status in one line.
+    alarm
+        How a run that is not complete ended; empty for a complete one.
+    """
+
+    title: str
+    settings: str
+    alarm: str = ""
+
+
+def caption(run: Run) -> Caption:
+    """Return the heading of the pictures of `run`."""
+    spec = run.spec
+    model = str(spec.get("model", {}).get("name", "mechanism"))
+    parts = [model, method(spec), *_departures(spec)]
+    step = spec.get("time", {}).get("step")
+    if step is not None:
+        first = "first step" if "rtol" in spec.get("integrator", {}) else "step"
+        parts.append(f"{first} {step:g} s")
+    parts.append(str(run.status))
+    alarm = ""
+    if run.status != "complete":
+        end = f" at t = {float(run.time[-1]):.6g} s" if len(run.time) else ""
+        alarm = f"{str(run.status).upper()}{end}" + (f": {run.status_reason}" if run.status_reason else "")
+    title = " ".join(str(spec.get("title") or model).split())
+    return Caption(title, " · ".join(part for part in parts if part), alarm)
+
+
+def method(spec: Mapping[str, Any]) -> str:
+    """Return the integrator of a spec in a few words, such as ``gauss, 2 stages``."""
+    integrator = spec.get("integrator", {})
+    words = [str(integrator.get("name", ""))]
+    if integrator.get("stages") is not None:
+        words.append(f"{integrator['stages']} stage{'s' if integrator['stages'] != 1 else ''}")
+    words += [f"{key} {integrator[key]:g}" for key in ("rtol", "atol") if isinstance(integrator.get(key), float | int)]
+    return ", ".join(words)
+
+
+def _departures(spec: Mapping[str, Any]) -> list[str]:
+    """Formulation and stabilization, where they are not the defaults."""
+    found = []
+    for key, default in (("formulation", "index-1"), ("stabilization", "none")):
+        value = spec.get(key) or default
+        name = str(value.get("name", default)) if isinstance(value, Mapping) else str(value)
+        if name != default:
+            found.append(name)
+    return found

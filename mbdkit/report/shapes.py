@@ -1,0 +1,98 @@
+"""Plane geometry of pictures: the outline of points, a spring's zigzag, the part of the plane to see."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_FLAT = 1e-9  # a corner that stands out by less than this share of the body's size is none
+
+
+def convex_hull(points: Array) -> list[int]:
+    """Return the indices of the corners of the convex hull of `points` (K, 2), counterclockwise, none on a side."""
+    size = float(np.ptp(points, axis=0).max())
+    if size == 0.0:
+        return [0]
+    order = np.lexsort((points[:, 1], points[:, 0])).tolist()
+
+    def half(sequence: list[int]) -> list[int]:
+        corners: list[int] = []
+        for index in sequence:
+            while len(corners) >= 2:
+                a, b = points[corners[-2]], points[corners[-1]]
+                turn = (b[0] - a[0]) * (points[index, 1] - a[1]) - (b[1] - a[1]) * (points[index, 0] - a[0])
+                if turn > _FLAT * size * size:
+                    break
+                corners.pop()
+            corners.append(index)
+        return corners[:-1]
+
+    return half(order) + half(order[::-1])
+
+
+def zigzag(start: Array, end: Array, width: float, coils: int = 6) -> Array:
+    """Return a spring between two points as a polyline.
+
+    Parameters
+    ----------
+    start, end
+        Ends of the spring [m], shape (..., 2).
+    width
+        Height of a tooth on either side [m].
+    coils
+        Number of teeth.
+
+    Returns
+    -------
+    Array
+        Corners of the polyline [m], shape (..., 2 * coils + 4, 2).
+    """
+    along = end - start
+    length = np.hypot(along[..., 0], along[..., 1])[..., None]
+    unit = np.divide(along, length, out=np.zeros_like(along), where=length > 0)
+    across = np.stack([-unit[..., 1], unit[..., 0]], axis=-1)
+    share = np.concatenate([[0.0, 0.15], 0.15 + 0.7 * (np.arange(2 * coils) + 0.5) / (2 * coils), [0.85, 1.0]])
+    side = np.concatenate([[0.0, 0.0], np.resize([1.0, -1.0], 2 * coils), [0.0, 0.0]]) * width
+    corners: Array = start[..., None, :] + share[:, None] * along[..., None, :] + side[:, None] * across[..., None, :]
+    return corners
+
+
+def view_box(paths: Array, poses: Array, margin: float = 0.08) -> tuple[tuple[float, float], tuple[float, float], bool]:
+    """Return the x limits and y limits [m] of a picture, and whether something lies outside of them.
+
+    The box holds every finite point, unless the motion flies apart (it goes hundreds of times farther than in its first
+    tenth): then it holds what happened before.
+
+    Parameters
+    ----------
+    paths
+        Points [m] over time, shape (R, K, 2).
+    poses
+        Other points [m] to be seen, shape (..., 2).
+    margin
+        Room left around, as a share of the size.
+    """
+    points = np.concatenate([paths.reshape(-1, 2), poses.reshape(-1, 2)])
+    points = points[np.all(np.isfinite(points), axis=1)]
+    if not len(points):
+        return (-1.0, 1.0), (-1.0, 1.0), False
+    inside = np.max(np.abs(points - points[0]), axis=1) <= _reach_before_flight(paths - points[0])
+    low, high = points[inside].min(axis=0), points[inside].max(axis=0)
+    size = float(np.max(high - low)) or 1.0
+    lack = np.maximum(0.25 * size - (high - low), 0.0) / 2  # a straight path still gets a box that one can read
+    low, high = low - lack - margin * size, high + lack + margin * size
+    return (float(low[0]), float(high[0])), (float(low[1]), float(high[1])), not bool(np.all(inside))
+
+
+def _reach_before_flight(paths: Array) -> float:
+    """Return how far from the start the points of a picture may lie; without end where nothing flies apart."""
+    far = np.max(np.abs(paths), axis=(1, 2), initial=0.0)
+    far = np.where(np.isfinite(far), far, np.inf)
+    rows, reach = len(far), np.inf
+    while rows >= 100:
+        before = float(np.max(far[: rows // 10]))
+        if float(np.max(far[:rows])) > 300.0 * before > 0.0:
+            reach = 3.0 * before
+        rows //= 10
+    return reach

@@ -1,0 +1,166 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.report.geometry import (
+    GROUND,
+    choose_traces,
+    draw_mechanism,
+    draw_spec,
+    trace_points,
+)
+from mbdkit.report.shapes import convex_hull, view_box, zigzag
+
+
+def rods(count: int) -> Mechanism:
+    mechanism = Mechanism()
+    before = mechanism.ground
+    for k in range(count):
+        rod = mechanism.body(f"rod{k + 1}", mass=1, inertia=1 / 12, position=(k + 0.5, 0))
+        mechanism.revolute(f"J{k + 1}", before, rod, at=(k, 0))
+        before = rod
+    return mechanism
+
+
+def initial_poses(mechanism: Mechanism) -> np.ndarray:
+    return np.array([[*body.position, body.angle] for body in mechanism.bodies.values()])
+
+
+def outline(mechanism: Mechanism, body: int) -> list[list[float]]:
+    drawing = draw_mechanism(mechanism)
+    return sorted(drawing.world(initial_poses(mechanism), drawing.outlines[body]).round(12).tolist())
+
+
+def test_the_last_rod_of_a_chain_ends_opposite_to_its_joint():
+    assert outline(rods(2), 0) == [[0.0, 0.0], [1.0, 0.0]]
+    assert outline(rods(2), 1) == [[1.0, 0.0], [2.0, 0.0]]
+
+
+def test_paths_are_those_of_free_ends_and_of_joints_that_move():
+    assert [trace.label for trace in draw_mechanism(rods(3)).traces] == ["rod3 end", "J2", "J3"]
+
+
+def test_of_many_paths_four_are_chosen_and_the_free_end_is_the_first():
+    drawing = draw_mechanism(rods(50))
+    chosen = choose_traces(drawing)
+    assert len(chosen) == 4
+    assert chosen[0].label == "rod50 end"
+    points, owners = trace_points(drawing, chosen)
+    poses = initial_poses(rods(50))
+    wanted = drawing.world(poses, [trace.point for trace in chosen])
+    np.testing.assert_array_equal(points.world(poses[owners]), wanted)
+
+
+def test_world_coordinates_turn_with_the_body_and_leave_the_ground_alone():
+    drawing = draw_mechanism(rods(1))
+    poses = np.array([[[0.0, 0.5, np.pi / 2]], [[-0.5, 0.0, np.pi]]])
+    world = drawing.world(poses)
+    assert world.shape == (2, len(drawing.owner), 2)
+    end = drawing.traces[0].point
+    np.testing.assert_allclose(world[:, end], [[0.0, 1.0], [-1.0, 0.0]], atol=1e-15)
+    np.testing.assert_array_equal(world[:, drawing.owner == GROUND], np.zeros((2, 1, 2)))
+
+
+def test_a_body_with_points_off_one_line_is_an_outline_through_them():
+    mechanism = Mechanism()
+    plate = mechanism.body("plate", mass=1, inertia=1, position=(0, 0))
+    for name, at in {"A": (-1, -1), "B": (1, -1), "C": (0, 1)}.items():
+        mechanism.revolute(name, mechanism.ground, plate, at=at)
+    assert outline(mechanism, 0) == [[-1.0, -1.0], [0.0, 1.0], [1.0, -1.0]]
+    assert len(draw_mechanism(mechanism).grounds) == 3
+
+
+def test_joints_close_together_and_far_from_the_centre_of_mass_give_a_body_with_a_far_end():
+    mechanism = Mechanism()
+    shank = mechanism.body("shank", mass=1, inertia=1, position=(0, -1))
+    mechanism.revolute("A", mechanism.ground, shank, at=(-0.1, 0))
+    mechanism.revolute("B", mechanism.ground, shank, at=(0.1, 0))
+    assert outline(mechanism, 0) == [[-0.1, 0.0], [0.0, -2.0], [0.1, 0.0]]
+    assert [trace.label for trace in draw_mechanism(mechanism).traces] == ["shank end"]
+
+
+def test_a_free_body_is_a_disc_whose_centre_leaves_a_path():
+    mechanism = Mechanism()
+    mechanism.body("ball", mass=1, position=(3, 4))
+    drawing = draw_mechanism(mechanism)
+    assert [len(points) for points in drawing.outlines] == [1]
+    assert [trace.label for trace in drawing.traces] == ["ball"]
+    assert drawing.world(initial_poses(mechanism)).tolist() == [[3.0, 4.0]]
+
+
+def test_springs_and_distances_join_the_points_of_their_bodies():
+    mechanism = rods(1)
+    mechanism.spring_damper("s", mechanism.ground, "rod1", from_=(0.5, 1), to=(0.5, 0), stiffness=1)
+    bob = mechanism.body("bob", mass=1, position=(1, -1))
+    mechanism.distance("string", "rod1", bob, from_=(1, 0), to=(1, -1))
+    drawing = draw_mechanism(mechanism)
+    world = drawing.world(initial_poses(mechanism))
+    assert world[list(drawing.springs[0])].tolist() == [[0.5, 1.0], [0.5, 0.0]]
+    assert world[list(drawing.bars[0])].tolist() == [[1.0, 0.0], [1.0, -1.0]]
+    assert len(drawing.grounds) == 2
+
+
+@pytest.mark.parametrize("name", ["single-pendulum", "double-pendulum", "four-bar-knee"])
+def test_models_are_drawn_from_the_spec_alone(name):
+    from mbdkit.report.geometry import build_mechanism
+
+    spec = {"model": {"name": name}}
+    bodies = list(build_mechanism(spec).bodies)
+    drawing = draw_spec(spec, bodies)
+    assert list(drawing.bodies) == bodies
+    assert all(len(points) >= 2 for points in drawing.outlines)
+
+
+@pytest.mark.parametrize("model", [{"name": "acme:thing"}, {"name": "double-pendulum", "odd": 1}, {}])
+def test_a_model_that_cannot_be_built_is_drawn_as_centres_of_mass(model):
+    drawing = draw_spec({"model": model}, ["a", "b"])
+    assert [trace.label for trace in drawing.traces] == ["a", "b"]
+    poses = np.array([[1.0, 2.0, 0.3], [3.0, 4.0, 0.5]])
+    assert drawing.world(poses).tolist() == [[1.0, 2.0], [3.0, 4.0]]
+
+
+def test_the_hull_leaves_out_points_inside_and_on_its_sides():
+    points = np.array([[0, 0], [1, 0], [2, 0], [2, 2], [1, 1], [0, 2]], dtype=float)
+    assert convex_hull(points) == [0, 2, 3, 5]
+    assert convex_hull(points[:3]) == [0, 2]
+    assert convex_hull(points[:1].repeat(3, axis=0)) == [0]
+
+
+def test_a_spring_runs_from_end_to_end_with_teeth_of_the_given_width():
+    start, end = np.zeros((4, 2)), np.tile([0.0, 2.0], (4, 1))
+    corners = zigzag(start, end, 0.1)
+    assert corners.shape == (4, 16, 2)
+    np.testing.assert_array_equal(corners[:, 0], start)
+    np.testing.assert_array_equal(corners[:, -1], end)
+    np.testing.assert_allclose(np.abs(corners[..., 0]).max(), 0.1)
+    assert np.all(np.isfinite(zigzag(start, start, 0.1)))
+
+
+def test_the_view_holds_all_points_of_a_motion_that_holds_together():
+    paths = np.cumsum(np.random.default_rng(1).normal(size=(500, 3, 2)), axis=0)
+    (x0, x1), (y0, y1), cut = view_box(paths, np.array([[100.0, 100.0]]))
+    assert not cut
+    assert x0 < paths[..., 0].min()
+    assert y0 < paths[..., 1].min()
+    assert x1 > 100.0
+    assert y1 > 100.0
+
+
+@pytest.mark.parametrize("rate", [50.0, 500.0])
+def test_the_view_of_a_motion_that_flies_apart_is_that_of_what_went_before(rate):
+    time = np.linspace(0.0, 1.0, 1001)
+    circle = np.stack([np.cos(time * 9), np.sin(time * 9)], axis=-1)
+    flight = np.exp(np.clip(rate * (time - 0.3), 0.0, 300.0))[:, None]
+    paths = (circle * flight)[:, None]
+    paths[-1] = np.nan
+    (x0, x1), (y0, y1), cut = view_box(paths, np.zeros((1, 2)))
+    assert cut
+    assert max(-x0, x1, -y0, y1) < 10.0
+
+
+def test_the_view_of_nothing_finite_is_still_a_view():
+    (x0, x1), (y0, y1), _ = view_box(np.full((3, 1, 2), np.nan), np.full((1, 2), np.nan))
+    assert x0 < x1
+    assert y0 < y1

@@ -1,0 +1,240 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from PIL import Image
+
+from mbdkit.archive.history import NotRecordedError
+from mbdkit.errors import SpecError
+from mbdkit.report.plot import KINDS, figure, plot
+
+kinds = pytest.mark.parametrize("kind", KINDS)
+
+
+def texts(picture) -> str:
+    """All text of a figure."""
+    found = [text.get_text() for text in picture.texts]
+    for axes in picture.axes:
+        found += [axes.get_title(loc="left"), axes.get_xlabel(), axes.get_ylabel()]
+        found += [text.get_text() for text in axes.texts]
+        if axes.get_legend():
+            found += [text.get_text() for text in axes.get_legend().get_texts()]
+    return "\n".join(found)
+
+
+@kinds
+def test_a_png_is_a_picture_of_a_thousand_dots_with_something_on_it(make_run, tmp_path, kind):
+    path = plot(make_run(), kind, tmp_path / "picture.png")
+    with Image.open(path) as image:
+        assert image.format == "PNG"
+        assert image.width == 1080
+        assert 400 < image.height < 1300
+        assert image.info["dpi"][0] == pytest.approx(150, abs=0.1)
+        assert len(image.convert("RGB").getcolors(1_000_000)) > 50
+
+
+@pytest.mark.parametrize(("name", "first"), [("a.svg", b"<?xml"), ("a.pdf", b"%PDF"), ("a.PNG", b"\x89PNG")])
+def test_the_suffix_is_the_format(make_run, tmp_path, name, first):
+    assert plot(make_run(), "drift", tmp_path / name).read_bytes().startswith(first)
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a", "a.h5"])
+def test_another_suffix_is_refused_in_a_sentence(make_run, tmp_path, name):
+    with pytest.raises(SpecError, match=r"must end in \.png, \.svg or \.pdf"):
+        plot(make_run(), "drift", tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_kind_is_refused_with_the_kinds_there_are(make_run):
+    with pytest.raises(SpecError, match="trajectory, drift, energy, reactions"):
+        figure(make_run(), "drfit")
+
+
+def test_a_folder_that_is_not_there_is_named(make_run, tmp_path):
+    with pytest.raises(SpecError, match="there is no folder"):
+        plot(make_run(), "energy", tmp_path / "no" / "a.png")
+
+
+@kinds
+def test_titles_axes_and_units_are_written(make_run, kind):
+    text = texts(figure(make_run(), kind))
+    assert "a swinging chain" in text
+    assert "n-pendulum · gauss, 2 stages · step 0.02 s · complete" in text
+    units = {"trajectory": ("[m]",), "drift": ("[m]", "[m/s]"), "energy": ("[J]",), "reactions": ("[N]",)}
+    for unit in (*units[kind], *(("time [s]",) if kind != "trajectory" else ())):
+        assert unit in text
+
+
+@kinds
+def test_a_run_that_failed_says_so_in_the_picture(make_run, kind):
+    run = make_run(rows=11, status="failed", reason="newton-failed: the step at t = 0.2 s")
+    assert "FAILED at t = 0.2 s: newton-failed: the step at t = 0.2 s" in texts(figure(run, kind))
+
+
+@kinds
+def test_a_run_of_one_row_is_drawn(make_run, tmp_path, kind):
+    plot(make_run(rows=1, status="failed", reason="singular: at the start"), kind, tmp_path / "a.png")
+
+
+@kinds
+def test_a_run_without_rows_has_nothing_to_draw(make_run, kind):
+    with pytest.raises(SpecError, match="no rows"):
+        figure(make_run(rows=0, status="failed", reason="singular: at the start"), kind)
+
+
+@kinds
+def test_numbers_that_are_not_finite_do_not_stop_a_picture(make_run, tmp_path, kind):
+    def spoil(data):
+        for name, values in data.items():
+            if name != "time" and not name.startswith("constraints"):
+                values[-3:-1] *= 1e300
+                values[-1] = np.nan
+
+    run = make_run(change=spoil, status="failed", reason="not-finite: the state is not finite")
+    plot(run, kind, tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("kind", ["drift", "energy", "reactions"])
+def test_what_was_not_recorded_is_named(make_run, kind):
+    run = make_run(quantities=frozenset())
+    with pytest.raises(NotRecordedError, match=r"output\.quantities"):
+        figure(run, kind)
+    figure(run, "trajectory")
+
+
+def test_text_is_taken_literally(make_run, tmp_path):
+    title = r"$\frac{ \undefined $ _x_ 振り子 & <b>" + " longer" * 40
+    run = make_run(title=title, joints=["_a$x^$", r"$\b$"], model={"name": "acme:unknown"})
+    for kind in KINDS:
+        plot(run, kind, tmp_path / "a.png")
+    assert "_a$x^$" in texts(figure(run, "drift"))
+
+
+def test_drift_names_the_largest_misalignment_and_the_floor_to_which_zeros_are_lifted(make_run):
+    picture = figure(make_run(), "drift")
+    assert "misalignment: largest over every step 1.8e-08 m (J2)" in texts(picture)
+    axes = picture.axes[0]
+    assert axes.get_yscale() == "log"
+    floor = min(line.get_ydata().min() for line in axes.get_lines())
+    assert floor > 0
+    assert f"values below {floor:.0e} m are drawn there" in texts(picture)
+
+
+def test_misalignment_that_is_exactly_zero_is_drawn_at_the_smallest_floor(make_run):
+    def close(data):
+        data["joints/misalignment"][:] = 0.0
+
+    axes = figure(make_run(change=close), "drift").axes[0]
+    assert {value for line in axes.get_lines() for value in line.get_ydata()} == {1e-18}
+
+
+def test_driven_angles_have_a_panel_of_their_own_with_the_joints_that_they_concern(make_run):
+    def drive(data):
+        data["joints/angle_misalignment"][:, 1] = 1e-7
+
+    assert len(figure(make_run(), "drift").axes) == 2
+    axes = figure(make_run(change=drive), "drift").axes
+    assert len(axes) == 3
+    assert "[rad]" in axes[2].get_ylabel()
+    assert [text.get_text() for text in axes[2].get_legend().get_texts()] == ["J2"]
+
+
+def test_reaction_torques_have_a_panel_where_they_are_more_than_round_off(make_run):
+    def twist(size):
+        def change(data):
+            data["joints/reaction_torque"][:, 0] = -size
+
+        return change
+
+    assert len(figure(make_run(change=twist(1e-13)), "reactions").axes) == 1
+    axes = figure(make_run(change=twist(2.0)), "reactions").axes
+    assert axes[1].get_title(loc="left") == "reaction torque: largest 2 N m (J1)"
+
+
+def test_reaction_is_the_length_of_the_force(make_run):
+    def pull(data):
+        data["joints/reaction_force"][:] = [3.0, -4.0]
+
+    line = figure(make_run(change=pull), "reactions").axes[0].get_lines()[0]
+    np.testing.assert_array_equal(line.get_ydata(), 5.0)
+
+
+def test_energy_shows_the_balance_on_a_scale_of_its_own(make_run):
+    picture = figure(make_run(), "energy")
+    assert "largest 1e-11 J" in texts(picture)
+    low, high = picture.axes[1].get_ylim()
+    assert high - low < 1e-10
+    assert [text.get_text() for text in picture.axes[0].get_legend().get_texts()] == ["kinetic", "potential", "total"]
+
+
+def test_the_paths_are_those_of_the_run(make_run):
+    run = make_run(rods=1)
+    path = figure(run, "trajectory").axes[0].get_lines()
+    angle = run["rod1"].angle
+    end = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    assert any(
+        len(line.get_xdata()) == len(angle) and np.allclose(line.get_xydata(), end, rtol=0, atol=1e-14) for line in path
+    )
+
+
+def test_a_mechanism_without_joints_is_drawn(make_run, tmp_path):
+    model = {"name": "mechanism", "bodies": {"ball": {"mass": 1.0}}}
+    time = 0.02 * np.arange(151)
+    poses = np.stack([time, 3 * time - 4.9 * time**2, 0 * time], axis=-1)[:, None]
+    run = make_run(model=model, bodies=["ball"], joints=[], poses=poses)
+    for kind in KINDS:
+        plot(run, kind, tmp_path / "a.png")
+
+
+@kinds
+def test_a_thousand_joints_over_many_rows_stay_readable_and_quick(make_run, tmp_path, kind):
+    run = make_run(rods=1000, rows=400)
+    begin = time.perf_counter()
+    picture = figure(run, kind)
+    assert all(len(axes.get_legend().get_texts()) <= 8 for axes in picture.axes if axes.get_legend())
+    path = plot(run, kind, tmp_path / "a.svg")
+    assert time.perf_counter() - begin < 10.0
+    assert path.stat().st_size < 1_500_000
+
+
+@kinds
+def test_a_long_run_is_cut_down_to_what_a_picture_can_show(make_run, tmp_path, kind):
+    path = plot(make_run(rows=100_000, step=1e-3), kind, tmp_path / "a.svg")
+    assert path.stat().st_size < 2_500_000
+
+
+def test_a_picture_that_cannot_be_finished_leaves_the_old_one_and_nothing_else(make_run, tmp_path, monkeypatch):
+    path = tmp_path / "a.png"
+    path.write_bytes(b"old")
+
+    def fail(*args, **kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", fail)
+    with pytest.raises(SpecError, match="No space left"):
+        plot(make_run(), "energy", path)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@kinds
+def test_settings_of_matplotlib_are_left_alone(make_run, tmp_path, kind):
+    before = dict(mpl.rcParams)
+    plot(make_run(), kind, tmp_path / "a.png")
+    assert dict(mpl.rcParams) == before
+
+
+def test_drawing_needs_neither_pyplot_nor_sympy_nor_numba():
+    code = (
+        "import sys, mbdkit.report.plot, mbdkit.report.animate\n"
+        "from mbdkit.report.geometry import build_mechanism, draw_mechanism\n"
+        "draw_mechanism(build_mechanism({'model': {'name': 'double-pendulum'}}))\n"
+        "print([name for name in ('matplotlib.pyplot', 'sympy', 'numba') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
