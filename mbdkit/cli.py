@@ -1,0 +1,383 @@
+"""The command ``mbdkit``: each command says what it does in its docstring; what it needs is imported when it runs."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from mbdkit import terminal
+from mbdkit.terminal import Commands, progress_bar, say
+from mbdkit.text import table
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit.engine.assembly import AssembledState
+    from mbdkit.spec import RunSpec
+
+CONTEXT = {"help_option_names": ["-h", "--help"]}
+PLAIN: dict[str, Any] = {"context_settings": CONTEXT, "rich_markup_mode": None, "no_args_is_help": True}
+
+BODIES_SHOWN = 20
+
+app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=False, **PLAIN)
+schema_app = typer.Typer(help="Print the JSON schema of a spec, for editors.", **PLAIN)
+plugins_app = typer.Typer(help="Show which models and integrators are installed.", **PLAIN)
+archive_app = typer.Typer(help="Describe and check run archives.", **PLAIN)
+app.add_typer(schema_app, name="schema")
+app.add_typer(plugins_app, name="plugins")
+app.add_typer(archive_app, name="archive")
+
+
+def _set_debug(context: typer.Context, value: bool) -> bool:
+    if value:
+        context.meta[terminal.DEBUG] = True
+    return value
+
+
+def _print_version(value: bool) -> None:
+    if value:
+        from mbdkit import __version__
+
+        print(f"mbdkit {__version__}")
+        raise typer.Exit
+
+
+SpecName = Annotated[
+    str,
+    typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example such as knee."),
+]
+Archive = Annotated[Path, typer.Argument(metavar="FILE.h5", help="A run archive.")]
+Archives = Annotated[list[Path], typer.Argument(metavar="FILE.h5", help="Run archives.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Set one key of the spec, such as time.step=0.005; may be repeated."
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file, once the new one is complete.")]
+Debug = Annotated[bool, typer.Option("--debug", callback=_set_debug, help="Show the traceback of an error.")]
+
+
+@app.callback()
+def mbdkit(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+    debug: Debug = False,
+) -> None:
+    """Planar multibody dynamics: a spec goes in, a trustworthy HDF5 archive comes out.
+
+    Exit status: 0 done, 1 a rerun differs, 2 the input is wrong, 3 the integration stopped early, 4 a plugin failed,
+    130 interrupted.
+    """
+
+
+@app.command()
+def run(
+    spec: SpecName,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE.h5", help="The archive; by default ./SPEC.h5.")
+    ] = None,
+    assignments: Set = None,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Run a spec and write its archive."""
+    path = output if output is not None else Path(f"{_stem(spec)}.h5")
+    _check_new(path, spec, overwrite)
+    checked = _load(spec, assignments)
+    from mbdkit.simulation import simulate  # compiled code: not needed to refuse a spec
+
+    with _placing(checked), progress_bar(path.name, quiet) as progress:
+        result = simulate(checked, path=path, overwrite=overwrite, progress=progress)
+    with result:
+        if as_json:
+            print(json.dumps(_outcome(result)))
+        elif not quiet:
+            print(result.summary())
+        _exit_with(result)
+
+
+@app.command()
+def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> None:
+    """Check a spec without running it.
+
+    Its mechanism is built and its start made consistent; what that moves is said.
+    """
+    checked = _load(spec, assignments)
+    from mbdkit.engine.assembly import assemble
+
+    mechanism = checked.mechanism()
+    with _placing(checked):
+        start = assemble(mechanism, checked.time.start)
+    print(f"{spec}: this spec is valid")
+    print(f"model        {checked.model_item.id}: {mechanism.description()}")
+    print(f"integrator   {checked.integrator_item.id}")
+    if start.changed:
+        print(f"start        made consistent, with residuals {start.residual:.2g} and {start.velocity_residual:.2g}")
+        print(table([("BODY", "MOVED", "TURNED", "VELOCITY", "RATE"), *_moves(start)], indent="  "))
+    else:
+        print("start        consistent as it is, left untouched")
+
+
+def _moves(start: AssembledState) -> list[tuple[str, ...]]:
+    """Return a row for each body whose start was changed, the largest moves first."""
+    changes = {
+        name: (moved, start.moved_angle[name], start.changed_velocity[name], start.changed_rate[name])
+        for name, moved in start.moved_position.items()
+    }
+    named = sorted((item for item in changes.items() if any(item[1])), key=lambda item: -max(map(abs, item[1])))
+    rows = [
+        (name, *(f"{value:.3g} {unit}" for value, unit in zip(values, ("m", "rad", "m/s", "rad/s"), strict=True)))
+        for name, values in named[:BODIES_SHOWN]
+    ]
+    if len(named) > BODIES_SHOWN:
+        rows.append((f"and {len(named) - BODIES_SHOWN} more", "", "", "", ""))
+    return rows
+
+
+@schema_app.command("run")
+def schema_run(debug: Debug = False) -> None:
+    """Print the JSON schema of a run spec.
+
+    It has the options of every model and integrator that is installed.
+    """
+    from mbdkit.spec.schema import run_schema
+
+    print(json.dumps(run_schema(), indent=2, ensure_ascii=False))
+
+
+@plugins_app.command("list")
+def plugins_list(as_json: AsJson = False, debug: Debug = False) -> None:
+    """List models and integrators, and what could not be loaded."""
+    from mbdkit.registry import describe
+
+    print(json.dumps(describe.listing()) if as_json else describe.listing_text())
+
+
+@plugins_app.command("show")
+def plugins_show(
+    name: Annotated[str, typer.Argument(metavar="ID", help="A name such as gauss, or an id such as mbdkit:gauss.")],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Show the options, claims and references of one.
+
+    With --json, one object whose "plugins" is a list: a model and an integrator
+    may share a name.
+    """
+    from mbdkit.registry import describe
+
+    items = describe.find(name)
+    if as_json:
+        print(json.dumps({"plugins": [describe.details(item) for item in items]}))
+    else:
+        print("\n\n".join(describe.page(item) for item in items))
+
+
+@plugins_app.command("doctor")
+def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
+    """Say how loading each plugin went.
+
+    Exit status 4 if one could not be loaded.
+    """
+    from mbdkit.registry import describe
+
+    print(json.dumps(describe.diagnosis()) if as_json else describe.diagnosis_text())
+    if not describe.is_sound():
+        raise typer.Exit(terminal.PLUGIN_FAILED)
+
+
+@app.command()
+def plot(
+    archive: Archive,
+    kind: Annotated[
+        Literal["trajectory", "drift", "energy", "reactions"], typer.Option("--kind", help="What to plot.")
+    ] = "trajectory",
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="FILE.png", help="PNG, SVG or PDF by its suffix; by default FILE-KIND.png."
+        ),
+    ] = None,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Plot a run. A picture of the same name is replaced."""
+    from mbdkit.archive.reader import load
+    from mbdkit.report.plot import plot as draw
+
+    with load(archive) as loaded:
+        target = draw(loaded, kind, output or archive.with_name(f"{archive.stem}-{kind}.png"))
+    if not quiet:
+        print(target)
+
+
+@app.command()
+def animate(
+    archive: Archive,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE.gif", help=".gif, .html or .mp4; by default FILE.gif."),
+    ] = None,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Animate a run. A film of the same name is replaced."""
+    from mbdkit.archive.reader import load
+    from mbdkit.report.animate import animate as draw
+
+    with load(archive) as loaded:
+        target = draw(loaded, output or archive.with_suffix(".gif"))
+    if not quiet:
+        print(target)
+
+
+@archive_app.command("info")
+def archive_info(archives: Archives, as_json: AsJson = False, debug: Debug = False) -> None:
+    """Describe run archives.
+
+    With --json, one object whose "archives" is a list.
+    """
+    from mbdkit.archive.info import describe, text
+
+    descriptions = [describe(archive) for archive in archives]
+    if as_json:
+        print(json.dumps({"archives": descriptions}))
+    else:
+        print("\n\n".join(text(description) for description in descriptions))
+
+
+@archive_app.command("check")
+def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False) -> None:
+    """Check run archives to the last array.
+
+    Exit status 2 if anything is wrong with one.
+    """
+    from mbdkit.archive.check import check
+
+    sound = True
+    for archive in archives:
+        problems = check(archive)
+        sound = sound and not problems
+        for problem in problems:
+            say(f"{archive}: {problem}")
+        if not problems and not quiet:
+            print(f"{archive}: sound")
+    if not sound:
+        raise typer.Exit(terminal.WRONG_INPUT)
+
+
+@app.command()
+def rerun(
+    archive: Archive,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE.h5", help="Keep the new archive; by default it is not."),
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Run the spec in an archive again and compare.
+
+    Exit status 1 if the data differ; the largest relative difference is said.
+    """
+    if output is not None:
+        _check_new(output, str(archive), overwrite)
+    from mbdkit.archive.compare import compare
+    from mbdkit.archive.reader import load
+    from mbdkit.errors import SpecError
+    from mbdkit.simulation import simulate
+    from mbdkit.spec import load_spec
+
+    with load(archive) as before:
+        try:
+            checked = load_spec(before.spec)
+        except SpecError as error:
+            raise error.located(file=archive) from error
+        with progress_bar(archive.name, quiet) as progress:
+            result = simulate(checked, path=output, overwrite=overwrite, progress=progress)
+        with result as after:
+            if after.status == "interrupted":
+                _exit_with(after)
+            comparison = compare(before, after)
+            if not quiet:
+                if before.status in ("interrupted", "running"):
+                    print(f"{archive} was cut short ({before.status}), so it has fewer rows")
+                print(comparison)
+    if not comparison.same_data:
+        raise typer.Exit(terminal.DIFFERS)
+
+
+def _load(spec: str, assignments: list[str] | None) -> RunSpec:
+    from mbdkit.spec import load_spec
+
+    return load_spec(spec, assignments or ())
+
+
+@contextmanager
+def _placing(spec: RunSpec) -> Iterator[None]:
+    """Give errors about this spec the file and line where it was written."""
+    from mbdkit.errors import SpecError
+
+    try:
+        yield
+    except SpecError as error:
+        raise spec.placed(error) from error
+
+
+def _stem(spec: str) -> str:
+    return "stdin" if spec == "-" else Path(spec).stem
+
+
+def _check_new(path: Path, source: str, overwrite: bool) -> None:
+    """Refuse an archive that cannot be written, before any work."""
+    from mbdkit.archive.target import check_target
+    from mbdkit.errors import SpecError
+
+    if source != "-" and os.path.isfile(path) and os.path.isfile(source) and os.path.samefile(path, source):
+        raise SpecError(
+            "this is what is read here, so it is not written to; choose another name with -o "
+            "(and `mbdkit rerun` runs an archive again)",
+            file=path,
+        )
+    if os.path.isfile(path) and not overwrite:
+        raise SpecError("this file exists; choose another name with -o, or replace it with --overwrite", file=path)
+    check_target(path, overwrite=overwrite)
+
+
+def _outcome(result: Run) -> dict[str, Any]:
+    return {
+        "path": None if result.path is None else str(result.path),
+        "status": result.status,
+        "status_reason": result.status_reason,
+        "run_id": result.run_id,
+        "stats": dict(result.stats),
+        "misalignment_max": result.misalignment_max,
+    }
+
+
+def _exit_with(result: Run) -> None:
+    if result.status == "complete":
+        return
+    say(f"{result.status}: {result.status_reason}")
+    if result.status == "interrupted":
+        raise typer.Exit(terminal.INTERRUPTED)
+    failed_plugin = result.status_reason.startswith("plugin-error")
+    raise typer.Exit(terminal.PLUGIN_FAILED if failed_plugin else terminal.STOPPED_EARLY)
+
+
+def main() -> None:
+    """Run the command line."""
+    app(prog_name="mbdkit")

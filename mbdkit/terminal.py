@@ -1,0 +1,124 @@
+"""What the commands share: errors as sentences with their exit status, and a progress bar on a terminal."""
+
+from __future__ import annotations
+
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import typer
+from typer.core import TyperGroup
+
+from mbdkit.errors import MbdkitError, PluginError, RunError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+DONE, BUG, WRONG_INPUT, STOPPED_EARLY, PLUGIN_FAILED, INTERRUPTED = 0, 1, 2, 3, 4, 130
+DIFFERS = 1
+
+DEBUG = "mbdkit.debug"
+PATIENCE = 0.5  # seconds before a progress bar appears
+
+
+class Commands(TyperGroup):
+    """The top-level group: whatever a command raises becomes a sentence on stderr and an exit status."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that was named."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError:
+            raise
+        except (Exception, KeyboardInterrupt) as error:
+            if hasattr(error, "exit_code"):  # a usage error or an exit of the framework
+                raise
+            if ctx.meta.get(DEBUG):
+                traceback.print_exc()
+            say(_sentence(error))
+            raise typer.Exit(_status(error)) from None
+
+
+def say(text: str) -> None:
+    """Print a line to stderr, where everything goes that is not the answer."""
+    print(text, file=sys.stderr)
+
+
+@contextmanager
+def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, float], None] | None]:
+    """Give a function to call with (time reached, end time) [s], which draws a bar on a terminal once work takes long.
+
+    Gives None where there is no terminal to draw on, or nobody wants it.
+    """
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    begin = time.perf_counter()
+    first: float | None = None
+    bar: Progress | None = None
+
+    def advance(now: float, end: float) -> None:
+        nonlocal bar, first
+        if first is None:
+            first = now
+        if bar is None:
+            if time.perf_counter() - begin < PATIENCE:
+                return
+            bar = _bar()
+            bar.add_task(what, total=1.0, now=now, end=end)
+            bar.start()
+        done = (now - first) / (end - first) if end > first else 1.0
+        bar.update(bar.task_ids[0], completed=done, now=now, end=end)
+
+    try:
+        yield advance
+    finally:
+        if bar is not None:
+            bar.stop()
+
+
+def _bar() -> Progress:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("t = {task.fields[now]:.4g} of {task.fields[end]:.4g} s"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+
+
+def _status(error: BaseException) -> int:
+    match error:
+        case PluginError():
+            return PLUGIN_FAILED
+        case RunError():
+            return STOPPED_EARLY
+        case MbdkitError() | OSError() | MemoryError():
+            return WRONG_INPUT
+        case KeyboardInterrupt():
+            return INTERRUPTED
+    return BUG
+
+
+def _sentence(error: BaseException) -> str:
+    match error:
+        case MbdkitError():
+            return f"error: {error}"
+        case OSError():
+            why = error.strerror or str(error) or type(error).__name__
+            return f"error: {error.filename}: {why}" if error.filename else f"error: {why}"
+        case MemoryError():
+            return "error: there is not enough memory for this"
+        case KeyboardInterrupt():
+            return "interrupted"
+    return (
+        f"error: this is a bug in mbdkit: {type(error).__name__}: {error}\n"
+        "  the same command with --debug shows where; please report it"
+    )

@@ -1,0 +1,113 @@
+"""The face of the command line."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+import mbdkit as package
+from mbdkit import terminal
+from mbdkit.errors import PluginError, RunError, SpecError
+
+COMMANDS = [
+    (),
+    ("run",),
+    ("validate",),
+    ("plot",),
+    ("animate",),
+    ("rerun",),
+    ("schema",),
+    ("schema", "run"),
+    ("plugins",),
+    ("plugins", "list"),
+    ("plugins", "show"),
+    ("plugins", "doctor"),
+    ("archive",),
+    ("archive", "info"),
+    ("archive", "check"),
+]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_every_command_has_help_that_fits_a_terminal(command, mbdkit):
+    result = mbdkit(*command, "--help")
+    assert result.exit_code == 0
+    assert all(len(line) <= 80 for line in result.stdout.splitlines())
+    assert "..." not in result.stdout.replace("{FILE.h5}...", "").replace("[ARGS]...", "")
+
+
+@pytest.mark.parametrize(
+    "arguments", [("rnu", "pendulum"), ("run",), ("run", "--stpe"), ("plot", "x.h5", "--kind", "pie"), ("schema", "x")]
+)
+def test_wrong_usage_is_exit_status_2_and_says_so(arguments, mbdkit):
+    result = mbdkit(*arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert "Error: " in result.stderr
+
+
+def test_version(mbdkit):
+    assert mbdkit("--version").stdout == f"mbdkit {package.__version__}\n"
+
+
+def test_plugins_list_show_and_doctor(mbdkit):
+    listed = json.loads(mbdkit("plugins", "list", "--json").stdout)["plugins"]
+    assert {"id", "kind", "distribution", "version", "status", "error"} == set(listed[0])
+    assert "mbdkit:gauss" in mbdkit("plugins", "list").stdout
+    assert "stages" in mbdkit("plugins", "show", "gauss").stdout
+    assert json.loads(mbdkit("plugins", "show", "gauss", "--json").stdout)["plugins"][0]["claims"]["symplectic"]
+    assert mbdkit("plugins", "show", "gaus").exit_code == 2
+    assert "loaded" in mbdkit("plugins", "doctor").stdout
+    assert json.loads(mbdkit("plugins", "doctor", "--json").stdout)["plugins"]
+
+
+def test_schema_run_is_json(mbdkit):
+    assert json.loads(mbdkit("schema", "run").stdout)["title"] == "mbdkit run spec"
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "words"),
+    [
+        (SpecError("is wrong", key="a.b"), 2, "error: a.b: is wrong"),
+        (PermissionError(13, "Permission denied", "x.h5"), 2, "error: x.h5: Permission denied"),
+        (MemoryError(), 2, "error: there is not enough memory"),
+        (RunError("stopped"), 3, "error: stopped"),
+        (PluginError("acme failed"), 4, "error: acme failed"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (ZeroDivisionError("by zero"), 1, "error: this is a bug in mbdkit: ZeroDivisionError: by zero"),
+    ],
+)
+def test_every_error_is_a_sentence_and_an_exit_status(error, status, words, mbdkit, monkeypatch):
+    def fail(*arguments):
+        raise error
+
+    monkeypatch.setattr("mbdkit.spec.load_spec", fail)
+    result = mbdkit("validate", "pendulum")
+    assert result.exit_code == status
+    assert result.stderr.startswith(words)
+    assert "Traceback" not in result.stderr
+    assert result.stdout == ""
+
+
+def test_without_a_terminal_there_is_no_progress_bar():
+    with terminal.progress_bar("run") as advance:
+        assert advance is None
+
+
+def test_on_a_terminal_a_bar_appears_once_work_takes_long(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    monkeypatch.setattr(terminal, "PATIENCE", 0.0)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with terminal.progress_bar("run") as advance:
+        advance(0.0, 2.0)
+        advance(1.0, 2.0)
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "t = 1 of 2 s" in captured.err
+
+
+def test_quiet_has_no_bar_on_a_terminal_either(monkeypatch):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    with terminal.progress_bar("run", quiet=True) as advance:
+        assert advance is None

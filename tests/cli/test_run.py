@@ -1,0 +1,194 @@
+"""`mbdkit run` and what is done with its archive."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import h5py
+import pytest
+
+from mbdkit import load
+
+
+def test_a_run_leaves_one_complete_archive_and_a_summary(mbdkit, small, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small)
+    result = mbdkit("run", "spec.yaml")
+    assert result.exit_code == 0, result.stderr
+    assert sorted(os.listdir()) == ["spec.h5", "spec.yaml"]
+    with load("spec.h5") as run:
+        assert run.status == "complete"
+        assert len(run.time) == 101
+        assert run.summary() in result.stdout
+
+
+def test_json_prints_one_object_with_the_keys_of_the_contract(mbdkit, small, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small)
+    result = mbdkit("run", "spec.yaml", "--json", "-o", "out.h5")
+    answer = json.loads(result.stdout)
+    assert set(answer) == {"path", "status", "status_reason", "run_id", "stats", "misalignment_max"}
+    assert (answer["path"], answer["status"]) == ("out.h5", "complete")
+    assert answer["stats"]["steps"] == 100
+    with h5py.File("out.h5") as file:
+        assert file.attrs["run_id"] == answer["run_id"]
+
+
+def test_quiet_prints_nothing(mbdkit, small, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small)
+    result = mbdkit("run", "spec.yaml", "--quiet")
+    assert (result.exit_code, result.stdout, result.stderr) == (0, "", "")
+
+
+def test_a_packaged_example_is_run_by_its_name(mbdkit, in_tmp_path):
+    result = mbdkit("run", "pendulum", "--set", "time.end=0.1")
+    assert result.exit_code == 0, result.stderr
+    assert os.listdir() == ["pendulum.h5"]
+
+
+def test_a_spec_from_stdin_goes_to_stdin_h5(mbdkit, small, in_tmp_path):
+    result = mbdkit("run", "-", stdin=small)
+    assert result.exit_code == 0, result.stderr
+    assert os.listdir() == ["stdin.h5"]
+
+
+def test_set_changes_the_spec_in_the_archive(mbdkit, small, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small)
+    mbdkit("run", "spec.yaml", "--set", "time.step=0.02", "--set", "output.every=10")
+    with load("spec.h5") as run:
+        assert run.spec["time"]["step"] == 0.02
+        assert len(run.time) == 6
+
+
+def test_an_existing_archive_is_kept_unless_it_may_be_replaced(mbdkit, small, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small)
+    (in_tmp_path / "spec.h5").write_bytes(b"precious")
+    assert mbdkit("run", "spec.yaml").exit_code == 2
+    assert (in_tmp_path / "spec.h5").read_bytes() == b"precious"
+    assert mbdkit("run", "spec.yaml", "--overwrite").exit_code == 0
+    with load("spec.h5") as run:
+        assert run.status == "complete"
+
+
+def test_a_run_that_stops_early_keeps_its_archive_and_says_why(mbdkit, small, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small + "limits: {max_steps: 10}\n")
+    result = mbdkit("run", "spec.yaml", "--json")
+    assert result.exit_code == 3
+    answer = json.loads(result.stdout)
+    assert answer["status"] == "failed"
+    assert answer["status_reason"].startswith("max-steps")
+    assert "max-steps" in result.stderr
+    with load("spec.h5") as run:
+        assert run.status == "failed"
+
+
+def test_validate_says_what_the_mechanism_is_and_that_its_start_is_consistent(mbdkit, small, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small)
+    result = mbdkit("validate", "spec.yaml")
+    assert result.exit_code == 0, result.stderr
+    assert "2 degrees of freedom by count" in result.stdout
+    assert "untouched" in result.stdout
+    assert os.listdir() == ["spec.yaml"]
+
+
+APART = """\
+mbdkit: 1
+integrator: {name: rk4}
+time: {end: 1, step: 0.1}
+model:
+  name: mechanism
+  bodies:
+    crank: {mass: 1, inertia: 0.1, position: [0.5, 0.001]}
+  joints:
+    A: {type: revolute, bodies: [ground, crank], points: [[0, 0], [-0.5, 0]]}
+"""
+
+
+def test_validate_says_what_assembly_moves(mbdkit, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(APART)
+    result = mbdkit("validate", "spec.yaml")
+    assert result.exit_code == 0, result.stderr
+    assert "made consistent" in result.stdout
+    assert "crank" in result.stdout
+
+
+@pytest.fixture
+def archive(mbdkit, small, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small)
+    assert mbdkit("run", "spec.yaml").exit_code == 0
+    return "spec.h5"
+
+
+def test_rerun_reproduces_an_archive_to_the_bit(mbdkit, archive):
+    result = mbdkit("rerun", archive)
+    assert result.exit_code == 0, result.stderr
+    assert "the same to the bit" in result.stdout
+    assert sorted(os.listdir()) == ["spec.h5", "spec.yaml"]
+
+
+def test_rerun_can_keep_what_it_made(mbdkit, archive):
+    assert mbdkit("rerun", archive, "-o", "again.h5").exit_code == 0
+    with load(archive) as one, load("again.h5") as two:
+        assert one.data_sha256 == two.data_sha256
+    assert mbdkit("rerun", archive, "-o", archive, "--overwrite").exit_code == 2
+
+
+def test_rerun_tells_how_far_the_data_differ(mbdkit, archive):
+    with h5py.File(archive, "r+") as file:
+        file["trajectory/position"][5, 0, 0] += 1e-6
+        file.attrs["data_sha256"] = "0" * 64
+    result = mbdkit("rerun", archive)
+    assert result.exit_code == 1
+    assert "trajectory/position" in result.stdout
+
+
+def test_archive_info_and_check(mbdkit, archive):
+    info = mbdkit("archive", "info", archive)
+    assert info.exit_code == 0
+    assert "double-pendulum" in info.stdout
+    described = json.loads(mbdkit("archive", "info", "--json", archive).stdout)["archives"]
+    assert len(described) == 1
+    check = mbdkit("archive", "check", archive)
+    assert (check.exit_code, check.stdout) == (0, "spec.h5: sound\n")
+
+
+def test_archive_check_finds_a_changed_number(mbdkit, archive):
+    with h5py.File(archive, "r+") as file:
+        file["trajectory/position"][5, 0, 0] += 1e-6
+    result = mbdkit("archive", "check", archive)
+    assert result.exit_code == 2
+    assert "spec.h5: " in result.stderr
+
+
+@pytest.mark.parametrize("kind", ["trajectory", "drift", "energy", "reactions"])
+def test_plot_draws_beside_the_archive(kind, mbdkit, archive):
+    result = mbdkit("plot", archive, "--kind", kind)
+    assert (result.exit_code, result.stdout) == (0, f"spec-{kind}.png\n")
+    with open(f"spec-{kind}.png", "rb") as file:
+        assert file.read(4) == b"\x89PNG"
+
+
+def test_a_picture_never_replaces_an_archive(mbdkit, archive):
+    with open(archive, "rb") as file:
+        before = file.read()
+    for command in ("plot", "animate"):
+        result = mbdkit(command, archive, "-o", archive)
+        assert result.exit_code == 2
+    with open(archive, "rb") as file:
+        assert file.read() == before
+
+
+def test_animate_makes_a_film(mbdkit, archive):
+    result = mbdkit("animate", archive, "-o", "film.html")
+    assert result.exit_code == 0, result.stderr
+    assert os.path.getsize("film.html") > 1000
+
+
+@pytest.mark.parametrize("command", [("plot",), ("animate",), ("rerun",), ("archive", "info")])
+@pytest.mark.parametrize("name", ["missing.h5", "text.h5", "folder"])
+def test_what_is_no_archive_is_refused(command, name, mbdkit, in_tmp_path):
+    (in_tmp_path / "text.h5").write_text("not HDF5")
+    (in_tmp_path / "folder").mkdir()
+    result = mbdkit(*command, name)
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"error: {name}: ")
+    assert len(result.stderr.splitlines()) == 1

@@ -1,0 +1,249 @@
+"""Wrong specs: exit status 2, one message with file, line and key, no traceback, no file left behind."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+SMALL = """\
+mbdkit: 1
+model:
+  name: double-pendulum
+  masses: [1.0, 1.0]
+integrator: {name: gauss, stages: 2}
+time:
+  end: 1.0
+  step: 0.01
+"""
+
+FREE = """\
+mbdkit: 1
+integrator: {name: rk4}
+time: {end: 1, step: 0.1}
+model:
+  name: mechanism
+  bodies:
+    crank: {mass: 1, inertia: 0.1, position: [0.5, 0]}
+    rod: {mass: 1, inertia: 0.1, position: [1.5, 0]}
+  joints:
+    A: {type: revolute, bodies: [ground, crank], points: [[0, 0], [-0.5, 0]]}
+    B: {type: revolute, bodies: [crank, rod], points: [[0.5, 0], [-0.5, 0]]}
+  forces:
+    m: {type: torque, body: crank, value: "0.1*cos(t)"}
+"""
+
+
+def small(old: str, new: str) -> str:
+    assert SMALL.count(old) == 1
+    return SMALL.replace(old, new)
+
+
+def free(old: str, new: str) -> str:
+    assert FREE.count(old) == 1
+    return FREE.replace(old, new)
+
+
+#: What is wrong: the spec, the line of the message (None where it names none), the key, and words of the message.
+WRONG = {
+    "unknown key at the top": (small("time:", "tiem:"), 6, "tiem", "did you mean 'time'?"),
+    "unknown key below": (small("step:", "stpe:"), 8, "time.stpe", "did you mean 'step'?"),
+    "unknown model": (small("double-pendulum", "duoble-pendulum"), 3, "model.name", "did you mean 'double-pendulum'?"),
+    "unknown integrator": (small("gauss", "gaus"), 5, "integrator.name", "did you mean 'gauss'?"),
+    "no version": (small("mbdkit: 1\n", ""), None, "mbdkit", "write `mbdkit: 1`"),
+    "another version": (small("mbdkit: 1", "mbdkit: 2"), 1, "mbdkit", "should be 1, not 2"),
+    "no integrator": (small("integrator: {name: gauss, stages: 2}\n", ""), None, "integrator", "is missing"),
+    "integrator without name": (small("name: gauss, ", ""), 5, "integrator.name", "is missing"),
+    "integrator as a word": (small("{name: gauss, stages: 2}", "gauss"), 5, "integrator", "`{name: gauss}`"),
+    "option out of range": (small("stages: 2", "stages: 7"), 5, "integrator.stages", "7"),
+    "option of another integrator": (small("gauss", "rk4"), 5, "integrator.stages", "belongs to"),
+    "option of another model": (small("masses: [1.0, 1.0]", "mass: 1"), 4, "model.mass", "'single-pendulum'"),
+    "text for a number": (small("step: 0.01", "step: fast"), 8, "time.step", "should be a number, not the text 'fast'"),
+    "quoted number": (small("step: 0.01", "step: '0.01'"), 8, "time.step", "leave out the quotes"),
+    "decimal comma": (small("step: 0.01", "step: 0,01"), 8, "time.step", "decimal comma"),
+    "truth for a number": (small("step: 0.01", "step: true"), 8, "time.step", "should be a number, not true"),
+    "list for a mapping": (small("{name: gauss, stages: 2}", "[gauss, 2]"), 5, "integrator", "mapping"),
+    "one mass of two": (small("[1.0, 1.0]", "[1.0]"), 4, "model.masses", "two"),
+    "negative mass": (small("[1.0, 1.0]", "[1.0, -1.0]"), 4, "model.masses[1]", "greater than 0"),
+    "NaN": (small("[1.0, 1.0]", "[1.0, .nan]"), 4, "model.masses[1]", "finite"),
+    "infinity": (small("end: 1.0", "end: .inf"), 7, "time.end", "finite"),
+    "end before start": (small("end: 1.0", "end: -1.0"), 7, "time.end", "later than the start"),
+    "neither end nor steps": (small("  end: 1.0\n", ""), 6, "time", "needs `end`"),
+    "both end and steps": (small("end: 1.0", "end: 1.0\n  steps: 5"), 6, "time", "exactly one"),
+    "steps without step": (small("  end: 1.0\n  step: 0.01", "  steps: 5"), 6, "time", "needs `step`"),
+    "zero step": (small("step: 0.01", "step: 0"), 8, "time.step", "greater than 0"),
+    "no step": (small("  step: 0.01\n", ""), 6, "time.step", "fixed-step method 'gauss' needs a step"),
+    "a step that time does not feel": (small("step: 0.01", "step: 1e-30"), 8, "time.step", "too small"),
+    "interval without dense output": (SMALL + "output: {interval: 0.1}\n", 9, "output.interval", "no dense output"),
+    "every and interval": (SMALL + "output: {every: 2, interval: 0.1}\n", 9, "output", "not both"),
+    "unknown quantity": (SMALL + "output:\n  quantities: [energi]\n", 10, "output.quantities[0]", "mean 'energy'?"),
+    "no steps allowed": (SMALL + "limits: {max_steps: 0}\n", 9, "limits.max_steps", "at least 1"),
+    "a later formulation": (SMALL + "formulation: index-3\n", 9, "formulation", "'index-1'"),
+    "a later stabilization": (SMALL + "stabilization: {name: ggl}\n", 9, "stabilization", "'none'"),
+    "duplicate key": (SMALL + "title: a\ntitle: b\n", 10, "title", "twice"),
+    "recursive alias": (SMALL + "title: &a [*a]\n", 9, "title[0]", "contains it"),
+    "a Python object": (SMALL + "title: !!python/object/apply:os.system [id]\n", 9, "title", "plain data"),
+    "a tab": (small("  end: 1.0", "\tend: 1.0"), 7, "", "tab"),
+    "bad YAML": (SMALL + "title: [a\n", None, "", "not valid YAML"),
+    "a list at the top": ("- 1\n", 1, "", "mapping"),
+    "nothing": ("", None, "", "empty"),
+    "no bytes of text": ("\0\1\2", 1, "", "control character"),
+    "unknown joint type": (
+        free("A: {type: revolute", "A: {type: revolut"),
+        10,
+        "model.joints.A.type",
+        "mean 'revolute'?",
+    ),
+    "joint without type": (free("A: {type: revolute, ", "A: {"), 10, "model.joints.A.type", "is missing"),
+    "joint with an unknown body": (
+        free("[ground, crank]", "[ground, krank]"),
+        10,
+        "model.joints.A.bodies[1]",
+        "'crank'",
+    ),
+    "joint of one body": (free("[crank, rod]", "[crank, crank]"), 11, "model.joints.B.bodies[1]", "differ"),
+    "body without mass": (free("rod: {mass: 1, ", "rod: {"), 8, "model.bodies.rod.mass", "is missing"),
+    "a body called ground": (free("rod: {mass", "ground: {mass"), 8, "model.bodies.ground", "ground"),
+    "a point of three": (
+        free("[0.5, 0], [-0.5, 0]]", "[0.5, 0, 0], [-0.5, 0]]"),
+        11,
+        "model.joints.B.points[0]",
+        "x, y",
+    ),
+    "code in an expression": (
+        free("0.1*cos(t)", "__import__('os').system('id')"),
+        13,
+        "model.forces.m.value",
+        "__import__",
+    ),
+    "an expression of x": (free("0.1*cos(t)", "0.1*cos(x)"), 13, "model.forces.m.value", "'x'"),
+    "a key of forces": (
+        free("body: crank, value", "bdoy: crank, value"),
+        13,
+        "model.forces.m.bdoy",
+        "did you mean 'body'?",
+    ),
+    "a number as a name": (free("rod: {mass", "5: {masss"), 8, "model.bodies.5.masss", "did you mean 'mass'?"),
+}
+
+UNMEETABLE = free(
+    "  forces:", "    C: {type: distance, bodies: [ground, rod], points: [[9, 0], [0.5, 0]], length: 0.1}\n  forces:"
+)
+
+
+def check_refusal(result, folder: Path, before: set[str]) -> str:
+    """Check that nothing but one message came out, and return it."""
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    assert "Traceback" not in result.stderr
+    assert set(os.listdir(folder)) == before
+    first, *more = result.stderr.splitlines()
+    assert first.startswith("error: ")
+    assert all(line.startswith("  ") for line in more)
+    return first.removeprefix("error: ")
+
+
+@pytest.mark.parametrize("command", ["run", "validate"])
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_spec_is_refused_with_file_line_and_key(case, command, mbdkit, in_tmp_path):
+    text, line, key, words = WRONG[case]
+    (in_tmp_path / "spec.yaml").write_text(text)
+    message = check_refusal(mbdkit(command, "spec.yaml"), in_tmp_path, {"spec.yaml"})
+    place = "spec.yaml" if line is None else f"spec.yaml:{line}"
+    if case != "bad YAML":
+        assert message.startswith(f"{place}: {key}: " if key else f"{place}: ")
+    assert words in message
+
+
+@pytest.mark.parametrize("command", ["run", "validate"])
+def test_joints_that_cannot_meet_are_named(command, mbdkit, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(UNMEETABLE)
+    message = check_refusal(mbdkit(command, "spec.yaml"), in_tmp_path, {"spec.yaml"})
+    assert "C" in message
+
+
+@pytest.mark.parametrize(
+    ("assignment", "words"),
+    [
+        ("time.step=-1", "time.step: should be greater than 0"),
+        ("time.stpe=1", "time.stpe: unknown key (did you mean 'step'?)"),
+        ("integrator.name=foo", "there is no integrator 'foo'"),
+        ("time.step", "KEY=VALUE"),
+        ("time.step=[", "not valid YAML"),
+    ],
+)
+def test_a_wrong_set_is_refused_with_what_was_typed(assignment, words, mbdkit, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(SMALL)
+    message = check_refusal(mbdkit("run", "spec.yaml", "--set", assignment), in_tmp_path, {"spec.yaml"})
+    assert message.startswith(f"--set {assignment}: ")
+    assert words in message
+
+
+@pytest.mark.parametrize("name", ["missing.yaml", "pendulm", "folder", "archive.h5"])
+def test_a_source_that_is_no_spec_is_refused(name, mbdkit, in_tmp_path):
+    (in_tmp_path / "folder").mkdir()
+    (in_tmp_path / "archive.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
+    message = check_refusal(mbdkit("run", name, "-o", "out.h5"), in_tmp_path, {"folder", "archive.h5"})
+    assert message.startswith(f"{name}: ")
+
+
+@pytest.mark.parametrize(
+    ("output", "words"),
+    [
+        ("there.h5", "--overwrite"),
+        ("folder", "folder"),
+        ("missing/out.h5", "does not exist"),
+        ("spec.yaml", "is what is read here"),
+        ("out.yaml", ".h5"),
+        ("spec.yaml/out.h5", "not a folder"),
+    ],
+)
+def test_an_output_that_cannot_be_is_refused_before_any_work(output, words, mbdkit, in_tmp_path):
+    (in_tmp_path / "there.h5").write_bytes(b"precious")
+    (in_tmp_path / "folder").mkdir()
+    (in_tmp_path / "spec.yaml").write_text(small("step:", "stpe:"))  # wrong as well, but not looked at yet
+    before = {"there.h5", "folder", "spec.yaml"}
+    message = check_refusal(mbdkit("run", "spec.yaml", "-o", output), in_tmp_path, before)
+    assert words in message
+    assert (in_tmp_path / "there.h5").read_bytes() == b"precious"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_cannot_be_written_to_is_refused(mbdkit, in_tmp_path):
+    (in_tmp_path / "locked").mkdir(mode=0o500)
+    (in_tmp_path / "spec.yaml").write_text(SMALL)
+    check_refusal(mbdkit("run", "spec.yaml", "-o", "locked/out.h5"), in_tmp_path, {"locked", "spec.yaml"})
+
+
+def test_the_spec_itself_is_never_overwritten(mbdkit, in_tmp_path):
+    (in_tmp_path / "spec.h5").write_text(SMALL)
+    message = check_refusal(mbdkit("run", "spec.h5", "-o", "spec.h5", "--overwrite"), in_tmp_path, {"spec.h5"})
+    assert "is what is read here" in message
+
+
+def test_stdin_is_named_in_messages(mbdkit, in_tmp_path):
+    result = mbdkit("run", "-", stdin=small("step:", "stpe:"))
+    assert check_refusal(result, in_tmp_path, set()).startswith("<stdin>:8: time.stpe: ")
+
+
+@pytest.mark.parametrize("case", ["unknown key below", "code in an expression", "recursive alias"])
+def test_a_process_of_its_own_says_the_same(case, mbdkit_process, in_tmp_path):
+    text, line, key, words = WRONG[case]
+    (in_tmp_path / "spec.yaml").write_text(text)
+    result = mbdkit_process("run", "spec.yaml")
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith(f"error: spec.yaml:{line}: {key}: ")
+    assert words in result.stderr
+    assert "Traceback" not in result.stderr
+    assert os.listdir(in_tmp_path) == ["spec.yaml"]
+
+
+def test_debug_shows_the_traceback(mbdkit_process, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small("step:", "stpe:"))
+    for arguments in (("run", "spec.yaml", "--debug"), ("--debug", "run", "spec.yaml")):
+        result = mbdkit_process(*arguments)
+        assert result.returncode == 2
+        assert "Traceback" in result.stderr
+        assert "SpecError" in result.stderr

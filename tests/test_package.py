@@ -1,0 +1,90 @@
+"""The package as a whole: documented, light to import, and its face complete."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import json
+import pkgutil
+import re
+import subprocess
+import sys
+
+import pytest
+
+import mbdkit
+
+MODULES = sorted(
+    info.name
+    for info in pkgutil.walk_packages(mbdkit.__path__, "mbdkit.")
+    if not info.name.endswith("__main__") and info.name != "mbdkit.engine.elements"
+)
+
+
+def public_things(module):
+    for name, thing in vars(module).items():
+        if not name.startswith("_") and getattr(thing, "__module__", None) == module.__name__:
+            yield f"{module.__name__}.{name}", thing
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_every_public_thing_is_documented(name):
+    module = importlib.import_module(name)
+    missing = [] if (module.__doc__ or "").strip() else [name]
+    for path, thing in public_things(module):
+        if inspect.isfunction(thing) or inspect.isclass(thing):
+            missing += [] if (thing.__doc__ or "").strip() else [path]
+        if inspect.isclass(thing):
+            missing += [f"{path}.{member}" for member, inner in vars(thing).items() if is_bare(member, inner)]
+    assert not missing
+
+
+def is_bare(name, member):
+    function = member.fget if isinstance(member, property) else getattr(member, "__func__", member)
+    ours = inspect.isfunction(function) and function.__module__.startswith("mbdkit")  # pydantic puts some in
+    return ours and not name.startswith("_") and not (function.__doc__ or "").strip()
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_every_module_says_in_its_first_line_what_it_is_for(name):
+    first = (importlib.import_module(name).__doc__ or "").strip().splitlines()[0]
+    assert len(first) > 20
+
+
+@pytest.mark.parametrize("name", mbdkit.__all__)
+def test_the_face_offers_what_it_lists(name):
+    assert getattr(mbdkit, name) is not None
+    assert name in dir(mbdkit)
+
+
+def test_the_face_has_nothing_else():
+    with pytest.raises(AttributeError, match="no attribute 'integrate'"):
+        mbdkit.integrate  # noqa: B018
+
+
+def test_the_version_is_that_of_the_distribution():
+    assert re.fullmatch(r"\d+\.\d+\.\d+.*", mbdkit.__version__)
+
+
+def imported_by(code: str) -> set[str]:
+    script = f"{code}\nimport json, sys; print(json.dumps(sorted(sys.modules)))"
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    return {name.partition(".")[0] for name in json.loads(result.stdout.splitlines()[-1])}
+
+
+HEAVY = {"numpy", "scipy", "sympy", "numba", "h5py", "matplotlib", "pydantic", "typer", "rich", "ruamel", "pluggy"}
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    assert not imported_by("import mbdkit") & HEAVY
+
+
+def test_asking_for_help_imports_nothing_heavy():
+    code = "import contextlib, io, sys\nfrom mbdkit.cli import main\nsys.argv = ['mbdkit', '--help']\n"
+    code += "with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n    main()"
+    assert not imported_by(code) & (HEAVY - {"typer"})
+
+
+def test_checking_a_spec_compiles_nothing():
+    imported = imported_by("from mbdkit.spec import load_spec; load_spec('pendulum')")
+    assert not imported & {"numba", "scipy", "sympy", "matplotlib"}
