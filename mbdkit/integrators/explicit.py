@@ -110,6 +110,7 @@ class ExplicitStepper(FixedStepper):
         self.lam = np.zeros((len(problem.mechanism.topology.pairs), 2))
         self.energy = np.zeros(2 + 2 * stages)
         self.counts = np.zeros(1, dtype=np.int64)
+        self.load_kernel()
 
     def steps(self, h: float, t0: float, first: int, last: int, every: int, state: State) -> tuple[int, int, int]:
         """Take steps in compiled code; see `FixedStepper.steps`."""

@@ -92,6 +92,10 @@ class FixedStepper:
         """Take steps `first` to `last - 1` of size `h`, step k from ``t0 + k h``; return (status, next, rows)."""
         raise NotImplementedError
 
+    def load_kernel(self) -> None:
+        """Take no steps: the compiled loop is loaded before the first step is timed."""
+        self.steps(self.timetable.step or 0.0, self.timetable.start, 0, 0, 1, self.state)
+
     def renew(self, status: int) -> bool:
         """Choose new pivots after `status`; return whether that can help. Raises SingularSystemError."""
         if status != REPIVOT:

@@ -56,6 +56,9 @@ ROUND_OFF = 1e-18
 STAGNANT = 1e-12
 """Iterations that no longer shrink count as round-off below this relative change, and as divergence above it."""
 
+ROUGH = 1e-5
+"""Relative change below which the accelerations of the next iteration are refined to round-off."""
+
 SLOW = 0.25
 """Contraction above which the tangent is taken anew within the step."""
 
@@ -284,7 +287,7 @@ def run_implicit(
             for i in range(s):
                 evaluate_motions(t + c[i] * h, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
                 turn_bodies(q_stage[i], w.cs)
-                status = solve_accelerations(top, w, solver, q_stage[i], v_stage[i], f[i], lam[i], True)
+                status = solve_accelerations(top, w, solver, q_stage[i], v_stage[i], f[i], lam[i], before < ROUGH)
                 if status != OK:
                     return status, k, rows
             status = DIVERGED
@@ -439,6 +442,7 @@ class ImplicitStepper(FixedStepper):
         self.fresh, self.last_h = True, 0.0
         self.weights = np.zeros((s, s))
         self._pivot(timetable.step or 0.0)
+        self.load_kernel()
 
     def _pivot(self, h: float) -> None:
         """Choose pivots for the stage matrix by the numbers of the moment, and make room for all eigenvalues."""
@@ -507,7 +511,8 @@ class ImplicitStepper(FixedStepper):
             self.counts, self.report,
         )  # fmt: skip
         state.energy[:] = self.energy[:2]
-        self.fresh = result[0] != OK
+        if last > first:
+            self.fresh = result[0] != OK
         if h != self.last_h:
             self.last_h = h
             self.weights = extrapolation_weights(self.c, 1.0)

@@ -132,7 +132,7 @@ class Stepper(Protocol):
 class Pace:
     """Chooses how many steps fit into a stretch, from the steps done so far."""
 
-    steps: int = 1
+    steps: int = 16
 
     def timed(self, done: int, since: float) -> None:
         """Take note that `done` steps took the time since `since` (`time.perf_counter`)."""

@@ -135,24 +135,18 @@ def source() -> str:
     parts.append("PATHWAY_KINDS = " + repr(tuple(pathways)))
     parts.append("ROW_NAMES = " + repr({name: kind.row_names for name, (kind, _) in constraints.items()}))
     parts.append("ROW_UNITS = " + repr({name: kind.units for name, (kind, _) in constraints.items()}))
-    for key in ("jacobian", "stiffness", "gamma_v", "residual_q"):
-        terms_by_kind = ((name, terms[key]) for name, (_, terms) in constraints.items())
-        parts.append(_masks(f"{key.upper()}_ENTRIES", terms_by_kind))
-    for key in ("gradient", "hessian"):
-        parts.append(_masks(f"{key.upper()}_ENTRIES", ((name, terms[key]) for name, (_, terms) in pathways.items())))
+    parts += [
+        _masks(f"{key.upper()}_ENTRIES", ((name, terms[key]) for name, (_, terms) in constraints.items()))
+        for key in ("jacobian", "stiffness", "gamma_v", "residual_q")
+    ]
+    parts += [
+        _masks(f"{key.upper()}_ENTRIES", ((name, terms[key]) for name, (_, terms) in pathways.items()))
+        for key in ("gradient", "hessian")
+    ]
     for name, (kind, terms) in constraints.items():
         parts += _constraint_kernels(name, kind.note, terms)
     for name, (path, terms) in pathways.items():
-        note, outputs = f"{path.note} and its gradient.", [("s", terms["length"]), ("grad", terms["gradient"])]
-        parts += [
-            _kernel(f"{name}_gradient", "k, a, b, q, cs, p, s, grad", note, outputs),
-            _kernel(
-                f"{name}_hessian",
-                "k, a, b, q, cs, p, hess",
-                f"Second derivatives of {path.note}.",
-                [("hess", terms["hessian"])],
-            ),
-        ]
+        parts += _pathway_kernels(name, path.note, terms)
     return "\n\n\n".join(parts) + "\n"
 
 
@@ -176,5 +170,23 @@ def _constraint_kernels(name: str, note: str, terms: dict[str, sp.Matrix]) -> li
             "k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q",
             "d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq.",
             [("stiff", terms["stiffness"]), ("gamma_v", terms["gamma_v"]), ("res_q", terms["residual_q"])],
+        ),
+    ]
+
+
+def _pathway_kernels(name: str, note: str, terms: dict[str, sp.Matrix]) -> list[str]:
+    """Return the two kernels of a pathway: length with gradient, and second derivatives."""
+    return [
+        _kernel(
+            f"{name}_gradient",
+            "k, a, b, q, cs, p, s, grad",
+            f"{note} and its gradient.",
+            [("s", terms["length"]), ("grad", terms["gradient"])],
+        ),
+        _kernel(
+            f"{name}_hessian",
+            "k, a, b, q, cs, p, hess",
+            f"Second derivatives of {note}.",
+            [("hess", terms["hessian"])],
         ),
     ]
