@@ -11,6 +11,16 @@ from mbdkit.engine.lu import Factors, Pattern
 from mbdkit.engine.schur import Schur
 
 
+PIVOT_STRATEGIES = (("NATURAL", 1e-3), ("MMD_AT_PLUS_A", 1e-3), ("COLAMD", 0.1), ("COLAMD", 1.0))
+"""SuperLU's column order, and how small a diagonal pivot may be against its column; in order of preference."""
+
+ACCURATE = 1e-11
+"""Largest residual, relative to the rows, of a trial solution with pivots that are fit for use."""
+
+LITTLE_FILL = 4
+"""Entries of the factors, relative to those of the matrix, below which no further strategy is tried."""
+
+
 class SingularSystemError(Exception):
     """A matrix has no pivots left; `index` is the unknown at which they ran out, -1 where that is not known."""
 
@@ -113,8 +123,10 @@ def empty_schur() -> Schur:
     return schur_schedule([], -1, [], [])
 
 
-def pivot_order(n: int, row: np.ndarray, column: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Choose pivots of a sparse matrix by its numbers: SuperLU with partial pivoting on equilibrated rows.
+def pivot_order(
+    n: int, row: np.ndarray, column: np.ndarray, values: np.ndarray, natural: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Choose pivots of a sparse matrix by its numbers: SuperLU on equilibrated rows, the sparsest accurate factors.
 
     Parameters
     ----------
@@ -122,6 +134,8 @@ def pivot_order(n: int, row: np.ndarray, column: np.ndarray, values: np.ndarray)
         Number of unknowns.
     row, column, values
         (nnz,) the entries.
+    natural
+        (n,) an order of the unknowns that gives little fill where its diagonal pivots will do.
 
     Returns
     -------
@@ -136,28 +150,33 @@ def pivot_order(n: int, row: np.ndarray, column: np.ndarray, values: np.ndarray)
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import splu
 
-    matrix = csc_array((values, (row, column)), shape=(n, n))
+    place = np.empty(n, dtype=np.int64)
+    place[natural] = np.arange(n)
+    matrix = csc_array((values, (place[row], place[column])), shape=(n, n))
     largest = abs(matrix).max(axis=1).toarray().ravel()
     if not np.all(np.isfinite(largest)):
         raise SingularSystemError
     if not np.all(largest > 0):
-        raise SingularSystemError(int(np.argmin(largest)))
+        raise SingularSystemError(int(natural[np.argmin(largest)]))
     scaled = (diags_array(1 / largest) @ matrix).tocsc()
+    probe = scaled @ np.ones(n)
     best = None
-    for ordering in ("COLAMD", "MMD_AT_PLUS_A"):
-        for threshold in (1.0, 0.1):
-            try:
-                lu = splu(scaled, permc_spec=ordering, diag_pivot_thresh=threshold)
-            except RuntimeError:
-                continue
-            if best is None or lu.nnz < best.nnz:
-                best = lu
+    for ordering, threshold in PIVOT_STRATEGIES:
+        try:
+            lu = splu(scaled, permc_spec=ordering, diag_pivot_thresh=threshold, options={"SymmetricMode": threshold < 1})
+        except RuntimeError:
+            continue
+        error = np.max(np.abs(scaled @ lu.solve(probe) - probe))
+        if error <= ACCURATE and (best is None or lu.nnz < 0.9 * best.nnz):
+            best = lu
+        if best is not None and best.nnz <= LITTLE_FILL * matrix.nnz:
+            break
     if best is None:
         raise SingularSystemError
     row_of = np.empty(n, dtype=np.int64)
-    row_of[best.perm_r] = np.arange(n)
+    row_of[best.perm_r] = natural
     column_of = np.empty(n, dtype=np.int64)
-    column_of[best.perm_c] = np.arange(n)
+    column_of[best.perm_c] = natural
     return row_of, column_of
 
 

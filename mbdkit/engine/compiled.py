@@ -74,6 +74,12 @@ class CompiledMechanism:
             index[row.pair, row.place] = 3 * len(self.bodies) + i
         return index
 
+    @property
+    def natural_order(self) -> np.ndarray:
+        """(n,) unknowns of a pivoted system with bodies first, then multipliers in order of elimination."""
+        multipliers = self.row_index.ravel()
+        return np.concatenate([np.arange(3 * len(self.bodies)), multipliers[multipliers >= 0]])
+
     def unknown_name(self, index: int) -> str:
         """Return in words which body or joint an unknown of a pivoted system belongs to."""
         if 0 <= index < 3 * len(self.bodies):

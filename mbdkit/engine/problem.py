@@ -122,7 +122,7 @@ class Problem:
         np.add.at(
             values, which, terms.coefficients(rate if rate is not None else 0.0) * self.scratch.source[terms.source]
         )
-        row_of, column_of = pivot_order(n, row, column, values)
+        row_of, column_of = pivot_order(n, row, column, values, self.mechanism.natural_order)
         pattern, position = symbolic_lu(n, row, column, row_of, column_of)
         scatter = _scatter(terms, position[which])
         return pattern, new_factors(pattern, values.dtype.type), scatter
