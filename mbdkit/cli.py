@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from mbdkit import terminal
-from mbdkit.terminal import Commands, progress_bar, say
+from mbdkit.terminal import Commands, progress_bar, say, silence
 from mbdkit.text import table
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def run(
     from mbdkit.simulation import simulate  # compiled code: not needed to refuse a spec
 
     with _placing(checked), progress_bar(path.name, quiet) as progress:
-        result = simulate(checked, path=path, overwrite=overwrite, progress=progress)
+        result = simulate(checked, path=path, overwrite=overwrite, progress=progress, notify=silence if quiet else say)
     with result:
         if as_json:
             print(json.dumps(_outcome(result)))
@@ -307,7 +307,9 @@ def rerun(
         except SpecError as error:
             raise error.located(file=archive) from error
         with progress_bar(archive.name, quiet) as progress:
-            result = simulate(checked, path=output, overwrite=overwrite, progress=progress)
+            result = simulate(
+                checked, path=output, overwrite=overwrite, progress=progress, notify=silence if quiet else say
+            )
         with result as after:
             if after.status == "interrupted":
                 _exit_with(after)

@@ -27,6 +27,7 @@ from mbdkit.engine.analysis import SingularSystemError
 from mbdkit.engine.assembly import assemble
 from mbdkit.engine.compiled import compile_mechanism
 from mbdkit.engine.problem import Problem
+from mbdkit.engine.redundancy import describe_singularity
 from mbdkit.engine.warm import ensure_compiled, to_stderr
 from mbdkit.errors import MbdkitError, PluginError, SpecError
 from mbdkit.integrators.methods import Method
@@ -159,13 +160,8 @@ class _Simulation:
             if singular:
                 raise SingularSystemError
             stepper = self.method.start(self.problem, table)
-        except SingularSystemError as error:
-            name = self.problem.mechanism.unknown_name(error.index)
-            self.failure = Failure(
-                "singular",
-                f"the equations have no unique solution at the start, near {name}: constraints are redundant or the "
-                "mechanism stands in a singular position.",
-            )
+        except SingularSystemError:
+            self.failure = Failure("singular", describe_singularity(self.problem))
         setup = time.perf_counter() - self.begin
         wall, cpu = time.perf_counter(), time.process_time()
         if stepper is not None:

@@ -47,6 +47,10 @@ def say(text: str) -> None:
     print(text, file=sys.stderr)
 
 
+def silence(text: str) -> None:
+    """Print nothing: what `say` is replaced by where nobody wants to hear."""
+
+
 @contextmanager
 def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, float], None] | None]:
     """Give a function to call with (time reached, end time) [s], which draws a bar on a terminal once work takes long.

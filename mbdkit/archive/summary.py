@@ -42,6 +42,7 @@ def summary(run: Run) -> str:
     lines = [
         ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
         ("model", ", ".join((_named(spec, "model"), _count(bodies, "body", "bodies"), _count(joints, "joint")))),
+        ("start", _start(run)),
         ("integrator", _method(spec)),
         ("time", _time(run)),
         ("speed", _speed(run.stats)),
@@ -61,6 +62,13 @@ def _count(number: int, one: str, many: str = "") -> str:
 
 def _named(spec: Mapping[str, Any], kind: str) -> str:
     return str(spec.get(kind, {}).get("name", "unknown"))
+
+
+def _start(run: Run) -> str:
+    """Return what assembly moved, where it moved anything."""
+    told = str(run.provenance.get("assembly", ""))
+    moved = told.removeprefix("The start was made consistent; ")
+    return moved.rstrip(".") if moved != told else ""
 
 
 def _method(spec: Mapping[str, Any]) -> str:

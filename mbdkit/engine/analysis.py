@@ -10,7 +10,6 @@ import numpy as np
 from mbdkit.engine.lu import Factors, Pattern
 from mbdkit.engine.schur import Schur
 
-
 PIVOT_STRATEGIES = (("NATURAL", 1e-3), ("MMD_AT_PLUS_A", 1e-3), ("COLAMD", 0.1), ("COLAMD", 1.0))
 """SuperLU's column order, and how small a diagonal pivot may be against its column; in order of preference."""
 
@@ -163,7 +162,9 @@ def pivot_order(
     best = None
     for ordering, threshold in PIVOT_STRATEGIES:
         try:
-            lu = splu(scaled, permc_spec=ordering, diag_pivot_thresh=threshold, options={"SymmetricMode": threshold < 1})
+            lu = splu(
+                scaled, permc_spec=ordering, diag_pivot_thresh=threshold, options={"SymmetricMode": threshold < 1}
+            )
         except RuntimeError:
             continue
         error = np.max(np.abs(scaled @ lu.solve(probe) - probe))

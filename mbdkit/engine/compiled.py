@@ -83,17 +83,23 @@ class CompiledMechanism:
     def unknown_name(self, index: int) -> str:
         """Return in words which body or joint an unknown of a pivoted system belongs to."""
         if 0 <= index < 3 * len(self.bodies):
-            return f"body {self.bodies[index // 3]!r}"
+            return f"body {self.bodies[index // 3]!r}{self._joints_on(index // 3)}"
         if index >= 0 and index - 3 * len(self.bodies) < len(self.rows):
             return f"joint {self.rows[index - 3 * len(self.bodies)].label.split('.')[0]!r}"
         return "the mechanism"
 
-    def pair_name(self, pair: int) -> str:
-        """Return in words which joint a pair of rows belongs to."""
-        for name, pairs in zip(self.joints, self.joint_pairs, strict=True):
-            if pair in pairs:
-                return f"joint {name!r}"
-        return "the mechanism"
+    def _joints_on(self, body: int) -> str:
+        """Return in words which joints hold a body."""
+        pairs = self.topology.pairs
+        held = [
+            name
+            for name, members in zip(self.joints, self.joint_pairs, strict=True)
+            if any(body in pairs[k, 1:3] for k in members)
+        ]
+        if not held:
+            return ""
+        listed = ", ".join(held[:4]) + (", ..." if len(held) > 4 else "")
+        return f" (joint{'s' * (len(held) > 1)} {listed})"
 
 
 class _Motions:

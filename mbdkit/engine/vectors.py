@@ -12,14 +12,18 @@ def copy(x, out):
         out[d] = x[d]
 
 
+BEYOND = 1e75
+"""A coordinate or rate of this size counts as overflow: its energy could not be recorded as a finite number."""
+
+
 @part
 def add_compensated(x, low, increment):
-    """Add `increment` to `x`, whose rounding errors are carried in `low`; return whether all of `x` is finite."""
-    total = 0.0
+    """Add `increment` to `x`, whose rounding errors are carried in `low`; return whether `x` stays below `BEYOND`."""
+    finite = True
     for d in range(len(x)):
         y = increment[d] + low[d]
         new = x[d] + y
         low[d] = y - (new - x[d])
         x[d] = new
-        total += new * 0.0
-    return total == 0.0
+        finite = finite and abs(new) < BEYOND
+    return finite

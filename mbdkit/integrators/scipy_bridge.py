@@ -16,6 +16,7 @@ from mbdkit.engine.analysis import SingularSystemError
 from mbdkit.engine.observe import first_order_rates, note_all, tangents_at
 from mbdkit.engine.problem import Problem
 from mbdkit.engine.system import OK
+from mbdkit.engine.vectors import BEYOND
 from mbdkit.integrators.fixed_step import has_power
 from mbdkit.integrators.stepping import STRETCH, Counters, Failure, Stretch, Timetable
 
@@ -155,7 +156,7 @@ class SciPyStepper:
             else:
                 self.failure = Failure("step-too-small", f"at t = {before:.6g} s: {message}".rstrip(".") + ".")
             return False
-        if not np.all(np.isfinite(solver.y)):
+        if not np.all(np.abs(solver.y) < BEYOND):
             self.failure = self._overflow(before)
             return False
         iterations, attempts = self._effort(before)
