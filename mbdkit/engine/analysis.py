@@ -146,7 +146,7 @@ def pivot_order(
     SingularSystemError
         Where no pivot is left.
     """
-    from scipy.sparse import csc_array, diags_array
+    from scipy.sparse import csc_array
     from scipy.sparse.linalg import splu
 
     place = np.empty(n, dtype=np.int64)
@@ -157,7 +157,8 @@ def pivot_order(
         raise SingularSystemError
     if not np.all(largest > 0):
         raise SingularSystemError(int(natural[np.argmin(largest)]))
-    scaled = (diags_array(1 / largest) @ matrix).tocsc()
+    # entries that are zero just now stay in the pattern: a sparse product would drop them, and fill would come back
+    scaled = csc_array((values / largest[place[row]], (place[row], place[column])), shape=(n, n))
     probe = scaled @ np.ones(n)
     best = None
     for ordering, threshold in PIVOT_STRATEGIES:

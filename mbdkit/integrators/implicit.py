@@ -109,7 +109,7 @@ def _mean(x, out):
 
 @part
 def _sizes(acc, change, bodies):
-    """Return the largest change of an acceleration relative to the largest one, linear and angular apart; inf for NaN."""
+    """Return the largest change of an acceleration relative to the largest one, linear and angular apart."""
     size_t = size_r = change_t = change_r = 0.0
     for i in range(len(acc)):
         for b in range(bodies):

@@ -1,0 +1,1 @@
+"""Speed and memory, as tables: `python -m tests.benchmarks`. Nothing here is a test, and no test is timed."""

@@ -1,0 +1,108 @@
+"""Orders of convergence, seen on nonlinear non-autonomous problems: a forced and a driven double pendulum.
+
+Every sequence of step numbers lies inside the asymptotic window (found with the dense NumPy chain of `absolute.py`)
+and its smallest error well above the rounding, so that a failure means another order and not a bad window.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from . import ode
+from .absolute import rk4, rk_gill
+from .problems import DRIVEN, DRIVEN_PENDULUM, FORCED, FORCED_PENDULUM, Problem
+from .running import gauss, run
+
+END = 1.0
+EXPLICIT = (100, 200, 400, 800)
+WINDOWS = {1: (100, 200, 400, 800), 2: (50, 100, 200, 400), 3: (20, 28, 40, 56), 4: (14, 16, 20, 24, 28)}
+
+
+def observed_order(problem: Problem, integrator: dict[str, Any], numbers: tuple[int, ...]) -> list[float]:
+    """Return the order seen between each two neighbours of `numbers`, the numbers of steps to the end."""
+    expected = problem.solve(np.array([END]))[0]
+    reference = problem.state(expected[:2], expected[2:4]).reshape(2, 2, 3)
+    errors = []
+    for number in numbers:
+        result = run(problem.model(), integrator, end=END, step=END / number, every=number)
+        bodies = [result["rod1"], result["rod2"]]
+        q = np.array([[*body.position[-1], body.angle[-1]] for body in bodies])
+        v = np.array([[*body.velocity[-1], body.angular_velocity[-1]] for body in bodies])
+        errors.append(max(np.abs(q - reference[0]).max(), np.abs(v - reference[1]).max()))
+    return [float(slope) for slope in np.diff(np.log(errors)) / -np.diff(np.log(numbers))]
+
+
+def test_yardstick_references_agree_with_extended_precision_to_2e_13() -> None:
+    # expected: Gragg-Bulirsch-Stoer extrapolation in long double of the same minimal equations
+    start = np.array([*FORCED_PENDULUM.angles, *FORCED_PENDULUM.rates, 0.0, 0.0], dtype=np.longdouble)
+    expected = ode.extrapolate(FORCED.right_side, start, END, 100).astype(float)
+    np.testing.assert_allclose(FORCED_PENDULUM.solve(np.array([END]))[0], expected, rtol=0, atol=2e-13)
+    start = np.array([DRIVEN_PENDULUM.angles[1], DRIVEN_PENDULUM.rates[1], 0.0, 0.0], dtype=np.longdouble)
+    expected = ode.extrapolate(DRIVEN.right_side, start, END, 100).astype(float)
+    actual = DRIVEN_PENDULUM.solve(np.array([END]))[0, [1, 3, 4, 5]]
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=2e-13)
+
+
+@pytest.mark.parametrize("problem", [FORCED_PENDULUM, DRIVEN_PENDULUM], ids=["forced", "driven"])
+@pytest.mark.parametrize("method", [rk4, rk_gill])
+def test_yardstick_dense_equations_converge_to_the_minimal_ones_with_order_four(problem: Problem, method: Any) -> None:
+    # expected: order 4 (Kutta, Gill), towards the minimal coordinates' solution by DOP853
+    expected = problem.solve(np.array([END]))[0]
+    reference = problem.state(expected[:2], expected[2:4])
+    start = problem.state(np.array(problem.angles), np.array(problem.rates))
+    errors = [
+        np.abs(method(problem.absolute.right_side, start, END / number, number)[-1] - reference).max()
+        for number in (200, 400)
+    ]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.1)
+
+
+def test_rk4_has_order_four_on_the_forced_pendulum() -> None:
+    assert observed_order(FORCED_PENDULUM, {"name": "rk4"}, EXPLICIT) == pytest.approx([4.0] * 3, abs=0.2)
+
+
+def test_rk4_has_order_four_on_the_driven_pendulum() -> None:
+    assert observed_order(DRIVEN_PENDULUM, {"name": "rk4"}, EXPLICIT) == pytest.approx([4.0] * 3, abs=0.2)
+
+
+def test_rk_gill_has_order_four_on_the_forced_pendulum() -> None:
+    assert observed_order(FORCED_PENDULUM, {"name": "rk-gill"}, EXPLICIT) == pytest.approx([4.0] * 3, abs=0.2)
+
+
+def test_rk_gill_has_order_four_on_the_driven_pendulum() -> None:
+    assert observed_order(DRIVEN_PENDULUM, {"name": "rk-gill"}, EXPLICIT) == pytest.approx([4.0] * 3, abs=0.2)
+
+
+def test_gauss1_has_order_two_on_the_forced_pendulum() -> None:
+    assert observed_order(FORCED_PENDULUM, gauss(1), WINDOWS[1]) == pytest.approx([2.0] * 3, abs=0.2)
+
+
+def test_gauss1_has_order_two_on_the_driven_pendulum() -> None:
+    assert observed_order(DRIVEN_PENDULUM, gauss(1), WINDOWS[1]) == pytest.approx([2.0] * 3, abs=0.2)
+
+
+def test_gauss2_has_order_four_on_the_forced_pendulum() -> None:
+    assert observed_order(FORCED_PENDULUM, gauss(2), WINDOWS[2]) == pytest.approx([4.0] * 3, abs=0.2)
+
+
+def test_gauss2_has_order_four_on_the_driven_pendulum() -> None:
+    assert observed_order(DRIVEN_PENDULUM, gauss(2), WINDOWS[2]) == pytest.approx([4.0] * 3, abs=0.2)
+
+
+def test_gauss3_has_order_six_on_the_forced_pendulum() -> None:
+    assert observed_order(FORCED_PENDULUM, gauss(3), WINDOWS[3]) == pytest.approx([6.0] * 3, abs=0.2)
+
+
+def test_gauss3_has_order_six_on_the_driven_pendulum() -> None:
+    assert observed_order(DRIVEN_PENDULUM, gauss(3), WINDOWS[3]) == pytest.approx([6.0] * 3, abs=0.2)
+
+
+def test_gauss4_has_order_eight_on_the_forced_pendulum() -> None:
+    assert observed_order(FORCED_PENDULUM, gauss(4), WINDOWS[4]) == pytest.approx([8.0] * 4, abs=0.2)
+
+
+def test_gauss4_has_order_eight_on_the_driven_pendulum() -> None:
+    assert observed_order(DRIVEN_PENDULUM, gauss(4), WINDOWS[4]) == pytest.approx([8.0] * 4, abs=0.2)
