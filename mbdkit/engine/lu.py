@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.cache import part
+from mbdkit.engine.cache import inlined
 
 SMALL_PIVOT = 1e-9
 """A pivot this much smaller than its row of the matrix asks for new pivots."""
@@ -42,7 +42,7 @@ class Factors(NamedTuple):
     work: np.ndarray
 
 
-@part
+@inlined
 def factorize(p, f):
     """Factorize the matrix whose values stand in ``f.a``; return the pivot position that became too small, or -1."""
     a_start, a_column = p.a_start, p.a_column
@@ -73,7 +73,7 @@ def factorize(p, f):
     return -1
 
 
-@part
+@inlined
 def substitute(p, f, b, x):
     """Solve A x = b with the factors; `b` and `x` (n,) in original order."""
     l_start, l_column, u_start, u_column = p.l_start, p.l_column, p.u_start, p.u_column
@@ -93,7 +93,7 @@ def substitute(p, f, b, x):
         x[column_of[i]] = w[i]
 
 
-@part
+@inlined
 def residual(p, f, b, x, r):
     """Write b - A x into `r` (n,) and return the largest component relative to |A| |x| + |b| of its row."""
     worst = 0.0

@@ -171,7 +171,7 @@ def apply_multipliers(pairs, jac, weight, lam, acc):
             acc[3 * b + i] -= weight[b, i] * (jac[k, 3 + i] * l0 + jac[k, 9 + i] * l1)
 
 
-@part
+@inlined
 def gather_values(source, scatter, rate, values):
     """Fill the values of a sparse matrix from the element terms; `rate` is h mu, and 0 leaves the bare KKT matrix."""
     values[:] = 0.0
@@ -187,7 +187,7 @@ def gather_values(source, scatter, rate, values):
             values[scatter.level[e, 1]] += level * source[scatter.level[e, 0]]
 
 
-@part
+@inlined
 def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
     """Solve the whole index-1 system by pivoted sparse LU with one step of refinement; return a status."""
     n3 = 3 * (len(top.mass) - 1)

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.engine.analysis import new_factors
-from mbdkit.engine.cache import kernel, part
+from mbdkit.engine.cache import inlined, kernel, part
 from mbdkit.engine.constraints import constraint_positions, turn_bodies
 from mbdkit.engine.lu import Factors, factorize, substitute
 from mbdkit.engine.motions import evaluate_motions
@@ -157,7 +157,7 @@ def _force_level(top, w, lam, acc, bodies, change):
     return worst
 
 
-@part
+@inlined
 def _factorize_all(source, scatter, pattern, real, cplx, mu_real, mu_complex, h):
     """Gather and factorize the matrix of every eigenvalue; return the failed pivot position or -1."""
     for e in range(len(mu_real)):
@@ -173,7 +173,7 @@ def _factorize_all(source, scatter, pattern, real, cplx, mu_real, mu_complex, h)
     return -1
 
 
-@part
+@inlined
 def _lift(mass, pairs, rows, row_index, jac, x, n3, b):
     """Write ``[M x, Phi_q x]`` into `b` (n,) for an acceleration `x` (3 (B + 1),) that vanishes on the ground."""
     for body in range(len(mass) - 1):
@@ -188,7 +188,7 @@ def _lift(mass, pairs, rows, row_index, jac, x, n3, b):
             b[row_index[k, r]] = total
 
 
-@part
+@inlined
 def _newton_changes(
     top, row_index, jac, pattern, real, cplx, t_real, t_real_inv, t_complex, t_complex_inv,
     defects, z_real, z_complex, b_real, x_real, b_complex, x_complex, change,
