@@ -10,7 +10,7 @@ from mbdkit.engine.cache import kernel, part
 from mbdkit.engine.constraints import constraint_positions
 from mbdkit.engine.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
 from mbdkit.engine.vectors import add_compensated, copy
-from mbdkit.integrators.fixed_step import FixedStepper, State, note_misalignment
+from mbdkit.integrators.fixed_step import FixedStepper, State, book_energies, note_misalignment
 
 if TYPE_CHECKING:
     from mbdkit.engine.problem import Problem
@@ -81,14 +81,7 @@ def run_explicit(
         if not finite:
             return NOT_FINITE, k, rows
         if has_power:
-            for m in range(2):
-                gain = 0.0
-                for i in range(stages):
-                    gain += b[i] * energy[2 + 2 * i + m]
-                y = h * gain + energy_low[m]
-                new = energy[m] + y
-                energy_low[m] = y - (new - energy[m])
-                energy[m] = new
+            book_energies(h, b, energy, energy_low)
         if (k + 1) % every == 0:
             copy(q, row_q[rows])
             copy(v, row_v[rows])

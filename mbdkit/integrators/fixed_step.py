@@ -27,6 +27,22 @@ def note_misalignment(phi, worst):
             worst[k] = gap
 
 
+@part
+def book_energies(h, b, energy, low):
+    """Add a step's work and dissipated energy by the method's own weights, with compensation.
+
+    `energy` holds the two sums, then the two powers of every stage.
+    """
+    for m in range(2):
+        gain = 0.0
+        for i in range(len(b)):
+            gain += b[i] * energy[2 + 2 * i + m]
+        y = h * gain + low[m]
+        new = energy[m] + y
+        low[m] = y - (new - energy[m])
+        energy[m] = new
+
+
 def has_power(top: Topology) -> bool:
     """Return whether loads, drivers or dampers act, so that work and dissipated energy change."""
     return bool(len(top.loads) or np.any(top.pairs[:, 3] >= 0) or np.any(top.spring_laws[:, 1]))

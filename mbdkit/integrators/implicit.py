@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.engine.analysis import new_factors
-from mbdkit.engine.cache import inlined, kernel, part
+from mbdkit.engine.cache import kernel
 from mbdkit.engine.constraints import constraint_positions, turn_bodies
-from mbdkit.engine.lu import Factors, factorize, substitute
+from mbdkit.engine.lu import Factors
 from mbdkit.engine.motions import evaluate_motions
 from mbdkit.engine.observe import tangents_at
 from mbdkit.engine.system import (
@@ -35,12 +35,13 @@ from mbdkit.engine.system import (
     REPIVOT_STAGES,
     evaluate_powers,
     evaluate_tangents,
-    gather_values,
     prepare,
     solve_accelerations,
 )
 from mbdkit.engine.vectors import add_compensated, copy
-from mbdkit.integrators.fixed_step import FixedStepper, State, note_misalignment
+from mbdkit.integrators.fixed_step import FixedStepper, State, book_energies, note_misalignment
+from mbdkit.integrators.newton import factorize_all, newton_changes
+from mbdkit.integrators.stages import change_against_forces, extrapolate, relative_change, stage_mean, stage_states
 
 if TYPE_CHECKING:
     from mbdkit.engine.problem import Problem
@@ -61,171 +62,6 @@ ROUGH = 1e-5
 
 SLOW = 0.25
 """Contraction above which the tangent is taken anew within the step."""
-
-
-@part
-def _stages(h, a, a2, c, q, v, acc, q_stage, v_stage):
-    """Evaluate positions and velocities of every stage."""
-    s = len(c)
-    for i in range(s):
-        qs, vs = q_stage[i], v_stage[i]
-        qs[:] = 0.0
-        vs[:] = 0.0
-        for j in range(s):
-            w1, w2 = a[i, j], a2[i, j]
-            k = acc[j]
-            for d in range(len(q)):
-                vs[d] += w1 * k[d]
-                qs[d] += w2 * k[d]
-        drift = h * c[i]
-        for d in range(len(q)):
-            qs[d] = q[d] + (drift * v[d] + h * h * qs[d])
-            vs[d] = v[d] + h * vs[d]
-
-
-@part
-def _extrapolate(weights, x, scratch):
-    """Replace stage values, rows of `x`, by those of the collocation polynomial at the stages of the next step."""
-    stages, size = x.shape
-    for i in range(stages):
-        for d in range(size):
-            scratch[i, d] = x[i, d]
-            x[i, d] = 0.0
-    for i in range(stages):
-        for j in range(stages):
-            w = weights[i, j]
-            for d in range(size):
-                x[i, d] += w * scratch[j, d]
-
-
-@part
-def _mean(x, out):
-    """Write the mean over stages into `out`."""
-    out[:] = 0.0
-    for i in range(len(x)):
-        for d in range(len(out)):
-            out[d] += x[i, d] / len(x)
-
-
-@part
-def _sizes(acc, change, bodies):
-    """Return the largest change of an acceleration relative to the largest one, linear and angular apart."""
-    size_t = size_r = change_t = change_r = 0.0
-    for i in range(len(acc)):
-        for b in range(bodies):
-            size_t = max(size_t, abs(acc[i, 3 * b]), abs(acc[i, 3 * b + 1]))
-            size_r = max(size_r, abs(acc[i, 3 * b + 2]))
-            now_t = abs(change[i, 3 * b]) + abs(change[i, 3 * b + 1])
-            now_r = abs(change[i, 3 * b + 2])
-            if not now_t + now_r < np.inf:  # a maximum would pass over what is not a number
-                return np.inf
-            change_t = max(change_t, now_t)
-            change_r = max(change_r, now_r)
-    relative_t = change_t / size_t if change_t > 0.0 else 0.0
-    relative_r = change_r / size_r if change_r > 0.0 else 0.0
-    return max(relative_t, relative_r)
-
-
-@part
-def _force_level(top, w, lam, acc, bodies, change):
-    """Return the largest change of an acceleration relative to what single forces would give: a floor for round-off."""
-    level_t = level_r = 0.0
-    for b in range(bodies):
-        level_t = max(level_t, abs(top.gravity[0]), abs(top.gravity[1]))
-        for i in range(3):
-            scale = abs(acc[3 * b + i]) + abs(w.force[3 * b + i]) * top.weight[b, i]
-            if i < 2:
-                level_t = max(level_t, scale)
-            else:
-                level_r = max(level_r, scale)
-    for k in range(len(top.pairs)):
-        for side in range(2):
-            b = top.pairs[k, 1 + side]
-            for i in range(3):
-                c = 3 * side + i
-                scale = (abs(w.jac[k, c] * lam[k, 0]) + abs(w.jac[k, 6 + c] * lam[k, 1])) * top.weight[b, i]
-                if i < 2:
-                    level_t = max(level_t, scale)
-                else:
-                    level_r = max(level_r, scale)
-    worst = 0.0
-    for i in range(len(change)):
-        for b in range(bodies):
-            worst = max(worst, abs(change[i, 3 * b]) / level_t, abs(change[i, 3 * b + 1]) / level_t)
-            if change[i, 3 * b + 2] != 0.0:
-                worst = max(worst, abs(change[i, 3 * b + 2]) / level_r)
-    return worst
-
-
-@inlined
-def _factorize_all(source, scatter, pattern, real, cplx, mu_real, mu_complex, h):
-    """Gather and factorize the matrix of every eigenvalue; return the failed pivot position or -1."""
-    for e in range(len(mu_real)):
-        gather_values(source, scatter, h * mu_real[e], real.a[e])
-        failed = factorize(pattern, Factors(real.a[e], real.lower[e], real.upper[e], real.pivot[e], real.work[e]))
-        if failed >= 0:
-            return failed
-    for e in range(len(mu_complex)):
-        gather_values(source, scatter, h * mu_complex[e], cplx.a[e])
-        failed = factorize(pattern, Factors(cplx.a[e], cplx.lower[e], cplx.upper[e], cplx.pivot[e], cplx.work[e]))
-        if failed >= 0:
-            return failed
-    return -1
-
-
-@inlined
-def _lift(mass, pairs, rows, row_index, jac, x, n3, b):
-    """Write ``[M x, Phi_q x]`` into `b` (n,) for an acceleration `x` (3 (B + 1),) that vanishes on the ground."""
-    for body in range(len(mass) - 1):
-        for i in range(3):
-            b[3 * body + i] = mass[body, i] * x[3 * body + i]
-    for k in range(len(pairs)):
-        first, second = 3 * pairs[k, 1], 3 * pairs[k, 2]
-        for r in range(rows[k]):
-            total = x[n3] * 0.0
-            for i in range(3):
-                total += jac[k, 6 * r + i] * x[first + i] + jac[k, 6 * r + 3 + i] * x[second + i]
-            b[row_index[k, r]] = total
-
-
-@inlined
-def _newton_changes(
-    top, row_index, jac, pattern, real, cplx, t_real, t_real_inv, t_complex, t_complex_inv,
-    defects, z_real, z_complex, b_real, x_real, b_complex, x_complex, change,
-):  # fmt: skip
-    """Solve the transformed systems for the change of every stage's accelerations; `defects` (s, 3 (B + 1))."""
-    s, size = defects.shape
-    n3 = size - 3
-    change[:, :] = 0.0
-    for e in range(len(real.a)):
-        z_real[:] = 0.0
-        for j in range(s):
-            w = t_real_inv[e, j]
-            for d in range(n3):
-                z_real[d] += w * defects[j, d]
-        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_real, n3, b_real)
-        substitute(
-            pattern, Factors(real.a[e], real.lower[e], real.upper[e], real.pivot[e], real.work[e]), b_real, x_real
-        )
-        for i in range(s):
-            w = t_real[i, e]
-            for d in range(n3):
-                change[i, d] -= w * x_real[d]
-    for e in range(len(cplx.a)):
-        for d in range(n3):
-            z_complex[d] = 0.0
-        for j in range(s):
-            z = t_complex_inv[e, j]
-            for d in range(n3):
-                z_complex[d] += z * defects[j, d]
-        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_complex, n3, b_complex)
-        substitute(
-            pattern, Factors(cplx.a[e], cplx.lower[e], cplx.upper[e], cplx.pivot[e], cplx.work[e]), b_complex, x_complex
-        )
-        for i in range(s):
-            z = t_complex[i, e]
-            for d in range(n3):
-                change[i, d] -= 2.0 * (z.real * x_complex[d].real - z.imag * x_complex[d].imag)
 
 
 @kernel
@@ -262,9 +98,9 @@ def run_implicit(
                 for p in range(len(top.pairs)):
                     copy(lam[0, p], lam[i, p])
         else:
-            _extrapolate(weights, acc, f)
+            extrapolate(weights, acc, f)
         fresh = False
-        _stages(h, a, a2, c, q, v, acc, q_stage, v_stage)
+        stage_states(h, a, a2, c, q, v, acc, q_stage, v_stage)
         stale = True
         taken_at = 0
         before = np.inf
@@ -272,17 +108,17 @@ def run_implicit(
         m = 0
         while m < max_iterations:
             if kind == NEWTON and stale:
-                _mean(q_stage, mean[0])
-                _mean(v_stage, mean[1])
-                _mean(acc, mean[2])
+                stage_mean(q_stage, mean[0])
+                stage_mean(v_stage, mean[1])
+                stage_mean(acc, mean[2])
                 for r in range(2):
-                    _mean(lam[:, :, r], mean_lam[:, r])
+                    stage_mean(lam[:, :, r], mean_lam[:, r])
                 evaluate_tangents(top, w, t + 0.5 * h, mean[0], mean[1], mean[2], mean_lam)
                 for p in range(len(top.pairs)):
                     copy(w.jac[p], mean_jac[p])
                 counts[1] += 1
                 counts[2] += len(mu_real) + len(mu_complex)
-                solver.failed[0] = _factorize_all(w.source, scatter, pattern, real, cplx, mu_real, mu_complex, h)
+                solver.failed[0] = factorize_all(w.source, scatter, pattern, real, cplx, mu_real, mu_complex, h)
                 if solver.failed[0] >= 0:
                     return REPIVOT_STAGES, k, rows
                 stale = False
@@ -302,7 +138,7 @@ def run_implicit(
                 for i in range(s):
                     for d in range(n3):
                         f[i, d] = acc[i, d] - f[i, d]
-                _newton_changes(
+                newton_changes(
                     top, solver.row_index, mean_jac, pattern, real, cplx, t_real, t_real_inv, t_complex, t_complex_inv,
                     f, z_real, z_complex, b_real, x_real, b_complex, x_complex, change,
                 )  # fmt: skip
@@ -313,8 +149,8 @@ def run_implicit(
             for i in range(s):
                 for d in range(n3):
                     acc[i, d] += change[i, d]
-            _stages(h, a, a2, c, q, v, acc, q_stage, v_stage)
-            now = _sizes(acc, change, bodies)
+            stage_states(h, a, a2, c, q, v, acc, q_stage, v_stage)
+            now = relative_change(acc, change, bodies)
             if not now < 1e300:
                 break
             if now == 0.0:
@@ -327,7 +163,9 @@ def run_implicit(
             if (
                 m > 1
                 and ratio > 0.5
-                and (now <= STAGNANT or _force_level(top, w, lam[s - 1], acc[s - 1], bodies, change) <= STAGNANT)
+                and (
+                    now <= STAGNANT or change_against_forces(top, w, lam[s - 1], acc[s - 1], bodies, change) <= STAGNANT
+                )
             ):
                 status = OK
                 break
@@ -351,14 +189,7 @@ def run_implicit(
                     return status, k, rows
                 work, lost = evaluate_powers(top, w, q_stage[i], v_stage[i], lam[i])
                 energy[2 + 2 * i], energy[3 + 2 * i] = work, lost
-            for e in range(2):
-                gain = 0.0
-                for i in range(s):
-                    gain += b[i] * energy[2 + 2 * i + e]
-                y = h * gain + energy_low[e]
-                new = energy[e] + y
-                energy_low[e] = y - (new - energy[e])
-                energy[e] = new
+            book_energies(h, b, energy, energy_low)
         dq, dv = mean[0], mean[1]
         dq[:] = 0.0
         dv[:] = 0.0

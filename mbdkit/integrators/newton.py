@@ -1,0 +1,78 @@
+"""The linear systems of simplified Newton, one for each eigenvalue of a tableau; see `mbdkit.integrators.implicit`."""
+
+from __future__ import annotations
+
+from mbdkit.engine.cache import inlined
+from mbdkit.engine.lu import Factors, factorize, substitute
+from mbdkit.engine.system import gather_values
+
+
+@inlined
+def factorize_all(source, scatter, pattern, real, cplx, mu_real, mu_complex, h):
+    """Gather and factorize the matrix of every eigenvalue; return the failed pivot position or -1."""
+    for e in range(len(mu_real)):
+        gather_values(source, scatter, h * mu_real[e], real.a[e])
+        failed = factorize(pattern, Factors(real.a[e], real.lower[e], real.upper[e], real.pivot[e], real.work[e]))
+        if failed >= 0:
+            return failed
+    for e in range(len(mu_complex)):
+        gather_values(source, scatter, h * mu_complex[e], cplx.a[e])
+        failed = factorize(pattern, Factors(cplx.a[e], cplx.lower[e], cplx.upper[e], cplx.pivot[e], cplx.work[e]))
+        if failed >= 0:
+            return failed
+    return -1
+
+
+@inlined
+def _lift(mass, pairs, rows, row_index, jac, x, n3, b):
+    """Write ``[M x, Phi_q x]`` into `b` (n,) for an acceleration `x` (3 (B + 1),) that vanishes on the ground."""
+    for body in range(len(mass) - 1):
+        for i in range(3):
+            b[3 * body + i] = mass[body, i] * x[3 * body + i]
+    for k in range(len(pairs)):
+        first, second = 3 * pairs[k, 1], 3 * pairs[k, 2]
+        for r in range(rows[k]):
+            total = x[n3] * 0.0
+            for i in range(3):
+                total += jac[k, 6 * r + i] * x[first + i] + jac[k, 6 * r + 3 + i] * x[second + i]
+            b[row_index[k, r]] = total
+
+
+@inlined
+def newton_changes(
+    top, row_index, jac, pattern, real, cplx, t_real, t_real_inv, t_complex, t_complex_inv,
+    defects, z_real, z_complex, b_real, x_real, b_complex, x_complex, change,
+):  # fmt: skip
+    """Solve the transformed systems for the change of every stage's accelerations; `defects` (s, 3 (B + 1))."""
+    s, size = defects.shape
+    n3 = size - 3
+    change[:, :] = 0.0
+    for e in range(len(real.a)):
+        z_real[:] = 0.0
+        for j in range(s):
+            w = t_real_inv[e, j]
+            for d in range(n3):
+                z_real[d] += w * defects[j, d]
+        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_real, n3, b_real)
+        substitute(
+            pattern, Factors(real.a[e], real.lower[e], real.upper[e], real.pivot[e], real.work[e]), b_real, x_real
+        )
+        for i in range(s):
+            w = t_real[i, e]
+            for d in range(n3):
+                change[i, d] -= w * x_real[d]
+    for e in range(len(cplx.a)):
+        for d in range(n3):
+            z_complex[d] = 0.0
+        for j in range(s):
+            z = t_complex_inv[e, j]
+            for d in range(n3):
+                z_complex[d] += z * defects[j, d]
+        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_complex, n3, b_complex)
+        substitute(
+            pattern, Factors(cplx.a[e], cplx.lower[e], cplx.upper[e], cplx.pivot[e], cplx.work[e]), b_complex, x_complex
+        )
+        for i in range(s):
+            z = t_complex[i, e]
+            for d in range(n3):
+                change[i, d] -= 2.0 * (z.real * x_complex[d].real - z.imag * x_complex[d].imag)

@@ -1,0 +1,101 @@
+"""The stages of a fully implicit method as vectors: states, predictions, and how large a change of them is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.engine.cache import part
+
+
+@part
+def stage_states(h, a, a2, c, q, v, acc, q_stage, v_stage):
+    """Evaluate positions and velocities of every stage."""
+    s = len(c)
+    for i in range(s):
+        qs, vs = q_stage[i], v_stage[i]
+        qs[:] = 0.0
+        vs[:] = 0.0
+        for j in range(s):
+            w1, w2 = a[i, j], a2[i, j]
+            k = acc[j]
+            for d in range(len(q)):
+                vs[d] += w1 * k[d]
+                qs[d] += w2 * k[d]
+        drift = h * c[i]
+        for d in range(len(q)):
+            qs[d] = q[d] + (drift * v[d] + h * h * qs[d])
+            vs[d] = v[d] + h * vs[d]
+
+
+@part
+def extrapolate(weights, x, scratch):
+    """Replace stage values, rows of `x`, by those of the collocation polynomial at the stages of the next step."""
+    stages, size = x.shape
+    for i in range(stages):
+        for d in range(size):
+            scratch[i, d] = x[i, d]
+            x[i, d] = 0.0
+    for i in range(stages):
+        for j in range(stages):
+            w = weights[i, j]
+            for d in range(size):
+                x[i, d] += w * scratch[j, d]
+
+
+@part
+def stage_mean(x, out):
+    """Write the mean over stages into `out`."""
+    out[:] = 0.0
+    for i in range(len(x)):
+        for d in range(len(out)):
+            out[d] += x[i, d] / len(x)
+
+
+@part
+def relative_change(acc, change, bodies):
+    """Return the largest change of an acceleration relative to the largest one, linear and angular apart."""
+    size_t = size_r = change_t = change_r = 0.0
+    for i in range(len(acc)):
+        for b in range(bodies):
+            size_t = max(size_t, abs(acc[i, 3 * b]), abs(acc[i, 3 * b + 1]))
+            size_r = max(size_r, abs(acc[i, 3 * b + 2]))
+            now_t = abs(change[i, 3 * b]) + abs(change[i, 3 * b + 1])
+            now_r = abs(change[i, 3 * b + 2])
+            if not now_t + now_r < np.inf:  # a maximum would pass over what is not a number
+                return np.inf
+            change_t = max(change_t, now_t)
+            change_r = max(change_r, now_r)
+    relative_t = change_t / size_t if change_t > 0.0 else 0.0
+    relative_r = change_r / size_r if change_r > 0.0 else 0.0
+    return max(relative_t, relative_r)
+
+
+@part
+def change_against_forces(top, w, lam, acc, bodies, change):
+    """Return the largest change of an acceleration relative to what single forces would give: a floor for round-off."""
+    level_t = level_r = 0.0
+    for b in range(bodies):
+        level_t = max(level_t, abs(top.gravity[0]), abs(top.gravity[1]))
+        for i in range(3):
+            scale = abs(acc[3 * b + i]) + abs(w.force[3 * b + i]) * top.weight[b, i]
+            if i < 2:
+                level_t = max(level_t, scale)
+            else:
+                level_r = max(level_r, scale)
+    for k in range(len(top.pairs)):
+        for side in range(2):
+            b = top.pairs[k, 1 + side]
+            for i in range(3):
+                c = 3 * side + i
+                scale = (abs(w.jac[k, c] * lam[k, 0]) + abs(w.jac[k, 6 + c] * lam[k, 1])) * top.weight[b, i]
+                if i < 2:
+                    level_t = max(level_t, scale)
+                else:
+                    level_r = max(level_r, scale)
+    worst = 0.0
+    for i in range(len(change)):
+        for b in range(bodies):
+            worst = max(worst, abs(change[i, 3 * b]) / level_t, abs(change[i, 3 * b + 1]) / level_t)
+            if change[i, 3 * b + 2] != 0.0:
+                worst = max(worst, abs(change[i, 3 * b + 2]) / level_r)
+    return worst
