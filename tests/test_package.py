@@ -22,7 +22,7 @@ MODULES = sorted(
 
 
 def public_things(module):
-    for name, thing in vars(module).items():
+    for name, thing in list(vars(module).items()):  # a lazy module grows while it is looked at
         if not name.startswith("_") and getattr(thing, "__module__", None) == module.__name__:
             yield f"{module.__name__}.{name}", thing
 

@@ -187,7 +187,7 @@ def gather_values(source, scatter, rate, values):
             values[scatter.level[e, 1]] += level * source[scatter.level[e, 0]]
 
 
-@inlined
+@part
 def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
     """Solve the whole index-1 system by pivoted sparse LU with one step of refinement; return a status."""
     n3 = 3 * (len(top.mass) - 1)

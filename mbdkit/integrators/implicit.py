@@ -87,27 +87,21 @@ def run_implicit(
         prepare(top, w, t, q)
         constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
         note_misalignment(w.phi, worst)
-        if fresh:
-            counts[0] += 1
-            counts[2] += 1
-            status = solve_accelerations(top, w, solver, q, v, acc[0], lam[0], True)
-            if status != OK:
-                return status, k, rows
-            acc[:, :] = 0.0  # a stiff force may be far from constant over the step: begin with free flight
-            for i in range(1, s):
-                for p in range(len(top.pairs)):
-                    copy(lam[0, p], lam[i, p])
+        begun = fresh
+        if fresh:  # a stiff force may be far from constant over the step: begin with free flight
+            acc[:, :] = 0.0
+            lam[:, :, :] = 0.0
+            fresh = False
         else:
             extrapolate(weights, acc, f)
-        fresh = False
         stage_states(h, a, a2, c, q, v, acc, q_stage, v_stage)
         stale = True
         taken_at = 0
         before = np.inf
-        status = DIVERGED
         m = 0
-        while m < max_iterations:
-            if kind == NEWTON and stale:
+        settled = False
+        while True:
+            if kind == NEWTON and stale and not settled:
                 stage_mean(q_stage, mean[0])
                 stage_mean(v_stage, mean[1])
                 stage_mean(acc, mean[2])
@@ -129,9 +123,14 @@ def run_implicit(
                 status = solve_accelerations(top, w, solver, q_stage[i], v_stage[i], f[i], lam[i], before < ROUGH)
                 if status != OK:
                     return status, k, rows
-            status = DIVERGED
+                if settled:
+                    work, lost = evaluate_powers(top, w, q_stage[i], v_stage[i], lam[i])
+                    energy[2 + 2 * i], energy[3 + 2 * i] = work, lost
             counts[0] += s
             counts[2] += s
+            if settled:
+                book_energies(h, b, energy, energy_low)
+                break
             counts[3] += 1
             m += 1
             if kind == NEWTON:
@@ -151,45 +150,25 @@ def run_implicit(
                     acc[i, d] += change[i, d]
             stage_states(h, a, a2, c, q, v, acc, q_stage, v_stage)
             now = relative_change(acc, change, bodies)
-            if not now < 1e300:
-                break
-            if now == 0.0:
-                status = OK
-                break
             ratio = now / before
-            if m > 1 and ratio < 0.9 and ratio / (1.0 - ratio) * now <= tolerance:
-                status = OK
+            settled = now == 0.0 or (m > 1 and ratio < 0.9 and ratio / (1.0 - ratio) * now <= tolerance)
+            if not settled and m > 1 and ratio > 0.5:  # no longer shrinking: round-off, or divergence
+                settled = now <= STAGNANT
+                if not settled:
+                    settled = change_against_forces(top, w, lam[s - 1], acc[s - 1], bodies, change) <= STAGNANT
+            if settled:
+                if has_power:
+                    continue  # once more through the stages, for their powers
                 break
-            if (
-                m > 1
-                and ratio > 0.5
-                and (
-                    now <= STAGNANT or change_against_forces(top, w, lam[s - 1], acc[s - 1], bodies, change) <= STAGNANT
-                )
-            ):
-                status = OK
-                break
-            if m > 4 and ratio > 4.0:
-                break
-            stale = m - taken_at >= 3 and ratio > SLOW
+            if m >= max_iterations or (m > 4 and ratio > 4.0) or not now < np.inf:
+                report[0] = 0.0
+                for i in range(s):
+                    for d in range(n3):
+                        if not abs(change[i, d]) <= report[0]:
+                            report[0], report[1] = abs(change[i, d]), d
+                return DIVERGED, k, rows
+            stale = (begun and m == 1) or (m - taken_at >= 3 and ratio > SLOW)
             before = now
-        if status != OK:
-            report[0] = 0.0
-            for i in range(s):
-                for d in range(n3):
-                    if not abs(change[i, d]) <= report[0]:
-                        report[0], report[1] = abs(change[i, d]), d
-            return status, k, rows
-        if has_power:
-            for i in range(s):
-                evaluate_motions(t + c[i] * h, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
-                turn_bodies(q_stage[i], w.cs)
-                status = solve_accelerations(top, w, solver, q_stage[i], v_stage[i], f[i], lam[i], True)
-                if status != OK:
-                    return status, k, rows
-                work, lost = evaluate_powers(top, w, q_stage[i], v_stage[i], lam[i])
-                energy[2 + 2 * i], energy[3 + 2 * i] = work, lost
-            book_energies(h, b, energy, energy_low)
         dq, dv = mean[0], mean[1]
         dq[:] = 0.0
         dv[:] = 0.0
