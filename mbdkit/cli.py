@@ -373,7 +373,7 @@ def _outcome(result: Run) -> dict[str, Any]:
 def _exit_with(result: Run) -> None:
     if result.status == "complete":
         return
-    say(f"{result.status}: {result.status_reason}")
+    say(f"{result.status}: {result.status_reason.removeprefix('interrupted: ')}")
     if result.status == "interrupted":
         raise typer.Exit(terminal.INTERRUPTED)
     failed_plugin = result.status_reason.startswith("plugin-error")

@@ -10,7 +10,7 @@ from mbdkit.engine.compiled import CompiledMechanism
 from mbdkit.engine.observe import observe
 from mbdkit.engine.problem import Problem
 from mbdkit.engine.system import OK
-from mbdkit.integrators.stepping import Stretch
+from mbdkit.integrators.stepping import Failure, Stretch
 
 
 def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
@@ -48,7 +48,7 @@ class Recorder:
         self.largest = np.zeros(self._joints)
         """(J,) largest misalignment [m] of the recorded states."""
 
-    def record(self, stretch: Stretch, elapsed: tuple[float, float], *, start: bool = False) -> str:
+    def record(self, stretch: Stretch, elapsed: tuple[float, float], *, start: bool = False) -> Failure | None:
         """Write the rows of a stretch.
 
         Parameters
@@ -62,18 +62,18 @@ class Recorder:
 
         Returns
         -------
-        str
-            Empty, or what made the equations singular at a recorded state; nothing from there on is written.
+        Failure or None
+            Why a recorded state has no finite, unique accelerations; nothing from there on is written.
         """
         count = len(stretch.time)
         if count == 0:
-            return ""
+            return None
         top, pairs = self.problem.mechanism.topology, len(self.problem.mechanism.topology.pairs)
         q, v = np.ascontiguousarray(stretch.q), np.ascontiguousarray(stretch.v)
         acc, lam = np.zeros_like(q), np.zeros((count, pairs, 2))
         phi, rate, reactions = np.zeros_like(lam), np.zeros_like(lam), np.zeros((count, pairs, 3))
         kinetic, potential = np.zeros((2, count))
-        singular = ""
+        failure = None
         done, renewed = 0, -1
         while done < count:
             arrays = (stretch.time, q, v, acc, lam, phi, rate, reactions, kinetic, potential)
@@ -87,7 +87,13 @@ class Recorder:
                 self.problem.use_pivots()
                 renewed = done
             except SingularSystemError as error:
-                singular, count = self.problem.mechanism.unknown_name(error.index), done
+                name = self.problem.mechanism.unknown_name(error.index)
+                failure, count = Failure("singular", f"no unique solution near {name} at {_at(stretch, done)}."), done
+        finite = np.all(np.isfinite(acc[:count]), axis=1) & np.all(np.isfinite(lam[:count]), axis=(1, 2))
+        finite &= np.isfinite(kinetic[:count]) & np.isfinite(potential[:count])
+        if not np.all(finite):
+            count = int(np.argmin(finite))
+            failure = Failure("not-finite", f"accelerations are no finite numbers at {_at(stretch, count)}.")
         part = slice(0, count)
         self._write_rows(stretch, part, elapsed, acc, lam, phi, rate, reactions, kinetic, potential)
         if not start:
@@ -103,7 +109,7 @@ class Recorder:
                 }
             )
         self.writer.flush_if_due()
-        return singular
+        return failure
 
     def _write_rows(
         self, stretch: Stretch, part: slice, elapsed: tuple[float, float], acc: np.ndarray, lam: np.ndarray,
@@ -170,6 +176,10 @@ class Recorder:
         metric[self._pair[self._metres]] = True
         np.add.at(squares, self._pair_joint, np.where(metric, worst_pairs, 0.0))
         return np.maximum(np.sqrt(squares), self.largest)
+
+
+def _at(stretch: Stretch, row: int) -> str:
+    return f"the state to be recorded at t = {stretch.time[row]:.6g} s"
 
 
 def _sum_groups(values: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:

@@ -140,78 +140,104 @@ class _Simulation:
     def __init__(self, spec: RunSpec, problem: Problem, method: Method, writer: ArchiveWriter, begin: float):
         self.spec, self.problem, self.method, self.writer, self.begin = spec, problem, method, writer, begin
         self.recorder = Recorder(problem, writer)
+        self.stepper: Stepper | None = None
         self.failure: Failure | None = None
         self.interrupted = False
 
     def run(self, progress: Progress | None) -> Run:
-        start = self.problem.t0
-        table = _timetable(self.spec)
-        stepper: Stepper | None = None
+        """Record the start, step to the end, finish the archive."""
+        self.record_start()
+        with _interrupts(self):
+            with self._blaming_the_plugin():
+                self.start()
+            setup = time.perf_counter() - self.begin
+            wall, cpu = time.perf_counter(), time.process_time()
+            if self.stepper is not None:
+                with self._blaming_the_plugin():
+                    self.advance(self.stepper, progress, wall)
+            timings = {
+                "setup_s": setup,
+                "wall_s": time.perf_counter() - wall,
+                "cpu_s": time.process_time() - cpu,
+            }
+            return self.finish(timings)
+
+    def record_start(self) -> None:
+        """Record the start; raise SpecError where it has no unique accelerations."""
+        problem = self.problem
+        none = np.zeros(1)
+        first = Stretch(np.array([problem.t0]), problem.q0[None], problem.v0[None], none, none, np.zeros((1, 6)))
+        failure = self.recorder.record(first, (0.0, 0.0), start=True)
+        if failure is not None and failure.code == "singular":
+            raise self.spec.placed(SpecError(describe_singularity(problem), key="model.joints"))
+        if failure is not None:
+            raise self.spec.placed(SpecError(failure.sentence, key="model"))
+
+    def start(self) -> None:
+        """Let the method make its stepper."""
         try:
-            first = Stretch(
-                np.array([start]),
-                self.problem.q0[None],
-                self.problem.v0[None],
-                np.zeros(1),
-                np.zeros(1),
-                np.zeros((1, 6)),
-            )
-            singular = self.recorder.record(first, (0.0, 0.0), start=True)
-            if singular:
-                raise SingularSystemError
-            stepper = self.method.start(self.problem, table)
-        except SingularSystemError:
-            self.failure = Failure("singular", describe_singularity(self.problem))
-        setup = time.perf_counter() - self.begin
-        wall, cpu = time.perf_counter(), time.process_time()
-        if stepper is not None:
-            with _interrupts(self):
-                self.advance(stepper, progress, wall)
-        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        counters = asdict(stepper.counters) if stepper is not None else asdict(Counters())
-        worst = stepper.worst_pairs if stepper is not None else np.zeros(len(self.problem.mechanism.topology.pairs))
-        status = "failed" if self.failure else "interrupted" if self.interrupted else "complete"
-        reason = f"{self.failure.code}: {self.failure.sentence}" if self.failure else ""
-        if status == "interrupted":
-            reason = f"interrupted: stopped by the user at t = {stepper.time if stepper else start:.6g} s."
-        file = self.writer.finish(
-            status,
-            reason,
-            {**counters, "setup_s": setup, "wall_s": wall, "cpu_s": cpu},
-            self.recorder.misalignment_max(worst),
-        )
-        if file is not None:
-            return Run(file)
-        assert self.writer.path is not None
-        return load(self.writer.path)
+            self.stepper = self.method.start(self.problem, _timetable(self.spec))
+        except SingularSystemError as error:
+            name = self.problem.mechanism.unknown_name(error.index)
+            self.failure = Failure("singular", f"the stage equations are singular at the start, near {name}.")
+
+    @contextmanager
+    def _blaming_the_plugin(self) -> Iterator[None]:
+        """Turn an exception in the code of a third party's integrator into a failure of the run."""
+        item = self.spec.integrator_item
+        try:
+            yield
+        except MbdkitError:
+            raise
+        except Exception as error:
+            if item.origin.distribution == "mbdkit":
+                raise
+            self.failure = Failure("plugin-error", f"integrator {item.id} raised {one_line(error)}.")
 
     def advance(self, stepper: Stepper, progress: Progress | None, begin: float) -> None:
         """Step to the end, a limit, a failure or an interrupt, recording on the way."""
         limit, end = self.spec.limits.wall_time, self.spec.time.final
         elapsed = 0.0
         recorded = self.problem.t0
-        while not stepper.finished and stepper.failure is None and self.failure is None and not self.interrupted:
+        while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
             stretch = stepper.advance()
             now = time.perf_counter() - begin
-            singular = self.recorder.record(stretch, (elapsed, now))
+            self.failure = self.recorder.record(stretch, (elapsed, now))
             if len(stretch.time):
                 recorded = float(stretch.time[-1])
             elapsed = now
-            if singular:
-                self.failure = Failure(
-                    "singular", f"the equations have no unique solution at a recorded state, near {singular}."
-                )
             if progress is not None:
                 progress(stepper.time, end)
-            if limit is not None and now > limit and not stepper.finished and stepper.failure is None:
+            if limit is not None and now > limit and not (stepper.finished or stepper.failure or self.failure):
                 self.failure = Failure(
                     "wall-time", f"stopped at t = {stepper.time:.6g} s after limits.wall_time = {limit:g} s."
                 )
-        self.failure = stepper.failure or self.failure
-        if stepper.finished:
-            self.interrupted = False
-        elif recorded < stepper.time and not (self.failure and self.failure.code == "singular"):
+        unrecordable = self.failure is not None and self.failure.code != "wall-time"
+        self.failure = self.failure or stepper.failure
+        if recorded < stepper.time and not stepper.finished and not unrecordable:
             self.recorder.record(stepper.last_state(), (elapsed, elapsed))
+
+    def finish(self, timings: dict[str, float]) -> Run:
+        """Close the archive with the status that the run came to."""
+        stepper = self.stepper
+        counters = asdict(stepper.counters) if stepper is not None else asdict(Counters())
+        counters["factorizations"] += self.problem.pivotings
+        pairs = len(self.problem.mechanism.topology.pairs)
+        status, reason = "complete", ""
+        if self.failure is not None:
+            status, reason = "failed", f"{self.failure.code}: {self.failure.sentence}"
+        elif stepper is not None and not stepper.finished:
+            status, reason = "interrupted", f"interrupted: stopped by the user at t = {stepper.time:.6g} s."
+        file = self.writer.finish(
+            status,
+            reason,
+            {**counters, **timings},
+            self.recorder.misalignment_max(stepper.worst_pairs if stepper is not None else np.zeros(pairs)),
+        )
+        if file is not None:
+            return Run(file)
+        assert self.writer.path is not None
+        return load(self.writer.path)
 
 
 def _padded(x: np.ndarray) -> np.ndarray:
@@ -233,14 +259,12 @@ def _timetable(spec: RunSpec) -> Timetable:
 
 @contextmanager
 def _interrupts(simulation: _Simulation) -> Iterator[None]:
-    """Let Ctrl-C end the run after the stretch that is under way; a second one raises KeyboardInterrupt."""
+    """Let Ctrl-C end the run after the stretch that is under way, with its archive; the rest of the run stays whole."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def note(number: int, frame: Any) -> None:
-        if simulation.interrupted:
-            raise KeyboardInterrupt
         simulation.interrupted = True
 
     before = signal.signal(signal.SIGINT, note)

@@ -112,6 +112,7 @@ def schur_schedule(
         update=np.array(update, dtype=np.int64),
         coupling=np.array(coupling, dtype=np.int64).reshape(-1, 6),
         diagonal=np.zeros((len(pairs), 3)),
+        whole=np.zeros((len(pairs), 2)),
         below=np.zeros((blocks, 4)),
         scaled=np.zeros((blocks, 4)),
     )

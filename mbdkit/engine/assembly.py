@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from mbdkit.engine.compiled import CompiledMechanism, compile_mechanism
+from mbdkit.engine.constraints import KINDS
 from mbdkit.engine.observe import constraints_at
-from mbdkit.engine.problem import new_scratch
+from mbdkit.engine.problem import finite_motions, new_scratch
 from mbdkit.engine.system import Scratch
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
@@ -104,6 +106,7 @@ class _Assembly:
             -1, 3
         )
         self.n = self.given_q.size
+        self.mass = compiled.topology.mass[:-1].ravel()
         fixed = np.zeros_like(self.given_q, dtype=bool)
         for i, name in enumerate(mechanism.bodies):
             fixed[i] = name in mechanism.assembly.fix
@@ -111,6 +114,7 @@ class _Assembly:
         self.rows = np.array([(row.pair, row.place) for row in compiled.rows], dtype=np.int64).reshape(-1, 2)
 
     def run(self) -> AssembledState:
+        self.check_motions()
         tolerance = self.mechanism.assembly.tolerance
         q, v = self.given_q.ravel().copy(), self.given_v.ravel().copy()
         q_tolerance = max(tolerance, ROUND_OFF * float(np.max(np.abs(q), initial=0.0)))
@@ -125,6 +129,27 @@ class _Assembly:
             v = self.velocities(v, jacobian, phi_t, v_tolerance)
             rate = self.rates(jacobian, v, phi_t)
         return self.report(q, v, phi, rate)
+
+    def check_motions(self) -> None:
+        """Raise SpecError for the first driver or load whose expression is not a finite number at the start."""
+        top, scratch = self.compiled.topology, self.scratch
+        constraints_at(top, scratch, self.t0, self.padded(self.given_q.ravel()), self.padded(np.zeros(self.n)))
+        if finite_motions(top, scratch.u):
+            return
+        written: list[tuple[str, Any]] = []
+        for name, joint in self.mechanism.joints.items():
+            written.append((f"model.joints.{name}.motion", getattr(joint, "motion", None)))
+        for name, force in self.mechanism.forces.items():
+            value = getattr(force, "value", None)
+            written += [(f"model.forces.{name}.value", x) for x in (value if isinstance(value, tuple) else [value])]
+        values = dict(zip(self.compiled.motions, scratch.u, strict=True))
+        for key, motion in written:
+            if motion is not None and not np.all(np.isfinite(values[motion][: 3 if key.endswith("motion") else 1])):
+                raise SpecError(
+                    f"{motion!r} is not a finite number at the start, t = {self.t0:g} s, "
+                    "or one of the first two derivatives is not, which a driver needs",
+                    key=key,
+                )
 
     @property
     def reach(self) -> float:
@@ -151,41 +176,67 @@ class _Assembly:
         row, column, value = jacobian
         return phi_t + np.bincount(row, value * v[column], minlength=len(phi_t))
 
-    def least_change(self, jacobian: tuple[np.ndarray, ...], gradient: np.ndarray, gap: np.ndarray) -> np.ndarray:
-        """Return d with ``M d + J^T mu = -gradient`` and ``J d = -gap``, fixed coordinates held.
+    def kkt(self, jacobian: tuple[np.ndarray, ...]) -> tuple[Any, Any]:
+        """Return ``[M J^T; J -e]`` over the free coordinates, and its solver.
 
-        A trace of regularisation keeps redundant rows from stopping the solve; the iteration around it removes its
-        effect on the gaps.
+        A trace `e` of regularisation keeps redundant rows from stopping the solve. It acts on the change of the
+        multipliers only, so that it vanishes as the iterations around it converge.
         """
         from scipy.sparse import block_array, csr_array, diags_array
         from scipy.sparse.linalg import splu
 
         row, column, value = jacobian
-        m, free = len(gap), self.free
-        j = csr_array((value, (row, column)), shape=(m, self.n)).tocsc()[:, free]
-        mass = self.compiled.topology.mass[:-1].ravel()[free]
-        schur = (j**2) @ (1 / mass)
-        trace = 1e-13 * float(np.max(schur, initial=1.0))
-        kkt = block_array([[diags_array(mass), j.T], [j, -trace * diags_array(np.ones(m))]], format="csc")
-        lu = splu(kkt)
-        right = np.concatenate([-gradient[free], -gap])
-        solution = lu.solve(right)
-        solution += lu.solve(right - kkt @ solution)
-        step = np.zeros(self.n)
-        step[free] = solution[: len(free)]
-        return step
+        j = csr_array((value, (row, column)), shape=(len(self.rows), self.n)).tocsc()[:, self.free]
+        mass = self.mass[self.free]
+        trace = 1e-13 * ((j**2) @ (1 / mass))
+        matrix = block_array(
+            [[diags_array(mass), j.T], [j, -diags_array(np.where(trace > 0, trace, 1.0))]], format="csc"
+        )
+        lu = splu(matrix)
+
+        def solve(gradient: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            right = np.concatenate([-gradient[self.free], -gap])
+            solution = lu.solve(right)
+            solution += lu.solve(right - matrix @ solution)
+            step = np.zeros(self.n)
+            step[self.free] = solution[: len(self.free)]
+            return step, solution[len(self.free) :]
+
+        def transposed(multipliers: np.ndarray) -> np.ndarray:
+            full = np.zeros(self.n)
+            full[self.free] = j.T @ multipliers
+            return full
+
+        return solve, transposed
+
+    def separated(self, q: np.ndarray) -> np.ndarray:
+        """Return positions at which no distance joint has its points on top of each other, without a direction."""
+        top = self.compiled.topology
+        for k in np.flatnonzero(top.pairs[:, 0] == KINDS["distance"]):
+            constraints_at(top, self.scratch, self.t0, self.padded(q), self.padded(np.zeros(self.n)))
+            if np.all(np.isfinite(self.scratch.jac[k])):
+                continue
+            for body in top.pairs[k, [2, 1]]:
+                if 3 * body in self.free:
+                    q = q.copy()
+                    q[3 * body] += top.pair_parameters[k, 4]
+                    break
+        return q
 
     def positions(self, q: np.ndarray, tolerance: float) -> np.ndarray:
         """Run Newton until the gaps close and the change is the least one; raise SpecError where they do not close."""
-        start, mass = q.copy(), self.compiled.topology.mass[:-1].ravel()
+        start = q.copy()
+        q = self.separated(q)
+        multipliers = np.zeros(len(self.rows))
         phi, jacobian, _ = self.evaluate(q)
         size = max(1.0, float(np.max(np.abs(q), initial=0.0)), self.reach)
         for _ in range(MOST_ITERATIONS):
             gap = float(np.max(np.abs(phi)))
             try:
-                step = self.least_change(jacobian, mass * (q - start), phi)
+                solve, transposed = self.kkt(jacobian)
             except RuntimeError:
                 break
+            step, change = solve(self.mass * (q - start) + transposed(multipliers), phi)
             largest = float(np.max(np.abs(step)))
             if not np.isfinite(largest):
                 break
@@ -198,46 +249,49 @@ class _Assembly:
                 phi_trial, jacobian_trial, _ = self.evaluate(trial)
                 gap_trial = float(np.max(np.abs(phi_trial)))
                 if gap_trial < best_gap:
-                    best, best_gap = (trial, phi_trial, jacobian_trial), gap_trial
+                    best, best_gap = (trial, phi_trial, jacobian_trial, scale), gap_trial
                 if gap_trial <= max(tolerance, 0.9 * gap):
                     break
                 scale *= 0.5
             if best is None:
                 break
-            q, phi, jacobian = best
+            q, phi, jacobian, scale = best
+            multipliers = multipliers + scale * change
         if float(np.max(np.abs(phi))) <= tolerance:
             return q
-        raise self.failure(phi, tolerance, "m")
+        raise self.failure(phi, tolerance, "meet")
 
     def velocities(
         self, v: np.ndarray, jacobian: tuple[np.ndarray, ...], phi_t: np.ndarray, tolerance: float
     ) -> np.ndarray:
         """Change velocities by the least amount; raise SpecError where joints cannot move together."""
         rate = self.rates(jacobian, v, phi_t)
-        for _ in range(4):
-            try:
-                v = v + self.least_change(jacobian, np.zeros(self.n), rate)
-            except RuntimeError:
-                break
+        try:
+            solve, _ = self.kkt(jacobian)
+        except RuntimeError:
+            raise self.failure(rate, tolerance, "move together") from None
+        for _ in range(6):
+            v = v + solve(np.zeros(self.n), rate)[0]
             rate = self.rates(jacobian, v, phi_t)
             if np.max(np.abs(rate)) <= tolerance:
                 return v
         if np.max(np.abs(rate)) <= 1e3 * tolerance:  # what round-off leaves of velocities that had to change a lot
             return v
-        raise self.failure(rate, tolerance, "m/s")
+        raise self.failure(rate, tolerance, "move together")
 
-    def failure(self, residual: np.ndarray, tolerance: float, unit: str) -> SpecError:
+    def failure(self, residual: np.ndarray, tolerance: float, what: str) -> SpecError:
         """Return the error that names the joints that cannot meet, worst first."""
-        gaps: dict[str, float] = {}
+        gaps: dict[str, tuple[float, str]] = {}
         for row, value in zip(self.compiled.rows, residual, strict=True):
-            name = row.label.rsplit(".", 1)[0]
-            gaps[name] = max(gaps.get(name, 0.0), abs(float(value)))
-        apart = sorted((name for name, gap in gaps.items() if not gap <= tolerance), key=lambda name: -gaps[name])
-        listed = ", ".join(f"{name} ({gaps[name]:.3g} {unit})" for name in apart[:6])
+            name, unit = row.label.rsplit(".", 1)[0], row.unit if what == "meet" else f"{row.unit}/s"
+            gap = abs(float(value)) if np.isfinite(value) else np.inf
+            if name not in gaps or gap > gaps[name][0]:
+                gaps[name] = (gap, unit)
+        apart = sorted((name for name, (gap, _) in gaps.items() if gap > tolerance), key=lambda name: -gaps[name][0])
+        listed = ", ".join(f"{name} ({gaps[name][0]:.3g} {gaps[name][1]})" for name in apart[:6])
         more = f" and {len(apart) - 6} more" if len(apart) > 6 else ""
         held = self.mechanism.assembly.fix
-        fixed = f" while {', '.join(held)} stay fixed" if held else ""
-        what = "meet" if unit == "m" else "move together"
+        fixed = f" while {', '.join(held)} stay{'s' * (len(held) == 1)} fixed" if held else ""
         return SpecError(
             f"these joints cannot {what} at t = {self.t0:g} s{fixed}: {listed}{more}; "
             "check lengths, points and drivers, or start nearer to a pose that fits",

@@ -24,7 +24,6 @@ import numba
 from numba import config, njit
 
 _PACKAGE = Path(__file__).resolve().parent.parent
-_MARKER = "compiled"
 
 
 def kernel_sources() -> list[Path]:
@@ -103,9 +102,15 @@ def inlined(function: Callable[..., Any]) -> Any:
 element = part
 
 
+def _marker() -> Path:
+    """Return the file that says: all kernels of these very files stand compiled (Numba goes by path and time)."""
+    stamps = [f"{path} {path.stat().st_mtime_ns}" for path in kernel_sources()]
+    return FOLDER / f"compiled-{hashlib.sha256(chr(10).join(stamps).encode()).hexdigest()[:16]}"
+
+
 def is_warm() -> bool:
     """Return whether all kernels have been compiled into the cache folder."""
-    return (FOLDER / _MARKER).exists()
+    return _marker().exists()
 
 
 @contextmanager
@@ -123,4 +128,4 @@ def compiling() -> Iterator[bool]:
         cold = not is_warm()
         yield cold
         if cold:
-            (FOLDER / _MARKER).touch()
+            _marker().touch()

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.engine import elements as e
 from mbdkit.engine.analysis import minimum_degree, neighbours
 from mbdkit.engine.constraints import KINDS
 from mbdkit.engine.forces import PATHWAYS, POINT_FORCE, TORQUE
@@ -46,6 +45,8 @@ class CompiledMechanism:
         Constraint rows in the order of the mechanism's joints; row i is unknown ``3 B + i`` of a pivoted system.
     joint_pairs
         (J,) the pairs of rows that make up each joint.
+    motions
+        What each motion was written as.
     order, below
         Order of elimination of the pairs and the fill that goes with it.
     well_scaled
@@ -57,6 +58,7 @@ class CompiledMechanism:
     joints: tuple[str, ...]
     rows: tuple[Row, ...]
     joint_pairs: tuple[tuple[int, ...], ...]
+    motions: tuple[float | str, ...]
     order: tuple[int, ...]
     below: tuple[frozenset[int], ...]
     well_scaled: bool
@@ -140,12 +142,13 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
     order, below = minimum_degree(neighbours(ends, ground))
     place = {pair: k for k, pair in enumerate(order)}
 
-    rows, joint_pairs = [], []
-    for written, name in enumerate(mechanism.joints):
-        joint_pairs.append((place[written],))
-        kind = kinds[written]
-        for r, (row, unit) in enumerate(zip(e.ROW_NAMES[kind], e.ROW_UNITS[kind], strict=True)):
-            rows.append(Row(place[written], r, f"{name}.{row}", unit))
+    rows = [
+        Row(place[written], r, f"{name}.{row}", unit)
+        for written, (name, joint) in enumerate(mechanism.joints.items())
+        for r, (row, unit) in enumerate(zip(joint.rows, joint.units, strict=True))
+    ]
+    joint_pairs = [(place[written],) for written in range(len(mechanism.joints))]
+    row_counts = [len(joint.rows) for joint in mechanism.joints.values()]
 
     springs, spring_points, spring_laws, loads, load_points = _forces(mechanism, number, motions)
     mass = np.ones((len(bodies) + 1, 3))
@@ -158,7 +161,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         weight=weight,
         gravity=np.array(mechanism.gravity, dtype=float),
         pairs=np.array([(KINDS[kinds[k]], *ends[k], driven[k]) for k in order], dtype=np.int64).reshape(-1, 4),
-        rows=np.array([len(e.ROW_NAMES[kinds[k]]) for k in order], dtype=np.int64),
+        rows=np.array([row_counts[k] for k in order], dtype=np.int64),
         pair_parameters=np.array([parameters[k] for k in order], dtype=float).reshape(-1, 6),
         springs=np.array(springs, dtype=np.int64).reshape(-1, 3),
         spring_points=np.array(spring_points, dtype=float).reshape(-1, 6),
@@ -175,6 +178,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         joints=tuple(mechanism.joints),
         rows=tuple(rows),
         joint_pairs=tuple(joint_pairs),
+        motions=tuple(motions.numbers),
         order=tuple(order),
         below=tuple(frozenset(b) for b in below),
         well_scaled=_is_well_scaled(mechanism),

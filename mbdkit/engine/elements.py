@@ -25,12 +25,6 @@ CONSTRAINT_KINDS = ('revolute', 'distance', 'driver_angle', 'driver_x', 'driver_
 PATHWAY_KINDS = ('two_points', 'relative_angle')
 
 
-ROW_NAMES = {'revolute': ('x', 'y'), 'distance': ('length',), 'driver_angle': ('angle',), 'driver_x': ('x',), 'driver_y': ('y',)}
-
-
-ROW_UNITS = {'revolute': ('m', 'm'), 'distance': ('m',), 'driver_angle': ('rad',), 'driver_x': ('m',), 'driver_y': ('m',)}
-
-
 JACOBIAN_ENTRIES = {
     "revolute": (0, 2, 3, 5, 7, 8, 10, 11),
     "distance": (0, 1, 2, 3, 4, 5),
@@ -883,8 +877,3 @@ def relative_angle_gradient(k, a, b, q, cs, p, s, grad):
     s[k, 0] = -tha + thb
     grad[k, 2] = -1.0
     grad[k, 5] = 1.0
-
-
-@element
-def relative_angle_hessian(k, a, b, q, cs, p, hess):
-    """Second derivatives of s = theta_b - theta_a [rad]."""

@@ -20,7 +20,7 @@ from mbdkit.engine.constraints import KINDS
 from mbdkit.engine.forces import PATHWAYS, POINT_FORCE
 from mbdkit.engine.lu import Factors, Pattern
 from mbdkit.engine.motions import MAX_DEPTH
-from mbdkit.engine.system import Scatter, Scratch, Solver
+from mbdkit.engine.system import Scatter, Scratch, Solver, Topology
 
 MOST_COUPLINGS = 60
 """Couplings per pair of rows above which a body has too many joints for the Schur complement."""
@@ -127,11 +127,26 @@ class Problem:
         scatter = _scatter(terms, position[which])
         return pattern, new_factors(pattern, values.dtype.type), scatter
 
+    def is_finite(self) -> bool:
+        """Return whether the terms that were evaluated last are finite numbers."""
+        w = self.scratch
+        return bool(all(np.all(np.isfinite(x)) for x in (w.source, w.gamma, w.force)))
+
+    def motions_are_finite(self) -> bool:
+        """Return whether drivers and loads were finite numbers where they were evaluated last."""
+        return finite_motions(self.mechanism.topology, self.scratch.u)
+
     def use_pivots(self) -> None:
         """Solve for accelerations with newly chosen pivots from now on; raises SingularSystemError."""
         pattern, factors, scatter = self.choose_pivots()
         self.solver.pivoted[0] = 1
         self.solver = self.solver._replace(pattern=pattern, factors=factors, scatter=scatter)
+
+
+def finite_motions(top: Topology, u: np.ndarray) -> bool:
+    """Return whether all values of `u` (motions, 3) that are in use are finite: derivatives count for drivers only."""
+    driven = np.unique(top.pairs[:, 3][top.pairs[:, 3] >= 0])
+    return bool(np.all(np.isfinite(u[:, 0])) and np.all(np.isfinite(u[driven])))
 
 
 def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:

@@ -13,7 +13,7 @@ import numpy as np
 from mbdkit.engine.cache import part
 
 TOO_SMALL = 1e-10
-"""A pivot this much smaller than before elimination has lost ten digits: time for the pivoted solver."""
+"""A pivot block this much smaller than before elimination has lost ten digits: time for the pivoted solver."""
 
 
 class Schur(NamedTuple):
@@ -29,6 +29,8 @@ class Schur(NamedTuple):
     """(C, 6): block, row pair, its side's first column, column pair, its side's first column, shared body."""
     diagonal: np.ndarray
     """(P, 3) inverse diagonal blocks (xx, xy, yy)."""
+    whole: np.ndarray
+    """(P, 2) diagonal before elimination."""
     below: np.ndarray
     """(E, 4) blocks of the unit lower factor."""
     scaled: np.ndarray
@@ -36,8 +38,8 @@ class Schur(NamedTuple):
 
 
 @part
-def factor(pairs, rows, jac, weight, start, row, update, coupling, diagonal, below, scaled):
-    """Assemble and factorize S; return the pair at which a pivot vanished, or -1.
+def factor(pairs, rows, jac, weight, start, row, update, coupling, diagonal, whole, below, scaled):
+    """Assemble and factorize S; return the pair at which a pivot lost its digits, or -1.
 
     `rows` (P,) tells how many rows of a pair are real, `weight` (B + 1, 3) is the inverse mass matrix's diagonal.
     """
@@ -53,6 +55,7 @@ def factor(pairs, rows, jac, weight, start, row, update, coupling, diagonal, bel
         if rows[k] == 1:
             d11 = 1.0
         diagonal[k, 0], diagonal[k, 1], diagonal[k, 2] = d00, d01, d11
+        whole[k, 0], whole[k, 1] = d00, d11
     for e in range(len(row)):
         scaled[e, 0] = scaled[e, 1] = scaled[e, 2] = scaled[e, 3] = 0.0
     for c in range(len(coupling)):
@@ -66,11 +69,10 @@ def factor(pairs, rows, jac, weight, start, row, update, coupling, diagonal, bel
             scaled[e, 2] += r1 * k0
             scaled[e, 3] += r1 * k1
     u = 0
-    failed = -1
     for k in range(n):
         d00, d01, d11 = diagonal[k, 0], diagonal[k, 1], diagonal[k, 2]
         det = d00 * d11 - d01 * d01
-        if not det > 0.0:
+        if not (d00 > TOO_SMALL * whole[k, 0] and det > TOO_SMALL * whole[k, 0] * whole[k, 1]):
             return k
         inverse = 1.0 / det
         p00, p01, p11 = d11 * inverse, -d01 * inverse, d00 * inverse
@@ -89,14 +91,9 @@ def factor(pairs, rows, jac, weight, start, row, update, coupling, diagonal, bel
                 scaled[t, 2] -= l10 * f00 + l11 * f01
                 scaled[t, 3] -= l10 * f10 + l11 * f11
             i = row[e]
-            o00, o11 = diagonal[i, 0], diagonal[i, 2]
             diagonal[i, 0] -= l00 * s00 + l01 * s01
             diagonal[i, 1] -= l00 * s10 + l01 * s11
             diagonal[i, 2] -= l10 * s10 + l11 * s11
-            if not (diagonal[i, 0] > TOO_SMALL * o00 and diagonal[i, 2] > TOO_SMALL * o11):
-                failed = i
-        if failed >= 0:
-            return failed
     return -1
 
 

@@ -242,8 +242,9 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
         joint_right_side(top.pairs, top.rows, w.jac, w.gamma, acc, lam)
         s = solver.schur
         solver.failed[0] = schur_factor(
-            top.pairs, top.rows, w.jac, top.weight, s.start, s.row, s.update, s.coupling, s.diagonal, s.below, s.scaled
-        )
+            top.pairs, top.rows, w.jac, top.weight,
+            s.start, s.row, s.update, s.coupling, s.diagonal, s.whole, s.below, s.scaled,
+        )  # fmt: skip
         status = OK
         if solver.failed[0] >= 0:
             status = REPIVOT

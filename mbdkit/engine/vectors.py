@@ -17,13 +17,19 @@ BEYOND = 1e75
 
 
 @part
-def add_compensated(x, low, increment):
-    """Add `increment` to `x`, whose rounding errors are carried in `low`; return whether `x` stays below `BEYOND`."""
+def stays_finite(x, increment):
+    """Return whether `x` plus `increment` stays below `BEYOND`."""
     finite = True
+    for d in range(len(x)):
+        finite = finite and abs(x[d] + increment[d]) < BEYOND
+    return finite
+
+
+@part
+def add_compensated(x, low, increment):
+    """Add `increment` to `x`, whose rounding errors are carried in `low`."""
     for d in range(len(x)):
         y = increment[d] + low[d]
         new = x[d] + y
         low[d] = y - (new - x[d])
         x[d] = new
-        finite = finite and abs(new) < BEYOND
-    return finite

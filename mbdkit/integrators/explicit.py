@@ -9,7 +9,7 @@ import numpy as np
 from mbdkit.engine.cache import kernel, part
 from mbdkit.engine.constraints import constraint_positions
 from mbdkit.engine.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
-from mbdkit.engine.vectors import add_compensated, copy
+from mbdkit.engine.vectors import add_compensated, copy, stays_finite
 from mbdkit.integrators.fixed_step import FixedStepper, State, book_energies, note_misalignment
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def _increment(h, weights, slopes, out):
 @kernel
 def run_explicit(
     top, w, solver, a, b, c, has_power, t0, h, first, last, every, q, q_low, v, v_low, energy, energy_low,
-    rates, accelerations, q_stage, lam, worst, row_q, row_v, row_energy, counts,
+    rates, accelerations, q_stage, v_change, lam, worst, row_q, row_v, row_energy, counts,
 ):  # fmt: skip
     """Take steps `first` to `last - 1` of size `h`; return (status, next step, rows written).
 
@@ -75,11 +75,11 @@ def run_explicit(
                 work, lost = evaluate_powers(top, w, q_stage, rates[i], lam)
                 energy[2 + 2 * i], energy[3 + 2 * i] = work, lost
         _increment(h, b, rates, q_stage)
-        finite = add_compensated(q, q_low, q_stage)
-        _increment(h, b, accelerations, q_stage)
-        finite = add_compensated(v, v_low, q_stage) and finite
-        if not finite:
+        _increment(h, b, accelerations, v_change)
+        if not (stays_finite(q, q_stage) and stays_finite(v, v_change)):
             return NOT_FINITE, k, rows
+        add_compensated(q, q_low, q_stage)
+        add_compensated(v, v_low, v_change)
         if has_power:
             book_energies(h, b, energy, energy_low)
         if (k + 1) % every == 0:
@@ -99,7 +99,7 @@ class ExplicitStepper(FixedStepper):
         stages, size = method.tableau.stages, problem.mechanism.size
         self.rates = np.zeros((stages, size))
         self.accelerations = np.zeros((stages, size))
-        self.q_stage = np.zeros(size)
+        self.q_stage, self.v_change = np.zeros((2, size))
         self.lam = np.zeros((len(problem.mechanism.topology.pairs), 2))
         self.energy = np.zeros(2 + 2 * stages)
         self.counts = np.zeros(1, dtype=np.int64)
@@ -112,7 +112,7 @@ class ExplicitStepper(FixedStepper):
         result = run_explicit(
             problem.mechanism.topology, problem.scratch, problem.solver, self.a, self.b, self.c, self.has_power,
             t0, h, first, last, every, state.q, state.q_low, state.v, state.v_low, self.energy, state.energy_low,
-            self.rates, self.accelerations, self.q_stage, self.lam, self.worst_pairs,
+            self.rates, self.accelerations, self.q_stage, self.v_change, self.lam, self.worst_pairs,
             state.row_q, state.row_v, state.row_energy, self.counts,
         )  # fmt: skip
         state.energy[:] = self.energy[:2]

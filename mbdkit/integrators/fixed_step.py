@@ -10,7 +10,7 @@ import numpy as np
 from mbdkit.engine.analysis import SingularSystemError
 from mbdkit.engine.cache import part
 from mbdkit.engine.problem import Problem
-from mbdkit.engine.system import DIVERGED, NOT_FINITE, OK, REPIVOT, Topology
+from mbdkit.engine.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES, Topology
 from mbdkit.integrators.stepping import Counters, Failure, Pace, Stretch, Timetable
 
 MOST_ROWS = 4096
@@ -91,6 +91,7 @@ class FixedStepper:
     def __init__(self, problem: Problem, timetable: Timetable, *, hint: str):
         self.problem, self.timetable, self.hint = problem, timetable, hint
         self.counters = Counters()
+        self.overflow = NOT_FINITE
         self.finished = False
         self.failure: Failure | None = None
         self.time = timetable.start
@@ -101,8 +102,8 @@ class FixedStepper:
         self.state = State(problem.q0.copy(), problem.v0.copy(), rows)
         self.done = 0
         self.recorded = 0
-        self.pace = Pace()
-        self._pivoted_at = (-1, OK)
+        self.pace = Pace(max(1, min(16, 100_000 // problem.mechanism.size)))
+        self._renewed: set[tuple[int, int]] = set()
 
     def steps(self, h: float, t0: float, first: int, last: int, every: int, state: State) -> tuple[int, int, int]:
         """Take steps `first` to `last - 1` of size `h`, step k from ``t0 + k h``; return (status, next, rows)."""
@@ -162,13 +163,12 @@ class FixedStepper:
         """Take full steps up to `last`, renewing pivots where asked for; return the rows written."""
         rows = 0
         while self.done < last and self.failure is None:
-            before = self.done
             view = self._rows_from(rows)
             status, self.done, written = self.steps(h, t0, self.done, last, every, view)
             rows += written
             self.counters.steps = self.counters.accepted = self.done
             if status != OK:
-                self._handle(status, before)
+                self._handle(status)
         return rows
 
     def _run_last(self, t0: float) -> int:
@@ -179,7 +179,7 @@ class FixedStepper:
                 self.done += reached
                 self.counters.steps = self.counters.accepted = self.done
             else:
-                self._handle(status, self.done)
+                self._handle(status)
         return 0
 
     def _rows_from(self, rows: int) -> State:
@@ -192,14 +192,18 @@ class FixedStepper:
         view.row_energy, view.row_iterations = self.state.row_energy[rows:], self.state.row_iterations[rows:]
         return view
 
-    def _handle(self, status: int, before: int) -> None:
+    def _handle(self, status: int) -> None:
         """Renew the pivots once a step, or note why the run stops."""
-        step = self.done + 1
-        t = self.timetable.start + self.done * (self.timetable.step or 0.0)
-        where = f"in step {step} from t = {t:.6g} s"
+        self.time = self.timetable.start + self.done * (self.timetable.step or 0.0)
+        where = f"in step {self.done + 1} from t = {self.time:.6g} s"
+        if not self.problem.motions_are_finite():
+            self.failure = Failure("not-finite", f"a driver or load is not a finite number {where}.")
+            return
+        if status in (REPIVOT, REPIVOT_STAGES) and not self.problem.is_finite():
+            status = self.overflow
         try:
-            if status != NOT_FINITE and self._pivoted_at != (self.done, status) and self.renew(status):
-                self._pivoted_at = (self.done, status)
+            if status != NOT_FINITE and (self.done, status) not in self._renewed and self.renew(status):
+                self._renewed = {pair for pair in self._renewed if pair[0] == self.done} | {(self.done, status)}
                 return
         except SingularSystemError as error:
             name = self.problem.mechanism.unknown_name(error.index)

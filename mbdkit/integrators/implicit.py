@@ -38,10 +38,17 @@ from mbdkit.engine.system import (
     prepare,
     solve_accelerations,
 )
-from mbdkit.engine.vectors import add_compensated, copy
+from mbdkit.engine.vectors import add_compensated, copy, stays_finite
 from mbdkit.integrators.fixed_step import FixedStepper, State, book_energies, note_misalignment
 from mbdkit.integrators.newton import factorize_all, newton_changes
-from mbdkit.integrators.stages import change_against_forces, extrapolate, relative_change, stage_mean, stage_states
+from mbdkit.integrators.stages import (
+    change_against_forces,
+    change_against_state,
+    extrapolate,
+    relative_change,
+    stage_mean,
+    stage_states,
+)
 
 if TYPE_CHECKING:
     from mbdkit.engine.problem import Problem
@@ -55,7 +62,16 @@ ROUND_OFF = 1e-18
 """A change of the accelerations that is expected to stay below this, relative to their size, ends the iteration."""
 
 STAGNANT = 1e-12
-"""Iterations that no longer shrink count as round-off below this relative change, and as divergence above it."""
+"""A change that no longer shrinks is round-off where it is smaller than this, relative to the accelerations."""
+
+FEW_ROUNDINGS = 4.0
+"""A change that no longer shrinks is round-off where it moves the state by no more roundings than these."""
+
+IDLE = 4
+"""So many iterations without progress are taken for round-off against single forces, below `STAGNANT` of them."""
+
+RUNAWAY = 1e-6
+"""Relative change above which growth from one iteration to the next counts as divergence."""
 
 ROUGH = 1e-5
 """Relative change below which the accelerations of the next iteration are refined to round-off."""
@@ -76,7 +92,8 @@ def run_implicit(
     """Take steps `first` to `last - 1` of size `h`; return (status, next step, rows written).
 
     `counts`: evaluations of the right side, of tangents, factorizations, iterations. `report`: on divergence the
-    largest change of an acceleration and its coordinate. `fresh`: no stage values of a step before stand in `acc`.
+    largest change of an acceleration, its coordinate, and the iterations. `fresh`: no stage values of a step before
+    stand in `acc`.
     """
     s = len(c)
     bodies = len(top.mass) - 1
@@ -99,6 +116,7 @@ def run_implicit(
         taken_at = 0
         before = np.inf
         m = 0
+        idle = 0
         settled = False
         while True:
             if kind == NEWTON and stale and not settled:
@@ -132,6 +150,7 @@ def run_implicit(
                 book_energies(h, b, energy, energy_low)
                 break
             counts[3] += 1
+            iterations[0] += 1
             m += 1
             if kind == NEWTON:
                 for i in range(s):
@@ -153,15 +172,17 @@ def run_implicit(
             ratio = now / before
             settled = now == 0.0 or (m > 1 and ratio < 0.9 and ratio / (1.0 - ratio) * now <= tolerance)
             if not settled and m > 1 and ratio > 0.5:  # no longer shrinking: round-off, or divergence
-                settled = now <= STAGNANT
-                if not settled:
-                    settled = change_against_forces(top, w, lam[s - 1], acc[s - 1], bodies, change) <= STAGNANT
+                idle += 1
+                settled = now <= STAGNANT or change_against_state(change, h, q, bodies) <= FEW_ROUNDINGS
+                if not settled and idle >= IDLE:
+                    level = change_against_forces(top, w, v_stage[s - 1], lam[s - 1], acc[s - 1], bodies, change)
+                    settled = level <= STAGNANT
             if settled:
                 if has_power:
                     continue  # once more through the stages, for their powers
                 break
-            if m >= max_iterations or (m > 4 and ratio > 4.0) or not now < np.inf:
-                report[0] = 0.0
+            if m >= max_iterations or (m > 4 and ratio > 4.0 and now > RUNAWAY) or not now < np.inf:
+                report[0], report[2] = 0.0, m
                 for i in range(s):
                     for d in range(n3):
                         if not abs(change[i, d]) <= report[0]:
@@ -179,11 +200,10 @@ def run_implicit(
                 dq[d] += w2 * acc[i, d]
         for d in range(n3):
             dq[d] += h * v[d] + h * v_low[d]
-        finite = add_compensated(q, q_low, dq)
-        finite = add_compensated(v, v_low, dv) and finite
-        if not finite:
+        if not (stays_finite(q, dq) and stays_finite(v, dv)):
             return NOT_FINITE, k, rows
-        iterations[0] += m
+        add_compensated(q, q_low, dq)
+        add_compensated(v, v_low, dv)
         iterations[1] = max(iterations[1], m)
         if (k + 1) % every == 0:
             copy(q, row_q[rows])
@@ -236,6 +256,7 @@ class ImplicitStepper(FixedStepper):
 
     def __init__(self, method: ImplicitRungeKutta, problem: Problem, timetable: Timetable):
         super().__init__(problem, timetable, hint="a smaller time.step may help")
+        self.overflow = DIVERGED
         self.method = method
         self.a, self.b, self.c = method.tableau.floats()
         self.a2, self.b2 = method.tableau.second_order_floats()
@@ -251,58 +272,48 @@ class ImplicitStepper(FixedStepper):
         self.b_real, self.x_real = np.zeros((2, n))
         self.b_complex, self.x_complex = np.zeros((2, n), dtype=complex)
         self.energy = np.zeros(2 + 2 * s)
-        self.counts, self.report = np.zeros(4, dtype=np.int64), np.zeros(2)
+        self.counts, self.report = np.zeros(4, dtype=np.int64), np.zeros(3)
         self.fresh, self.last_h = True, 0.0
         self.weights = np.zeros((s, s))
         self._pivot(timetable.step or 0.0)
         self.load_kernel()
 
     def _pivot(self, h: float) -> None:
-        """Choose pivots for the stage matrix by the numbers of the moment, and make room for all eigenvalues."""
-        eigen, problem = self.eigen, self.problem
+        """Choose pivots for the stage matrix by its numbers where the step begins; make room for all eigenvalues."""
+        eigen, problem, state = self.eigen, self.problem, self.state
         if self.kind == FIXED_POINT:
             rate: complex | None = None
         elif len(eigen.mu_complex):
             rate = complex(h * eigen.mu_complex[0])
         else:
             rate = float(h * eigen.mu_real[0])
-        if rate is not None and not self._has_terms:
-            self._first_terms()
-        self.pattern, _, self.scatter = problem.choose_pivots(rate)
-        self.real = _stack(self.pattern, len(eigen.mu_real), np.float64)
-        self.cplx = _stack(self.pattern, len(eigen.mu_complex), np.complex128)
-
-    _has_terms = False
-
-    def _first_terms(self) -> None:
-        """Evaluate the tangents at the start, so that there are numbers to choose pivots by."""
-        problem, state = self.problem, self.state
         top, scratch = problem.mechanism.topology, problem.scratch
         for _ in range(2):
-            status = tangents_at(
-                top, scratch, problem.solver, self.timetable.start, state.q, state.v, self.acc[0], self.lam[0]
-            )
+            status = tangents_at(top, scratch, problem.solver, self.time, state.q, state.v, self.f[0], self.lam[0])
             if status == OK:
                 break
             problem.use_pivots()
-        self._has_terms = True
+        self.pattern, _, self.scatter = problem.choose_pivots(rate)
+        self.real = _stack(self.pattern, len(eigen.mu_real), np.float64)
+        self.cplx = _stack(self.pattern, len(eigen.mu_complex), np.complex128)
 
     def renew(self, status: int) -> bool:
         """Choose new pivots for the system that failed, and start the step without stage values from before."""
         self.fresh = True
         if status == REPIVOT:
             return super().renew(status)
-        if self.kind == FIXED_POINT:
-            return False
-        self._pivot(self.last_h)
+        if self.kind == NEWTON:
+            self._pivot(self.last_h)
         return True
 
     def describe_divergence(self) -> str:
         """Return the largest residual and where it is."""
+        if not np.isfinite(self.report[0]):
+            return ": the stage iteration ran away"
         name = self.problem.mechanism.unknown_name(int(self.report[1]))
         unit = "rad/s^2" if int(self.report[1]) % 3 == 2 else "m/s^2"
         return (
-            f": the stage equations did not converge in {self.method.max_iterations} iterations, "
+            f": the stage equations did not converge in {int(self.report[2])} iterations, "
             f"the last one still changed an acceleration of {name} by {self.report[0]:.3g} {unit}"
         )
 

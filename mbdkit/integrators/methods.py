@@ -9,10 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from mbdkit.integrators.tableau import ButcherTableau, TableauError
+
 if TYPE_CHECKING:
     from mbdkit.engine.problem import Problem
     from mbdkit.integrators.stepping import Stepper, Timetable
-    from mbdkit.integrators.tableau import ButcherTableau
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,10 @@ class ExplicitRungeKutta:
     """An explicit Runge-Kutta method in fixed steps, on the index-1 equations."""
 
     tableau: ButcherTableau
+
+    def __post_init__(self) -> None:
+        if not self.tableau.is_explicit:
+            raise TableauError(f"{self.tableau.name} is implicit: its stages need ImplicitRungeKutta")
 
     def start(self, problem: Problem, timetable: Timetable) -> Stepper:
         """Return a stepper for `problem` over `timetable`."""
@@ -48,6 +53,13 @@ class ImplicitRungeKutta:
     stage_solver: Literal["newton", "fixed-point"] = "newton"
     tolerance: float | None = None
     max_iterations: int = 50
+
+    def __post_init__(self) -> None:
+        if not self.tableau.is_diagonalisable:
+            raise TableauError(
+                f"the matrix of {self.tableau.name} is singular or cannot be diagonalised, "
+                "which the transformed stage equations need"
+            )
 
     def start(self, problem: Problem, timetable: Timetable) -> Stepper:
         """Return a stepper for `problem` over `timetable`."""

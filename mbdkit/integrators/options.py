@@ -24,7 +24,7 @@ class ImplicitOptions(Options):
     """Simplified Newton with exact tangents, or fixed-point iteration on the stage accelerations."""
     tolerance: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] | None = None
     """Stop when the stage accelerations change by less than this, relative to their size; left out: at stagnation."""
-    max_iterations: Annotated[int, Field(ge=1, le=10_000)] = 50
+    max_iterations: Annotated[int, Field(ge=2, le=10_000)] = 50
     """Iterations in one step after which the stage equations count as unsolved."""
 
 

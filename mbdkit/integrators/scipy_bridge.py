@@ -6,6 +6,7 @@ the method's own weights. The exact Jacobian of the accelerations goes to the so
 
 from __future__ import annotations
 
+import math
 import time
 import warnings
 from typing import TYPE_CHECKING, Any
@@ -52,6 +53,7 @@ class SciPyStepper:
         self._acc = np.zeros((3, problem.mechanism.size))
         self._lam = np.zeros((len(top.pairs), 2))
         self._times: list[float] = []
+        self._finite = True
         y0 = np.concatenate([problem.q0[: self.n3], problem.v0[: self.n3], np.zeros(2 * self.has_power)])
         solver = getattr(scipy.integrate, method.solver) if isinstance(method.solver, str) else method.solver
         options: dict[str, Any] = {"rtol": max(method.rtol, 100 * np.finfo(float).eps), "atol": method.atol}
@@ -83,7 +85,7 @@ class SciPyStepper:
             )  # fmt: skip
             if status == OK:
                 break
-            if not np.all(np.isfinite(y)):
+            if not problem.is_finite():
                 out[:] = np.nan
                 break
             try:
@@ -95,6 +97,7 @@ class SciPyStepper:
                 raise _StoppedError(
                     Failure("singular", f"no independent equations are left at {name} at t = {t:.6g} s.")
                 ) from None
+        self._finite = self._finite and bool(np.all(np.isfinite(out)))
         return out if self.has_power else out[: 2 * self.n3]
 
     def jacobian(self, t: float, y: np.ndarray) -> np.ndarray:
@@ -106,9 +109,11 @@ class SciPyStepper:
         status = tangents_at(
             problem.mechanism.topology, problem.scratch, problem.solver, float(t), q, v, self._acc[2], self._lam
         )
-        if status != OK:
-            self.rates(t, y)
+        if status != OK:  # new pivots, if they help
+            if not np.all(np.isfinite(self.rates(t, y))):
+                return np.full((len(y), len(y)), np.nan)
             return self.jacobian(t, y)
+        self.counters.factorizations += 2  # the index-1 solve above, and the matrix of all its derivatives below
         n, terms = problem.unknowns, problem.terms
         values = problem.scratch.source[terms.source]
         sign = np.array([1.0, 1.0, -1.0, 1.0])[terms.factor]
@@ -138,6 +143,7 @@ class SciPyStepper:
         """Take one step of the solver; return whether it succeeded."""
         solver, before = self.solver, self.solver.t
         self._times.clear()
+        self._finite = True
         lu = solver.nlu
         try:
             with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -146,12 +152,14 @@ class SciPyStepper:
         except _StoppedError as stop:
             self.failure = stop.failure
             return False
-        except (ValueError, np.linalg.LinAlgError):  # SciPy's linear algebra met a number that is not finite
-            self.failure = self._overflow(before)
+        except (ValueError, np.linalg.LinAlgError):
+            if self._finite:
+                raise
+            self.failure = self._overflow(before)  # SciPy's linear algebra met a number that is not finite
             return False
         self.counters.factorizations += solver.nlu - lu
         if solver.status == "failed":
-            if not np.all(np.isfinite(self._last_rates())):
+            if not self._finite:
                 self.failure = self._overflow(before)
             else:
                 self.failure = Failure("step-too-small", f"at t = {before:.6g} s: {message}".rstrip(".") + ".")
@@ -180,12 +188,6 @@ class SciPyStepper:
             self.worst_pairs,
         )
         return True
-
-    def _last_rates(self) -> np.ndarray:
-        try:
-            return self.rates(self.solver.t, self.solver.y)
-        except _StoppedError:
-            return np.zeros(1)
 
     def _overflow(self, t: float) -> Failure:
         return Failure("not-finite", f"numbers overflowed after t = {t:.6g} s; tighter tolerances may help.")
@@ -217,9 +219,8 @@ class SciPyStepper:
                 rows.append(self._row(self.time, self.y))
             return rows
         dense = None
-        while (at := table.start + self._next * table.interval) < self.time - 1e-12 * abs(table.interval) or (
-            at == self.time and not self.finished
-        ):
+        inner = math.ceil((table.end - table.start) / table.interval - 1e-9)  # the end comes by itself
+        while self._next < inner and (at := table.start + self._next * table.interval) <= self.time:
             if dense is None:
                 dense = self.solver.dense_output()
             rows.append(self._row(at, np.asarray(dense(at))))

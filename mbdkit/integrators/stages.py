@@ -6,6 +6,8 @@ import numpy as np
 
 from mbdkit.engine.cache import part
 
+EPS = float(np.finfo(float).eps)
+
 
 @part
 def stage_states(h, a, a2, c, q, v, acc, q_stage, v_stage):
@@ -71,31 +73,64 @@ def relative_change(acc, change, bodies):
 
 
 @part
-def change_against_forces(top, w, lam, acc, bodies, change):
-    """Return the largest change of an acceleration relative to what single forces would give: a floor for round-off."""
-    level_t = level_r = 0.0
+def change_against_state(change, h, q, bodies):
+    """Return the largest effect of a change of accelerations on the state of a step, in roundings of that state.
+
+    Lengths are compared with the largest coordinate (1 m at least), angles with the largest angle (1 rad at least).
+    """
+    size_t = size_r = 1.0
     for b in range(bodies):
-        level_t = max(level_t, abs(top.gravity[0]), abs(top.gravity[1]))
-        for i in range(3):
-            scale = abs(acc[3 * b + i]) + abs(w.force[3 * b + i]) * top.weight[b, i]
-            if i < 2:
-                level_t = max(level_t, scale)
-            else:
-                level_r = max(level_r, scale)
-    for k in range(len(top.pairs)):
-        for side in range(2):
-            b = top.pairs[k, 1 + side]
-            for i in range(3):
-                c = 3 * side + i
-                scale = (abs(w.jac[k, c] * lam[k, 0]) + abs(w.jac[k, 6 + c] * lam[k, 1])) * top.weight[b, i]
-                if i < 2:
-                    level_t = max(level_t, scale)
-                else:
-                    level_r = max(level_r, scale)
+        size_t = max(size_t, abs(q[3 * b]), abs(q[3 * b + 1]))
+        size_r = max(size_r, abs(q[3 * b + 2]))
     worst = 0.0
     for i in range(len(change)):
         for b in range(bodies):
-            worst = max(worst, abs(change[i, 3 * b]) / level_t, abs(change[i, 3 * b + 1]) / level_t)
+            shift = max(abs(change[i, 3 * b]), abs(change[i, 3 * b + 1])) / size_t
+            worst = max(worst, shift, abs(change[i, 3 * b + 2]) / size_r)
+    return worst * h * h / EPS
+
+
+@part
+def change_against_forces(top, w, v, lam, acc, bodies, change):
+    """Return the largest change of an acceleration relative to what single forces would give: a floor for round-off.
+
+    Magnitudes are added up: forces that cancel, or point along their arm, leave their round-off behind.
+    """
+    level_t = level_r = 0.0
+    for b in range(bodies):
+        level_t = max(level_t, abs(top.gravity[0]), abs(top.gravity[1]))
+        level_t = max(level_t, abs(acc[3 * b]), abs(acc[3 * b + 1]))
+        level_r = max(level_r, abs(acc[3 * b + 2]))
+    for k in range(len(top.pairs)):
+        force = abs(lam[k, 0]) + abs(lam[k, 1])
+        for side in range(2):
+            b = top.pairs[k, 1 + side]
+            c = 3 * side
+            x, y = abs(w.jac[k, c]) + abs(w.jac[k, 6 + c]), abs(w.jac[k, c + 1]) + abs(w.jac[k, 7 + c])
+            arm = abs(top.pair_parameters[k, 2 * side]) + abs(top.pair_parameters[k, 2 * side + 1])
+            turn = abs(w.jac[k, c + 2]) + abs(w.jac[k, 8 + c]) + arm
+            level_t = max(level_t, force * max(x, y) * top.weight[b, 0])
+            level_r = max(level_r, force * turn * top.weight[b, 2])
+    for k in range(len(top.springs)):
+        a, b = top.springs[k, 1], top.springs[k, 2]
+        speed = 0.0
+        for i in range(3):
+            speed += abs(w.grad[k, i] * v[3 * a + i]) + abs(w.grad[k, 3 + i] * v[3 * b + i])
+        force = top.spring_laws[k, 0] * (abs(w.s[k, 0]) + abs(top.spring_laws[k, 2])) + top.spring_laws[k, 1] * speed
+        for side in range(2):
+            body = top.springs[k, 1 + side]
+            for i in range(3):
+                level = force * abs(w.grad[k, 3 * side + i]) * top.weight[body, i]
+                if i < 2:
+                    level_t = max(level_t, level)
+                else:
+                    level_r = max(level_r, level)
+    worst = 0.0
+    for i in range(len(change)):
+        for b in range(bodies):
+            moved = max(abs(change[i, 3 * b]), abs(change[i, 3 * b + 1]))
+            if moved > 0.0:
+                worst = max(worst, moved / level_t if level_t > 0.0 else np.inf)
             if change[i, 3 * b + 2] != 0.0:
-                worst = max(worst, abs(change[i, 3 * b + 2]) / level_r)
+                worst = max(worst, abs(change[i, 3 * b + 2]) / level_r if level_r > 0.0 else np.inf)
     return worst

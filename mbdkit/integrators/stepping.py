@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -46,18 +46,6 @@ class Timetable:
         assert self.step is not None
         rest = self.end - (self.start + (self.steps - 1) * self.step)
         return self.step if abs(rest - self.step) <= 1e-9 * self.step else rest
-
-
-@dataclass
-class Intervals:
-    """Step statistics, one entry a recorded interval (N of them)."""
-
-    time: list[float] = field(default_factory=list)
-    steps: list[int] = field(default_factory=list)
-    size: list[float] = field(default_factory=list)
-    iterations: list[int] = field(default_factory=list)
-    iterations_max: list[int] = field(default_factory=list)
-    rejected: list[int] = field(default_factory=list)
 
 
 @dataclass
@@ -132,7 +120,7 @@ class Stepper(Protocol):
 class Pace:
     """Chooses how many steps fit into a stretch, from the steps done so far."""
 
-    steps: int = 16
+    steps: int
 
     def timed(self, done: int, since: float) -> None:
         """Take note that `done` steps took the time since `since` (`time.perf_counter`)."""

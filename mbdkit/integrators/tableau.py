@@ -184,6 +184,14 @@ class ButcherTableau:
         return all(a[i][j] == 0 for i in range(self.stages) for j in range(i, self.stages))
 
     @property
+    def is_diagonalisable(self) -> bool:
+        """Whether ``a`` is regular and has a well-conditioned basis of eigenvectors."""
+        import numpy as np
+
+        values, vectors = np.linalg.eig(self.floats()[0])
+        return bool(np.min(np.abs(values)) > 1e-8 and np.linalg.cond(vectors) < 1e8)
+
+    @property
     def is_symmetric(self) -> bool:
         """Whether a step by -h undoes a step by h: ``a[s-1-i][s-1-j] + a[i][j] = b[j]``."""
         a, b, _ = self._numbers

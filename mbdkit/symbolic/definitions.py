@@ -75,23 +75,17 @@ class ConstraintKind:
 
     name: str
     rows: tuple[sp.Expr, ...]
-    row_names: tuple[str, ...]
-    units: tuple[str, ...]
     note: str
 
 
 _ARM = (xb + bx - xa, yb + by - ya)
 
 CONSTRAINTS = (
-    ConstraintKind("revolute", (gx, gy), ("x", "y"), ("m", "m"), "Two points coincide: Phi = p_b - p_a"),
-    ConstraintKind("distance", (length - PARAMETERS[4],), ("length",), ("m",), "Phi = |p_b - p_a| - length"),
-    ConstraintKind("driver_angle", (thb - tha - u,), ("angle",), ("rad",), "Phi = theta_b - theta_a - u(t)"),
-    ConstraintKind(
-        "driver_x", (ca * _ARM[0] + sa * _ARM[1] - u,), ("x",), ("m",), "Phi = x of b's point in a's frame - u(t)"
-    ),
-    ConstraintKind(
-        "driver_y", (ca * _ARM[1] - sa * _ARM[0] - u,), ("y",), ("m",), "Phi = y of b's point in a's frame - u(t)"
-    ),
+    ConstraintKind("revolute", (gx, gy), "Two points coincide: Phi = p_b - p_a"),
+    ConstraintKind("distance", (length - PARAMETERS[4],), "Phi = |p_b - p_a| - length"),
+    ConstraintKind("driver_angle", (thb - tha - u,), "Phi = theta_b - theta_a - u(t)"),
+    ConstraintKind("driver_x", (ca * _ARM[0] + sa * _ARM[1] - u,), "Phi = x of b's point in a's frame - u(t)"),
+    ConstraintKind("driver_y", (ca * _ARM[1] - sa * _ARM[0] - u,), "Phi = y of b's point in a's frame - u(t)"),
 )
 
 

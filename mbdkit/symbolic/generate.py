@@ -133,8 +133,6 @@ def source() -> str:
     pathways = {kind.name: (kind, d.derive_pathway(kind)) for kind in d.PATHWAYS}
     parts.append("CONSTRAINT_KINDS = " + repr(tuple(constraints)))
     parts.append("PATHWAY_KINDS = " + repr(tuple(pathways)))
-    parts.append("ROW_NAMES = " + repr({name: kind.row_names for name, (kind, _) in constraints.items()}))
-    parts.append("ROW_UNITS = " + repr({name: kind.units for name, (kind, _) in constraints.items()}))
     parts += [
         _masks(f"{key.upper()}_ENTRIES", ((name, terms[key]) for name, (_, terms) in constraints.items()))
         for key in ("jacobian", "stiffness", "gamma_v", "residual_q")
@@ -175,18 +173,10 @@ def _constraint_kernels(name: str, note: str, terms: dict[str, sp.Matrix]) -> li
 
 
 def _pathway_kernels(name: str, note: str, terms: dict[str, sp.Matrix]) -> list[str]:
-    """Return the two kernels of a pathway: length with gradient, and second derivatives."""
-    return [
-        _kernel(
-            f"{name}_gradient",
-            "k, a, b, q, cs, p, s, grad",
-            f"{note} and its gradient.",
-            [("s", terms["length"]), ("grad", terms["gradient"])],
-        ),
-        _kernel(
-            f"{name}_hessian",
-            "k, a, b, q, cs, p, hess",
-            f"Second derivatives of {note}.",
-            [("hess", terms["hessian"])],
-        ),
-    ]
+    """Return the kernels of a pathway: length with gradient, and second derivatives where there are any."""
+    outputs = [("s", terms["length"]), ("grad", terms["gradient"])]
+    kernels = [_kernel(f"{name}_gradient", "k, a, b, q, cs, p, s, grad", f"{note} and its gradient.", outputs)]
+    if _mask(terms["hessian"]):
+        bend = [("hess", terms["hessian"])]
+        kernels.append(_kernel(f"{name}_hessian", "k, a, b, q, cs, p, hess", f"Second derivatives of {note}.", bend))
+    return kernels
