@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -105,7 +107,7 @@ def run(
             print(json.dumps(_outcome(result)))
         elif not quiet:
             print(result.summary())
-        _exit_with(result)
+        _exit_with(result, told=not (as_json or quiet))
 
 
 @app.command()
@@ -115,11 +117,10 @@ def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> N
     Its mechanism is built and its start made consistent; what that moves is said.
     """
     checked = _load(spec, assignments)
-    from mbdkit.engine.assembly import assemble
+    from mbdkit.simulation import build
 
     mechanism = checked.mechanism()
-    with _placing(checked):
-        start = assemble(mechanism, checked.time.start)
+    _, start = build(checked)
     print(f"{spec}: this spec is valid")
     print(f"model        {checked.model_item.id}: {mechanism.description()}")
     print(f"integrator   {checked.integrator_item.id}")
@@ -370,10 +371,12 @@ def _outcome(result: Run) -> dict[str, Any]:
     }
 
 
-def _exit_with(result: Run) -> None:
+def _exit_with(result: Run, *, told: bool = False) -> None:
+    """Leave with the exit status that the run's status asks for; say why, unless the summary has `told` already."""
     if result.status == "complete":
         return
-    say(f"{result.status}: {result.status_reason.removeprefix('interrupted: ')}")
+    if not told:
+        say(f"{result.status}: {result.status_reason.removeprefix('interrupted: ')}")
     if result.status == "interrupted":
         raise typer.Exit(terminal.INTERRUPTED)
     failed_plugin = result.status_reason.startswith("plugin-error")
@@ -382,4 +385,7 @@ def _exit_with(result: Run) -> None:
 
 def main() -> None:
     """Run the command line."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a name that the terminal has no letters for
     app(prog_name="mbdkit")

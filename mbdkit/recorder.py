@@ -20,6 +20,7 @@ def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
         joints=list(mechanism.joints),
         constraints=[row.label for row in mechanism.rows],
         constraint_units=[row.unit for row in mechanism.rows],
+        joint_bodies=list(mechanism.joint_bodies),
     )
 
 

@@ -24,10 +24,10 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.target import check_target
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine.analysis import SingularSystemError
-from mbdkit.engine.assembly import assemble
+from mbdkit.engine.assembly import AssembledState, assemble
 from mbdkit.engine.compiled import compile_mechanism
 from mbdkit.engine.problem import Problem
-from mbdkit.engine.redundancy import describe_singularity
+from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.warm import ensure_compiled, to_stderr
 from mbdkit.errors import MbdkitError, PluginError, SpecError
 from mbdkit.integrators.methods import Method
@@ -96,16 +96,10 @@ def simulate(
     if path is not None:
         check_target(path, overwrite=overwrite)
     method = _method(spec)
-    compiled = compile_mechanism(spec.mechanism())
-    ensure_compiled(notify)
-    try:
-        start = assemble(spec.mechanism(), spec.time.start, compiled)
-    except SpecError as error:
-        raise spec.placed(error) from error
-    problem = Problem(compiled, spec.time.start, _padded(start.q), _padded(start.v))
+    problem, start = build(spec, notify)
     writer = ArchiveWriter(
         path,
-        archive_names(compiled),
+        archive_names(problem.mechanism),
         spec.canonical_json(),
         spec.sha256(),
         spec.run_id(),
@@ -118,6 +112,40 @@ def simulate(
     except BaseException:
         writer.abandon()
         raise
+
+
+def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Problem, AssembledState]:
+    """Compile a spec's mechanism and make its start consistent.
+
+    Parameters
+    ----------
+    spec
+        The spec.
+    notify
+        Told what takes long.
+
+    Returns
+    -------
+    Problem
+        Ready to be stepped.
+    AssembledState
+        The start, and what assembly moved.
+
+    Raises
+    ------
+    SpecError
+        Where joints cannot meet, or the start has no unique accelerations.
+    """
+    mechanism = spec.mechanism()
+    compiled = compile_mechanism(mechanism)
+    ensure_compiled(notify)
+    try:
+        start = assemble(mechanism, spec.time.start, compiled)
+        problem = Problem(compiled, spec.time.start, _padded(start.q), _padded(start.v))
+        require_unique_start(problem)
+    except SpecError as error:
+        raise spec.placed(error) from error
+    return problem, start
 
 
 def _method(spec: RunSpec) -> Method:
@@ -149,7 +177,8 @@ class _Simulation:
         self.record_start()
         with _interrupts(self):
             with self._blaming_the_plugin():
-                self.start()
+                if self.failure is None:
+                    self.start()
             setup = time.perf_counter() - self.begin
             wall, cpu = time.perf_counter(), time.process_time()
             if self.stepper is not None:
@@ -163,15 +192,10 @@ class _Simulation:
             return self.finish(timings)
 
     def record_start(self) -> None:
-        """Record the start; raise SpecError where it has no unique accelerations."""
-        problem = self.problem
-        none = np.zeros(1)
+        """Record the start."""
+        problem, none = self.problem, np.zeros(1)
         first = Stretch(np.array([problem.t0]), problem.q0[None], problem.v0[None], none, none, np.zeros((1, 6)))
-        failure = self.recorder.record(first, (0.0, 0.0), start=True)
-        if failure is not None and failure.code == "singular":
-            raise self.spec.placed(SpecError(describe_singularity(problem), key="model.joints"))
-        if failure is not None:
-            raise self.spec.placed(SpecError(failure.sentence, key="model"))
+        self.failure = self.recorder.record(first, (0.0, 0.0), start=True)
 
     def start(self) -> None:
         """Let the method make its stepper."""

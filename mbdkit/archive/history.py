@@ -122,8 +122,10 @@ class JointHistory(View):
     reaction_force = Column("joints/reaction_force")
     reaction_torque = Column("joints/reaction_torque")
 
-    def __init__(self, source: Source, name: str, index: int, misalignment_max: float):
+    def __init__(self, source: Source, name: str, index: int, misalignment_max: float, bodies: tuple[str, str]):
         super().__init__(source, name, index)
+        #: First and second body; reactions are what the first exerts on the second.
+        self.bodies = bodies
         #: Largest misalignment over every step, recorded or not, m.
         self.misalignment_max = misalignment_max
 

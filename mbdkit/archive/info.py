@@ -56,7 +56,7 @@ def describe(path: str | Path) -> dict[str, Any]:
             "start": float(time[0]) if len(time) else None,
             "end": float(time[-1]) if len(time) else None,
             "bodies": list(run.bodies),
-            "joints": list(run.joints),
+            "joints": {name: " - ".join(joint.bodies) for name, joint in run.joints.items()},
             "misalignment_max": {
                 name: None if math.isnan(joint.misalignment_max) else joint.misalignment_max
                 for name, joint in run.joints.items()

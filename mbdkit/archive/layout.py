@@ -155,6 +155,8 @@ LAYOUT: tuple[Array, ...] = (
     _time("joints"),
     _names("joints/joint", "name of the joint"),
     _names("joints/axis", "axis of the global frame"),
+    Array("joints/first_body", ("joint",), "1", "first body of the joint, which exerts the reaction", TEXT),
+    Array("joints/second_body", ("joint",), "1", "second body of the joint, on which the reaction acts", TEXT),
     Array("joints/misalignment", _TJ, "m", "distance by which the joint fails to meet"),
     Array("joints/velocity_misalignment", _TJ, "m/s", "relative point velocity in the constrained directions"),
     Array("joints/angle_misalignment", _TJ, "rad", "angle by which the joint fails to meet"),
@@ -231,6 +233,10 @@ def recorded(quantities: frozenset[str], extra: frozenset[str] = frozenset()) ->
     return tuple(
         array
         for array in LAYOUT
-        if (array.group not in QUANTITIES or array.group in quantities or array.path == "joints/joint")
+        if (
+            array.group not in QUANTITIES
+            or array.group in quantities
+            or array.path in ("joints/joint", "joints/first_body", "joints/second_body")
+        )
         and (not array.optional or array.path in extra)
     )

@@ -61,7 +61,14 @@ class Run:
                 self._misalignment_max: np.ndarray | None = file["joints"].attrs.get("misalignment_max")
                 self._names = {
                     name: tuple(file[name].asstr()[:])
-                    for name in ("trajectory/body", "joints/joint", "constraints/constraint", "constraints/row_units")
+                    for name in (
+                        "trajectory/body",
+                        "joints/joint",
+                        "joints/first_body",
+                        "joints/second_body",
+                        "constraints/constraint",
+                        "constraints/row_units",
+                    )
                     if name in file
                 }
         except SpecError:
@@ -161,10 +168,13 @@ class Run:
     def joints(self) -> Histories[JointHistory]:
         """The joints' misalignments and reactions by name."""
         largest = self._largest_misalignments
+        first, second = (self._names.get(f"joints/{which}_body", ()) for which in ("first", "second"))
         return Histories(
             "joint",
             self._names["joints/joint"],
-            lambda name, index: JointHistory(self, name, index, float(largest[index])),
+            lambda name, index: JointHistory(
+                self, name, index, float(largest[index]), (first[index], second[index]) if first else ("", "")
+            ),
         )
 
     @cached_property

@@ -48,12 +48,15 @@ class ArchiveNames:
         ``joint.row`` for every constraint row, such as ``J1.x``.
     constraint_units
         For every constraint row what it measures, ``m`` or ``rad``.
+    joint_bodies
+        First and second body of every joint.
     """
 
     bodies: Sequence[str]
     joints: Sequence[str]
     constraints: Sequence[str]
     constraint_units: Sequence[str]
+    joint_bodies: Sequence[tuple[str, str]]
 
 
 class ArchiveWriter:
@@ -267,6 +270,8 @@ class ArchiveWriter:
             "trajectory/acceleration_row_units": [f"{rate}^2" for rate in rates],
             "joints/joint": names.joints,
             "joints/axis": layout.AXES,
+            "joints/first_body": [first for first, _ in names.joint_bodies],
+            "joints/second_body": [second for _, second in names.joint_bodies],
             "constraints/constraint": names.constraints,
             "constraints/row_units": units,
             "constraints/velocity_row_units": [layout.RATE_UNITS[unit] for unit in units],

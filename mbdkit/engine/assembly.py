@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,13 +10,20 @@ import numpy as np
 
 from mbdkit.engine.compiled import CompiledMechanism, compile_mechanism
 from mbdkit.engine.constraints import KINDS
-from mbdkit.engine.observe import constraints_at
+from mbdkit.engine.observe import constraints_at, stiffness_at
 from mbdkit.engine.problem import finite_motions, new_scratch
 from mbdkit.engine.system import Scratch
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 
+Entries = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""A sparse matrix as (row, column, value)."""
+
 MOST_ITERATIONS = 60
+MOST_DESCENTS = 30
+NOISE = 1e-9
+"""Changes below this are not told [m, rad, m/s, rad/s]."""
+
 ROUND_OFF = 8 * np.finfo(float).eps
 """Residuals below this, relative to the largest coordinate, cannot be told from round-off."""
 
@@ -59,18 +67,19 @@ class AssembledState:
             ("m/s", self.changed_velocity),
             ("rad/s", self.changed_rate),
         ):
-            most = sorted((name for name, x in moved.items() if x > 0), key=lambda name: -moved[name])
+            most = sorted((name for name, x in moved.items() if x > NOISE), key=lambda name: -moved[name])
             if most:
                 more = f" and {len(most) - 3} more" if len(most) > 3 else ""
                 parts.append(", ".join(f"{name} {moved[name]:.3g} {unit}" for name in most[:3]) + more)
-        return "The start was made consistent; moved by: " + "; ".join(parts) + "."
+        told = "; ".join(parts) or "nothing by more than 1e-9"
+        return f"The start was made consistent; moved by: {told}."
 
 
 def assemble(mechanism: Mechanism, t0: float = 0.0, compiled: CompiledMechanism | None = None) -> AssembledState:
     """Make a mechanism's start consistent with its joints.
 
-    Positions minimise the mass-weighted change under Phi(q, t0) = 0 (Newton on its optimality conditions, with the
-    metric as Hessian); velocities likewise under Phi_q v + Phi_t = 0, in one linear step. Bodies named in
+    Positions minimise the mass-weighted change under Phi(q, t0) = 0: Newton steps close the gaps, then Newton runs on
+    the conditions of least change; velocities likewise under Phi_q v + Phi_t = 0, which is linear. Bodies named in
     ``assembly.fix`` keep their position and velocity. A start within the tolerance is left untouched to the bit.
 
     Parameters
@@ -159,7 +168,7 @@ class _Assembly:
     def padded(self, x: np.ndarray) -> np.ndarray:
         return np.concatenate([x, np.zeros(3)])
 
-    def evaluate(self, q: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...], np.ndarray]:
+    def evaluate(self, q: np.ndarray) -> tuple[np.ndarray, Entries, np.ndarray]:
         """Return Phi (m,), the Jacobian as (row, column, value) and Phi_t (m,)."""
         w, top = self.scratch, self.compiled.topology
         constraints_at(top, w, self.t0, self.padded(q), self.padded(np.zeros(self.n)))
@@ -172,12 +181,12 @@ class _Assembly:
         keep = (columns.ravel() < self.n) & (blocks.ravel() != 0)
         return w.phi[pair, place], (row[keep], columns.ravel()[keep], blocks.ravel()[keep]), w.phi_t[pair, place]
 
-    def rates(self, jacobian: tuple[np.ndarray, ...], v: np.ndarray, phi_t: np.ndarray) -> np.ndarray:
+    def rates(self, jacobian: Entries, v: np.ndarray, phi_t: np.ndarray) -> np.ndarray:
         row, column, value = jacobian
         return phi_t + np.bincount(row, value * v[column], minlength=len(phi_t))
 
-    def kkt(self, jacobian: tuple[np.ndarray, ...]) -> tuple[Any, Any]:
-        """Return ``[M J^T; J -e]`` over the free coordinates, and its solver.
+    def kkt(self, jacobian: Entries, stiffness: Entries | None = None) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
+        """Return a solver of ``[M + K, J^T; J, -e] [step, mu] = [-gradient, -gap]`` over the free coordinates.
 
         A trace `e` of regularisation keeps redundant rows from stopping the solve. It acts on the change of the
         multipliers only, so that it vanishes as the iterations around it converge.
@@ -187,11 +196,13 @@ class _Assembly:
 
         row, column, value = jacobian
         j = csr_array((value, (row, column)), shape=(len(self.rows), self.n)).tocsc()[:, self.free]
-        mass = self.mass[self.free]
-        trace = 1e-13 * ((j**2) @ (1 / mass))
-        matrix = block_array(
-            [[diags_array(mass), j.T], [j, -diags_array(np.where(trace > 0, trace, 1.0))]], format="csc"
-        )
+        hessian = diags_array(self.mass[self.free]).tocsc()
+        trace = 1e-13 * ((j**2) @ (1 / self.mass[self.free]))
+        if stiffness is not None:
+            row, column, value = stiffness
+            hessian += csr_array((value, (row, column)), shape=(self.n, self.n)).tocsc()[self.free][:, self.free]
+        corner = -diags_array(np.where(trace > 0, trace, 1.0))
+        matrix = block_array([[hessian, j.T], [j, corner]], format="csc")
         lu = splu(matrix)
 
         def solve(gradient: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -202,12 +213,18 @@ class _Assembly:
             step[self.free] = solution[: len(self.free)]
             return step, solution[len(self.free) :]
 
-        def transposed(multipliers: np.ndarray) -> np.ndarray:
-            full = np.zeros(self.n)
-            full[self.free] = j.T @ multipliers
-            return full
+        return solve
 
-        return solve, transposed
+    def stiffness(self, q: np.ndarray, multipliers: np.ndarray) -> Entries:
+        """Return d(J^T mu)/dq as (row, column, value)."""
+        w, top = self.scratch, self.compiled.topology
+        lam = np.zeros((len(top.pairs), 2))
+        lam[self.rows[:, 0], self.rows[:, 1]] = multipliers
+        stiffness_at(top, w, self.t0, self.padded(q), self.padded(np.zeros(self.n)), lam)
+        columns = np.concatenate([3 * top.pairs[:, 1:2] + np.arange(3), 3 * top.pairs[:, 2:3] + np.arange(3)], axis=1)
+        row, column = np.repeat(columns, 6, axis=1).ravel(), np.tile(columns, (1, 6)).ravel()
+        keep = (row < self.n) & (column < self.n) & (w.stiff.ravel() != 0)
+        return row[keep], column[keep], w.stiff.ravel()[keep]
 
     def separated(self, q: np.ndarray) -> np.ndarray:
         """Return positions at which no distance joint has its points on top of each other, without a direction."""
@@ -223,51 +240,106 @@ class _Assembly:
                     break
         return q
 
-    def positions(self, q: np.ndarray, tolerance: float) -> np.ndarray:
-        """Run Newton until the gaps close and the change is the least one; raise SpecError where they do not close."""
-        start = q.copy()
-        q = self.separated(q)
-        multipliers = np.zeros(len(self.rows))
+    def positions(self, given: np.ndarray, tolerance: float) -> np.ndarray:
+        """Return the nearest positions at which the gaps close; raise SpecError where they do not close."""
+        q = self.closed(self.separated(given), tolerance)
+        gap = float(np.max(np.abs(self.evaluate(q)[0])))
+        if gap > tolerance:
+            raise self.failure(self.evaluate(q)[0], tolerance, "meet")
+        for _ in range(MOST_DESCENTS):
+            nearest = self.stationary(given, q, tolerance)
+            if nearest is not None:
+                return nearest
+            nearer = self.descended(given, q, tolerance)
+            if nearer is None:
+                return q
+            q = nearer
+        return q
+
+    def distance(self, given: np.ndarray, q: np.ndarray) -> float:
+        """Return the change in the mass metric, which assembly makes as small as it can."""
+        return float(self.mass @ (q - given) ** 2)
+
+    def closed(self, q: np.ndarray, tolerance: float) -> np.ndarray:
+        """Close the gaps by Newton steps of least size, damped while the gaps do not shrink."""
         phi, jacobian, _ = self.evaluate(q)
         size = max(1.0, float(np.max(np.abs(q), initial=0.0)), self.reach)
+        nothing = np.zeros(self.n)
         for _ in range(MOST_ITERATIONS):
             gap = float(np.max(np.abs(phi)))
             try:
-                solve, transposed = self.kkt(jacobian)
+                step, _ = self.kkt(jacobian)(nothing, phi)
             except RuntimeError:
-                break
-            step, change = solve(self.mass * (q - start) + transposed(multipliers), phi)
+                return q
             largest = float(np.max(np.abs(step)))
             if not np.isfinite(largest):
-                break
-            if gap <= tolerance and largest <= 1e-10 * size:
                 return q
             scale = min(1.0, 0.5 * size / largest) if largest > 0 else 1.0
-            best, best_gap = None, np.inf
+            best = (q, phi, jacobian, gap)
             for _ in range(12):
                 trial = q + scale * step
                 phi_trial, jacobian_trial, _ = self.evaluate(trial)
                 gap_trial = float(np.max(np.abs(phi_trial)))
-                if gap_trial < best_gap:
-                    best, best_gap = (trial, phi_trial, jacobian_trial, scale), gap_trial
-                if gap_trial <= max(tolerance, 0.9 * gap):
+                if gap_trial < best[3]:
+                    best = (trial, phi_trial, jacobian_trial, gap_trial)
+                if gap_trial <= 0.9 * gap:
                     break
                 scale *= 0.5
-            if best is None:
-                break
-            q, phi, jacobian, scale = best
-            multipliers = multipliers + scale * change
-        if float(np.max(np.abs(phi))) <= tolerance:
-            return q
-        raise self.failure(phi, tolerance, "meet")
+            if best[0] is q:
+                return q  # as near as round-off lets it come, or stuck
+            closed_enough = gap <= tolerance
+            q, phi, jacobian, _ = best
+            if closed_enough:
+                return q
+        return q
 
-    def velocities(
-        self, v: np.ndarray, jacobian: tuple[np.ndarray, ...], phi_t: np.ndarray, tolerance: float
-    ) -> np.ndarray:
+    def stationary(self, given: np.ndarray, q: np.ndarray, tolerance: float) -> np.ndarray | None:
+        """Run Newton on the conditions of least change from `q`; None where it does not come to a nearer point."""
+        start, nothing = q, np.zeros(self.n)
+        size = max(1.0, float(np.max(np.abs(q), initial=0.0)), self.reach)
+        multipliers: np.ndarray | None = None
+        for _ in range(20):
+            phi, jacobian, _ = self.evaluate(q)
+            pull = self.mass * (q - given)
+            try:
+                if multipliers is None:
+                    multipliers = self.kkt(jacobian)(pull, nothing[: len(phi)])[1]
+                row, column, value = jacobian
+                gradient = pull + np.bincount(column, value * multipliers[row], minlength=self.n)
+                step, change = self.kkt(jacobian, self.stiffness(q, multipliers))(gradient, phi)
+            except RuntimeError:
+                return None
+            largest = float(np.max(np.abs(step)))
+            if not largest < size:
+                return None
+            q, multipliers = q + step, multipliers + change
+            if largest <= 1e-9 * size:  # Newton: the next change would be round-off
+                gap = float(np.max(np.abs(self.evaluate(q)[0])))
+                near = self.distance(given, q) <= self.distance(given, start) * (1 + 1e-9)
+                return q if gap <= tolerance and near else None
+        return None
+
+    def descended(self, given: np.ndarray, q: np.ndarray, tolerance: float) -> np.ndarray | None:
+        """Take a step along the joints towards the given positions; None where none is nearer."""
+        _, jacobian, _ = self.evaluate(q)
+        try:
+            step, _ = self.kkt(jacobian)(self.mass * (q - given), np.zeros(len(self.rows)))
+        except RuntimeError:
+            return None
+        scale = 1.0
+        for _ in range(12):
+            trial = self.closed(q + scale * step, tolerance)
+            met = float(np.max(np.abs(self.evaluate(trial)[0]))) <= tolerance
+            if met and self.distance(given, trial) < self.distance(given, q) * (1 - 1e-12):
+                return trial
+            scale *= 0.5
+        return None
+
+    def velocities(self, v: np.ndarray, jacobian: Entries, phi_t: np.ndarray, tolerance: float) -> np.ndarray:
         """Change velocities by the least amount; raise SpecError where joints cannot move together."""
         rate = self.rates(jacobian, v, phi_t)
         try:
-            solve, _ = self.kkt(jacobian)
+            solve = self.kkt(jacobian)
         except RuntimeError:
             raise self.failure(rate, tolerance, "move together") from None
         for _ in range(6):

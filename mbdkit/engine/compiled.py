@@ -41,6 +41,8 @@ class CompiledMechanism:
         Flat arrays.
     bodies, joints
         Names, in the order of the mechanism.
+    joint_bodies
+        (J,) names of the first and the second body of each joint.
     rows
         Constraint rows in the order of the mechanism's joints; row i is unknown ``3 B + i`` of a pivoted system.
     joint_pairs
@@ -56,6 +58,7 @@ class CompiledMechanism:
     topology: Topology
     bodies: tuple[str, ...]
     joints: tuple[str, ...]
+    joint_bodies: tuple[tuple[str, str], ...]
     rows: tuple[Row, ...]
     joint_pairs: tuple[tuple[int, ...], ...]
     motions: tuple[float | str, ...]
@@ -176,6 +179,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         topology=topology,
         bodies=bodies,
         joints=tuple(mechanism.joints),
+        joint_bodies=tuple(joint.bodies for joint in mechanism.joints.values()),
         rows=tuple(rows),
         joint_pairs=tuple(joint_pairs),
         motions=tuple(motions.numbers),

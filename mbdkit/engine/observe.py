@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mbdkit.engine.cache import kernel
-from mbdkit.engine.constraints import constraint_accelerations, constraint_positions
+from mbdkit.engine.constraints import constraint_accelerations, constraint_positions, constraint_tangents
 from mbdkit.engine.forces import potential_energy
 from mbdkit.engine.system import OK, evaluate_powers, evaluate_tangents, prepare, solve_accelerations
 from mbdkit.engine.vectors import copy
@@ -105,6 +105,13 @@ def constraints_at(top, w, t, q, v):
     prepare(top, w, t, q)
     constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
     constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
+
+
+@kernel
+def stiffness_at(top, w, t, q, rest, lam):
+    """Evaluate d(Phi_q^T lam)/dq of every pair into ``w.stiff``; `rest` (3 (B + 1),) are zeros."""
+    prepare(top, w, t, q)
+    constraint_tangents(top.pairs, top.pair_parameters, q, rest, rest, w.cs, w.u, lam, w.stiff, w.gamma_v, w.res_q)
 
 
 @kernel

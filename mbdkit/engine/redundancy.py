@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.observe import constraints_at
+from mbdkit.engine.analysis import SingularSystemError
+from mbdkit.engine.observe import constraints_at, tangents_at
 from mbdkit.engine.problem import Problem
+from mbdkit.engine.system import OK
+from mbdkit.errors import SpecError
 
 MOST_ROWS = 3000
 """Constraint rows up to which the dependent ones are looked for; it takes a dense factorization."""
@@ -56,13 +59,38 @@ def dependent_joints(problem: Problem) -> list[str]:
     return found
 
 
-def describe_singularity(problem: Problem) -> str:
-    """Return in a sentence why the equations have no unique solution at the start, with the joints named."""
+def require_unique_start(problem: Problem) -> None:
+    """Raise SpecError where the start has no unique accelerations, with the joints named that are to blame.
+
+    Parameters
+    ----------
+    problem
+        The mechanism at its start; its solver is left ready for use.
+    """
+    mechanism = problem.mechanism
+    acc, lam = np.zeros(mechanism.size), np.zeros((len(mechanism.topology.pairs), 2))
+    try:
+        for _ in range(2):
+            status = tangents_at(
+                mechanism.topology, problem.scratch, problem.solver, problem.t0, problem.q0, problem.v0, acc, lam
+            )
+            if status == OK:
+                break
+            problem.use_pivots()
+        else:
+            raise SingularSystemError
+    except SingularSystemError:
+        raise SpecError(_blame(problem), key="model.joints") from None
+    if not (np.all(np.isfinite(acc)) and np.all(np.isfinite(lam))):
+        raise SpecError("the forces of the start are too large to be held in double precision", key="model")
+
+
+def _blame(problem: Problem) -> str:
     names = dependent_joints(problem)
     if not names:
-        return "the equations have no unique solution at the start: the mechanism stands in a singular position."
+        return "the equations have no unique solution at the start: the mechanism stands in a singular position"
     joints = ("joint " if len(names) == 1 else "joints ") + ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
     return (
         f"the equations have no unique solution at the start: what {joints} would hold is held by others already; "
-        "constraints must be independent."
+        "constraints must be independent"
     )

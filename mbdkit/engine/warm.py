@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from mbdkit.engine.cache import FOLDER, compiling, is_warm
 
@@ -28,11 +31,32 @@ def ensure_compiled(notify: Callable[[str], None] = to_stderr) -> None:
     begin = time.perf_counter()
     with compiling() as cold:
         if cold:
-            _run_everything()
+            with _interrupts_kept() as check:
+                _run_everything(check)
             notify(f"... compiled in {time.perf_counter() - begin:.0f} s, kept in {FOLDER}")
 
 
-def _run_everything() -> None:
+@contextmanager
+def _interrupts_kept() -> Iterator[Callable[[], None]]:
+    """Hold Ctrl-C back while the compiler runs, which would swallow it; yields a function that raises it."""
+    noted: list[int] = []
+
+    def check() -> None:
+        if noted:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield check
+        return
+    before = signal.signal(signal.SIGINT, lambda number, frame: noted.append(number))
+    try:
+        yield check
+        check()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _run_everything(check: Callable[[], None]) -> None:
     """Step a small mechanism through every kernel; their argument types are the same for all mechanisms."""
     import numpy as np
 
@@ -46,10 +70,11 @@ def _run_everything() -> None:
     from mbdkit.mechanism.mechanism import Mechanism
 
     m = Mechanism()
-    rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.5, 0.0))
-    m.revolute("A", m.ground, rod, at=(0.0, 0.0))
+    rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.55, 0.05))
+    m.revolute("A", m.ground, rod, points=((0.0, 0.0), (-0.5, 0.0)))
     compiled = compile_mechanism(m)
     start = assemble(m, 0.0, compiled)
+    check()
     q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
     table = Timetable(0.0, 0.2, step=0.1, steps=2)
     methods: tuple[Method, ...] = (
@@ -58,6 +83,7 @@ def _run_everything() -> None:
         SciPySolver("Radau", 1e-3, 1e-3, needs_jacobian=True),
     )
     for method in methods:
+        check()
         problem = Problem(compiled, 0.0, q0, v0)
         stretch = method.start(problem, table).advance()
         rows, pairs = len(stretch.time), len(compiled.topology.pairs)

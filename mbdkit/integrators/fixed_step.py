@@ -207,7 +207,7 @@ class FixedStepper:
                 return
         except SingularSystemError as error:
             name = self.problem.mechanism.unknown_name(error.index)
-            self.failure = Failure("singular", f"no independent equations are left at {name} {where}.")
+            self.failure = Failure("singular", f"no independent equations are left at {name} {where}; {self.hint}.")
             return
         if status == NOT_FINITE:
             self.failure = Failure("not-finite", f"numbers overflowed {where}; {self.hint}.")
@@ -217,7 +217,7 @@ class FixedStepper:
             index = int(self.problem.solver.failed[0])
             column = self.problem.solver.pattern.column_of
             name = self.problem.mechanism.unknown_name(int(column[index]) if 0 <= index < len(column) else -1)
-            self.failure = Failure("singular", f"the equations lost their last pivot at {name} {where}.")
+            self.failure = Failure("singular", f"the equations lost their last pivot at {name} {where}; {self.hint}.")
 
     def _collect(self, rows: int) -> Stretch:
         every, step = self.timetable.every, self.timetable.step or 0.0

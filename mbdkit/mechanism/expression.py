@@ -186,7 +186,7 @@ class _Compiler:
                 self.refuse(f"'{name}' is a function and needs its argument in parentheses", node)
             case ast.Name():
                 name = self.segment(node)
-                self.refuse(f"unknown name '{name}'{did_you_mean(name, ['t', 'pi', *FUNCTIONS])}", node)
+                self.refuse(f"unknown name '{name}'{did_you_mean(name, ['t', 'pi', *FUNCTIONS])}; the time is t", node)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.compile(operand, nesting + 1)
             case ast.UnaryOp(op=ast.USub(), operand=operand):

@@ -24,12 +24,15 @@ class Document:
         Finds the line of a key path, as far as it can; called only when there is an error to place.
     overridden
         Key paths set on the command line, with what was typed.
+    keywords
+        Top-level sections that a Python keyword replaced.
     """
 
     data: dict[str, Any]
     file: str = ""
     lines: Callable[[], Mapping[Path, int]] = dict
     overridden: dict[Path, str] = field(default_factory=dict)
+    keywords: frozenset[str] = frozenset()
 
     def place(self, error: SpecError) -> SpecError:
         """Return the error with the file and line of its key, or with the override that set it."""
@@ -39,6 +42,8 @@ class Document:
         for length in range(len(path), 0, -1):
             if path[:length] in self.overridden:
                 return error.located(file=f"--set {self.overridden[path[:length]]}")
+        if path and path[0] in self.keywords:
+            return error.located(file=f"keyword {path[0]}")
         if not self.file or error.line is not None:
             return error.located(file=self.file or None)
         lines = self.lines()

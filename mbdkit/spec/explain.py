@@ -11,6 +11,7 @@ from pydantic_core import ErrorDetails
 from pydantic_core.core_schema import ErrorType
 
 from mbdkit.errors import SpecError
+from mbdkit.mechanism.expression import Expression
 from mbdkit.registry.options import is_of_item, item_of
 from mbdkit.spec.choices import choice_of
 from mbdkit.spec.plain import Path, found, parse_path, path_text
@@ -166,6 +167,12 @@ def _hint(kind: str, given: Any) -> str:
         return " (write the decimal comma as a point)"
     if re.fullmatch(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", given):
         return " (leave out the quotes)"
+    try:
+        program = Expression.parse(given).program
+    except SpecError:
+        return ""
+    if len(program) == 1 and program[0][0] == "const":
+        return f" (only motions and values may be expressions: write {program[0][1]!r})"
     return ""
 
 

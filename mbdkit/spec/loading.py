@@ -46,6 +46,7 @@ def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> Ru
         return source
     document = _document(source)
     document.data |= sections
+    document.keywords = frozenset(sections)
     for assignment in overrides:
         set_value(document, assignment)
     try:

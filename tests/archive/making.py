@@ -39,6 +39,7 @@ def names(bodies: int = 2, joints: int = 2, constraints: int | None = None) -> A
         [f"J{number}" for number in range(1, joints + 1)],
         [f"J{row // 2 + 1}.{'xy'[row % 2]}" for row in range(count)],
         ["rad" if count % 2 and row == count - 1 else "m" for row in range(count)],
+        [("ground" if number == 1 else f"rod{number - 1}", f"rod{number}") for number in range(1, joints + 1)],
     )
 
 

@@ -84,7 +84,9 @@ def make_run() -> Iterator[MakeRun]:
                 "title": title,
             }
         )
-        names = ArchiveNames(bodies, joints, constraints, ["m"] * len(constraints))
+        names = ArchiveNames(
+            bodies, joints, constraints, ["m"] * len(constraints), [("ground", bodies[0])] * len(joints)
+        )
         digest = hashlib.sha256(spec.encode()).hexdigest()
         writer = ArchiveWriter(None, names, spec, digest, "a-run", {}, quantities)
         writer.append({key: data[key] for key in writer.row_keys})

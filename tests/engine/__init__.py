@@ -1,0 +1,1 @@
+"""Tests of the engine: kernels, solvers, assembly and cache against independent dense formulas."""

@@ -1,0 +1,99 @@
+"""Mechanisms with random bodies, joints and velocities: chains, trees, loops, ladders; held and driven."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from mbdkit.mechanism.mechanism import Mechanism
+
+
+def add_rod(m: Mechanism, rng: np.random.Generator, name: str, start: np.ndarray, angle: float) -> np.ndarray:
+    """Add a rod of random mass that starts at `start`, with random velocities; return its other end."""
+    length = rng.uniform(0.5, 1.5)
+    along = length * np.array([math.cos(angle), math.sin(angle)])
+    mass = rng.uniform(0.5, 2.0)
+    m.body(
+        name,
+        mass=mass,
+        inertia=mass * length**2 / 12,
+        position=start + along / 2,
+        angle=angle,
+        velocity=rng.normal(size=2),
+        angular_velocity=rng.normal(),
+    )
+    return start + along
+
+
+def chain(rng: np.random.Generator, n: int = 6) -> Mechanism:
+    """Return n rods in a row, from the ground."""
+    m = Mechanism()
+    end, before = np.zeros(2), m.ground
+    for i in range(n):
+        joint = end
+        end = add_rod(m, rng, f"r{i}", joint, rng.uniform(-3, 3))
+        m.revolute(f"J{i}", before, f"r{i}", at=joint)
+        before = f"r{i}"
+    return m
+
+
+def tree(rng: np.random.Generator, n: int = 9) -> Mechanism:
+    """Return rods that each hang on a random earlier one, some on the ground."""
+    m = Mechanism()
+    ends = [np.zeros(2)]
+    for i in range(n):
+        parent = int(rng.integers(0, i + 1))
+        joint = ends[parent]
+        ends.append(add_rod(m, rng, f"r{i}", joint, rng.uniform(-3, 3)))
+        m.revolute(f"J{i}", m.ground if parent == 0 else f"r{parent - 1}", f"r{i}", at=joint)
+    return m
+
+
+def loop(rng: np.random.Generator, n: int = 5) -> Mechanism:
+    """Return a chain closed to the ground, driven at its root, with a distance joint and a slider on the way."""
+    m = chain(rng, n)
+    last = m.bodies[f"r{n - 1}"]
+    m.revolute("close", f"r{n - 1}", m.ground, at=last.position)
+    m.driver("motor", m.ground, "r0", coordinate="angle", motion="0.3 + 2*t**2 + sin(t)")
+    m.distance("rod", "r1", f"r{n - 2}", points=((0.1, 0.2), (-0.1, 0.1)), length=1.0)
+    return m
+
+
+def ladder(rng: np.random.Generator, rungs: int = 4) -> Mechanism:
+    """Return two chains from the ground, tied together at every joint by distance joints."""
+    m = Mechanism()
+    for side in range(2):
+        end, before = np.array([1.5 * side, 0.0]), m.ground
+        for i in range(rungs):
+            joint = end
+            end = add_rod(m, rng, f"{'ab'[side]}{i}", joint, -math.pi / 2 + rng.uniform(-0.4, 0.4))
+            m.revolute(f"{'AB'[side]}{i}", before, f"{'ab'[side]}{i}", at=joint)
+            before = f"{'ab'[side]}{i}"
+    for i in range(rungs):
+        m.distance(f"rung{i}", f"a{i}", f"b{i}", points=((0.1, 0.0), (0.1, 0.0)), length=1.5)
+    return m
+
+
+def driven_frame(rng: np.random.Generator) -> Mechanism:
+    """Return a free frame that carries a point mass driven along both of its axes, and springs and loads."""
+    m = Mechanism()
+    add_rod(m, rng, "frame", np.zeros(2), 0.4)
+    m.body("mass", mass=0.7, position=(0.3, 0.8), velocity=rng.normal(size=2))
+    m.driver("x", "frame", "mass", coordinate="x", motion="0.5*cos(3*t)")
+    m.driver("y", "frame", "mass", coordinate="y", motion="0.2 + t**2")
+    m.spring_damper("s", m.ground, "mass", points=((1.0, 1.0), (0.0, 0.0)), stiffness=30.0, damping=2.0)
+    m.torsion_spring("twist", m.ground, "frame", stiffness=3.0, damping=0.3)
+    m.torque("drive", "frame", value="cos(t)")
+    m.force("push", "frame", value=[1.0, "2*t"], point=(0.1, 0.2))
+    return m
+
+
+KINDS: dict[str, Callable[[np.random.Generator], Mechanism]] = {
+    "chain": chain,
+    "tree": tree,
+    "loop": loop,
+    "ladder": ladder,
+    "driven frame": driven_frame,
+}

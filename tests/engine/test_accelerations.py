@@ -1,0 +1,164 @@
+"""Accelerations and multipliers of whole mechanisms against a dense system assembled in the tests."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.mechanism.elements import Distance, Driver, Revolute
+from mbdkit.mechanism.expression import Expression
+from mbdkit.mechanism.mechanism import Mechanism
+
+from .compiled import Compiled, assert_close, gradient, place
+from .random_mechanisms import KINDS, add_rod
+
+T = 0.7
+kinds = pytest.mark.parametrize("kind", KINDS)
+seeds = pytest.mark.parametrize("seed", range(3))
+
+
+def dense_phi(m: Mechanism, q: Any, t: Any) -> Any:
+    """Return Phi(q, t) of all joints, written by hand, for complex q and t."""
+    number = {name: i for i, name in enumerate(m.bodies)} | {"ground": len(m.bodies)}
+    rows: list[Any] = []
+    for joint in m.joints.values():
+        a, b = (number[name] for name in joint.bodies)
+        if isinstance(joint, Revolute):
+            rows += list(place(q, b, joint.points[1]) - place(q, a, joint.points[0]))
+        elif isinstance(joint, Distance):
+            gap = place(q, b, joint.points[1]) - place(q, a, joint.points[0])
+            rows.append(np.sqrt(gap[0] ** 2 + gap[1] ** 2) - joint.length)
+        else:
+            assert isinstance(joint, Driver)
+            u = motion(joint.motion, t)
+            if joint.coordinate == "angle":
+                rows.append(q[3 * b + 2] - q[3 * a + 2] - u)
+            else:
+                gap = place(q, b, joint.point) - q[3 * a : 3 * a + 2]
+                c, s = np.cos(q[3 * a + 2]), np.sin(q[3 * a + 2])
+                rows.append((c * gap[0] + s * gap[1] if joint.coordinate == "x" else c * gap[1] - s * gap[0]) - u)
+    return np.array(rows)
+
+
+def motion(value: Any, t: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    import sympy as sp
+
+    return sp.lambdify(sp.Symbol("t", real=True), Expression.parse(value).to_sympy(), "numpy")(t)
+
+
+def dense_solution(c: Compiled) -> tuple[np.ndarray, np.ndarray]:
+    """Return accelerations and multipliers of the dense index-1 system; gamma by differences of Phi_q v + Phi_t."""
+    m, n = c.mechanism, c.n
+    padded = np.concatenate
+
+    def jacobian(q: np.ndarray, t: float) -> np.ndarray:
+        return gradient(lambda z: dense_phi(m, z, t), q)[:, :n]
+
+    def rate(x: float) -> np.ndarray:
+        q, t = c.q + x * c.v, c.t + x
+        return jacobian(q, t) @ c.v[:n] + np.imag(dense_phi(m, q + 0j, t + 1e-200j)) / 1e-200
+
+    h = 1e-3  # central differences of order 6: error 1e-18 h-independent parts aside, round-off 1e-13
+    gamma = -(45 * (rate(h) - rate(-h)) - 9 * (rate(2 * h) - rate(-2 * h)) + rate(3 * h) - rate(-3 * h)) / (60 * h)
+    masses = np.array([(b.mass, b.mass, b.inertia or 1.0) for b in m.bodies.values()]).ravel()
+    c.tangents()  # the applied forces have tests of their own
+    force = c.scratch.force[:n].copy() if m.forces else np.zeros(n)
+    force += masses * np.array([(*m.gravity, 0.0) for _ in m.bodies]).ravel()
+    phi_q = jacobian(c.q, c.t)
+    kkt = np.block([[np.diag(masses), phi_q.T], [phi_q, np.zeros((len(phi_q),) * 2)]])
+    x = np.linalg.solve(kkt, padded([force, gamma]))
+    return x[:n], x[n:]
+
+
+@kinds
+@seeds
+def test_accelerations_and_multipliers_are_those_of_the_dense_system(kind: str, seed: int) -> None:
+    # expected: numpy.linalg.solve of the KKT matrix, its Jacobian by complex step from Phi written by hand
+    c = Compiled(KINDS[kind](np.random.default_rng(seed)), T)
+    acc, lam = c.accelerations()
+    expected_acc, expected_lam = dense_solution(c)
+    assert_close(acc, expected_acc, tolerance=1e-9)
+    assert_close(lam, expected_lam, tolerance=1e-9)
+
+
+@kinds
+@seeds
+def test_the_schur_complement_and_the_pivoted_system_agree(kind: str, seed: int) -> None:
+    c = Compiled(KINDS[kind](np.random.default_rng(seed)), T)
+    acc, lam = c.accelerations()
+    assert c.problem.solver.pivoted[0] == 0
+    pivoted_acc, pivoted_lam = c.accelerations(pivoted=True)
+    assert c.problem.solver.pivoted[0] == 1
+    assert_close(acc, pivoted_acc)
+    assert_close(lam, pivoted_lam)
+
+
+@kinds
+def test_accelerations_meet_the_constraints_to_round_off(kind: str) -> None:
+    c = Compiled(KINDS[kind](np.random.default_rng(5)), T)
+    acc, _ = c.accelerations()
+    *_, jacobian, gamma = c.constraints(c.q, c.v)
+    assert_close(jacobian @ acc, gamma, tolerance=1e-14, size=float(np.abs(jacobian @ np.diag(acc)).max()))
+
+
+def crowded(arms: int = 80) -> Mechanism:
+    """Return a hub with many arms, where the Schur complement would be full."""
+    rng = np.random.default_rng(0)
+    m = Mechanism()
+    m.body("hub", mass=3.0, inertia=2.0, velocity=(0.1, 0.2), angular_velocity=0.5)
+    m.revolute("axle", m.ground, "hub", at=(0.0, 0.0))
+    for i in range(arms):
+        joint = np.array([np.cos(i), np.sin(i)])
+        add_rod(m, rng, f"arm{i}", joint, float(i))
+        m.revolute(f"J{i}", "hub", f"arm{i}", at=joint)
+    return m
+
+
+def test_a_hub_with_many_arms_takes_the_pivoted_system_and_is_right() -> None:
+    c = Compiled(crowded(), T)
+    acc, lam = c.accelerations()
+    assert c.problem.solver.pivoted[0] == 1
+    expected_acc, expected_lam = dense_solution(c)
+    assert_close(acc, expected_acc, tolerance=1e-9)
+    assert_close(lam, expected_lam, tolerance=1e-9)
+
+
+def tiny_rod(mass: float) -> Mechanism:
+    m = Mechanism()
+    rng = np.random.default_rng(4)
+    end = add_rod(m, rng, "rod", np.zeros(2), 0.3)
+    m.revolute("A", m.ground, "rod", at=(0.0, 0.0))
+    m.body("tiny", mass=mass, inertia=mass / 12, position=(end[0] + 0.5, end[1]), angular_velocity=2.0)
+    m.revolute("B", "rod", "tiny", at=end)
+    return m
+
+
+@pytest.mark.parametrize("mass", [1e-4, 1e-7, 1e-10, 1e-13])
+def test_a_rod_that_weighs_next_to_nothing_falls_as_its_limit_does(mass: float) -> None:
+    # expected: the motion of the other rod tends to a limit with the mass, at its rate
+    c = Compiled(tiny_rod(mass), T)
+    acc, _ = c.accelerations()
+    limit, _ = Compiled(tiny_rod(1e-4), T).accelerations()
+    assert_close(acc, limit, tolerance=1e-2)
+    *_, jacobian, gamma = c.constraints(c.q, c.v)
+    assert_close(jacobian @ acc, gamma, tolerance=1e-12, size=float(np.abs(acc).max()))
+
+
+UNITS = [1e-12, 1e-9, 1e9, 1e12]
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("integrator", [{"name": "rk4"}, {"name": "gauss"}, {"name": "gauss", "stages": 3}], ids=str)
+def test_the_unit_of_mass_does_not_matter(unit: float, integrator: dict[str, Any]) -> None:
+    # expected: a pendulum's motion does not depend on its mass
+    def angles(mass: float) -> np.ndarray:
+        model = {"name": "double-pendulum", "masses": [mass, mass]}
+        run = mbdkit.run({"mbdkit": 1, "model": model, "integrator": integrator, "time": {"end": 0.5, "step": 0.01}})
+        return np.array([run.check()["rod1"].angle, run["rod2"].angle])
+
+    np.testing.assert_allclose(angles(unit), angles(1.0), rtol=0, atol=1e-10)

@@ -1,0 +1,131 @@
+"""The cache of compiled kernels: never stale, written by one process, and not needed for a run to work."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mbdkit
+from mbdkit.engine import cache
+
+PROGRAM = """\
+import json, sys, warnings
+import mbdkit
+run = mbdkit.run({"mbdkit": 1, "model": {"name": "single-pendulum", "angle": -1.0, "rate": 2.0},
+                  "integrator": {"name": "gauss"}, "time": {"end": 0.2, "step": 0.01}})
+from mbdkit.engine.cache import FOLDER
+print(json.dumps({"angle": float(run["rod1"].angle[-1]), "folder": str(FOLDER), "package": mbdkit.__file__}))
+"""
+
+
+def start(package: Path, folder: Path) -> subprocess.Popen[str]:
+    """Run the program with the copy of mbdkit in `package`, its cache under `folder`."""
+    environment = os.environ | {"PYTHONPATH": str(package), "MBDKIT_CACHE_DIR": str(folder)}
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM],
+        env=environment,
+        cwd=package,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def end(process: subprocess.Popen[str], package: Path) -> tuple[dict[str, Any], str]:
+    """Return what the program printed, and its messages."""
+    output, messages = process.communicate(timeout=300)
+    assert process.returncode == 0, messages
+    found = json.loads(output)
+    assert Path(found["package"]).is_relative_to(package)
+    return found, messages
+
+
+def copied(to: Path) -> Path:
+    source = Path(mbdkit.__file__).parent
+    shutil.copytree(source, to / "mbdkit", ignore=shutil.ignore_patterns("__pycache__"))
+    return to
+
+
+def compiled_files(folder: Path) -> dict[str, int]:
+    return {str(path): path.stat().st_mtime_ns for path in folder.rglob("*.nb[ic]")}
+
+
+@pytest.mark.slow
+def test_an_edited_kernel_is_compiled_anew_by_one_process_while_another_waits(tmp_path: Path) -> None:
+    # expected: with gamma's sign turned the motion differs; the file that calls the kernel has not changed
+    package = copied(tmp_path / "package")
+    kernels = package / "mbdkit" / "engine" / "elements.py"
+    text = kernels.read_text()
+    begin = text.index("def revolute_acceleration")
+    edited = re.sub(r"gamma\[k, 0\] = (.*)", r"gamma[k, 0] = -(\1)", text[begin:], count=1)
+    kernels.write_text(text[:begin] + edited)
+    folder = tmp_path / "cache"
+
+    both = [end(process, package) for process in (start(package, folder), start(package, folder))]
+    assert both[0][0] == both[1][0]
+    whole = mbdkit.run(
+        {
+            "mbdkit": 1,
+            "model": {"name": "single-pendulum", "angle": -1.0, "rate": 2.0},
+            "integrator": {"name": "gauss"},
+            "time": {"end": 0.2, "step": 0.01},
+        }
+    )
+    assert abs(both[0][0]["angle"] - float(whole["rod1"].angle[-1])) > 1e-3
+    messages = sorted(m.count("compiled in") for _, m in both)
+    assert messages == [0, 1]
+    assert all("once per installation" in m for _, m in both if "compiled in" in m)
+
+    kept = compiled_files(folder)
+    assert kept
+    assert all(Path(path).is_relative_to(both[0][0]["folder"]) for path in kept)
+    assert not list(package.rglob("*.nb[ic]"))
+    again, quiet = end(start(package, folder), package)
+    assert again == both[0][0]
+    assert quiet == ""
+    assert compiled_files(folder) == kept
+
+
+@pytest.mark.slow
+def test_an_unwritable_cache_costs_a_warning_and_not_the_run(tmp_path: Path) -> None:
+    # expected: a folder below a regular file cannot be made, whoever asks
+    blocked = tmp_path / "file"
+    blocked.touch()
+    package = copied(tmp_path / "package")
+    found, messages = end(start(package, blocked / "cache"), package)
+    assert "cannot be written" in messages
+    assert "MBDKIT_CACHE_DIR" in messages
+    assert not Path(found["folder"]).exists()  # the temporary folder went with its process
+    assert blocked.read_bytes() == b""
+
+
+def test_the_fingerprint_changes_with_any_kernel_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = copied(tmp_path / "copy") / "mbdkit"
+    monkeypatch.setattr(cache, "_PACKAGE", package)
+    before = cache.fingerprint()
+    sources = cache.kernel_sources()
+    names = {path.name for path in sources}
+    assert {"elements.py", "schur.py", "lu.py", "system.py", "explicit.py", "implicit.py"} <= names
+    for path in sources:
+        text = path.read_text()
+        path.write_text(text + "\n")
+        assert cache.fingerprint() != before
+        path.write_text(text)
+    assert cache.fingerprint() == before
+
+
+def test_every_compiled_function_lives_in_a_file_that_the_fingerprint_covers() -> None:
+    package = Path(mbdkit.__file__).parent
+    covered = {path.resolve() for path in cache.kernel_sources()}
+    decorated = re.compile(r"^@(kernel|part|inlined|element)$", re.MULTILINE)
+    compiled = {path.resolve() for path in package.rglob("*.py") if decorated.search(path.read_text())}
+    assert len(compiled) > 5
+    assert compiled <= covered

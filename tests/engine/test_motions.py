@@ -1,0 +1,173 @@
+"""Jets of motions, evaluated in compiled code, against SymPy's derivatives in 40 digits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import sympy as sp
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from mbdkit.mechanism.expression import Expression
+from mbdkit.mechanism.mechanism import Mechanism
+
+from .compiled import Compiled
+
+T = sp.Symbol("t", real=True)
+
+OPERATIONS = [
+    "3.25",
+    "t",
+    "t + 2.5",
+    "2.5 - t",
+    "0.3*t*t",
+    "t/(1 + t*t)",
+    "(1 + t)/(2 - 0.3*t)",
+    "-t",
+    "t**2",
+    "t**3",
+    "t**7",
+    "t**-1",
+    "t**-3",
+    "t**0",
+    "t**1",
+    "t**0.5",
+    "t**2.5",
+    "t**-1.5",
+    "(1 + t)**t",
+    "2**t",
+    "2.5**(0.3*t)",
+    "t**(sin(t) + 2)",
+    "sin(3*t)",
+    "cos(0.7*t + 1)",
+    "tan(0.3*t)",
+    "asin(0.2*t)",
+    "acos(0.2*t - 0.3)",
+    "atan(2*t)",
+    "atan2(t, 2)",
+    "atan2(t*t - 3, t - 2)",
+    "atan2(sin(t), cos(t) - 2)",
+    "exp(-0.4*t)",
+    "log(1 + t)",
+    "sqrt(1 + t)",
+    "abs(t - 9)",
+    "abs(sin(3*t))",
+    "tanh(t - 1)",
+    "min(t, t*t)",
+    "max(sin(t), cos(t))",
+    "min(t, 0.5, t*t - 1)",
+    "max(2*t, 3 - t, exp(t)/4)",
+    "0.5*sin(2*pi*t)",
+    "sin(t)**2 + cos(t)**2",
+    "exp(sin(t**2))*log(2 + cos(t))/(1 + t**4)",
+]
+TIMES = (0.15, 0.83, 1.7, 2.9)
+
+
+def jets(texts: list[str], times: tuple[float, ...]) -> np.ndarray:
+    """Return value, first and second derivative (times, texts, 3) as the compiled kernel has them."""
+    m = Mechanism()
+    body = m.body("body", mass=1.0, inertia=1.0)
+    for i, text in enumerate(texts):
+        m.torque(f"m{i}", body, value=text)
+    c = Compiled(m)
+    found = []
+    for t in times:
+        c.constraints(c.q, t=t)
+        found.append(c.scratch.u[c.top.loads[:, 3]].copy())
+    return np.array(found)
+
+
+def expected_jet(text: str, t: float) -> list[float]:
+    expression = Expression.parse(text).to_sympy()
+    derivatives = [expression, expression.diff(T), expression.diff(T, 2)]
+    return [float(d.subs(T, sp.Float(t, 40)).evalf(40).replace(sp.DiracDelta, lambda *_: 0)) for d in derivatives]
+
+
+@pytest.fixture(scope="module")
+def all_jets() -> np.ndarray:
+    return jets(OPERATIONS, TIMES)
+
+
+@pytest.mark.parametrize("text", OPERATIONS)
+def test_every_operation_has_the_value_rate_and_acceleration_of_sympy(text: str, all_jets: np.ndarray) -> None:
+    found = all_jets[:, OPERATIONS.index(text)]
+    expected = np.array([expected_jet(text, t) for t in TIMES])
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=2e-15 * max(1.0, np.abs(expected).max()))
+
+
+AT_ZERO = {
+    "t**0": (1.0, 0.0, 0.0),
+    "t**1": (0.0, 1.0, 0.0),
+    "t**2": (0.0, 0.0, 2.0),
+    "t**3": (0.0, 0.0, 0.0),
+    "3*t**2 - t**3 + t": (0.0, 1.0, 6.0),
+    "(t - 1)**2": (1.0, -2.0, 2.0),
+    "(t + 2)**-1": (0.5, -0.25, 0.25),
+    "(t + 1)**-2": (1.0, -2.0, 6.0),
+    "t*t": (0.0, 0.0, 2.0),
+    "abs(t)": (0.0, 1.0, 0.0),
+    "sin(t)/cos(t)": (0.0, 1.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("text", AT_ZERO)
+def test_powers_are_right_at_time_zero(text: str) -> None:
+    # expected: differentiated by hand
+    np.testing.assert_allclose(jets([text], (0.0,))[0, 0], AT_ZERO[text], rtol=1e-14, atol=1e-15)
+
+
+def test_a_negative_power_of_zero_is_not_finite() -> None:
+    assert not np.isfinite(jets(["t**-1"], (0.0,))[0, 0, 0])
+
+
+def test_negative_bases_keep_their_sign_in_whole_powers() -> None:
+    np.testing.assert_allclose(jets(["(t - 3)**3"], (1.0,))[0, 0], (-8.0, 12.0, -12.0), rtol=1e-14)
+
+
+LEAF = st.sampled_from(["t", "0.7", "2", "1.5", "(t - 1.3)", "(0.4*t + 2)"])
+
+
+def _nested(inner: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
+    unary = st.sampled_from(
+        [
+            "sin({})",
+            "cos({})",
+            "tanh({})",
+            "atan({})",
+            "exp(tanh({}))",
+            "log(2 + sin({}))",
+            "sqrt(1 + ({})**2)",
+            "asin(tanh({})/2)",
+            "acos(tanh({})/2)",
+            "-({})",
+            "({})**2",
+            "({})**3",
+            "(2 + cos({}))**-2",
+            "(2 + cos({}))**1.5",
+            "tan(tanh({}))",
+        ]
+    )
+    binary = st.sampled_from(
+        [
+            "({}) + ({})",
+            "({}) - ({})",
+            "({}) * ({})",
+            "({}) / (2 + cos({}))",
+            "(2 + sin({}))**tanh({})",
+            "atan2({}, 3 + sin({}))",
+        ]
+    )
+    return st.one_of(
+        st.builds(str.format, unary, inner),
+        st.builds(str.format, binary, inner, inner),
+    )
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(text=st.recursive(LEAF, _nested, max_leaves=5), t=st.sampled_from([0.3, 1.1, 2.7]))
+def test_nested_expressions_have_the_derivatives_of_sympy(text: str, t: float) -> None:
+    # expected: SymPy in 40 digits; round-off of nested operations grows with the sizes of the jet's entries
+    found, expected = jets([text], (t,))[0, 0], np.array(expected_jet(text, t))
+    size = max(1.0, float(np.abs(expected).max()))
+    np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11 * size)

@@ -1,0 +1,1 @@
+"""Tests of the integrators: tableaus, stepping, stage equations, counters."""

@@ -1,0 +1,103 @@
+"""Runs the generated kernels uncompiled, on complex numbers, for one element between two bodies or body and ground."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mbdkit.engine import elements
+
+STEP = 1e-200
+"""Complex step: no subtraction, so the smaller the better."""
+
+GROUND = 2
+
+
+class Element:
+    """One element at one configuration, chosen at random; `first` and `second` are bodies 0, 1 or `GROUND`.
+
+    Every method evaluates a generated kernel at the arguments given, complex ones included, from arrays full of zeros:
+    what a kernel does not write is zero.
+    """
+
+    def __init__(self, kind: str, first: int, second: int, seed: int):
+        rng = np.random.default_rng(seed)
+        self.kind, self.first, self.second = kind, first, second
+        self.rows = 2 if kind == "revolute" else 1
+        self.q, self.v, self.acc = rng.normal(size=(3, 9))
+        for x in (self.q, self.v, self.acc):
+            x[6:] = 0.0
+        self.p = rng.normal(size=(1, 6))
+        self.p[0, 4] = 0.5 + rng.random()
+        self.u = rng.normal(size=(1, 3))
+        self.lam = rng.normal(size=(1, 2))
+
+    @property
+    def columns(self) -> list[int]:
+        """Places in the state of the six coordinates that the columns of a Jacobian stand for."""
+        return [3 * body + i for body in (self.first, self.second) for i in range(3)]
+
+    def _call(self, kernel: str, q: Any, *arguments: Any) -> None:
+        cs = np.column_stack([np.cos(q[2::3]), np.sin(q[2::3])])
+        function = getattr(elements, f"{self.kind}_{kernel}").py_func
+        before, after = arguments[:-1], arguments[-1]
+        motion = (0,) if self.kind in elements.CONSTRAINT_KINDS else ()
+        function(0, self.first, self.second, *motion, q, *before, cs, self.p, *after)
+
+    def position(self, q: Any, u: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return Phi (r,) and Phi_t (r,)."""
+        phi, phi_t = np.zeros((2, 1, 2), complex)
+        self._call("position", q, (u, phi, phi_t))
+        return phi[0, : self.rows], phi_t[0, : self.rows]
+
+    def acceleration(self, q: Any, v: Any, u: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the Jacobian (r, 6) and gamma (r,)."""
+        jacobian, gamma = np.zeros((1, 12), complex), np.zeros((1, 2), complex)
+        self._call("acceleration", q, v, (u, jacobian, gamma))
+        return jacobian.reshape(2, 6)[: self.rows], gamma[0, : self.rows]
+
+    def tangent(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return d(Phi_q^T lam)/dq (6, 6), d gamma/dv (r, 6) and d(Phi_q a - gamma)/dq (r, 6)."""
+        stiffness, gamma_v, residual_q = np.zeros((1, 36)), np.zeros((1, 12)), np.zeros((1, 12))
+        self._call("tangent", self.q, self.v, self.acc, (self.u, self.lam, stiffness, gamma_v, residual_q))
+        return (
+            stiffness.reshape(6, 6),
+            gamma_v.reshape(2, 6)[: self.rows],
+            residual_q.reshape(2, 6)[: self.rows],
+        )
+
+    def rate(self, q: Any, v: Any, u: Any) -> np.ndarray:
+        """Return Phi_q v + Phi_t (r,)."""
+        return self.acceleration(q, v, u)[0] @ v[self.columns] + self.position(q, u)[1]
+
+    def gradient(self, q: Any) -> tuple[complex, np.ndarray]:
+        """Return a pathway's length and its gradient (6,)."""
+        s, gradient = np.zeros((1, 1), complex), np.zeros((1, 6), complex)
+        self._call("gradient", q, (s, gradient))
+        return complex(s[0, 0]), gradient[0]
+
+    def hessian(self) -> np.ndarray:
+        """Return a pathway's second derivatives (6, 6)."""
+        hessian = np.zeros((1, 36))
+        if hasattr(elements, f"{self.kind}_hessian"):  # a pathway whose length is linear has none
+            self._call("hessian", self.q, (hessian,))
+        return hessian.reshape(6, 6)
+
+
+def derivative(function: Callable[[Any], Any], at: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Return the derivative of `function` at `at` in `direction` by complex step, exact to round-off."""
+    return np.asarray(function(at + 1j * STEP * direction)).imag / STEP
+
+
+def partials(function: Callable[[Any], Any], at: np.ndarray, places: list[int]) -> np.ndarray:
+    """Return the derivatives of `function` by the entries of `at` at `places`, along the last axis."""
+    return np.stack([derivative(function, at, np.eye(len(at))[i]) for i in places], axis=-1)
+
+
+def assert_close(found: Any, expected: Any, size: float = 0.0) -> None:
+    """Assert equality to 1e-12 of the largest number that took part."""
+    expected = np.asarray(expected)
+    scale = max(size, float(np.max(np.abs(expected), initial=0.0)))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * scale)

@@ -1,0 +1,387 @@
+"""Whole runs: how they end, what they leave behind, that they repeat, and the adaptive methods."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.archive.check import check
+from mbdkit.mechanism.mechanism import Mechanism
+
+DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
+SCIPY = ("scipy-radau", "scipy-dop853", "scipy-lsoda")
+METHODS: list[dict[str, Any]] = [
+    {"name": "rk4"},
+    {"name": "rk-gill"},
+    {"name": "gauss"},
+    {"name": "gauss", "stages": 3, "stage_solver": "fixed-point"},
+    *({"name": name} for name in SCIPY),
+]
+methods = pytest.mark.parametrize("integrator", METHODS, ids=lambda i: "-".join(str(x) for x in i.values()))
+
+
+def spec(model: Any = None, integrator: Any = None, **sections: Any) -> dict[str, Any]:
+    given = {"mbdkit": 1, "model": model or DOUBLE, "integrator": integrator or {"name": "rk4"}}
+    return {**given, "time": {"end": 0.5, "step": 0.01}, **sections}
+
+
+def rod() -> Mechanism:
+    m = Mechanism()
+    m.body("rod", mass=1.0, inertia=1 / 12, position=(0.5, 0.0))
+    m.revolute("A", m.ground, "rod", at=(0.0, 0.0))
+    return m
+
+
+def stiff() -> Mechanism:
+    m = rod()
+    m.spring_damper("s", "rod", m.ground, from_=(1, 0), to=(1, 1), stiffness=1e9, free_length=0.5)
+    return m
+
+
+def stiff_and_free() -> Mechanism:
+    m = stiff()
+    del m.joints["A"]
+    return m
+
+
+def loaded(value: str) -> Mechanism:
+    m = rod()
+    m.torque("t", "rod", value=value)
+    return m
+
+
+def driven(motion: str) -> Mechanism:
+    m = rod()
+    m.driver("d", m.ground, "rod", coordinate="angle", motion=motion)
+    return m
+
+
+RK4, GAUSS = {"name": "rk4"}, {"name": "gauss"}
+FIXED_POINT = {"name": "gauss", "stage_solver": "fixed-point"}
+ENDINGS: dict[str, tuple[Any, dict[str, Any], dict[str, Any], str, str]] = {
+    # name: model, integrator, other sections, status code, words of the sentence
+    "max-steps": (DOUBLE, RK4, {"limits": {"max_steps": 7}}, "max-steps", "limits.max_steps = 7"),
+    "max-steps gauss": (DOUBLE, GAUSS, {"limits": {"max_steps": 7}}, "max-steps", "7 steps"),
+    "max-steps adaptive": (DOUBLE, {"name": "scipy-dop853"}, {"limits": {"max_steps": 3}}, "max-steps", "3 steps"),
+    "wall-time": (
+        {"name": "n-pendulum", "n": 50},
+        RK4,
+        {"time": {"end": 1e4, "step": 1e-3}, "limits": {"wall_time": 0.05}},
+        "wall-time",
+        "limits.wall_time = 0.05",
+    ),
+    "big step": (DOUBLE, GAUSS, {"time": {"end": 40.0, "step": 10.0}}, "newton-failed", "rod"),
+    "fixed-point on a stiff spring": (stiff, FIXED_POINT, {}, "newton-failed", "step 1"),
+    "stiff spring": (stiff, RK4, {"time": {"end": 2.0, "step": 0.05}}, "not-finite", "step"),
+    "stiff spring seldom recorded": (
+        stiff,
+        RK4,
+        {"time": {"end": 2.0, "step": 0.05}, "output": {"every": 7}},
+        "not-finite",
+        "step",
+    ),
+    "stiff spring, free": (
+        stiff_and_free,
+        RK4,
+        {"time": {"end": 2.0, "step": 0.01}, "output": {"every": 100}},
+        "not-finite",
+        "step",
+    ),
+    "stiff spring in small steps": (
+        stiff,
+        RK4,
+        {"time": {"end": 2.0, "step": 0.01}, "output": {"every": 7}},
+        "not-finite",
+        "step",
+    ),
+    "load that ends at a row": (lambda: loaded("log(0.05 - t)"), GAUSS, {"output": {"every": 7}}, "not-finite", "0.0"),
+    "load that ends": (lambda: loaded("log(0.055 - t)"), RK4, {}, "not-finite", "t = 0.0"),
+    "load that ends, seldom recorded": (
+        lambda: loaded("log(0.055 - t)"),
+        RK4,
+        {"output": {"every": 40}},
+        "not-finite",
+        "t = 0.0",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ENDINGS)
+def test_a_run_that_stops_early_says_why_and_leaves_a_sound_archive(name: str, tmp_path: Path) -> None:
+    model, integrator, sections, code, words = ENDINGS[name]
+    path = tmp_path / "run.h5"
+    if callable(model):
+        time = sections.get("time", {"end": 0.5, "step": 0.01})
+        others = {k: v for k, v in sections.items() if k != "time"}
+        returned = mbdkit.run(model(), integrator=integrator, time=time, archive=path, **others)
+    else:
+        returned = mbdkit.run(spec(model, integrator, **sections), archive=path)
+    assert returned.status == "failed"
+    assert returned.status_reason.partition(": ")[0] == code, returned.status_reason
+    assert words in returned.status_reason
+    with pytest.raises(mbdkit.RunError):
+        returned.check()
+    returned.close()
+    assert os.listdir(tmp_path) == ["run.h5"]
+    assert check(path) == []
+    with mbdkit.load(path) as run:
+        assert run.status == "failed"
+        for array in ("position", "velocity", "acceleration"):
+            assert np.all(np.isfinite(run.array(f"trajectory/{array}")))
+        assert np.all(np.isfinite(run.array("energy/total")))
+        assert run.stats["steps"] >= run.array("steps/steps").sum()  # a last state that cannot be recorded is left out
+
+
+def test_a_load_that_is_not_finite_at_the_start_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(mbdkit.SpecError, match="finite"):
+        mbdkit.run(loaded("1/t"), integrator=RK4, time={"end": 0.1, "step": 0.01}, archive=tmp_path / "run.h5")
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("value", ["sqrt(t)", "t**1.5", "asin(t - 1)"])
+def test_a_load_may_start_with_infinite_slope(value: str) -> None:
+    # expected: a load enters by its value alone; only drivers need derivatives
+    assert mbdkit.run(loaded(value), integrator=RK4, time={"end": 0.1, "step": 0.01}).status == "complete"
+
+
+def test_the_state_before_the_step_that_failed_is_recorded() -> None:
+    # expected: rows at the start, every 20 steps, and the last state reached; max_steps = 47
+    run = mbdkit.run(spec(time={"end": 5.0, "step": 0.01}, output={"every": 20}, limits={"max_steps": 47}))
+    np.testing.assert_array_equal(run.time, [0.0, 0.2, 0.4, 47 * 0.01])
+    whole = mbdkit.run(spec(time={"end": 5.0, "step": 0.01}))
+    np.testing.assert_array_equal(run["rod2"].position[-1], whole["rod2"].position[47])
+    np.testing.assert_array_equal(run.array("steps/steps"), [20, 20, 7])
+
+
+def test_a_complete_run_has_no_reason_and_its_counters() -> None:
+    run = mbdkit.run(spec())
+    assert (run.status, run.status_reason) == ("complete", "")
+    assert run.check() is run
+    assert run.stats["steps"] == 50
+    for name in ("setup_s", "wall_s", "finish_s", "cpu_s"):
+        assert run.stats[name] >= 0.0
+
+
+LONG = """\
+mbdkit: 1
+model: {name: n-pendulum, n: 20}
+integrator: {name: rk4}
+time: {end: 1.0e+6, step: 1.0e-3}
+output: {every: 1000}
+limits: {max_steps: 2000000000}
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C is another thing there")
+def test_an_interrupt_in_python_returns_a_run_and_keeps_a_sound_archive(tmp_path: Path) -> None:
+    (tmp_path / "long.yaml").write_text(LONG)
+    program = "import mbdkit; r = mbdkit.run('long.yaml', archive='long.h5'); print(r.status, '|', r.status_reason)"
+    process = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+    try:
+        part, seen = tmp_path / "long.h5.part", 0
+        deadline = time.monotonic() + 200
+        while time.monotonic() < deadline and seen < 2:
+            time.sleep(0.1)
+            seen += part.exists() and part.stat().st_size > 0
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 0
+    assert output.startswith("interrupted | interrupted: stopped by the user at t = ")
+    assert sorted(os.listdir(tmp_path)) == ["long.h5", "long.yaml"]
+    assert check(tmp_path / "long.h5") == []
+    with mbdkit.load(tmp_path / "long.h5") as run:
+        assert run.status == "interrupted"
+        assert run.time[-1] > 0.0
+
+
+def test_signal_handlers_are_those_of_before_after_a_run() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    mbdkit.run(spec())
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@methods
+def test_two_runs_of_one_spec_have_equal_data(integrator: dict[str, Any]) -> None:
+    runs = [mbdkit.run(spec(integrator=integrator)).check() for _ in range(2)]
+    assert runs[0].data_sha256 == runs[1].data_sha256
+    assert runs[0].run_id == runs[1].run_id
+
+
+@methods
+def test_a_run_in_memory_equals_one_in_a_file(integrator: dict[str, Any], tmp_path: Path) -> None:
+    memory = mbdkit.run(spec(integrator=integrator))
+    with mbdkit.run(spec(integrator=integrator), archive=tmp_path / "run.h5") as stored:
+        assert stored.path == tmp_path / "run.h5"
+        assert stored.data_sha256 == memory.data_sha256
+        assert stored.spec_sha256 == memory.spec_sha256
+        np.testing.assert_array_equal(stored["rod2"].position, memory["rod2"].position)
+    assert check(tmp_path / "run.h5") == []
+
+
+def test_the_builder_and_its_spec_give_equal_data() -> None:
+    m = stiff()
+    m.forces["s"] = m.forces["s"].model_copy(update={"stiffness": 20.0, "damping": 0.3})
+    time = {"end": 0.5, "step": 0.01}
+    built = mbdkit.run(m, integrator=GAUSS, time=time)
+    written = mbdkit.run({"mbdkit": 1, "model": m.to_spec(), "integrator": GAUSS, "time": time})
+    assert built.data_sha256 == written.data_sha256
+
+
+def test_what_assembly_did_is_told_in_the_provenance() -> None:
+    m = rod()
+    assert "left untouched" in str(mbdkit.run(m, integrator=RK4, time={"end": 0.1, "step": 0.1}).provenance["assembly"])
+    m.bodies["rod"] = m.bodies["rod"].model_copy(update={"position": (0.6, 0.0)})
+    moved = mbdkit.run(m, integrator=RK4, time={"end": 0.1, "step": 0.1})
+    assert "rod 0." in str(moved.provenance["assembly"])
+    assert moved.misalignment_max < 1e-4
+
+
+def test_joints_that_cannot_meet_leave_no_file(tmp_path: Path) -> None:
+    m = rod()
+    m.revolute("B", "rod", m.ground, points=((0.5, 0.0), (3.0, 0.0)))
+    with pytest.raises(mbdkit.SpecError, match="cannot meet"):
+        mbdkit.run(m, integrator=RK4, time={"end": 1.0, "step": 0.1}, archive=tmp_path / "run.h5")
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_mechanism_without_joints_falls_freely() -> None:
+    # expected: a parabola
+    m = Mechanism()
+    m.body("stone", mass=2.0, position=(1.0, 2.0), velocity=(3.0, 4.0))
+    for integrator in METHODS:
+        run = mbdkit.run(m, integrator=integrator, time={"end": 0.5, "step": 0.1}).check()
+        np.testing.assert_allclose(run["stone"].position[-1], [2.5, 4.0 - 9.81 / 8], rtol=0, atol=1e-7)
+        assert run.misalignment_max == 0.0
+        assert run.joint_names == ()
+
+
+def test_a_mechanism_whose_every_freedom_is_driven_moves_as_told() -> None:
+    # expected: the motion itself
+    for integrator in METHODS:
+        options = {**integrator, "rtol": 1e-11, "atol": 1e-12} if integrator["name"] in SCIPY else integrator
+        run = mbdkit.run(driven("0.5*sin(2*t)"), integrator=options, time={"end": 0.5, "step": 0.01}).check()
+        np.testing.assert_allclose(run["rod"].angle, 0.5 * np.sin(2 * np.asarray(run.time)), rtol=0, atol=1e-8)
+
+
+# ---- SciPy's adaptive methods ----------------------------------------------------------------------------------------
+
+adaptive = pytest.mark.parametrize("name", SCIPY)
+
+
+@adaptive
+@pytest.mark.parametrize(("start", "end", "interval"), [(0.0, 1.0, 0.1), (0.3, 1.0, 0.25), (0.0, 0.4, 1.0)])
+def test_an_interval_of_output_gives_rows_at_its_multiples_and_the_end(
+    name: str, start: float, end: float, interval: float
+) -> None:
+    run = mbdkit.run(
+        spec(integrator={"name": name}, time={"start": start, "end": end}, output={"interval": interval})
+    ).check()
+    count = int(np.ceil((end - start) / interval - 1e-9))
+    expected = [*(start + interval * k for k in range(count)), end]
+    np.testing.assert_allclose(run.time, expected, rtol=0, atol=1e-15)
+    assert run.time[-1] == end
+    assert run.array("steps/steps").sum() == run.stats["steps"]
+
+
+@adaptive
+def test_dense_output_is_about_as_good_as_the_steps(name: str) -> None:
+    # expected: gauss with six stages, converged to round-off
+    options = {"name": name, "rtol": 1e-10, "atol": 1e-12}
+    run = mbdkit.run(spec(integrator=options, time={"end": 1.0}, output={"interval": 0.05})).check()
+    best = mbdkit.run(spec(integrator={"name": "gauss", "stages": 6}, time={"end": 1.0, "step": 0.05}))
+    np.testing.assert_allclose(run["rod2"].position, best["rod2"].position, rtol=0, atol=1e-7)
+
+
+@adaptive
+def test_a_tighter_tolerance_gives_a_smaller_error(name: str) -> None:
+    best = mbdkit.run(spec(integrator={"name": "gauss", "stages": 6}, time={"end": 1.0, "step": 0.05}))
+    errors = []
+    for rtol in (1e-4, 1e-7, 1e-10):
+        run = mbdkit.run(spec(integrator={"name": name, "rtol": rtol, "atol": rtol / 100}, time={"end": 1.0})).check()
+        errors.append(np.abs(run["rod2"].position[-1] - best["rod2"].position[-1]).max())
+    assert errors[0] > 10 * errors[1] > 100 * errors[2]
+
+
+@adaptive
+def test_every_counts_steps_of_an_adaptive_method(name: str) -> None:
+    fine = mbdkit.run(spec(integrator={"name": name}, time={"end": 1.0})).check()
+    coarse = mbdkit.run(spec(integrator={"name": name}, time={"end": 1.0}, output={"every": 4})).check()
+    steps = fine.stats["steps"]
+    assert len(fine.time) == steps + 1
+    kept = sorted({*range(0, steps + 1, 4), steps})
+    np.testing.assert_array_equal(coarse.time, fine.time[kept])
+    np.testing.assert_array_equal(coarse["rod2"].position, fine["rod2"].position[kept])
+
+
+def scipy_counts(name: str, options: dict[str, Any]) -> dict[str, int]:
+    """Return what SciPy itself says of the same run, on mbdkit's right side."""
+    import scipy.integrate
+
+    from mbdkit.engine.assembly import assemble
+    from mbdkit.engine.compiled import compile_mechanism
+    from mbdkit.engine.problem import Problem
+    from mbdkit.integrators.methods import SciPySolver
+    from mbdkit.integrators.stepping import Timetable
+    from mbdkit.spec import load_spec
+
+    solver = {"scipy-radau": "Radau", "scipy-dop853": "DOP853", "scipy-lsoda": "LSODA"}[name]
+    mechanism = load_spec(spec(), ()).mechanism()
+    compiled = compile_mechanism(mechanism)
+    start = assemble(mechanism, 0.0, compiled)
+    q, v = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
+    stepper = SciPySolver(solver, **options).start(Problem(compiled, 0.0, q, v), Timetable(0.0, 1.0))
+    jacobian = {"jac": stepper.jacobian} if name != "scipy-dop853" else {}  # type: ignore[attr-defined]
+    found = scipy.integrate.solve_ivp(
+        stepper.rates,  # type: ignore[attr-defined]
+        (0.0, 1.0),
+        np.concatenate([q[:-3], v[:-3]]),
+        method=solver,
+        **options,
+        **jacobian,
+    )
+    return {"steps": len(found.t) - 1, "nfev": found.nfev, "njev": found.njev, "nlu": found.nlu}
+
+
+@adaptive
+def test_counters_of_an_adaptive_method_are_those_of_scipy(name: str) -> None:
+    # expected: scipy.integrate.solve_ivp on the same right side
+    options = {"rtol": 1e-7, "atol": 1e-9}
+    run = mbdkit.run(spec(integrator={"name": name, **options}, time={"end": 1.0})).check()
+    expected = scipy_counts(name, options)
+    assert run.stats["steps"] == run.stats["accepted"] == expected["steps"]
+    assert abs(run.stats["rhs_evaluations"] - expected["nfev"]) <= 2
+    assert run.stats["jacobian_evaluations"] == expected["njev"]
+    solves = run.stats["rhs_evaluations"] + expected["nlu"]  # and up to two in every Jacobian
+    jacobians = run.stats["jacobian_evaluations"]
+    assert solves + jacobians <= run.stats["factorizations"] <= solves + 2 * jacobians
+    assert run.array("steps/rejected").sum() == run.stats["rejected"]
+
+
+def test_steps_rejected_by_dop853_are_counted() -> None:
+    # expected: 12 evaluations an attempt, the first of which is the last of the step before
+    run = mbdkit.run(spec(integrator={"name": "scipy-dop853"}, time={"end": 2.0, "step": 0.5})).check()
+    attempts = run.stats["accepted"] + run.stats["rejected"]
+    assert run.stats["rejected"] > 0
+    assert abs(run.stats["rhs_evaluations"] - 12 * attempts) <= 2
+
+
+@pytest.mark.parametrize("name", ["scipy-radau", "scipy-dop853"])
+def test_a_first_step_that_overflows_is_taken_back(name: str) -> None:
+    # expected: the solver rejects it, and the run is that of a better first step
+    m = stiff()
+    m.forces["s"] = m.forces["s"].model_copy(update={"stiffness": 1e8})
+    runs = [mbdkit.run(m, integrator={"name": name}, time={"end": 1e-3, "step": step}) for step in (1e-3, 1e-9)]
+    assert [run.status for run in runs] == ["complete", "complete"], runs[0].status_reason
+    np.testing.assert_allclose(runs[0]["rod"].angle[-1], runs[1]["rod"].angle[-1], rtol=1e-5)
