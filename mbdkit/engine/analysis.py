@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,10 +15,16 @@ PIVOT_STRATEGIES = (("NATURAL", 1e-3), ("MMD_AT_PLUS_A", 1e-3), ("COLAMD", 0.1),
 """SuperLU's column order, and how small a diagonal pivot may be against its column; in order of preference."""
 
 ACCURATE = 1e-11
-"""Largest residual, relative to the rows, of a trial solution with pivots that are fit for use."""
+"""Largest residual of a trial solution, relative to its right side, with pivots that are fit for use."""
 
 LITTLE_FILL = 4
 """Entries of the factors, relative to those of the matrix, below which no further strategy is tried."""
+
+GOOD_CONDITION = 1e8
+"""Condition of the equilibrated matrix, in the 1-norm, below which no other scaling is tried."""
+
+WORST_CONDITION = 1e13
+"""Condition above which the matrix counts as singular."""
 
 
 class SingularSystemError(Exception):
@@ -123,10 +130,19 @@ def empty_schur() -> Schur:
     return schur_schedule([], -1, [], [])
 
 
+class PivotChoice(NamedTuple):
+    """An order of elimination with the scaling it was chosen under; all (n,), scales in original order."""
+
+    row_of: np.ndarray
+    column_of: np.ndarray
+    row_scale: np.ndarray
+    column_scale: np.ndarray
+
+
 def pivot_order(
-    n: int, row: np.ndarray, column: np.ndarray, values: np.ndarray, natural: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Choose pivots of a sparse matrix by its numbers: SuperLU on equilibrated rows, the sparsest accurate factors.
+    n: int, row: np.ndarray, column: np.ndarray, values: np.ndarray, natural: np.ndarray, scales: Sequence[np.ndarray]
+) -> PivotChoice:
+    """Choose pivots of a sparse matrix by its numbers: SuperLU on the equilibrated matrix, the sparsest fit factors.
 
     Parameters
     ----------
@@ -136,56 +152,101 @@ def pivot_order(
         (nnz,) the entries.
     natural
         (n,) an order of the unknowns that gives little fill where its diagonal pivots will do.
+    scales
+        Symmetric scalings (n,) to begin equilibration with; the first that leaves the matrix well conditioned is
+        taken, or else the best. Small inertias ask for another than small masses.
 
     Returns
     -------
-    row_of, column_of : (n,) arrays
-        Row and column of the matrix at each pivot position.
+    PivotChoice
+        Row and column at each pivot position, and the scaling.
 
     Raises
     ------
     SingularSystemError
-        Where no pivot is left.
+        Where no pivot is left, or none that carries digits.
     """
     from scipy.sparse import csc_array
-    from scipy.sparse.linalg import splu
 
     place = np.empty(n, dtype=np.int64)
     place[natural] = np.arange(n)
-    matrix = csc_array((values, (place[row], place[column])), shape=(n, n))
-    largest = abs(matrix).max(axis=1).toarray().ravel()
-    if not np.all(np.isfinite(largest)):
+    best, least = None, WORST_CONDITION
+    for scale in scales:
+        row_scale, column_scale = equilibrate(n, row, column, np.abs(values) * scale[row] * scale[column])
+        row_scale, column_scale = row_scale * scale, column_scale * scale
+        # entries that are zero just now stay in the pattern: a product of sparse matrices would drop them
+        entries = values * row_scale[row] * column_scale[column]
+        scaled = csc_array((entries, (place[row], place[column])), shape=(n, n))
+        lu, condition = _sparsest(scaled)
+        if condition < least:
+            best, least = PivotChoice(lu.perm_r, lu.perm_c, row_scale, column_scale), condition
+        if least < GOOD_CONDITION:
+            break
+    if best is None:
         raise SingularSystemError
-    if not np.all(largest > 0):
-        raise SingularSystemError(int(natural[np.argmin(largest)]))
-    # entries that are zero just now stay in the pattern: a sparse product would drop them, and fill would come back
-    scaled = csc_array((values / largest[place[row]], (place[row], place[column])), shape=(n, n))
-    probe = scaled @ np.ones(n)
+    row_of, column_of = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    row_of[best.row_of], column_of[best.column_of] = natural, natural
+    return best._replace(row_of=row_of, column_of=column_of)
+
+
+def _sparsest(matrix: Any) -> tuple[Any, float]:
+    """Return SuperLU's factors of an equilibrated matrix with little fill, and the condition in the 1-norm."""
+    from scipy.sparse.linalg import LinearOperator, onenormest, splu
+
+    probe = matrix @ np.ones(matrix.shape[0])
     best = None
     for ordering, threshold in PIVOT_STRATEGIES:
         try:
-            lu = splu(
-                scaled, permc_spec=ordering, diag_pivot_thresh=threshold, options={"SymmetricMode": threshold < 1}
-            )
+            options = {"SymmetricMode": threshold < 1}
+            lu = splu(matrix, permc_spec=ordering, diag_pivot_thresh=threshold, options=options)
         except RuntimeError:
             continue
-        error = np.max(np.abs(scaled @ lu.solve(probe) - probe))
-        if error <= ACCURATE and (best is None or lu.nnz < 0.9 * best.nnz):
+        error = np.max(np.abs(matrix @ lu.solve(probe) - probe), initial=0.0)
+        if error <= ACCURATE * np.max(np.abs(probe), initial=1.0) and (best is None or lu.nnz < 0.9 * best.nnz):
             best = lu
         if best is not None and best.nnz <= LITTLE_FILL * matrix.nnz:
             break
     if best is None:
+        return None, np.inf
+    inverse = LinearOperator(
+        matrix.shape,
+        matvec=lambda x: best.solve(x.ravel()),
+        rmatvec=lambda x: best.solve(x.ravel(), "H"),
+        dtype=matrix.dtype,
+    )
+    return best, float(onenormest(inverse) * abs(matrix).sum(axis=0).max())
+
+
+def equilibrate(n: int, row: np.ndarray, column: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return factors, powers of two, that bring the largest entry of every row and column near 1 (Ruiz 2001).
+
+    Raises
+    ------
+    SingularSystemError
+        Where a row or column is empty, or an entry not finite.
+    """
+    if not np.all(np.isfinite(sizes)):
         raise SingularSystemError
-    row_of = np.empty(n, dtype=np.int64)
-    row_of[best.perm_r] = natural
-    column_of = np.empty(n, dtype=np.int64)
-    column_of[best.perm_c] = natural
-    return row_of, column_of
+    row_scale, column_scale = np.ones(n), np.ones(n)
+    for _ in range(4):
+        scaled = sizes * row_scale[row] * column_scale[column]
+        row_largest, column_largest = np.zeros(n), np.zeros(n)
+        np.maximum.at(row_largest, row, scaled)
+        np.maximum.at(column_largest, column, scaled)
+        empty = (row_largest == 0) | (column_largest == 0)
+        if np.any(empty):
+            raise SingularSystemError(int(np.argmax(empty)))
+        row_scale /= np.sqrt(row_largest)
+        column_scale /= np.sqrt(column_largest)
+    return power_of_two(row_scale), power_of_two(column_scale)
 
 
-def symbolic_lu(
-    n: int, row: np.ndarray, column: np.ndarray, row_of: np.ndarray, column_of: np.ndarray
-) -> tuple[Pattern, np.ndarray]:
+def power_of_two(x: np.ndarray) -> np.ndarray:
+    """Return the nearest powers of two: scaling by them rounds nothing."""
+    return np.exp2(np.round(np.log2(x)))
+
+
+def symbolic_lu(n: int, row: np.ndarray, column: np.ndarray, choice: PivotChoice) -> tuple[Pattern, np.ndarray]:
     """Work out the pattern of the factors for a fixed order of pivots.
 
     Returns
@@ -195,6 +256,7 @@ def symbolic_lu(
     position : (nnz,) int array
         Where each given entry stands among the values of A.
     """
+    row_of, column_of, row_scale, column_scale = choice
     row_place, column_place = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     row_place[row_of] = np.arange(n)
     column_place[column_of] = np.arange(n)
@@ -226,7 +288,11 @@ def symbolic_lu(
         upper.append(sorted(c for c in pattern if c > r))
     l_start, l_column = _flat(lower)
     u_start, u_column = _flat(upper)
-    return Pattern(a_start, a_column, l_start, l_column, u_start, u_column, row_of, column_of), position
+    weight = (row_scale[row] * column_scale[column])[sort]
+    found = Pattern(
+        a_start, a_column, l_start, l_column, u_start, u_column, row_of, column_of, row_scale, column_scale, weight
+    )
+    return found, position
 
 
 def _flat(rows: list[list[int]]) -> tuple[np.ndarray, np.ndarray]:
@@ -237,8 +303,8 @@ def _flat(rows: list[list[int]]) -> tuple[np.ndarray, np.ndarray]:
 def empty_pattern() -> Pattern:
     """Return the pattern of a matrix without unknowns."""
     none = np.zeros(0, dtype=np.int64)
-    zero = np.zeros(1, dtype=np.int64)
-    return Pattern(zero, none, zero, none, zero, none, none, none)
+    zero, scale = np.zeros(1, dtype=np.int64), np.zeros(0)
+    return Pattern(zero, none, zero, none, zero, none, none, none, scale, scale, scale)
 
 
 def new_factors(pattern: Pattern, dtype: type) -> Factors:
@@ -249,5 +315,6 @@ def new_factors(pattern: Pattern, dtype: type) -> Factors:
         lower=np.zeros(len(pattern.l_column), dtype),
         upper=np.zeros(len(pattern.u_column), dtype),
         pivot=np.zeros(n, dtype),
+        reference=np.zeros(n),
         work=np.zeros(n, dtype),
     )

@@ -295,7 +295,7 @@ class _Assembly:
 
     def stationary(self, given: np.ndarray, q: np.ndarray, tolerance: float) -> np.ndarray | None:
         """Run Newton on the conditions of least change from `q`; None where it does not come to a nearer point."""
-        start, nothing = q, np.zeros(self.n)
+        start = q
         size = max(1.0, float(np.max(np.abs(q), initial=0.0)), self.reach)
         multipliers: np.ndarray | None = None
         for _ in range(20):
@@ -303,7 +303,7 @@ class _Assembly:
             pull = self.mass * (q - given)
             try:
                 if multipliers is None:
-                    multipliers = self.kkt(jacobian)(pull, nothing[: len(phi)])[1]
+                    multipliers = self.kkt(jacobian)(pull, np.zeros(len(phi)))[1]
                 row, column, value = jacobian
                 gradient = pull + np.bincount(column, value * multipliers[row], minlength=self.n)
                 step, change = self.kkt(jacobian, self.stiffness(q, multipliers))(gradient, phi)

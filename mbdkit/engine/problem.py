@@ -12,6 +12,7 @@ from mbdkit.engine.analysis import (
     empty_schur,
     new_factors,
     pivot_order,
+    power_of_two,
     schur_schedule,
     symbolic_lu,
 )
@@ -122,10 +123,23 @@ class Problem:
         np.add.at(
             values, which, terms.coefficients(rate if rate is not None else 0.0) * self.scratch.source[terms.source]
         )
-        row_of, column_of = pivot_order(n, row, column, values, self.mechanism.natural_order)
-        pattern, position = symbolic_lu(n, row, column, row_of, column_of)
+        scales = (np.ones(n), self._inertial_scale())
+        choice = pivot_order(n, row, column, values, self.mechanism.natural_order, scales)
+        pattern, position = symbolic_lu(n, row, column, choice)
         scatter = _scatter(terms, position[which])
         return pattern, new_factors(pattern, values.dtype.type), scatter
+
+    def _inertial_scale(self) -> np.ndarray:
+        """Return (n,) powers of two near M^-1/2 for coordinates and diag(Phi_q M^-1 Phi_q^T)^-1/2 for multipliers."""
+        top, jac = self.mechanism.topology, self.scratch.jac.reshape(-1, 2, 2, 3)
+        weight = top.weight[top.pairs[:, 1:3]]
+        diagonal = np.einsum("krsc,ksc->kr", jac**2, weight)
+        scale = np.ones(self.unknowns)
+        scale[: 3 * len(self.mechanism.bodies)] = np.sqrt(top.weight[:-1].ravel())
+        for index, value in zip(self.mechanism.row_index.ravel(), diagonal.ravel(), strict=True):
+            if index >= 0 and 0 < value < np.inf:
+                scale[index] = 1 / np.sqrt(value)
+        return power_of_two(scale)
 
     def is_finite(self) -> bool:
         """Return whether the terms that were evaluated last are finite numbers."""

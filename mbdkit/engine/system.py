@@ -25,7 +25,7 @@ OK, REPIVOT, REPIVOT_STAGES, NOT_FINITE, DIVERGED = range(5)
 """What a kernel reports: done; the index-1 system or the stage matrix needs new pivots; overflow; no convergence."""
 
 KKT_TOLERANCE = 1e-9
-"""Largest row residual, relative to the row's terms, that a solution of the pivoted system may have."""
+"""Largest residual, relative to the largest row of terms, that a solution of the pivoted system may have."""
 
 
 class Topology(NamedTuple):
@@ -172,8 +172,8 @@ def apply_multipliers(pairs, jac, weight, lam, acc):
 
 
 @inlined
-def gather_values(source, scatter, rate, values):
-    """Fill the values of a sparse matrix from the element terms; `rate` is h mu, and 0 leaves the bare KKT matrix."""
+def gather_values(source, scatter, rate, weight, values):
+    """Fill the scaled values of a sparse matrix from the element terms; `rate` is h mu, 0 for the bare KKT matrix."""
     values[:] = 0.0
     for e in range(len(scatter.one)):
         values[scatter.one[e, 1]] += source[scatter.one[e, 0]]
@@ -185,6 +185,8 @@ def gather_values(source, scatter, rate, values):
             values[scatter.minus_rate[e, 1]] -= rate * source[scatter.minus_rate[e, 0]]
         for e in range(len(scatter.level)):
             values[scatter.level[e, 1]] += level * source[scatter.level[e, 0]]
+    for x in range(len(values)):
+        values[x] *= weight[x]
 
 
 @part
@@ -205,7 +207,7 @@ def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
     for k in range(len(top.pairs)):
         for r in range(top.rows[k]):
             right[row_index[k, r]] = w.gamma[k, r]
-    gather_values(w.source, solver.scatter, 0.0, factors.a)
+    gather_values(w.source, solver.scatter, 0.0, pattern.weight, factors.a)
     solver.failed[0] = factorize(pattern, factors)
     if solver.failed[0] >= 0:
         return REPIVOT

@@ -171,7 +171,7 @@ def run_implicit(
             now = relative_change(acc, change, bodies)
             ratio = now / before
             settled = now == 0.0 or (m > 1 and ratio < 0.9 and ratio / (1.0 - ratio) * now <= tolerance)
-            if not settled and m > 1 and ratio > 0.5:  # no longer shrinking: round-off, or divergence
+            if not settled and m > 1 and ratio > 0.5 and now < np.inf:  # shrinks no more: round-off, or divergence
                 idle += 1
                 settled = now <= STAGNANT or change_against_state(change, h, q, bodies) <= FEW_ROUNDINGS
                 if not settled and idle >= IDLE:
@@ -350,4 +350,4 @@ class ImplicitStepper(FixedStepper):
 def _stack(pattern, count: int, dtype: type) -> Factors:
     """Return storage for the factors of `count` matrices of one pattern."""
     one = new_factors(pattern, dtype)
-    return Factors(*(np.zeros((count, len(x)), dtype) for x in one))
+    return Factors(*(np.zeros((count, len(x)), x.dtype) for x in one))

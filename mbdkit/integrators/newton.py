@@ -8,16 +8,24 @@ from mbdkit.engine.system import gather_values
 
 
 @inlined
+def one_of(factors, e):
+    """Return the factors of eigenvalue `e` out of stacked ones."""
+    return Factors(
+        factors.a[e], factors.lower[e], factors.upper[e], factors.pivot[e], factors.reference[e], factors.work[e]
+    )
+
+
+@inlined
 def factorize_all(source, scatter, pattern, real, cplx, mu_real, mu_complex, h):
     """Gather and factorize the matrix of every eigenvalue; return the failed pivot position or -1."""
     for e in range(len(mu_real)):
-        gather_values(source, scatter, h * mu_real[e], real.a[e])
-        failed = factorize(pattern, Factors(real.a[e], real.lower[e], real.upper[e], real.pivot[e], real.work[e]))
+        gather_values(source, scatter, h * mu_real[e], pattern.weight, real.a[e])
+        failed = factorize(pattern, one_of(real, e))
         if failed >= 0:
             return failed
     for e in range(len(mu_complex)):
-        gather_values(source, scatter, h * mu_complex[e], cplx.a[e])
-        failed = factorize(pattern, Factors(cplx.a[e], cplx.lower[e], cplx.upper[e], cplx.pivot[e], cplx.work[e]))
+        gather_values(source, scatter, h * mu_complex[e], pattern.weight, cplx.a[e])
+        failed = factorize(pattern, one_of(cplx, e))
         if failed >= 0:
             return failed
     return -1
@@ -54,9 +62,7 @@ def newton_changes(
             for d in range(n3):
                 z_real[d] += w * defects[j, d]
         _lift(top.mass, top.pairs, top.rows, row_index, jac, z_real, n3, b_real)
-        substitute(
-            pattern, Factors(real.a[e], real.lower[e], real.upper[e], real.pivot[e], real.work[e]), b_real, x_real
-        )
+        substitute(pattern, one_of(real, e), b_real, x_real)
         for i in range(s):
             w = t_real[i, e]
             for d in range(n3):
@@ -69,9 +75,7 @@ def newton_changes(
             for d in range(n3):
                 z_complex[d] += z * defects[j, d]
         _lift(top.mass, top.pairs, top.rows, row_index, jac, z_complex, n3, b_complex)
-        substitute(
-            pattern, Factors(cplx.a[e], cplx.lower[e], cplx.upper[e], cplx.pivot[e], cplx.work[e]), b_complex, x_complex
-        )
+        substitute(pattern, one_of(cplx, e), b_complex, x_complex)
         for i in range(s):
             z = t_complex[i, e]
             for d in range(n3):

@@ -125,6 +125,8 @@ def change_against_forces(top, w, v, lam, acc, bodies, change):
                     level_t = max(level_t, level)
                 else:
                     level_r = max(level_r, level)
+    if not level_t + level_r < np.inf:
+        return np.inf
     worst = 0.0
     for i in range(len(change)):
         for b in range(bodies):

@@ -46,8 +46,9 @@ def _read(text: str, number: Callable[[str], Any], root: Callable[[Any], Any]) -
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
             return -visit(node.operand)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "sqrt":
-            return root(visit(node.args[0]))
-        if isinstance(node, ast.Constant) and isinstance(node.value, int | float):
+            if len(node.args) == 1 and not node.keywords:
+                return root(visit(node.args[0]))
+        elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
             return number(ast.get_source_segment(text, node) or str(node.value))
         raise TableauError(f"cannot read the coefficient {text!r}: use numbers, + - * / ** and sqrt")
 
@@ -55,9 +56,13 @@ def _read(text: str, number: Callable[[str], Any], root: Callable[[Any], Any]) -
         return visit(ast.parse(text, mode="eval").body)
     except SyntaxError as error:
         raise TableauError(f"cannot read the coefficient {text!r}: {error.msg}") from None
+    except (ZeroDivisionError, RecursionError, ValueError) as error:
+        raise TableauError(f"cannot read the coefficient {text!r}: {error}") from None
 
 
 def _precise(value: Coefficient) -> mpmath.mpf:
+    if isinstance(value, bool):
+        raise TableauError(f"a coefficient should be a number, not {value!r}")
     if isinstance(value, str):
         return _read(value, mpmath.mpf, mpmath.sqrt)
     if isinstance(value, Fraction):
@@ -152,6 +157,8 @@ class ButcherTableau:
             raise TableauError(
                 f"{name}: a, b and c do not belong together: {len(a)} rows, {stages} weights, {len(c)} nodes"
             )
+        if isinstance(order, bool) or not isinstance(order, int) or order < 1:
+            raise TableauError(f"{name}: the order should be a whole number from 1, not {order!r}")
         padded = tuple(tuple(row) + (0,) * (stages - len(row)) for row in a)
         for field, value in (("name", name), ("a", padded), ("b", tuple(b)), ("c", tuple(c)), ("order", order)):
             object.__setattr__(self, field, value)
@@ -274,6 +281,8 @@ class ButcherTableau:
 
     def _check(self) -> None:
         a, b, c = self._numbers
+        if not all(mpmath.isfinite(x) for row in (*a, b, c) for x in row):
+            raise TableauError(f"{self.name}: every coefficient should be a finite real number")
         with mpmath.workdps(_DIGITS):
             for i, row in enumerate(a):
                 defect = mpmath.fsum(row) - c[i]

@@ -165,8 +165,8 @@ class Sparse:
     def pattern(self) -> tuple[lu.Pattern, np.ndarray]:
         n = len(self.matrix)
         natural = np.random.default_rng(n).permutation(n)  # any order will do, the matrix is small
-        order = pivot_order(n, self.row, self.column, self.values, natural)
-        return symbolic_lu(n, self.row, self.column, *order)
+        choice = pivot_order(n, self.row, self.column, self.values, natural, [np.ones(n)])
+        return symbolic_lu(n, self.row, self.column, choice)
 
 
 @pytest.mark.parametrize("dtype", [float, complex])
@@ -182,7 +182,7 @@ def test_sparse_lu_solves_real_and_complex_systems(dtype: type, n: int, m: int, 
         values = sparse.values * (1 + change * rng.normal(size=len(sparse.values)))
         matrix = np.zeros_like(sparse.matrix)
         matrix[sparse.row, sparse.column] = values
-        factors.a[position] = values
+        factors.a[position] = values * pattern.weight[position]
         assert lu.factorize.py_func(pattern, factors) == -1
         b = rng.normal(size=n + m).astype(dtype)
         x, r = np.zeros((2, n + m), dtype)
@@ -200,7 +200,7 @@ def test_pivots_that_have_worn_out_are_reported() -> None:
     sparse = Sparse(6, 3, rng, float)
     pattern, position = sparse.pattern()
     factors = new_factors(pattern, np.float64)
-    factors.a[position] = sparse.values
+    factors.a[position] = sparse.values * pattern.weight[position]
     first = (sparse.row == pattern.row_of[0]) & (sparse.column == pattern.column_of[0])
     factors.a[position[first]] = 0.0
     assert lu.factorize.py_func(pattern, factors) == 0

@@ -9,6 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit.engine import problem as problem_module
+from mbdkit.engine.analysis import PivotChoice
 from mbdkit.engine.assembly import assemble
 from mbdkit.engine.compiled import compile_mechanism
 from mbdkit.engine.observe import constraints_at
@@ -85,7 +86,8 @@ def doomed_order(n: int, row: np.ndarray, column: np.ndarray, values: np.ndarray
         matrix[i], matrix[:, j] = 0.0, 0.0
         left = np.abs(matrix)
         pivots.append(tuple(int(x) for x in np.unravel_index(np.argmax(left), left.shape)))  # type: ignore[arg-type]
-    return tuple(np.array(x) for x in zip(*pivots, strict=True))
+    rows, columns = (np.array(x) for x in zip(*pivots, strict=True))
+    return PivotChoice(rows, columns, np.ones(n), np.ones(n))
 
 
 @pytest.mark.parametrize(
