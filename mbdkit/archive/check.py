@@ -124,7 +124,7 @@ class _Checker:
         asked = output.get("quantities", "all") if isinstance(output, dict) else "all"
         wanted = layout.QUANTITIES if asked == "all" or not isinstance(asked, list) else frozenset(map(str, asked))
         present = {name for name in layout.QUANTITIES if name in self.file and name != "joints"}
-        if "joints" in self.file and len(self.file["joints"]) > 1:
+        if "joints" in self.file and any(f"joints/{name}" not in layout.ALWAYS for name in self.file["joints"]):
             present.add("joints")
         extra = frozenset(path for path, array in BY_PATH.items() if array.optional and path in self.file)
         return layout.recorded((wanted & layout.QUANTITIES) | present, extra)

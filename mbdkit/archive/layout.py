@@ -211,6 +211,9 @@ LAYOUT: tuple[Array, ...] = (
     Array("steps/rejected", _N, "1", "steps rejected in the interval", INTEGER),
 )
 
+#: Arrays that are there whatever is recorded.
+ALWAYS = frozenset(("joints/joint", "joints/first_body", "joints/second_body"))
+
 BY_PATH: Mapping[str, Array] = {array.path: array for array in LAYOUT}
 GROUPS = ("trajectory", "joints", "constraints", "energy", "steps")
 
@@ -233,10 +236,6 @@ def recorded(quantities: frozenset[str], extra: frozenset[str] = frozenset()) ->
     return tuple(
         array
         for array in LAYOUT
-        if (
-            array.group not in QUANTITIES
-            or array.group in quantities
-            or array.path in ("joints/joint", "joints/first_body", "joints/second_body")
-        )
+        if (array.group not in QUANTITIES or array.group in quantities or array.path in ALWAYS)
         and (not array.optional or array.path in extra)
     )

@@ -63,6 +63,10 @@ _ARITHMETIC: dict[str, Callable[..., float]] = {
 _BINARY = {"add", "sub", "mul", "div", "pow", "atan2", "min", "max"}
 
 
+TIME = dict.fromkeys(("time", "T"), " (the time is t)")
+"""What is said of names that others give the time."""
+
+
 @dataclass(frozen=True)
 class Expression:
     """A scalar function of time.
@@ -186,7 +190,8 @@ class _Compiler:
                 self.refuse(f"'{name}' is a function and needs its argument in parentheses", node)
             case ast.Name():
                 name = self.segment(node)
-                self.refuse(f"unknown name '{name}'{did_you_mean(name, ['t', 'pi', *FUNCTIONS])}; the time is t", node)
+                hint = TIME.get(name) or did_you_mean(name, ["t", "pi", *FUNCTIONS])
+                self.refuse(f"unknown name '{name}'{hint}", node)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.compile(operand, nesting + 1)
             case ast.UnaryOp(op=ast.USub(), operand=operand):

@@ -42,7 +42,7 @@ class Document:
         for length in range(len(path), 0, -1):
             if path[:length] in self.overridden:
                 return error.located(file=f"--set {self.overridden[path[:length]]}")
-        if path and path[0] in self.keywords:
+        if self.file and path and path[0] in self.keywords:
             return error.located(file=f"keyword {path[0]}")
         if not self.file or error.line is not None:
             return error.located(file=self.file or None)

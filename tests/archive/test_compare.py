@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +73,7 @@ def test_other_shapes_and_names_differ_without_bound() -> None:
     result = compared(Run(make(None, quantities=frozenset())))
     assert result.differences["energy/total"] == np.inf
     named = names()
-    other = type(named)(["rod1", "rod3"], named.joints, named.constraints, named.constraint_units)
+    other = replace(named, bodies=["rod1", "rod3"])
     assert compared(Run(make(None, named=other))).differences["trajectory/body"] == np.inf
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -263,7 +264,7 @@ def test_spec_and_misalignments_may_exceed_64_kib(tmp_path: Path) -> None:
 
 def test_names_may_be_in_any_script(tmp_path: Path) -> None:
     named = names()
-    named = type(named)(["Schenkel links", "大腿"], ["knee joint", "Hüfte"], named.constraints, named.constraint_units)
+    named = replace(named, bodies=["Schenkel links", "大腿"], joints=["knee joint", "Hüfte"])
     make(tmp_path / "run.h5", named=named)
     with load(tmp_path / "run.h5") as run:
         assert list(run.bodies) == ["Schenkel links", "大腿"]
