@@ -41,14 +41,7 @@ from mbdkit.engine.system import (
 from mbdkit.engine.vectors import add_compensated, copy, stays_finite
 from mbdkit.integrators.fixed_step import FixedStepper, State, book_energies, note_misalignment
 from mbdkit.integrators.newton import factorize_all, newton_changes
-from mbdkit.integrators.stages import (
-    change_against_forces,
-    change_against_state,
-    extrapolate,
-    relative_change,
-    stage_mean,
-    stage_states,
-)
+from mbdkit.integrators.stages import STAGNANT, extrapolate, is_round_off, relative_change, stage_mean, stage_states
 
 if TYPE_CHECKING:
     from mbdkit.engine.problem import Problem
@@ -61,14 +54,8 @@ NEWTON, FIXED_POINT = range(2)
 ROUND_OFF = 1e-18
 """A change of the accelerations that is expected to stay below this, relative to their size, ends the iteration."""
 
-STAGNANT = 1e-12
-"""A change that no longer shrinks is round-off where it is smaller than this, relative to the accelerations."""
-
-FEW_ROUNDINGS = 4.0
-"""A change that no longer shrinks is round-off where it moves the state by no more roundings than these."""
-
 IDLE = 4
-"""So many iterations without progress are taken for round-off against single forces, below `STAGNANT` of them."""
+"""After so many iterations without progress a change is compared with single forces as well."""
 
 RUNAWAY = 1e-6
 """Relative change above which growth from one iteration to the next counts as divergence."""
@@ -173,10 +160,9 @@ def run_implicit(
             settled = now == 0.0 or (m > 1 and ratio < 0.9 and ratio / (1.0 - ratio) * now <= tolerance)
             if not settled and m > 1 and ratio > 0.5 and now < np.inf:  # shrinks no more: round-off, or divergence
                 idle += 1
-                settled = now <= STAGNANT or change_against_state(change, h, q, bodies) <= FEW_ROUNDINGS
-                if not settled and idle >= IDLE:
-                    level = change_against_forces(top, w, v_stage[s - 1], lam[s - 1], acc[s - 1], bodies, change)
-                    settled = level <= STAGNANT
+                settled = now <= STAGNANT or is_round_off(
+                    top, w, h, q, v_stage[s - 1], lam[s - 1], acc[s - 1], bodies, change, idle >= IDLE
+                )
             if settled:
                 if has_power:
                     continue  # once more through the stages, for their powers

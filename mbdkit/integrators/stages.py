@@ -8,6 +8,12 @@ from mbdkit.engine.cache import part
 
 EPS = float(np.finfo(float).eps)
 
+FEW_ROUNDINGS = 4.0
+"""A change that no longer shrinks is round-off where it moves the state by no more roundings than these."""
+
+STAGNANT = 1e-12
+"""A change that no longer shrinks is round-off below this, relative to accelerations or single forces."""
+
 
 @part
 def stage_states(h, a, a2, c, q, v, acc, q_stage, v_stage):
@@ -73,30 +79,27 @@ def relative_change(acc, change, bodies):
 
 
 @part
-def change_against_state(change, h, q, bodies):
-    """Return the largest effect of a change of accelerations on the state of a step, in roundings of that state.
+def is_round_off(top, w, h, q, v, lam, acc, bodies, change, patient):
+    """Return whether a change of accelerations that no longer shrinks is round-off, linear and angular ones apart.
 
-    Lengths are compared with the largest coordinate (1 m at least), angles with the largest angle (1 rad at least).
+    It is where it moves the state of a step by a few roundings only; lengths are compared with the largest coordinate
+    (1 m at least), angles with the largest angle (1 rad at least). To the `patient`, who have seen it idle for long, it
+    is as well where it is small against what single forces would give: forces that cancel, or point along their arm,
+    leave their round-off behind, so that magnitudes are added up.
     """
+    change_t = change_r = 0.0
     size_t = size_r = 1.0
     for b in range(bodies):
         size_t = max(size_t, abs(q[3 * b]), abs(q[3 * b + 1]))
         size_r = max(size_r, abs(q[3 * b + 2]))
-    worst = 0.0
-    for i in range(len(change)):
-        for b in range(bodies):
-            shift = max(abs(change[i, 3 * b]), abs(change[i, 3 * b + 1])) / size_t
-            worst = max(worst, shift, abs(change[i, 3 * b + 2]) / size_r)
-    return worst * h * h / EPS
-
-
-@part
-def change_against_forces(top, w, v, lam, acc, bodies, change):
-    """Return the largest change of an acceleration relative to what single forces would give: a floor for round-off.
-
-    Magnitudes are added up: forces that cancel, or point along their arm, leave their round-off behind.
-    """
-    level_t = level_r = 0.0
+        for i in range(len(change)):
+            change_t = max(change_t, abs(change[i, 3 * b]), abs(change[i, 3 * b + 1]))
+            change_r = max(change_r, abs(change[i, 3 * b + 2]))
+    small_t = change_t * h * h <= FEW_ROUNDINGS * EPS * size_t
+    small_r = change_r * h * h <= FEW_ROUNDINGS * EPS * size_r
+    if not patient or (small_t and small_r):
+        return small_t and small_r
+    level_t = level_r = inverse_arm = 0.0
     for b in range(bodies):
         level_t = max(level_t, abs(top.gravity[0]), abs(top.gravity[1]))
         level_t = max(level_t, abs(acc[3 * b]), abs(acc[3 * b + 1]))
@@ -109,6 +112,8 @@ def change_against_forces(top, w, v, lam, acc, bodies, change):
             x, y = abs(w.jac[k, c]) + abs(w.jac[k, 6 + c]), abs(w.jac[k, c + 1]) + abs(w.jac[k, 7 + c])
             arm = abs(top.pair_parameters[k, 2 * side]) + abs(top.pair_parameters[k, 2 * side + 1])
             turn = abs(w.jac[k, c + 2]) + abs(w.jac[k, 8 + c]) + arm
+            if arm > 0.0:
+                inverse_arm = max(inverse_arm, 1.0 / arm)
             level_t = max(level_t, force * max(x, y) * top.weight[b, 0])
             level_r = max(level_r, force * turn * top.weight[b, 2])
     for k in range(len(top.springs)):
@@ -125,14 +130,7 @@ def change_against_forces(top, w, v, lam, acc, bodies, change):
                     level_t = max(level_t, level)
                 else:
                     level_r = max(level_r, level)
+    level_r = max(level_r, level_t * inverse_arm)  # a point that is held turns its body along
     if not level_t + level_r < np.inf:
-        return np.inf
-    worst = 0.0
-    for i in range(len(change)):
-        for b in range(bodies):
-            moved = max(abs(change[i, 3 * b]), abs(change[i, 3 * b + 1]))
-            if moved > 0.0:
-                worst = max(worst, moved / level_t if level_t > 0.0 else np.inf)
-            if change[i, 3 * b + 2] != 0.0:
-                worst = max(worst, abs(change[i, 3 * b + 2]) / level_r if level_r > 0.0 else np.inf)
-    return worst
+        return False
+    return (small_t or change_t <= STAGNANT * level_t) and (small_r or change_r <= STAGNANT * level_r)
