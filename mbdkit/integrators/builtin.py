@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbdkit.integrators import gauss, rk4, rk_gill
+from mbdkit.integrators import gauss, radau_iia, rk4, rk_gill
 from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta, SciPySolver
-from mbdkit.integrators.options import AdaptiveOptions, ExplicitOptions, GaussOptions
+from mbdkit.integrators.options import AdaptiveOptions, ExplicitOptions, GaussOptions, RadauOptions
 from mbdkit.registry.items import Claims, IntegratorPlugin
 
 _POLYNOMIAL_DRIFT = "constraints hold at acceleration level only: drift of the method's order, growing with time"
@@ -16,10 +16,6 @@ _SCIPY = """@article{scipy2020,
   author = {Virtanen, Pauli and others},
   title = {{SciPy} 1.0: fundamental algorithms for scientific computing in {P}ython},
   journal = {Nature Methods}, volume = {17}, pages = {261--272}, year = {2020}, doi = {10.1038/s41592-019-0686-2}}"""
-_HAIRER_WANNER = """@book{hairer1996,
-  author = {Hairer, Ernst and Wanner, Gerhard},
-  title = {Solving Ordinary Differential Equations {II}: Stiff and Differential-Algebraic Problems},
-  edition = {2}, publisher = {Springer}, year = {1996}, doi = {10.1007/978-3-642-05221-7}}"""
 _HAIRER_NORSETT = """@book{hairer1993,
   author = {Hairer, Ernst and N{\\o}rsett, Syvert P. and Wanner, Gerhard},
   title = {Solving Ordinary Differential Equations {I}: Nonstiff Problems},
@@ -76,8 +72,27 @@ INTEGRATORS: list[IntegratorPlugin] = [
         ),
         references=(gauss.REFERENCE,),
     ),
+    IntegratorPlugin(
+        name="radau-iia",
+        summary="Radau IIA collocation: implicit, 2, 3 or 5 stages, order 2 s - 1, L-stable, fixed steps.",
+        options=RadauOptions,
+        create=lambda options: ImplicitRungeKutta(
+            radau_iia.tableau(options.stages), options.stage_solver, options.tolerance, options.max_iterations
+        ),
+        claims=lambda options: Claims(
+            order=2 * options.stages - 1,
+            stages=options.stages,
+            drift=_POLYNOMIAL_DRIFT,
+            needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
+        ),
+        references=(radau_iia.REFERENCE,),
+    ),
     _scipy(
-        "scipy-radau", "Radau", "SciPy's Radau IIA: implicit, order 5, adaptive steps.", _HAIRER_WANNER, jacobian=True
+        "scipy-radau",
+        "Radau",
+        "SciPy's Radau IIA: implicit, order 5, adaptive steps.",
+        radau_iia.REFERENCE,
+        jacobian=True,
     ),
     _scipy("scipy-dop853", "DOP853", "SciPy's DOP853: explicit, order 8, adaptive steps.", _HAIRER_NORSETT),
     _scipy(

@@ -35,6 +35,13 @@ class GaussOptions(ImplicitOptions):
     """Number of stages s; the order is 2 s."""
 
 
+class RadauOptions(ImplicitOptions):
+    """Radau IIA collocation."""
+
+    stages: Literal[2, 3, 5] = 3
+    """Number of stages s; the order is 2 s - 1."""
+
+
 class AdaptiveOptions(Options):
     """A method of SciPy that controls its own error."""
 

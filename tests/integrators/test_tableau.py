@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from mbdkit.integrators import gauss, rk4, rk_gill
+from mbdkit.integrators import gauss, radau_iia, rk4, rk_gill
 from mbdkit.integrators.builtin import INTEGRATORS
 from mbdkit.integrators.tableau import ButcherTableau, TableauError, collocation, rooted_trees
 
 SHIPPED = {"rk4": rk4.tableau(), "rk-gill": rk_gill.tableau()} | {f"gauss-{s}": gauss.tableau(s) for s in range(1, 7)}
+SHIPPED |= {f"radau-iia-{s}": radau_iia.tableau(s) for s in (2, 3, 5)}
 shipped = pytest.mark.parametrize("name", SHIPPED)
 stages = pytest.mark.parametrize("s", range(1, 7))
 
@@ -39,7 +40,7 @@ def test_a_shipped_tableau_has_no_higher_order_than_it_claims(name: str) -> None
 
 @shipped
 def test_what_the_registry_claims_is_what_the_tableau_is(name: str) -> None:
-    plugin_name, _, count = name.partition("-") if name.startswith("gauss") else (name, "", "")
+    plugin_name, _, count = name.rpartition("-") if name[-1].isdigit() and "-" in name else (name, "", "")
     plugin = next(p for p in INTEGRATORS if p.name == plugin_name)
     options = plugin.options(**({"stages": int(count)} if count else {}))
     claims, tableau = plugin.claims(options), SHIPPED[name]

@@ -21,13 +21,15 @@ EXPLICIT = (100, 200, 400, 800)
 WINDOWS = {1: (100, 200, 400, 800), 2: (50, 100, 200, 400), 3: (20, 28, 40, 56), 4: (14, 16, 20, 24, 28)}
 
 
-def observed_order(problem: Problem, integrator: dict[str, Any], numbers: tuple[int, ...]) -> list[float]:
+def observed_order(
+    problem: Problem, integrator: dict[str, Any], numbers: tuple[int, ...], end: float = END
+) -> list[float]:
     """Return the order seen between each two neighbours of `numbers`, the numbers of steps to the end."""
-    expected = problem.solve(np.array([END]))[0]
+    expected = problem.solve(np.array([end]))[0]
     reference = problem.state(expected[:2], expected[2:4]).reshape(2, 2, 3)
     errors = []
     for number in numbers:
-        result = run(problem.model(), integrator, end=END, step=END / number, every=number)
+        result = run(problem.model(), integrator, end=end, step=end / number, every=number)
         bodies = [result["rod1"], result["rod2"]]
         q = np.array([[*body.position[-1], body.angle[-1]] for body in bodies])
         v = np.array([[*body.velocity[-1], body.angular_velocity[-1]] for body in bodies])
@@ -106,3 +108,26 @@ def test_gauss4_has_order_eight_on_the_forced_pendulum() -> None:
 
 def test_gauss4_has_order_eight_on_the_driven_pendulum() -> None:
     assert observed_order(DRIVEN_PENDULUM, gauss(4), WINDOWS[4]) == pytest.approx([8.0] * 4, abs=0.2)
+
+
+def radau(stages: int) -> dict[str, Any]:
+    """Return the integrator section of Radau IIA."""
+    return {"name": "radau-iia", "stages": stages}
+
+
+@pytest.mark.parametrize("problem", [FORCED_PENDULUM, DRIVEN_PENDULUM], ids=["forced", "driven"])
+def test_radau_iia_with_two_stages_has_order_three(problem: Problem) -> None:
+    assert observed_order(problem, radau(2), (100, 200, 400, 800)) == pytest.approx([3.0] * 3, abs=0.2)
+
+
+@pytest.mark.parametrize("problem", [FORCED_PENDULUM, DRIVEN_PENDULUM], ids=["forced", "driven"])
+def test_radau_iia_with_three_stages_has_order_five(problem: Problem) -> None:
+    assert observed_order(problem, radau(3), (40, 56, 80, 112)) == pytest.approx([5.0] * 3, abs=0.2)
+
+
+def test_radau_iia_with_five_stages_has_order_nine_on_the_forced_pendulum() -> None:
+    assert observed_order(FORCED_PENDULUM, radau(5), (17, 20, 24)) == pytest.approx([9.0] * 2, abs=0.2)
+
+
+def test_radau_iia_with_five_stages_has_order_nine_on_the_driven_pendulum() -> None:
+    assert observed_order(DRIVEN_PENDULUM, radau(5), (36, 42, 50, 60), end=3.0) == pytest.approx([9.0] * 3, abs=0.2)
