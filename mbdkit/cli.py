@@ -30,9 +30,14 @@ BODIES_SHOWN = 20
 app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=False, **PLAIN)
 schema_app = typer.Typer(help="Print the JSON schema of a spec, for editors.", **PLAIN)
 plugins_app = typer.Typer(help="Show which models and integrators are installed.", **PLAIN)
+examples_app = typer.Typer(
+    help="List the packaged examples, or copy one to edit it.",
+    **{**PLAIN, "no_args_is_help": False},
+)
 archive_app = typer.Typer(help="Describe and check run archives.", **PLAIN)
 app.add_typer(schema_app, name="schema")
 app.add_typer(plugins_app, name="plugins")
+app.add_typer(examples_app, name="examples")
 app.add_typer(archive_app, name="archive")
 
 
@@ -156,6 +161,44 @@ def schema_run(debug: Debug = False) -> None:
     from mbdkit.spec.schema import run_schema
 
     print(json.dumps(run_schema(), indent=2, ensure_ascii=False))
+
+
+@examples_app.callback(invoke_without_command=True)
+def examples(context: typer.Context, debug: Debug = False) -> None:
+    """List the packaged examples.
+
+    Run one by its name, or copy its spec to change it.
+    """
+    if context.invoked_subcommand is not None:
+        return
+    from mbdkit.spec import example_names, load_spec
+
+    print(table([("NAME", "WHAT"), *((name, load_spec(name).title) for name in example_names())]))
+
+
+@examples_app.command("copy")
+def examples_copy(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="An example, as listed.")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE.yaml", help="Where to; by default ./NAME.yaml.")
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Write the spec of an example, comments included.
+
+    An existing file is never replaced.
+    """
+    from mbdkit.errors import SpecError
+    from mbdkit.spec import example_text
+
+    text = example_text(name)
+    path = output if output is not None else Path(f"{name}.yaml")
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise SpecError("this file exists already; choose another name with -o", file=path) from None
+    print(path)
 
 
 @plugins_app.command("list")

@@ -35,7 +35,7 @@ def test_every_public_thing_is_documented(name):
         if inspect.isfunction(thing) or inspect.isclass(thing):
             missing += [] if (thing.__doc__ or "").strip() else [path]
         if inspect.isclass(thing):
-            missing += [f"{path}.{member}" for member, inner in vars(thing).items() if is_bare(member, inner)]
+            missing += [f"{path}.{member}" for member, inner in list(vars(thing).items()) if is_bare(member, inner)]
     assert not missing
 
 

@@ -63,6 +63,26 @@ def example_names() -> list[str]:
     return sorted(path.name.removesuffix(".yaml") for path in _examples().iterdir() if path.name.endswith(".yaml"))
 
 
+def example_text(name: str) -> str:
+    """Return the spec of a packaged example as it was written, comments included.
+
+    Parameters
+    ----------
+    name
+        Its name.
+
+    Raises
+    ------
+    SpecError
+        If there is none of this name.
+    """
+    names = example_names()
+    if name not in names:
+        raise SpecError(f"there is no example '{name}'{did_you_mean(name, names)}; examples: {listed(names)}")
+    text: str = (_examples() / f"{name}.yaml").read_text("utf-8")
+    return text
+
+
 def _examples() -> Any:
     return importlib.resources.files("mbdkit.models") / "examples"
 
@@ -87,7 +107,7 @@ def _named(source: str | FilePath) -> Document:
     path = FilePath(source)
     names = example_names()
     if str(source) in names and not os.path.isfile(path):
-        return read_text((_examples() / f"{source}.yaml").read_text("utf-8"), f"{source} (packaged example)")
+        return read_text(example_text(str(source)), f"{source} (packaged example)")
     if not _exists(path):
         raise SpecError(
             f"there is no such file, and no packaged example of this name{did_you_mean(str(source), names)}; "

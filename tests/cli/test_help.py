@@ -23,6 +23,8 @@ COMMANDS = [
     ("plugins", "list"),
     ("plugins", "show"),
     ("plugins", "doctor"),
+    ("examples",),
+    ("examples", "copy"),
     ("archive",),
     ("archive", "info"),
     ("archive", "check"),

@@ -1,0 +1,41 @@
+"""The packaged examples: listed, run by name, and copied to start one's own from."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbdkit.spec import example_names, example_text, load_spec
+
+
+def test_examples_are_listed_with_their_titles(mbdkit):
+    result = mbdkit("examples")
+    assert result.exit_code == 0
+    for name in example_names():
+        assert f"{name} " in result.stdout
+        assert load_spec(name).title in result.stdout
+
+
+@pytest.mark.parametrize("name", example_names())
+def test_a_copy_is_the_example_with_its_comments(name, mbdkit, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert mbdkit("examples", "copy", name).stdout == f"{name}.yaml\n"
+    written = (tmp_path / f"{name}.yaml").read_text("utf-8")
+    assert written == example_text(name)
+    assert written.startswith("# yaml-language-server: $schema=")
+    assert load_spec(str(tmp_path / f"{name}.yaml")).sha256() == load_spec(name).sha256()
+
+
+def test_a_copy_never_replaces_a_file(mbdkit, tmp_path):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("mine", encoding="utf-8")
+    result = mbdkit("examples", "copy", "knee", "-o", mine)
+    assert result.exit_code == 2
+    assert "exists already" in result.stderr
+    assert mine.read_text("utf-8") == "mine"
+
+
+def test_an_example_that_is_not_there_is_refused_with_the_nearest_name(mbdkit, tmp_path):
+    result = mbdkit("examples", "copy", "kne", "-o", tmp_path / "x.yaml")
+    assert result.exit_code == 2
+    assert "did you mean 'knee'?" in result.stderr
+    assert not (tmp_path / "x.yaml").exists()
