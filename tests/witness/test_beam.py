@@ -1,0 +1,219 @@
+"""The beam of Hairer and Wanner as forty hinged links with torsion springs, against the published end values.
+
+Hairer and Wanner, Solving Ordinary Differential Equations II, section IV.1 (the discretized beam) and IV.10; also in
+the Test Set for IVP Solvers, Bari. An elastic inextensible beam of length 1, density 1 and bending stiffness 1 is
+clamped at the origin along the x axis. Its n = 40 links of length l = 1/n have half their mass l at either end, hence
+the inertia m (l/2)^2 about the middle; the springs between links have the stiffness n, and the one at the clamp 2 n,
+for the clamp lies half a link away. The force (-F, F) acts on the tip, F = 1.5 sin(t)^2 up to t = pi and nothing
+afterwards. In the links' tilts, which are absolute angles, the book writes
+
+    theta'' = C v + D u,    C u = D v + theta'^2,
+    v_l = n^4 (theta_(l-1) - 2 theta_l + theta_(l+1)) + n^2 (F_y cos(theta_l) - F_x sin(theta_l)),
+    theta_0 = -theta_1,  theta_(n+1) = theta_n,
+
+with C tridiagonal and symmetric, C_11 = 1, C_ll = 2, C_nn = 3, C_(l,l+1) = -cos(theta_l - theta_(l+1)), and D
+tridiagonal and antisymmetric, D_(l,l+1) = -sin(theta_l - theta_(l+1)).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+
+from .running import gauss, run
+
+N = 40
+
+#: theta and theta' at t = 5 as the test set prints them, from RADAU in quadruple precision with tolerances of 1.1e-18.
+THETA = np.array(
+    [
+        -0.005792366591285007,
+        -0.01695298550721735,
+        -0.02769103312973094,
+        -0.03800815655879158,
+        -0.04790616859743763,
+        -0.05738710435274594,
+        -0.06645327313454617,
+        -0.07510730581979037,
+        -0.08335219765414992,
+        -0.09119134654647947,
+        -0.0986285870013209,
+        -0.1056682200378002,
+        -0.1123150395409595,
+        -0.1185743552727245,
+        -0.1244520128755561,
+        -0.1299544113264161,
+        -0.1350885180610398,
+        -0.1398618819194422,
+        -0.1442826441015242,
+        -0.1483595472463012,
+        -0.1521019429001447,
+        -0.1555197978061129,
+        -0.1586236993420229,
+        -0.1614248603702127,
+        -0.1639351238193223,
+        -0.1661669673440852,
+        -0.1681335081778558,
+        -0.1698485080602243,
+        -0.1713263782440888,
+        -0.1725821847462537,
+        -0.1736316537975654,
+        -0.1744911773840049,
+        -0.1751778187863392,
+        -0.1757093178712902,
+        -0.1761040960228576,
+        -0.1763812607175549,
+        -0.1765606097564671,
+        -0.1766626352260565,
+        -0.176708527080746,
+        -0.1767201761075488,
+    ]
+)
+RATE = np.array(
+    [
+        0.03747362681329794,
+        0.1099117880217593,
+        0.1798360474312799,
+        0.2472427305442391,
+        0.3121293820596567,
+        0.37449473770195,
+        0.4343386073492798,
+        0.4916620354601748,
+        0.5464677854586807,
+        0.598760970262427,
+        0.648549361111074,
+        0.6958435169132503,
+        0.7406572668520808,
+        0.7830081747813241,
+        0.8229176659201515,
+        0.860411030519056,
+        0.8955175502377805,
+        0.9282708263127953,
+        0.9587089334522034,
+        0.9868747821728363,
+        1.012816579961883,
+        1.036587736679858,
+        1.058246826481355,
+        1.077857811433353,
+        1.095490222005369,
+        1.111219164294898,
+        1.125125269286501,
+        1.137294526609229,
+        1.147818025153607,
+        1.156792132004482,
+        1.164318845130183,
+        1.170505992596124,
+        1.17546742429955,
+        1.179323003228859,
+        1.182198586299667,
+        1.184226111223146,
+        1.185543909805575,
+        1.186297084203716,
+        1.186637618908127,
+        1.186724615113034,
+    ]
+)
+
+
+def beam(theta: Any, rate: Any, force: tuple[Any, Any]) -> dict[str, Any]:
+    """Return the beam as a free-form model at the tilts `theta` and their `rate`s, with `force` on its tip."""
+    length = 1.0 / N
+    bodies: dict[str, Any] = {}
+    joints: dict[str, Any] = {}
+    forces: dict[str, Any] = {}
+    end, speed = np.zeros(2), np.zeros(2)
+    for k, (angle, turning) in enumerate(zip(theta, rate, strict=True), start=1):
+        half = length / 2 * np.array([np.cos(angle), np.sin(angle)])
+        half_speed = turning * np.array([-half[1], half[0]])
+        bodies[f"link{k}"] = {
+            "mass": length,
+            "inertia": length * length**2 / 4,
+            "position": (end + half).tolist(),
+            "angle": float(angle),
+            "velocity": (speed + half_speed).tolist(),
+            "angular_velocity": float(turning),
+        }
+        end, speed = end + 2 * half, speed + 2 * half_speed
+        pair = [f"link{k - 1}" if k > 1 else "ground", f"link{k}"]
+        inner = [length / 2 if k > 1 else 0.0, 0.0]
+        joints[f"hinge{k}"] = {"type": "revolute", "bodies": pair, "points": [inner, [-length / 2, 0.0]]}
+        forces[f"spring{k}"] = {"type": "torsion-spring", "bodies": pair, "stiffness": float(N if k > 1 else 2 * N)}
+    forces["tip"] = {"type": "force", "body": f"link{N}", "point": [length / 2, 0.0], "value": list(force)}
+    return {"name": "mechanism", "gravity": [0.0, 0.0], "bodies": bodies, "joints": joints, "forces": forces}
+
+
+def pushed_beam() -> dict[str, Any]:
+    """Return the beam of the test set: straight, at rest, pushed until t = pi."""
+    push = "1.5*sin(min(t, pi))**2"
+    return beam(np.zeros(N), np.zeros(N), (f"-{push}", push))
+
+
+def ends(result: mbdkit.Run) -> tuple[Any, Any]:
+    """Return theta and theta' of all links at the last recorded time, each (40,)."""
+    links = [result[f"link{k}"] for k in range(1, N + 1)]
+    return np.array([link.angle[-1] for link in links]), np.array([link.angular_velocity[-1] for link in links])
+
+
+def stated_acceleration(theta: Any, rate: Any, fx: float, fy: float) -> Any:
+    """Return theta'' (40,) as the book writes it, by its tridiagonal matrices C and D."""
+    difference = theta[:-1] - theta[1:]
+    C = np.diag([1.0] + [2.0] * (N - 2) + [3.0]) - np.diag(np.cos(difference), 1) - np.diag(np.cos(difference), -1)
+    D = np.diag(np.sin(difference), -1) - np.diag(np.sin(difference), 1)
+    wide = np.concatenate([[-theta[0]], theta, [theta[-1]]])
+    v = N**4 * np.diff(wide, 2) + N**2 * (fy * np.cos(theta) - fx * np.sin(theta))
+    return C @ v + D @ np.linalg.solve(C, D @ v + rate**2)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_hinged_links_obey_the_equations_with_the_tridiagonal_matrices(seed: int) -> None:
+    # expected: theta'' = C v + D u of the book at a random state, under a force on the tip
+    random = np.random.default_rng(seed)
+    theta, rate = np.cumsum(random.normal(0.0, 0.2, N)), random.normal(0.0, 3.0, N)
+    fx, fy = random.normal(0.0, 1.5, 2)
+    result = run(beam(theta, rate, (float(fx), float(fy))), {"name": "rk4"}, end=1e-9, step=1e-9)
+    seen = np.array([result[f"link{k}"].angular_acceleration[0] for k in range(1, N + 1)])
+    expected = stated_acceleration(theta, rate, fx, fy)
+    np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+METHODS: dict[str, tuple[dict[str, Any], int]] = {
+    "gauss4": (gauss(4), 10240),
+    "gauss6": (gauss(6), 5120),
+    "rk4": ({"name": "rk4"}, 163840),
+}
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_beam_ends_at_the_published_digits_of_all_forty_links(name: str) -> None:
+    # expected: the published end values; the corner of the force at t = pi falls on the end of a step
+    integrator, steps_to_pi = METHODS[name]
+    result = run(pushed_beam(), integrator, end=5.0, step=math.pi / steps_to_pi, every=10**6)
+    theta, rate = ends(result)
+    np.testing.assert_allclose(theta, THETA, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(rate, RATE, rtol=0, atol=1e-9)
+
+
+def test_beam_in_two_runs_ends_where_one_run_does() -> None:
+    # expected: the published end values; the second run starts from the state in which the first ended, without force
+    step = math.pi / 5120
+    first = run(pushed_beam(), gauss(6), end=math.pi, step=step, every=10**6)
+    theta, rate = ends(first)
+    spec = {
+        "mbdkit": 1,
+        "model": beam(theta, rate, (0.0, 0.0)),
+        "integrator": gauss(6),
+        "time": {"start": math.pi, "end": 5.0, "step": step},
+        "output": {"every": 10**6},
+    }
+    second = mbdkit.run(spec)
+    second.check()
+    theta, rate = ends(second)
+    np.testing.assert_allclose(theta, THETA, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(rate, RATE, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(second.energy.balance, 0.0, rtol=0, atol=1e-12)
+    assert second.energy.work[-1] == 0.0
