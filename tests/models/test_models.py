@@ -1,7 +1,6 @@
-"""What every built-in model has in common, and the packaged examples."""
+"""What every built-in model has in common."""
 
 import json
-from importlib.resources import files
 
 import pytest
 
@@ -9,13 +8,8 @@ from mbdkit.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.models import MODELS
 from mbdkit.models.free import MechanismOptions, build
-from mbdkit.spec import example_names, load_spec
 
 LEAST = {"n-pendulum": {"n": 2}, "mechanism": {"bodies": {"a": {"mass": 1, "inertia": 1}}}}
-EXAMPLES = files("mbdkit.models") / "examples"
-MODELINE = (
-    "# yaml-language-server: $schema=https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/run.schema.json"
-)
 
 every_model = pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
 
@@ -70,10 +64,3 @@ def test_free_form_model_is_cross_checked():
         build(
             MechanismOptions(bodies={"a": {"mass": 1}}, forces={"f": {"type": "force", "body": "b", "value": [1, 0]}})
         )
-
-
-@pytest.mark.parametrize("name", ["pendulum", "double-pendulum", "chain", "knee", "slider-crank"])
-def test_packaged_example_is_a_valid_spec(name):
-    assert name in example_names()
-    assert (EXAMPLES / f"{name}.yaml").read_text(encoding="utf-8").splitlines()[0] == MODELINE
-    load_spec(name).mechanism().validate()

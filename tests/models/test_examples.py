@@ -1,0 +1,121 @@
+"""The packaged examples: each is a spec that soon runs to its end, and does what its comment says."""
+
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.spec import example_names, load_spec
+
+EXAMPLES = files("mbdkit.models") / "examples"
+MODELINE = (
+    "# yaml-language-server: $schema=https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/run.schema.json"
+)
+NAMES = [
+    "car-axis",
+    "chain",
+    "crank-press",
+    "double-pendulum",
+    "four-bar",
+    "gravity-balanced-arm",
+    "knee",
+    "pendulum",
+    "slider-crank",
+    "spring-pendulum",
+    "watt-six-bar",
+]
+
+every_example = pytest.mark.parametrize("name", sorted({*NAMES, *example_names()}))
+
+
+@every_example
+def test_packaged_example_is_a_valid_spec_that_says_what_it_is(name):
+    assert name in example_names()
+    text = (EXAMPLES / f"{name}.yaml").read_text(encoding="utf-8")
+    first, comment = text.splitlines()[:2]
+    assert first == MODELINE
+    assert comment.startswith("# ")
+    assert max(len(line) for line in text.splitlines()[1:]) <= 120
+    spec = load_spec(name)
+    assert spec.title
+    spec.mechanism().validate()
+
+
+@every_example
+def test_packaged_example_runs_to_its_end_in_balance_and_asks_little(name):
+    # expected: conservation of energy; joints that meet
+    with mbdkit.run(name) as run:
+        run.check()
+        largest = np.max(run.energy.kinetic)
+        assert largest > 0
+        assert np.abs(run.energy.balance).max() < 1e-6 * largest
+        assert all(np.max(joint.misalignment) < 1e-5 for joint in run.joints.values())
+        assert all(np.isfinite(joint.reaction_force).all() for joint in run.joints.values())
+        assert run.stats["rhs_evaluations"] < 100_000  # a fraction of a second
+
+
+def test_car_axis_ends_where_its_comment_says():
+    # expected: refined end values of the Test Set for IVP Solvers, see tests/witness/test_car_axis.py
+    with mbdkit.run("car-axis") as run:
+        np.testing.assert_allclose(run["left"].position[-1], [0.04934557842752, 0.49698946023001], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(run["right"].position[-1], [1.04174252488543, 0.37391102726537], rtol=0, atol=1e-12)
+
+
+def test_pen_of_the_four_bar_draws_a_line_of_four_crank_lengths_while_the_crank_is_on_its_left_half():
+    # expected: the closed loop with both arms 2.5 cranks long: for the crank's end B = (-sin u, cos u) the pin C is
+    # halfway from B to the fixed pin and on the mean normal, and the pen is at 2 C - B
+    with mbdkit.run("four-bar") as run:
+        pen, crank = np.asarray(run["pen"].position), np.asarray(run["crank"].angle)
+    end = 0.1 * np.exp(1j * crank)
+    half = (0.2 - end) / 2
+    drawn = end + 2 * half * (1 + 1j * np.sqrt(0.25**2 - np.abs(half) ** 2) / np.abs(half))
+    np.testing.assert_allclose(pen @ [1, 1j], drawn, rtol=0, atol=1e-10)
+    left = np.cos(crank) < 0
+    assert np.abs(pen[left, 1] - 0.4).max() < 0.002
+    assert np.ptp(pen[left, 0]) == pytest.approx(0.4, abs=0.01)
+    assert np.ptp(crank) > 4 * np.pi
+
+
+def test_spring_pendulum_turns_its_bounce_into_a_swing_and_back():
+    # expected: E = k A^2 / 2 = m g L (1 - cos swing) at the two-to-one resonance, 30 degrees for A = 1/4 m; the
+    # exchange is not complete
+    with mbdkit.run("spring-pendulum") as run:
+        x, y = np.asarray(run["weight"].position).T
+    swing = np.degrees(np.arctan2(x, -y))
+    early, middle = np.abs(swing[:50]).max(), np.abs(swing).max()
+    assert early < 3
+    assert 25 < middle < 32
+    late = np.abs(swing[run_rows(x, 12.0, 16.0)]).max()
+    assert late < 8
+
+
+def run_rows(rows, start, end):
+    """Return the rows between two times of a run of 40 s."""
+    return slice(int(start / 40 * len(rows)), int(end / 40 * len(rows)))
+
+
+def test_balanced_arm_has_the_same_potential_energy_everywhere_and_stays_where_it_stops():
+    # expected: k h b = m g c for both springs makes gravity and springs cancel at every pose
+    with mbdkit.run("gravity-balanced-arm") as run:
+        potential = np.asarray(run.energy.potential)
+        np.testing.assert_allclose(potential, potential[0], rtol=0, atol=1e-12 * np.abs(potential[0]))
+        assert np.ptp(run["forearm"].angle) > 2.0
+        assert np.abs(run["forearm"].angular_velocity[-1]) < 0.02
+        assert np.all(np.abs(np.asarray(run["plate"].angle)) < 1e-12)
+
+
+def test_ram_of_the_press_follows_the_crank_and_the_peak_asks_little_of_the_motor():
+    # expected: y = r sin(phi) - sqrt(l^2 - r^2 cos^2(phi)); 20 kN at a lever of a whole crank would be 1000 N m
+    with mbdkit.run("crank-press") as run:
+        phi = np.pi / 2 + 2 * np.pi * np.asarray(run.time)
+        height = 0.05 * np.sin(phi) - np.sqrt(0.4**2 - (0.05 * np.cos(phi)) ** 2)
+        np.testing.assert_allclose(run["ram"].position[:, 1], height, rtol=0, atol=1e-12)
+        assert np.abs(run.joints["motor"].reaction_torque).max() < 350
+
+
+def test_crank_of_the_watt_six_bar_goes_round():
+    # expected: what the comment says
+    with mbdkit.run("watt-six-bar") as run:
+        assert np.ptp(run["crank"].angle) > 4 * np.pi
+        assert run["crank"].angular_velocity[0] == 7.0
