@@ -184,6 +184,7 @@ def test_hinged_links_obey_the_equations_with_the_tridiagonal_matrices(seed: int
 METHODS: dict[str, tuple[dict[str, Any], int]] = {
     "gauss4": (gauss(4), 10240),
     "gauss6": (gauss(6), 5120),
+    "radau-iia5": ({"name": "radau-iia", "stages": 5}, 10240),
     "rk4": ({"name": "rk4"}, 163840),
 }
 

@@ -154,6 +154,7 @@ METHODS: dict[str, tuple[dict[str, Any], float]] = {
     "gauss5": (gauss(5), 0.01),
     "gauss6": (gauss(6), 0.02),
     "gauss6-fixed-point": (gauss(6) | {"stage_solver": "fixed-point"}, 0.01),
+    "radau-iia5": ({"name": "radau-iia", "stages": 5}, 0.005),
     "rk4": ({"name": "rk4"}, 0.00005),
     "scipy-dop853": ({"name": "scipy-dop853", "rtol": 1e-13, "atol": 1e-15}, 0.001),
 }
