@@ -117,7 +117,16 @@ def _misalignment(run: Run) -> str:
     worst = sorted(run.joints.values(), key=lambda joint: -joint.misalignment_max)
     named = ", ".join(f"{joint.name} {joint.misalignment_max:.2g}" for joint in worst[:JOINTS_NAMED])
     more = f", {len(worst) - JOINTS_NAMED} more" if len(worst) > JOINTS_NAMED else ""
-    return f"{run.misalignment_max:.3g} m at most ({named}{more})"
+    return f"{run.misalignment_max:.3g} m at most ({named}{more}){_angles(run)}"
+
+
+def _angles(run: Run) -> str:
+    """Return the largest recorded error of a held angle, where there is any to speak of."""
+    if not run.records("joints/angle_misalignment") or len(run.time) == 0:
+        return ""
+    largest = np.max(np.abs(run.array("joints/angle_misalignment")), axis=0)
+    worst = int(np.argmax(largest))
+    return f"; {largest[worst]:.3g} rad ({run.joint_names[worst]})" if largest[worst] > 0 else ""
 
 
 def _energy(run: Run) -> str:
