@@ -18,6 +18,7 @@ def test_summary_of_a_complete_run(tmp_path: Path) -> None:
         lines = run.summary().splitlines()
     off = np.abs(rows(11, names())["energy/balance"]).max()
     most = rows(11, names())["energy/kinetic"].max()
+    turned = np.abs(rows(11, names())["joints/angle_misalignment"]).max(axis=0)
     assert lines == [
         "run           two rods",
         "status        complete",
@@ -25,7 +26,7 @@ def test_summary_of_a_complete_run(tmp_path: Path) -> None:
         "integrator    gauss, stages 2, step 0.01 s, index-1",
         "time          0 to 0.1 s, 10 steps, 11 rows",
         "speed         2 ms (200 us a step), setup 250 ms",
-        "misalignment  1 m at most (J2 1, J1 1)",
+        f"misalignment  1 m at most (J2 1, J1 1); {turned.max():.3g} rad (J{np.argmax(turned) + 1})",
         f"energy        balance within {off:.3g} J, {off / most:.2g} of the largest kinetic energy",
         "counters      40 right sides, 50 Jacobians, 60 factorizations, 70 iterations, 80 projections, 30 rejections",
         f"archive       {tmp_path / 'run.h5'}",
