@@ -66,7 +66,10 @@ def _motion(value: Any) -> Any:
 
 def _columns(value: Any, key: str = "") -> Any:
     """Return the two columns of a table as tuples of floats; raise SpecError where no spline goes through them."""
-    columns = pair("a column of times and a column of values, [[t, ...], [value, ...]]")(value)
+    try:
+        columns = pair("a column of times and a column of values, [[t, ...], [value, ...]]")(value)
+    except SpecError as error:
+        raise error.located(prefix=key) from None
     columns = [sequence(column) for column in columns]
     for number, column in enumerate(columns):
         if not isinstance(column, tuple):
