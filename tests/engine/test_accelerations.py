@@ -141,6 +141,20 @@ def test_bodies_of_very_different_inertia_that_do_not_turn_against_each_other_ta
     np.testing.assert_allclose(lam[2], turning, rtol=1e-12)  # what turns the first is +lambda
 
 
+def test_a_light_arm_with_a_slider_far_out_takes_the_pivoted_system() -> None:
+    # expected: at rest and level, both turn by the slider's weight over their moment of inertia about the pin
+    m = Mechanism()
+    m.body("arm", mass=1.0, inertia=1e-9)
+    m.body("slider", mass=1.0, inertia=1e-9, position=(1.0, 0.0))
+    m.revolute("pin", m.ground, "arm", at=(0.0, 0.0))
+    m.prismatic("slide", "arm", "slider", points=((0.0, 0.0), (0.0, 0.0)), axis=(1.0, 0.0))
+    c = Compiled(m, T)
+    assert c.problem.solver.pivoted[0] == 1
+    acc, _ = c.accelerations()
+    turning = -9.81 / (1.0 + 2e-9)
+    np.testing.assert_allclose(acc, [0.0, 0.0, turning, 0.0, turning, turning], rtol=1e-12, atol=1e-12)
+
+
 @kinds
 def test_accelerations_meet_the_constraints_to_round_off(kind: str) -> None:
     c = Compiled(KINDS[kind](np.random.default_rng(5)), T)
