@@ -309,13 +309,11 @@ def _is_well_scaled(mechanism: Mechanism) -> bool:
         for _, name, (x, y) in joint.attachments():
             if name in arms:
                 arms[name] = max(arms[name], x * x + y * y)
-        a, b = joint.bodies
-        if (
-            isinstance(joint, Prismatic | Driver) and a in arms
-        ):  # the first body is held at the other's point, wherever that is
-            point = joint.point if isinstance(joint, Driver) else joint.points[1]
-            x, y = mechanism.to_local(a, mechanism.to_global(b, point))
-            arms[a] = max(arms[a], x * x + y * y)
+        a = joint.bodies[0]
+        if isinstance(joint, Prismatic | Driver) and a in arms:  # the body is pushed at the other's point, on its frame
+            for _, name, point in joint.attachments()[-1:]:
+                x, y = mechanism.to_local(a, mechanism.to_global(name, point))
+                arms[a] = max(arms[a], x * x + y * y)
     scales = [body.mass for body in mechanism.bodies.values()]
     scales += [body.inertia / arms[name] for name, body in mechanism.bodies.items() if body.inertia and arms[name] > 0]
     tied = {name for joint in mechanism.joints.values() if len(joint.angles()) == 2 for _, name in joint.angles()}

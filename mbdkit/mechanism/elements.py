@@ -22,6 +22,12 @@ GROUND = "ground"
 Attachment = tuple[str, str, tuple[float, float]]
 
 
+def _shown(value: Any) -> str:
+    """Return what was given, as an error message shows it: not longer than a line."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
 def pair(wanted: str) -> Callable[[Any], Any]:
     """Return a validator that takes a list, tuple or array of two, and says what is `wanted` about anything else."""
 
@@ -30,7 +36,7 @@ def pair(wanted: str) -> Callable[[Any], Any]:
         if isinstance(plain, list):
             plain = tuple(plain)
         if not isinstance(plain, tuple):
-            raise SpecError(f"should be {wanted}, not {plain!r}")
+            raise SpecError(f"should be {wanted}, not {_shown(plain)}")
         if len(plain) != 2:
             raise SpecError(f"should be {wanted}, not {len(plain)} item{'s' * (len(plain) != 1)}")
         return plain
@@ -50,14 +56,16 @@ def _motion(value: Any) -> Any:
         Expression.parse(value)
     elif isinstance(value, Mapping):
         if list(value) != ["table"]:
-            raise SpecError(f"should be {{table: [[t, ...], [value, ...]]}}, not a mapping with the keys {[*value]}")
+            raise SpecError(
+                f"should be {{table: [[t, ...], [value, ...]]}}, not a mapping with the keys {_shown([*value])}"
+            )
         return Table(table=_columns(value["table"], "table"))
     elif isinstance(value, Table):
         return value
     elif isinstance(value, bool) or not isinstance(value, int | float):
         raise SpecError(
             'should be a number, an expression of t such as "0.5*sin(2*pi*t)", or {table: [[t, ...], [value, ...]]}, '
-            f"not {value!r}"
+            f"not {_shown(value)}"
         )
     elif not abs(value) <= sys.float_info.max:
         raise SpecError(f"should be a finite number, not {value!r}")
@@ -73,10 +81,10 @@ def _columns(value: Any, key: str = "") -> Any:
     columns = [sequence(column) for column in columns]
     for number, column in enumerate(columns):
         if not isinstance(column, tuple):
-            raise SpecError(f"should be a list of numbers, not {column!r}", key=f"{key}[{number}]")
+            raise SpecError(f"should be a list of numbers, not {_shown(column)}", key=f"{key}[{number}]")
         for row, x in enumerate(column):
             if isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= sys.float_info.max:
-                raise SpecError(f"should be a finite number, not {x!r}", key=f"{key}[{number}][{row}]")
+                raise SpecError(f"should be a finite number, not {_shown(x)}", key=f"{key}[{number}][{row}]")
     times, values = (tuple(float(x) for x in column) for column in columns)
     if len(times) != len(values):
         raise SpecError(f"a table needs as many values as times; it has {len(values)} and {len(times)}", key=key)

@@ -228,6 +228,12 @@ CHANGES = {
         "finite number, not nan",
     ),
     "table of one point": ("forces.m.value", {"table": [[0], [1]]}, "model.forces.m.value.table", "two points or more"),
+    "a force of one long table": (
+        "forces.f.value",
+        {"table": [list(range(1000)), [0.5] * 1000]},
+        "model.forces.f.value",
+        "should be two numbers, expressions of t or tables [x, y], not {'table': [[0, 1, 2",
+    ),
     "uneven table": ("forces.m.value", {"table": [[0, 1], [1]]}, "model.forces.m.value.table", "as many values as"),
     "unknown key for a table": (
         "forces.m.value",
@@ -269,6 +275,7 @@ def test_a_wrong_spec_is_answered_with_its_key_and_what_would_be_right(change):
         Mechanism.from_spec(spec)
     assert caught.value.key == key
     assert words in caught.value.message
+    assert len(caught.value.message) < 300
 
 
 @pytest.mark.parametrize("missing", ["type", "bodies", "points"])
