@@ -9,9 +9,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import mbdkit
-from mbdkit.mechanism.elements import Distance, Driver, PointForce, Revolute, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.elements import (
+    Distance,
+    Driver,
+    PointForce,
+    Prismatic,
+    Revolute,
+    SpringDamper,
+    Table,
+    Torque,
+    TorsionSpring,
+    Weld,
+)
 from mbdkit.mechanism.mechanism import Mechanism
 
 
@@ -50,12 +62,29 @@ def hanging() -> Mechanism:
     return m
 
 
+def press() -> Mechanism:
+    """Return a tilting frame, driven by a table, in which a slide carries a ram with a head welded to it."""
+    m = Mechanism()
+    m.body("frame", mass=3.0, inertia=0.5, position=(0.1, 0.4), angle=0.3)
+    m.body("ram", mass=0.8, inertia=0.03, position=(0.4, 0.9), angle=0.9)
+    m.body("head", mass=0.5, inertia=0.02, position=(0.7, 1.1), angle=-0.2)
+    m.revolute("pivot", m.ground, "frame", at=(0.0, 0.0))
+    m.driver("tilt", m.ground, "frame", coordinate="angle", motion=TILT)
+    m.prismatic("slide", "frame", "ram", points=((0.1, 0.2), (-0.1, 0.05)), axis=(1.0, 0.4))
+    m.weld("neck", "ram", "head", points=((0.3, 0.1), (-0.05, 0.1)))
+    m.spring_damper("s", "frame", "ram", points=((-0.3, 0.1), (0.1, 0.0)), stiffness=90.0, damping=2.0, free_length=0.5)
+    m.force("load", "head", value=[TILT, 0.5], point=(0.1, 0.0))
+    return m
+
+
+TILT = Table(table=((0.0, 0.1, 0.3, 0.5), (0.3, 0.35, 0.2, 0.25)))
 KNEE = {"name": "four-bar-knee", "flexion": 0.6, "damping": 0.3}
 CASES: dict[str, Any] = {
     "double pendulum": {"name": "double-pendulum", "angles": [-0.3, 0.4], "masses": [1.0, 0.6]},
     "knee": KNEE,
     "slider-crank": slider_crank,
     "hanging": hanging,
+    "press": press,
 }
 cases = pytest.mark.parametrize("case", CASES)
 
@@ -119,6 +148,7 @@ FUNCTIONS: dict[Any, Callable[[np.ndarray], np.ndarray]] = {
     "0.5 + 4*t + 0.3*sin(5*t)": lambda t: 0.5 + 4 * t + 0.3 * np.sin(5 * t),
     "0.7*sin(3*t)": lambda t: 0.7 * np.sin(3 * t),
     "cos(2*t)": lambda t: np.cos(2 * t),
+    TILT: CubicSpline(*TILT.table),
 }
 """The motions and loads of the cases, again."""
 
@@ -211,7 +241,8 @@ def test_reactions_and_loads_balance_every_body_at_every_row(case: str) -> None:
 
 @cases
 def test_misalignment_is_the_gap_of_a_joint_and_its_velocity(case: str) -> None:
-    # expected: |p_b - p_a|, ||p_b - p_a| - length|, |coordinate - motion|; velocities in the constrained directions
+    # expected: |p_b - p_a|, ||p_b - p_a| - length|, |coordinate - motion|, distance of p_b from the line; velocities in
+    # the constrained directions
     r = recorded(case)
     for name, joint in r.m.joints.items():
         history = r.run.joints[name]
@@ -220,12 +251,20 @@ def test_misalignment_is_the_gap_of_a_joint_and_its_velocity(case: str) -> None:
         if isinstance(joint, Driver):
             gap, speed, angle = driver_gap(r, joint)
         else:
-            assert isinstance(joint, Revolute | Distance)
+            assert isinstance(joint, Revolute | Distance | Prismatic | Weld)
             (pa, va), (pb, vb) = r.point(a, joint.points[0]), r.point(b, joint.points[1])
             gap, speed = np.hypot(*(pb - pa).T), np.hypot(*(vb - va).T)
             if isinstance(joint, Distance):
                 along = (pb - pa) / gap[:, None]
                 gap, speed = np.abs(gap - joint.length), np.abs(np.sum((vb - va) * along, axis=1))
+            if isinstance(joint, Prismatic):
+                normal = r.arm(a, (-joint.axis[1] / np.hypot(*joint.axis), joint.axis[0] / np.hypot(*joint.axis)))
+                turning = r.pose(a)[1][:, 2:] * np.column_stack([-normal[:, 1], normal[:, 0]])
+                speed = np.abs(np.sum((vb - va) * normal + (pb - pa) * turning, axis=1))
+                gap = np.abs(np.sum((pb - pa) * normal, axis=1))
+            if isinstance(joint, Prismatic | Weld):
+                held = r.m.bodies[b].angle - r.m.bodies[a].angle
+                angle = np.abs(r.pose(b)[0][:, 2] - r.pose(a)[0][:, 2] - held)
         np.testing.assert_allclose(history.misalignment, gap, rtol=0, atol=4e-15)
         np.testing.assert_allclose(history.velocity_misalignment, speed, rtol=0, atol=2e-14)
         np.testing.assert_allclose(history.angle_misalignment, angle, rtol=0, atol=4e-15)
@@ -251,7 +290,11 @@ def test_residuals_by_row_make_up_the_misalignment(case: str) -> None:
     rows = [name for name, _ in r.m.constraint_rows()]
     assert list(r.run.array("constraints/constraint")) == rows
     for name, joint in r.m.joints.items():
-        columns = [i for i, row in enumerate(rows) if row.rsplit(".", 1)[0] == name]
+        columns = [i for i, row in enumerate(rows) if row.rsplit(".", 1)[0] == name and not row.endswith(".angle")]
+        turned = [i for i, row in enumerate(rows) if row == f"{name}.angle"]
+        if turned:
+            error = np.abs(residual[:, turned[0]])
+            np.testing.assert_allclose(r.run.joints[name].angle_misalignment, error, rtol=0, atol=1e-16)
         if not (isinstance(joint, Driver) and joint.coordinate == "angle"):
             norm = np.sqrt(np.sum(residual[:, columns] ** 2, axis=1))
             np.testing.assert_allclose(r.run.joints[name].misalignment, norm, rtol=0, atol=1e-16)

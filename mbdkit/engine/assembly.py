@@ -14,6 +14,7 @@ from mbdkit.engine.observe import constraints_at, stiffness_at
 from mbdkit.engine.problem import finite_motions, new_scratch
 from mbdkit.engine.system import Scratch
 from mbdkit.errors import SpecError
+from mbdkit.mechanism.elements import Table
 from mbdkit.mechanism.mechanism import Mechanism
 
 Entries = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -140,7 +141,7 @@ class _Assembly:
         return self.report(q, v, phi, rate)
 
     def check_motions(self) -> None:
-        """Raise SpecError for the first driver or load whose expression is not a finite number at the start."""
+        """Raise SpecError for the first driver or load whose motion is not a finite number at the start."""
         top, scratch = self.compiled.topology, self.scratch
         constraints_at(top, scratch, self.t0, self.padded(self.given_q.ravel()), self.padded(np.zeros(self.n)))
         if finite_motions(top, scratch.u):
@@ -154,6 +155,11 @@ class _Assembly:
         values = dict(zip(self.compiled.motions, scratch.u, strict=True))
         for key, motion in written:
             if motion is not None and not np.all(np.isfinite(values[motion][: 3 if key.endswith("motion") else 1])):
+                if isinstance(motion, Table):
+                    raise SpecError(
+                        "the spline through this table is not finite: its values are too large or its times too close",
+                        key=key,
+                    )
                 raise SpecError(
                     f"{motion!r} is not a finite number at the start, t = {self.t0:g} s, "
                     "or one of the first two derivatives is not, which a driver needs",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +12,19 @@ from mbdkit.engine.constraints import KINDS
 from mbdkit.engine.forces import PATHWAYS, POINT_FORCE, TORQUE
 from mbdkit.engine.motions import OPCODES
 from mbdkit.engine.system import Topology
-from mbdkit.mechanism.elements import Distance, Driver, PointForce, Revolute, SpringDamper, Torque, TorsionSpring
-from mbdkit.mechanism.expression import Expression
+from mbdkit.mechanism.elements import (
+    Distance,
+    Driver,
+    Motion,
+    PointForce,
+    Prismatic,
+    SpringDamper,
+    Table,
+    Torque,
+    TorsionSpring,
+    Weld,
+)
+from mbdkit.mechanism.expression import Expression, Program
 from mbdkit.mechanism.mechanism import Mechanism
 
 Numbers = tuple[float, ...]
@@ -61,7 +73,7 @@ class CompiledMechanism:
     joint_bodies: tuple[tuple[str, str], ...]
     rows: tuple[Row, ...]
     joint_pairs: tuple[tuple[int, ...], ...]
-    motions: tuple[float | str, ...]
+    motions: tuple[Motion, ...]
     order: tuple[int, ...]
     below: tuple[frozenset[int], ...]
     well_scaled: bool
@@ -111,17 +123,45 @@ class _Motions:
     """Collects the motions of a mechanism as one program store; equal motions share a number."""
 
     def __init__(self) -> None:
-        self.numbers: dict[float | str, int] = {}
-        self.start, self.ops, self.values = [0], [], []  # type: list[int], list[int], list[float]
+        self.numbers: dict[Motion, int] = {}
+        self.start, self.ops, self.constants = [0], [], []  # type: list[int], list[int], list[float]
+        self.tables: list[float] = []
 
-    def add(self, motion: float | str) -> int:
+    def add(self, motion: Motion) -> int:
         if motion not in self.numbers:
-            program = Expression.parse(motion).program if isinstance(motion, str) else (("const", float(motion)),)
+            program = self._program(motion)
             self.ops += [OPCODES[name] for name, _ in program]
-            self.values += [float(value) for _, value in program]
+            self.constants += [float(value) for _, value in program]
             self.start.append(len(self.ops))
             self.numbers[motion] = len(self.start) - 2
         return self.numbers[motion]
+
+    def _program(self, motion: Motion) -> Program:
+        if isinstance(motion, str):
+            return Expression.parse(motion).program
+        if not isinstance(motion, Table):
+            return (("const", float(motion)),)
+        begin = len(self.tables)
+        self.tables += _piecewise_cubic(motion)
+        return (("table", float(begin)),)
+
+    @property
+    def values(self) -> list[float]:
+        """The constants of the programs, and behind them the tables."""
+        ops = zip(self.ops, self.constants, strict=True)
+        return [x + len(self.ops) if op == OPCODES["table"] else x for op, x in ops] + self.tables
+
+
+def _piecewise_cubic(table: Table) -> list[float]:
+    """Return a table's cubic spline as the kernel reads it: number of pieces, their ends, coefficients of each."""
+    from scipy.interpolate import CubicSpline
+
+    times, values = (np.array(column) for column in table.table)
+    coefficients = np.full((len(times) - 1, 4), np.nan)  # which the check of the start will tell
+    with np.errstate(all="ignore"), suppress(ValueError, np.linalg.LinAlgError):
+        found = CubicSpline(times, values).c[::-1].T
+        coefficients = found if np.all(np.isfinite(found)) else coefficients
+    return [float(len(times) - 1), *times.tolist(), *coefficients.ravel().tolist()]
 
 
 def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
@@ -141,17 +181,19 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
     number = {name: i for i, name in enumerate(bodies)}
     ground = number["ground"] = len(bodies)
     motions = _Motions()
-    kinds, ends, parameters, driven = _constraints(mechanism, number, motions)
-    order, below = minimum_degree(neighbours(ends, ground))
+    pairs = _pairs(mechanism, number, motions)
+    order, below = minimum_degree(neighbours([pair.bodies for pair in pairs], ground))
     place = {pair: k for k, pair in enumerate(order)}
 
-    rows = [
-        Row(place[written], r, f"{name}.{row}", unit)
-        for written, (name, joint) in enumerate(mechanism.joints.items())
-        for r, (row, unit) in enumerate(zip(joint.rows, joint.units, strict=True))
-    ]
-    joint_pairs = [(place[written],) for written in range(len(mechanism.joints))]
-    row_counts = [len(joint.rows) for joint in mechanism.joints.values()]
+    joint_pairs: list[list[int]] = [[] for _ in mechanism.joints]
+    joints = list(mechanism.joints.items())
+    rows = []
+    for written, pair in enumerate(pairs):
+        joint_pairs[pair.joint].append(place[written])
+        name, joint = joints[pair.joint]
+        for r in range(pair.rows):
+            row = pair.first_row + r
+            rows.append(Row(place[written], r, f"{name}.{joint.rows[row]}", joint.units[row]))
 
     springs, spring_points, spring_laws, loads, load_points = _forces(mechanism, number, motions)
     mass = np.ones((len(bodies) + 1, 3))
@@ -163,9 +205,11 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         mass=mass,
         weight=weight,
         gravity=np.array(mechanism.gravity, dtype=float),
-        pairs=np.array([(KINDS[kinds[k]], *ends[k], driven[k]) for k in order], dtype=np.int64).reshape(-1, 4),
-        rows=np.array([row_counts[k] for k in order], dtype=np.int64),
-        pair_parameters=np.array([parameters[k] for k in order], dtype=float).reshape(-1, 6),
+        pairs=np.array(
+            [(KINDS[pairs[k].kind], *pairs[k].bodies, pairs[k].motion) for k in order], dtype=np.int64
+        ).reshape(-1, 4),
+        rows=np.array([pairs[k].rows for k in order], dtype=np.int64),
+        pair_parameters=np.array([pairs[k].parameters for k in order], dtype=float).reshape(-1, 6),
         springs=np.array(springs, dtype=np.int64).reshape(-1, 3),
         spring_points=np.array(spring_points, dtype=float).reshape(-1, 6),
         spring_laws=np.array(spring_laws, dtype=float).reshape(-1, 3),
@@ -181,7 +225,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         joints=tuple(mechanism.joints),
         joint_bodies=tuple(joint.bodies for joint in mechanism.joints.values()),
         rows=tuple(rows),
-        joint_pairs=tuple(joint_pairs),
+        joint_pairs=tuple(tuple(members) for members in joint_pairs),
         motions=tuple(motions.numbers),
         order=tuple(order),
         below=tuple(frozenset(b) for b in below),
@@ -189,30 +233,41 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
     )
 
 
-def _constraints(
-    mechanism: Mechanism, number: dict[str, int], motions: _Motions
-) -> tuple[list[str], list[tuple[int, int]], list[Numbers], list[int]]:
-    """Return kind, bodies, parameters and motion of every pair of rows, in the order of the joints."""
-    kinds: list[str] = []
-    ends: list[tuple[int, int]] = []
-    parameters: list[Numbers] = []
-    driven: list[int] = []
-    for joint in mechanism.joints.values():
-        a, b = (number[name] for name in joint.bodies)
-        motion, last = -1, 0.0
+@dataclass(frozen=True)
+class _Pair:
+    """One or two constraint rows of a joint: `first_row` is the first of them among the joint's rows."""
+
+    joint: int
+    first_row: int
+    rows: int
+    kind: str
+    bodies: tuple[int, int]
+    parameters: Numbers
+    motion: int = -1
+
+
+def _pairs(mechanism: Mechanism, number: dict[str, int], motions: _Motions) -> list[_Pair]:
+    """Return the pairs of rows of every joint; rows that measure metres and rows that measure radians stay apart."""
+    pairs: list[_Pair] = []
+    for j, joint in enumerate(mechanism.joints.values()):
+        a, b = joint.bodies
+        ends = (number[a], number[b])
         if isinstance(joint, Driver):
-            kind, points = f"driver_{joint.coordinate}", ((0.0, 0.0), joint.point)
-            motion = motions.add(joint.motion)
-        elif isinstance(joint, Distance):
-            kind, points, last = "distance", joint.points, joint.length
+            kind, motion = f"driver_{joint.coordinate}", motions.add(joint.motion)
+            pairs.append(_Pair(j, 0, 1, kind, ends, (0.0, 0.0, *joint.point, 0.0, 0.0), motion))
+            continue
+        points = (*joint.points[0], *joint.points[1])
+        if isinstance(joint, Distance):
+            pairs.append(_Pair(j, 0, 1, "distance", ends, (*points, joint.length, 0.0)))
+            continue
+        if isinstance(joint, Prismatic):
+            pairs.append(_Pair(j, 0, 1, "point_on_line", ends, (*points, *joint.direction)))
         else:
-            assert isinstance(joint, Revolute)
-            kind, points = "revolute", joint.points
-        kinds.append(kind)
-        ends.append((a, b))
-        parameters.append((*points[0], *points[1], last, 0.0))
-        driven.append(motion)
-    return kinds, ends, parameters, driven
+            pairs.append(_Pair(j, 0, 2, "revolute", ends, (*points, 0.0, 0.0)))
+        if isinstance(joint, Prismatic | Weld):
+            angle = mechanism.relative_angle(a, b) if joint.angle is None else joint.angle
+            pairs.append(_Pair(j, len(joint.rows) - 1, 1, "fixed_angle", ends, (*points, angle, 0.0)))
+    return pairs
 
 
 def _forces(
@@ -245,12 +300,22 @@ def _forces(
 
 
 def _is_well_scaled(mechanism: Mechanism) -> bool:
-    """Return whether masses, and inertias over squared arms, lie within `WELL_SCALED` of each other."""
+    """Return whether masses, and inertias over squared arms, lie within `WELL_SCALED` of each other.
+
+    So do the inertias of bodies whose angles are tied to each other.
+    """
     arms = dict.fromkeys(mechanism.bodies, 0.0)
     for joint in mechanism.joints.values():
         for _, name, (x, y) in joint.attachments():
             if name in arms:
                 arms[name] = max(arms[name], x * x + y * y)
+        a = joint.bodies[0]
+        if isinstance(joint, Prismatic | Driver) and a in arms:  # the body is pushed at the other's point, on its frame
+            for _, name, point in joint.attachments()[-1:]:
+                x, y = mechanism.to_local(a, mechanism.to_global(name, point))
+                arms[a] = max(arms[a], x * x + y * y)
     scales = [body.mass for body in mechanism.bodies.values()]
     scales += [body.inertia / arms[name] for name, body in mechanism.bodies.items() if body.inertia and arms[name] > 0]
-    return not scales or max(scales) <= WELL_SCALED * min(scales)
+    tied = {name for joint in mechanism.joints.values() if len(joint.angles()) == 2 for _, name in joint.angles()}
+    inertias = [inertia for name in tied if name in arms and (inertia := mechanism.bodies[name].inertia)]
+    return all(not sizes or max(sizes) <= WELL_SCALED * min(sizes) for sizes in (scales, inertias))

@@ -12,20 +12,25 @@ from mbdkit.engine import elements as e
 from mbdkit.engine.cache import part
 
 KINDS = {name: code for code, name in enumerate(e.CONSTRAINT_KINDS)}
-_REVOLUTE, _DISTANCE, _DRIVER_ANGLE, _DRIVER_X, _DRIVER_Y = range(len(KINDS))
+(
+    _REVOLUTE, _DISTANCE, _DRIVER_ANGLE, _DRIVER_X, _DRIVER_Y, _POINT_ON_LINE, _FIXED_ANGLE,
+) = range(len(KINDS))  # fmt: skip
 
 revolute_position, distance_position = e.revolute_position, e.distance_position
 driver_angle_position, driver_x_position = e.driver_angle_position, e.driver_x_position
 driver_y_position = e.driver_y_position
+point_on_line_position, fixed_angle_position = e.point_on_line_position, e.fixed_angle_position
 revolute_acceleration, distance_acceleration = e.revolute_acceleration, e.distance_acceleration
 driver_angle_acceleration, driver_x_acceleration = e.driver_angle_acceleration, e.driver_x_acceleration
 driver_y_acceleration = e.driver_y_acceleration
+point_on_line_acceleration, fixed_angle_acceleration = e.point_on_line_acceleration, e.fixed_angle_acceleration
 revolute_tangent, distance_tangent = e.revolute_tangent, e.distance_tangent
 driver_angle_tangent, driver_x_tangent, driver_y_tangent = (
     e.driver_angle_tangent,
     e.driver_x_tangent,
     e.driver_y_tangent,
 )
+point_on_line_tangent, fixed_angle_tangent = e.point_on_line_tangent, e.fixed_angle_tangent
 
 
 @part
@@ -50,8 +55,12 @@ def constraint_positions(pairs, p, q, cs, u, phi, phi_t):
             driver_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t)
         elif kind == _DRIVER_X:
             driver_x_position(k, a, b, m, q, cs, p, u, phi, phi_t)
-        else:
+        elif kind == _DRIVER_Y:
             driver_y_position(k, a, b, m, q, cs, p, u, phi, phi_t)
+        elif kind == _POINT_ON_LINE:
+            point_on_line_position(k, a, b, m, q, cs, p, u, phi, phi_t)
+        else:
+            fixed_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t)
 
 
 @part
@@ -67,8 +76,12 @@ def constraint_accelerations(pairs, p, q, v, cs, u, jac, gamma):
             driver_angle_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
         elif kind == _DRIVER_X:
             driver_x_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
-        else:
+        elif kind == _DRIVER_Y:
             driver_y_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
+        elif kind == _POINT_ON_LINE:
+            point_on_line_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
+        else:
+            fixed_angle_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
 
 
 @part
@@ -84,5 +97,9 @@ def constraint_tangents(pairs, p, q, v, acc, cs, u, lam, stiff, gamma_v, res_q):
             driver_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
         elif kind == _DRIVER_X:
             driver_x_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
-        else:
+        elif kind == _DRIVER_Y:
             driver_y_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
+        elif kind == _POINT_ON_LINE:
+            point_on_line_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
+        else:
+            fixed_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)

@@ -19,7 +19,7 @@ from mbdkit.engine.cache import element
 
 
 
-CONSTRAINT_KINDS = ('revolute', 'distance', 'driver_angle', 'driver_x', 'driver_y')
+CONSTRAINT_KINDS = ('revolute', 'distance', 'driver_angle', 'driver_x', 'driver_y', 'point_on_line', 'fixed_angle')
 
 
 PATHWAY_KINDS = ('two_points', 'relative_angle')
@@ -31,6 +31,8 @@ JACOBIAN_ENTRIES = {
     "driver_angle": (2, 5),
     "driver_x": (0, 1, 2, 3, 4, 5),
     "driver_y": (0, 1, 2, 3, 4, 5),
+    "point_on_line": (0, 1, 2, 3, 4, 5),
+    "fixed_angle": (2, 5),
 }
 
 
@@ -40,6 +42,8 @@ STIFFNESS_ENTRIES = {
     "driver_angle": (),
     "driver_x": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
     "driver_y": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
+    "point_on_line": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
+    "fixed_angle": (),
 }
 
 
@@ -49,6 +53,8 @@ GAMMA_V_ENTRIES = {
     "driver_angle": (),
     "driver_x": (0, 1, 2, 3, 4, 5),
     "driver_y": (0, 1, 2, 3, 4, 5),
+    "point_on_line": (0, 1, 2, 3, 4, 5),
+    "fixed_angle": (),
 }
 
 
@@ -58,6 +64,8 @@ RESIDUAL_Q_ENTRIES = {
     "driver_angle": (),
     "driver_x": (0, 1, 2, 3, 4, 5),
     "driver_y": (0, 1, 2, 3, 4, 5),
+    "point_on_line": (0, 1, 2, 3, 4, 5),
+    "fixed_angle": (),
 }
 
 
@@ -749,6 +757,188 @@ def driver_y_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q
     res_q[k, 3] = -t21
     res_q[k, 4] = -t23
     res_q[k, 5] = -bx*(-alb*sa + t22 + t24*wa - t24*wb) + by*(-alb*ca + t19 - t25*wa + t25*wb)
+
+
+@element
+def point_on_line_position(k, a, b, m, q, cs, p, u, phi, phi_t):
+    """Phi = distance of b's point from the line through a's; and its partial derivative by time."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    p4 = p[k, 4]
+    p5 = p[k, 5]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    nx = -ca*p5 - p4*sa
+    ny = ca*p4 - p5*sa
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    phi[k, 0] = gx*nx + gy*ny
+
+
+@element
+def point_on_line_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
+    """Jacobian and right side of Phi_q a = gamma."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    vxa = v[3*a+0]
+    vya = v[3*a+1]
+    wa = v[3*a+2]
+    vxb = v[3*b+0]
+    vyb = v[3*b+1]
+    wb = v[3*b+2]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    p4 = p[k, 4]
+    p5 = p[k, 5]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    nx = -ca*p5 - p4*sa
+    ny = ca*p4 - p5*sa
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    t0 = nx*wa
+    t1 = ny*wa
+    t2 = bx*wb
+    t3 = by*wb
+    jac[k, 0] = -nx
+    jac[k, 1] = -ny
+    jac[k, 2] = -ax*ny + ay*nx - gx*ny + gy*nx
+    jac[k, 3] = nx
+    jac[k, 4] = ny
+    jac[k, 5] = bx*ny - by*nx
+    gamma[k, 0] = nx*vya*wa + ny*vxb*wa - t0*vyb - t1*vxa - wa*(nx*(t2 - vya + vyb - wa*(ax + gx)) + ny*(t3 + vxa - vxb - wa*(ay + gy))) - wb*(bx*t0 + by*t1 - nx*t2 - ny*t3)
+
+
+@element
+def point_on_line_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
+    """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    vxa = v[3*a+0]
+    vya = v[3*a+1]
+    wa = v[3*a+2]
+    vxb = v[3*b+0]
+    vyb = v[3*b+1]
+    wb = v[3*b+2]
+    axa = acc[3*a+0]
+    aya = acc[3*a+1]
+    ala = acc[3*a+2]
+    axb = acc[3*b+0]
+    ayb = acc[3*b+1]
+    alb = acc[3*b+2]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    p4 = p[k, 4]
+    p5 = p[k, 5]
+    lam0 = lam[k, 0]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    nx = -ca*p5 - p4*sa
+    ny = ca*p4 - p5*sa
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    t0 = lam0*ny
+    t1 = lam0*nx
+    t2 = -t1
+    t3 = ax + gx
+    t4 = ay + gy
+    t5 = nx*t3 + ny*t4
+    t6 = -t0
+    t7 = bx*nx
+    t8 = by*ny
+    t9 = t7 + t8
+    t10 = lam0*t9
+    t11 = 2*wa
+    t12 = ny*t11
+    t13 = nx*t11
+    t14 = t9*wb
+    t15 = bx*wb
+    t16 = t15 - t3*wa - vya + vyb
+    t17 = by*wb
+    t18 = t17 - t4*wa + vxa - vxb
+    t19 = (wa*wa)
+    t20 = ala*ny + nx*t19
+    t21 = ala*nx - ny*t19
+    t22 = wa - wb
+    t23 = ny*wb
+    t24 = nx*wb
+    stiff[k, 2] = t0
+    stiff[k, 8] = t2
+    stiff[k, 12] = t0
+    stiff[k, 13] = t2
+    stiff[k, 14] = -lam0*t5
+    stiff[k, 15] = t6
+    stiff[k, 16] = t1
+    stiff[k, 17] = t10
+    stiff[k, 20] = t6
+    stiff[k, 26] = t1
+    stiff[k, 32] = t10
+    stiff[k, 35] = -t10
+    gamma_v[k, 0] = -t12
+    gamma_v[k, 1] = t13
+    gamma_v[k, 2] = -nx*t16 + nx*vya - nx*vyb - ny*t18 - ny*vxa + ny*vxb - t14 + t5*wa
+    gamma_v[k, 3] = t12
+    gamma_v[k, 4] = -t13
+    gamma_v[k, 5] = bx*nx*wb + by*ny*wb + t14 - t7*wa - t8*wa - t9*wa
+    res_q[k, 0] = t20
+    res_q[k, 1] = -t21
+    res_q[k, 2] = nx*(-ala*t3 + alb*bx - aya + ayb + t17*t22 + t18*wa + vxa*wa - vxb*wa) - ny*(ala*t4 - alb*by - axa + axb + t15*t22 + t16*wa - vya*wa + vyb*wa)
+    res_q[k, 3] = -t20
+    res_q[k, 4] = t21
+    res_q[k, 5] = bx*t21 + bx*(-alb*nx + t22*t23 + t23*wa) + by*t20 - by*(alb*ny + t22*t24 + t24*wa)
+
+
+@element
+def fixed_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t):
+    """Phi = theta_b - theta_a - angle; and its partial derivative by time."""
+    tha = q[3*a+2]
+    thb = q[3*b+2]
+    p4 = p[k, 4]
+    phi[k, 0] = -p4 - tha + thb
+
+
+@element
+def fixed_angle_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
+    """Jacobian and right side of Phi_q a = gamma."""
+    jac[k, 2] = -1.0
+    jac[k, 5] = 1.0
+
+
+@element
+def fixed_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
+    """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
 
 
 @element

@@ -1,5 +1,6 @@
 """Motions of time: a postfix program run on truncated Taylor series, so that rate and second derivative are exact.
 
+A table is one instruction of such a program: a piecewise cubic, whose numbers stand behind those of all programs.
 Departs from a symbolic derivative on purpose: a second-order jet needs no SymPy at run time and compiles nothing for a
 new expression. Each stack entry is (value, first, second derivative by t).
 """
@@ -12,14 +13,14 @@ from mbdkit.engine.cache import part
 
 _NAMES = (
     "const", "t", "add", "sub", "mul", "div", "neg", "pow", "powi", "sin", "cos", "tan", "asin", "acos", "atan",
-    "atan2", "exp", "log", "sqrt", "abs", "tanh", "min", "max",
+    "atan2", "exp", "log", "sqrt", "abs", "tanh", "min", "max", "table",
 )  # fmt: skip
 OPCODES = {name: code for code, name in enumerate(_NAMES)}
 MAX_DEPTH = 32
 
 (
     _CONST, _T, _ADD, _SUB, _MUL, _DIV, _NEG, _POW, _POWI, _SIN, _COS, _TAN, _ASIN, _ACOS, _ATAN,
-    _ATAN2, _EXP, _LOG, _SQRT, _ABS, _TANH, _MIN, _MAX,
+    _ATAN2, _EXP, _LOG, _SQRT, _ABS, _TANH, _MIN, _MAX, _TABLE,
 ) = range(len(OPCODES))  # fmt: skip
 
 
@@ -104,6 +105,27 @@ def _binary(op, a0, a1, a2, b0, b1, b2):
 
 
 @part
+def _piecewise_cubic(t, values, start):
+    """Return the jet of a piecewise cubic, whose end pieces go on beyond its ends.
+
+    From `start` on, `values` holds the number of pieces n, the n + 1 ends of the pieces, and for each piece its four
+    coefficients by rising powers of the time since its beginning.
+    """
+    pieces = int(values[start])
+    low, high = 0, pieces
+    while high - low > 1:
+        middle = (low + high) // 2
+        if values[start + 1 + middle] <= t:
+            low = middle
+        else:
+            high = middle
+    x = t - values[start + 1 + low]
+    c = start + pieces + 2 + 4 * low
+    c0, c1, c2, c3 = values[c], values[c + 1], values[c + 2], values[c + 3]
+    return c0 + x * (c1 + x * (c2 + x * c3)), c1 + x * (2.0 * c2 + x * (3.0 * c3)), 2.0 * c2 + 6.0 * x * c3
+
+
+@part
 def evaluate_motions(t, ptr, ops, values, stack, u):
     """Evaluate every motion at time `t`.
 
@@ -112,7 +134,8 @@ def evaluate_motions(t, ptr, ops, values, stack, u):
     t : float
         Time [s].
     ptr, ops, values
-        Program of motion i: ``ops[ptr[i]:ptr[i+1]]`` with the constants beside them.
+        Program of motion i: ``ops[ptr[i]:ptr[i+1]]`` with the constants beside them; for a table the constant is
+        where its numbers begin, further on in `values`.
     stack : (MAX_DEPTH, 3) array
         Scratch.
     u : (motions, 3) array
@@ -127,6 +150,9 @@ def evaluate_motions(t, ptr, ops, values, stack, u):
                 top += 1
             elif op == _T:
                 stack[top, 0], stack[top, 1], stack[top, 2] = t, 1.0, 0.0
+                top += 1
+            elif op == _TABLE:
+                stack[top, 0], stack[top, 1], stack[top, 2] = _piecewise_cubic(t, values, int(values[j]))
                 top += 1
             elif op in (_ADD, _SUB, _MUL, _DIV, _POW, _ATAN2, _MIN, _MAX):
                 top -= 1

@@ -12,16 +12,18 @@ from mbdkit.mechanism.elements import (
     Driver,
     MechanismData,
     PointForce,
+    Prismatic,
     Revolute,
     SpringDamper,
     Torque,
     TorsionSpring,
+    Weld,
 )
 from mbdkit.text import did_you_mean, listed
 
 _BY_TYPE: dict[str, type[BaseModel]] = {
     cls.model_fields["type"].default: cls
-    for cls in (Revolute, Distance, Driver, SpringDamper, TorsionSpring, Torque, PointForce)
+    for cls in (Revolute, Prismatic, Weld, Distance, Driver, SpringDamper, TorsionSpring, Torque, PointForce)
 }
 
 

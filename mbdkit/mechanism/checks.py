@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Container, Iterable, Mapping
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import GROUND, Assembly, Body, Force, Joint, PointForce, Torque
+from mbdkit.mechanism.elements import GROUND, Assembly, Body, Driver, Force, Joint, PointForce, Table, Torque
 from mbdkit.text import did_you_mean
+
+ROUNDING = 1e-9
+"""By how much of its length a run may leave a table: what adding up steps makes of its end."""
 
 
 def check_mechanism(
@@ -25,6 +28,29 @@ def check_mechanism(
         _check_element(f"model.forces.{name}", force, bodies, points)
     for index, name in enumerate(assembly.fix):
         check_known(name, bodies, f"model.assembly.fix[{index}]")
+
+
+def check_tables(joints: Mapping[str, Joint], forces: Mapping[str, Force], start: float, end: float) -> None:
+    """Raise a SpecError for the first table that does not cover the times from `start` to `end` [s]."""
+    used: list[tuple[str, object]] = []
+    for name, joint in joints.items():
+        if isinstance(joint, Driver):
+            used.append((f"model.joints.{name}.motion", joint.motion))
+    for name, force in forces.items():
+        if isinstance(force, Torque):
+            used.append((f"model.forces.{name}.value", force.value))
+        elif isinstance(force, PointForce):
+            used += [(f"model.forces.{name}.value[{i}]", value) for i, value in enumerate(force.value)]
+    for key, motion in used:
+        if not isinstance(motion, Table):
+            continue
+        first, last = motion.span
+        slack = ROUNDING * max(last - first, end - start)
+        if start < first - slack or end > last + slack:
+            raise SpecError(
+                f"the table covers {first!r} s to {last!r} s, but the run goes from {start!r} s to {end!r} s",
+                key=f"{key}.table[0]",
+            )
 
 
 def check_name(name: object, key: str) -> None:
@@ -57,14 +83,14 @@ def _check_element(key: str, element: Joint | Force, bodies: Iterable[str], poin
         raise SpecError(f"the two bodies must differ; both are '{body}'", key=f"{key}.{where}")
     if isinstance(element, Torque | PointForce) and element.body == GROUND:
         raise SpecError(f"a {element.type} on the ground does nothing; name a body", key=f"{key}.body")
-    for place, body, point in element.attachments():
-        if body in point_masses and point != (0.0, 0.0):
-            raise SpecError(
-                f"'{body}' is a point mass (it has no inertia), so it can be held only at [0, 0]", key=f"{key}.{place}"
-            )
     for place, body in element.angles():
         if body in point_masses:
             raise SpecError(
                 f"'{body}' is a point mass (it has no inertia), so it has no angle for a {element.type}",
                 key=f"{key}.{place}",
+            )
+    for place, body, point in element.attachments():
+        if body in point_masses and point != (0.0, 0.0):
+            raise SpecError(
+                f"'{body}' is a point mass (it has no inertia), so it can be held only at [0, 0]", key=f"{key}.{place}"
             )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
@@ -22,6 +22,12 @@ GROUND = "ground"
 Attachment = tuple[str, str, tuple[float, float]]
 
 
+def _shown(value: Any) -> str:
+    """Return what was given, as an error message shows it: not longer than a line."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
 def pair(wanted: str) -> Callable[[Any], Any]:
     """Return a validator that takes a list, tuple or array of two, and says what is `wanted` about anything else."""
 
@@ -30,7 +36,7 @@ def pair(wanted: str) -> Callable[[Any], Any]:
         if isinstance(plain, list):
             plain = tuple(plain)
         if not isinstance(plain, tuple):
-            raise SpecError(f"should be {wanted}, not {plain!r}")
+            raise SpecError(f"should be {wanted}, not {_shown(plain)}")
         if len(plain) != 2:
             raise SpecError(f"should be {wanted}, not {len(plain)} item{'s' * (len(plain) != 1)}")
         return plain
@@ -45,14 +51,51 @@ def sequence(value: Any) -> Any:
 
 
 def _motion(value: Any) -> Any:
-    """Let finite numbers and readable expressions pass."""
+    """Let finite numbers and readable expressions pass, and make tables of mappings."""
     if isinstance(value, str):
         Expression.parse(value)
+    elif isinstance(value, Mapping):
+        if list(value) != ["table"]:
+            raise SpecError(
+                f"should be {{table: [[t, ...], [value, ...]]}}, not a mapping with the keys {_shown([*value])}"
+            )
+        return Table(table=_columns(value["table"], "table"))
+    elif isinstance(value, Table):
+        return value
     elif isinstance(value, bool) or not isinstance(value, int | float):
-        raise SpecError(f'should be a number or an expression of t such as "0.5*sin(2*pi*t)", not {value!r}')
+        raise SpecError(
+            'should be a number, an expression of t such as "0.5*sin(2*pi*t)", or {table: [[t, ...], [value, ...]]}, '
+            f"not {_shown(value)}"
+        )
     elif not abs(value) <= sys.float_info.max:
         raise SpecError(f"should be a finite number, not {value!r}")
     return value
+
+
+def _columns(value: Any, key: str = "") -> Any:
+    """Return the two columns of a table as tuples of floats; raise SpecError where no spline goes through them."""
+    try:
+        columns = pair("a column of times and a column of values, [[t, ...], [value, ...]]")(value)
+    except SpecError as error:
+        raise error.located(prefix=key) from None
+    columns = [sequence(column) for column in columns]
+    for number, column in enumerate(columns):
+        if not isinstance(column, tuple):
+            raise SpecError(f"should be a list of numbers, not {_shown(column)}", key=f"{key}[{number}]")
+        for row, x in enumerate(column):
+            if isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= sys.float_info.max:
+                raise SpecError(f"should be a finite number, not {_shown(x)}", key=f"{key}[{number}][{row}]")
+    times, values = (tuple(float(x) for x in column) for column in columns)
+    if len(times) != len(values):
+        raise SpecError(f"a table needs as many values as times; it has {len(values)} and {len(times)}", key=key)
+    if len(times) < 2:
+        raise SpecError(f"a table needs two points or more, not {len(times)}", key=key)
+    for row in range(1, len(times)):
+        if not times[row - 1] < times[row]:
+            raise SpecError(
+                f"times must increase: {times[row]!r} comes after {times[row - 1]!r}", key=f"{key}[0][{row}]"
+            )
+    return times, values
 
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -61,14 +104,33 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Point = Annotated[tuple[Number, Number], BeforeValidator(pair("two numbers [x, y]"))]
 Points = Annotated[tuple[Point, Point], BeforeValidator(pair("two points, one in each body's frame, [[x, y], [x, y]]"))]
 BodyPair = Annotated[tuple[str, str], BeforeValidator(pair("two body names [first, second]"))]
-Motion = Annotated[Number | str, BeforeValidator(_motion)]
-MotionPair = Annotated[tuple[Motion, Motion], BeforeValidator(pair("two numbers or expressions of t [x, y]"))]
+Columns = Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidator(_columns)]
 
 
 class Element(BaseModel):
     """Base of all elements: strict (no coercion of text or booleans to numbers), frozen, no unknown keys."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+class Table(Element):
+    """A function of time by points: the cubic spline through them, with the not-a-knot condition at both ends.
+
+    Three points give a parabola and two a line. First and second derivative are continuous; the third jumps at the
+    points, which costs a method of high order its order unless its steps end there. A run must lie within the table.
+    """
+
+    table: Columns
+    """Times [s], strictly increasing, and the values at them: ``[[t, ...], [value, ...]]``."""
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time [s]."""
+        return self.table[0][0], self.table[0][-1]
+
+
+Motion = Annotated[Number | str | Table, BeforeValidator(_motion)]
+MotionPair = Annotated[tuple[Motion, Motion], BeforeValidator(pair("two numbers, expressions of t or tables [x, y]"))]
 
 
 class Body(Element):
@@ -154,6 +216,50 @@ class Distance(_BetweenPoints):
     units: ClassVar[tuple[str, ...]] = ("m",)
 
 
+class Prismatic(_BetweenPoints):
+    """A slide: b's point stays on the line through a's point along `axis`, and b does not turn against a."""
+
+    type: Literal["prismatic"] = "prismatic"
+    axis: Point
+    """Direction of the line in a's frame; its length does not matter."""
+    angle: Number | None = None
+    """``angle_b - angle_a`` [rad]; left out, the difference of the initial angles as given."""
+    rows: ClassVar[tuple[str, ...]] = ("normal", "angle")
+    units: ClassVar[tuple[str, ...]] = ("m", "rad")
+
+    @model_validator(mode="after")
+    def _axis_has_a_direction(self) -> Prismatic:
+        if self.axis == (0.0, 0.0):
+            raise SpecError("the axis [0, 0] has no direction; [1, 0] is a's own x axis", key="axis")
+        return self
+
+    @property
+    def direction(self) -> tuple[float, float]:
+        """The axis as a unit vector in a's frame."""
+        largest = max(abs(self.axis[0]), abs(self.axis[1]))
+        x, y = self.axis[0] / largest, self.axis[1] / largest
+        length = math.hypot(x, y)
+        return x / length, y / length
+
+    def angles(self) -> list[tuple[str, str]]:
+        """Return (key, body name) of each body whose own angle takes part, so that it cannot be a point mass."""
+        return self.places()
+
+
+class Weld(_BetweenPoints):
+    """A rigid connection: both points coincide, and b does not turn against a."""
+
+    type: Literal["weld"] = "weld"
+    angle: Number | None = None
+    """``angle_b - angle_a`` [rad]; left out, the difference of the initial angles as given."""
+    rows: ClassVar[tuple[str, ...]] = ("x", "y", "angle")
+    units: ClassVar[tuple[str, ...]] = ("m", "m", "rad")
+
+    def angles(self) -> list[tuple[str, str]]:
+        """Return (key, body name) of each body whose own angle takes part, so that it cannot be a point mass."""
+        return self.places()
+
+
 class Driver(_Between):
     """A prescribed motion of b relative to a: ``coordinate - motion(t) = 0``.
 
@@ -165,7 +271,7 @@ class Driver(_Between):
     coordinate: Literal["angle", "x", "y"]
     """What is driven: `angle` [rad], `x` [m] or `y` [m]."""
     motion: Motion
-    """Number or expression of t."""
+    """Number, expression of t, or table."""
     points: Points | None = None
     """For x and y: ``[[0, 0], b's point]``; left out, b's origin is driven."""
 
@@ -249,7 +355,7 @@ class Torque(Element):
     body: str
     """The body that the torque turns."""
     value: Motion
-    """Torque [N m]: number or expression of t."""
+    """Torque [N m]: number, expression of t, or table."""
     reaction_body: str | None = None
     """The body that takes the opposite torque; none by default."""
 
@@ -276,7 +382,7 @@ class PointForce(Element):
     point: Point = (0.0, 0.0)
     """Where it acts, in the body's frame [m]."""
     value: MotionPair
-    """Force (x, y) [N] in the global frame: numbers or expressions of t."""
+    """Force (x, y) [N] in the global frame: numbers, expressions of t, or tables."""
 
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element names."""
@@ -291,7 +397,7 @@ class PointForce(Element):
         return []
 
 
-Joint = Annotated[Revolute | Distance | Driver, Field(discriminator="type")]
+Joint = Annotated[Revolute | Prismatic | Weld | Distance | Driver, Field(discriminator="type")]
 Force = Annotated[SpringDamper | TorsionSpring | Torque | PointForce, Field(discriminator="type")]
 
 

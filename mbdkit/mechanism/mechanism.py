@@ -9,7 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism._errors import spec_error
-from mbdkit.mechanism.checks import check_known, check_mechanism, check_name
+from mbdkit.mechanism.checks import check_known, check_mechanism, check_name, check_tables
 from mbdkit.mechanism.elements import (
     GROUND,
     Assembly,
@@ -22,14 +22,18 @@ from mbdkit.mechanism.elements import (
     MechanismData,
     Point,
     PointForce,
+    Prismatic,
     Revolute,
     SpringDamper,
+    Table,
     Torque,
     TorsionSpring,
+    Weld,
 )
 
 Pair = Sequence[float]
-Value = float | str
+Value = float | str | Table | Mapping[str, Any]
+"""A number, an expression of t, or ``{"table": [[t, ...], [value, ...]]}``."""
 AnyElement = TypeVar("AnyElement", bound=Element)
 
 _POINT: TypeAdapter[tuple[float, float]] = TypeAdapter(Point)
@@ -139,6 +143,67 @@ class Mechanism:
         held = self._points(key, a, b, points, at, at, "at")
         self.joints[name] = _make(Revolute, key, bodies=(a, b), points=held)
 
+    def prismatic(
+        self,
+        name: str,
+        a: str,
+        b: str,
+        *,
+        at: Pair | None = None,
+        points: Sequence[Pair] | None = None,
+        axis: Pair,
+        angle: float | None = None,
+    ) -> None:
+        """Let a point of `b` slide along a line of `a`, without turning against it.
+
+        Parameters
+        ----------
+        name
+            Its name.
+        a, b
+            The two bodies; the line belongs to a.
+        at
+            A point of the line, and the sliding point (x, y) [m], in the global frame at the initial positions.
+        points
+            Instead of `at`: a point of the line in a's frame and the sliding point in b's, ((x, y), (x, y)) [m].
+        axis
+            Direction of the line (x, y) in a's frame; its length does not matter.
+        angle
+            angle_b - angle_a [rad]; left out, the difference of the initial angles as given.
+        """
+        key = self._new(name, self.joints, "joints")
+        held = self._points(key, a, b, points, at, at, "at")
+        self.joints[name] = _make(Prismatic, key, bodies=(a, b), points=held, axis=axis, angle=angle)
+
+    def weld(
+        self,
+        name: str,
+        a: str,
+        b: str,
+        *,
+        at: Pair | None = None,
+        points: Sequence[Pair] | None = None,
+        angle: float | None = None,
+    ) -> None:
+        """Join bodies `a` and `b` rigidly.
+
+        Parameters
+        ----------
+        name
+            Its name.
+        a, b
+            The two bodies.
+        at
+            The joint (x, y) [m] in the global frame at the initial positions.
+        points
+            Instead of `at`: the joint in a's and in b's own frame, ((x, y), (x, y)) [m].
+        angle
+            angle_b - angle_a [rad]; left out, the difference of the initial angles as given.
+        """
+        key = self._new(name, self.joints, "joints")
+        held = self._points(key, a, b, points, at, at, "at")
+        self.joints[name] = _make(Weld, key, bodies=(a, b), points=held, angle=angle)
+
     def distance(
         self,
         name: str,
@@ -195,7 +260,7 @@ class Mechanism:
         coordinate
             ``angle`` (angle_b - angle_a), or the ``x`` or ``y`` of b's point in a's frame, from a's origin.
         motion
-            Number or expression of t [rad or m].
+            Number, expression of t, or table [rad or m].
         points
             For x and y: ((0, 0), b's point in its own frame) [m]; left out, b's origin.
         """
@@ -274,7 +339,7 @@ class Mechanism:
         body
             The body that is turned.
         value
-            Torque [N m]: number or expression of t.
+            Torque [N m]: number, expression of t, or table.
         reaction_body
             The body that takes the opposite torque, if any.
         """
@@ -296,7 +361,7 @@ class Mechanism:
         body
             The body that the force acts on.
         value
-            Force (x, y) [N] in the global frame: numbers or expressions of t.
+            Force (x, y) [N] in the global frame: numbers, expressions of t, or tables.
         at
             Where it acts (x, y) [m], in the global frame at the initial position.
         point
@@ -335,6 +400,11 @@ class Mechanism:
         """Return where a `point` (x, y) [m] of the frame of `body` is at the initial position."""
         return (point[0], point[1]) if body == GROUND else self.bodies[body].to_global((point[0], point[1]))
 
+    def relative_angle(self, a: str, b: str) -> float:
+        """Return angle_b - angle_a [rad] at the initial positions; the ground's angle is 0."""
+        angle_a, angle_b = (0.0 if name == GROUND else self.bodies[name].angle for name in (a, b))
+        return angle_b - angle_a
+
     def constraint_rows(self) -> list[tuple[str, str]]:
         """Return (name, unit) of every constraint row, such as ``("A.x", "m")``, in the order of the joints."""
         return [
@@ -363,6 +433,16 @@ class Mechanism:
             With the key path of the first thing that is wrong.
         """
         check_mechanism(self.bodies, self.joints, self.forces, self.assembly)
+
+    def check_span(self, start: float, end: float) -> None:
+        """Check that every table covers the times from `start` to `end` [s].
+
+        Raises
+        ------
+        SpecError
+            With the key path of the first table that does not.
+        """
+        check_tables(self.joints, self.forces, start, end)
 
     # ---- to and from a spec --------------------------------------------------------------------------------------
 

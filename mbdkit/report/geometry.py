@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mbdkit.report.shapes import Array, convex_hull
 
 if TYPE_CHECKING:
+    from mbdkit.mechanism.elements import Prismatic
     from mbdkit.mechanism.mechanism import Mechanism
 
 GROUND = -1
@@ -48,6 +49,10 @@ class Drawing:
         Points drawn as joints, as ground symbols and as centres of mass.
     springs, bars
         Pairs of points joined by a spring, or by a massless bar (a distance joint).
+    guides, sliders
+        Pairs of points between which a prismatic joint's line is drawn, and the points that slide on them.
+    welds
+        Points drawn as rigid connections.
     traces
         Points whose paths are drawn: free ends first, then moving joints.
     """
@@ -61,6 +66,9 @@ class Drawing:
     centres: tuple[int, ...] = ()
     springs: tuple[tuple[int, int], ...] = ()
     bars: tuple[tuple[int, int], ...] = ()
+    guides: tuple[tuple[int, int], ...] = ()
+    sliders: tuple[int, ...] = ()
+    welds: tuple[int, ...] = ()
     traces: tuple[Trace, ...] = ()
 
     def world(self, poses: Array, points: Sequence[int] | None = None) -> Array:
@@ -143,11 +151,24 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
     sketch = _Sketch(list(mechanism.bodies))
     for name, joint in mechanism.joints.items():
         sketch.joint(name, joint)
+        if joint.type == "prismatic":
+            sketch.guide(joint, _travel(mechanism, joint))
     for force in mechanism.forces.values():
         ends = sketch.attach(force)
         if force.type == "spring-damper":
             sketch.springs.append((ends[0], ends[1]))
     return sketch.finish()
+
+
+def _travel(mechanism: Mechanism, joint: Prismatic) -> tuple[float, float]:
+    """Return the ends of a guide, measured along its axis from its point [m]: past the slider, with room to move."""
+    elements = [*mechanism.joints.values(), *mechanism.forces.values()]
+    places = [mechanism.to_global(name, point) for one in elements for _, name, point in one.attachments()]
+    room = 0.25 * float(np.max(np.ptp(np.array(places), axis=0))) or 1.0
+    (a, b), (start, slider) = joint.bodies, joint.points
+    x, y = mechanism.to_local(a, mechanism.to_global(b, slider))
+    along = (x - start[0]) * joint.direction[0] + (y - start[1]) * joint.direction[1]
+    return min(along, 0.0) - room, max(along, 0.0) + room
 
 
 class _Sketch:
@@ -164,6 +185,9 @@ class _Sketch:
         self.pins: list[int] = []
         self.bars: list[tuple[int, int]] = []
         self.springs: list[tuple[int, int]] = []
+        self.guides: list[tuple[int, int]] = []
+        self.sliders: list[int] = []
+        self.welds: list[int] = []
         self.grounds: list[int] = []
         self.moving: list[Trace] = []
         self.traced: set[int] = set()  # bodies that have a traced point
@@ -194,16 +218,24 @@ class _Sketch:
         return found
 
     def joint(self, name: str, joint: Any) -> None:
-        """Enter a joint: a bar for a distance, nothing for a driver, a pin for all others."""
+        """Enter a joint: a bar for a distance, nothing for a driver, a mark at its point for all others."""
         ends = self.attach(joint, joint=joint.type != "driver")
         if joint.type == "distance":
             self.bars.append((ends[0], ends[1]))
         elif joint.type != "driver" and ends:
             moving = [index for index in ends if self.owner[index] != GROUND]
-            self.pins.append(moving[0] if moving else ends[0])
+            marks = {"prismatic": self.sliders, "weld": self.welds}.get(joint.type, self.pins)
+            place = ends[1] if joint.type == "prismatic" else moving[0] if moving else ends[0]
+            marks.append(place)
             if len(moving) == 2:
-                self.moving.append(Trace(name, moving[0]))
+                self.moving.append(Trace(name, place))
                 self.traced.update(self.owner[index] for index in moving)
+
+    def guide(self, joint: Prismatic, travel: tuple[float, float]) -> None:
+        """Enter the line of a prismatic joint, from one end of its travel to the other."""
+        (x, y), (dx, dy) = joint.points[0], joint.direction
+        low, high = (self.point(self.index[joint.bodies[0]], (x + s * dx, y + s * dy)) for s in travel)
+        self.guides.append((low, high))
 
     def finish(self) -> Drawing:
         """Return the drawing, with the outlines and free ends worked out."""
@@ -231,6 +263,9 @@ class _Sketch:
             centres=tuple(centres),
             springs=tuple(self.springs),
             bars=tuple(self.bars),
+            guides=tuple(self.guides),
+            sliders=tuple(self.sliders),
+            welds=tuple(self.welds),
             traces=tuple(free + self.moving),
         )
 

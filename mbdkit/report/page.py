@@ -78,6 +78,9 @@ def _data(shown: Scene) -> dict[str, Any]:
         "centres": list(drawing.centres),
         "springs": [list(ends) for ends in drawing.springs],
         "bars": [list(ends) for ends in drawing.bars],
+        "guides": [list(ends) for ends in drawing.guides],
+        "sliders": list(drawing.sliders),
+        "welds": list(drawing.welds),
         "traces": [
             {"label": trace.label, "point": trace.point, "color": _color_key(color)}
             for trace, color in zip(shown.traces, trace_colors(drawing, shown.traces), strict=True)

@@ -86,6 +86,8 @@ class Pose:
             line(self._strokes(own), color=color, linewidth=weight, solid_capstyle="round", zorder=4)
             if discs:
                 line(discs, color=color, linestyle="", marker="o", markersize=3 if crowd else 9, zorder=4)
+        if drawing.guides:
+            line(self._strokes(drawing.guides), color=FAINT, linewidth=1.2, zorder=2.2)
         if drawing.bars:
             line(self._strokes(drawing.bars), color=INK, linewidth=1.2, zorder=4)
         (self._springs,) = axes.plot(
@@ -111,6 +113,16 @@ class Pose:
                 markerfacecolor=PAPER,
                 zorder=7,
             )
+            line(
+                drawing.sliders,
+                linestyle="",
+                marker="s",
+                markersize=8,
+                color=INK,
+                markerfacecolor=PAPER,
+                zorder=6.5,
+            )
+            line(drawing.welds, linestyle="", marker="s", markersize=5, color=INK, zorder=7)
 
     def _strokes(self, strokes: Sequence[Sequence[int]]) -> list[int]:
         """Indices of one polyline through all strokes, with a gap (the row after the last point) between them."""

@@ -157,6 +157,8 @@ class RunSpec(Section):
 
         try:
             mechanism = self.model_plugin.build(self.model)
+            if isinstance(mechanism, Mechanism):
+                mechanism.check_span(self.time.start, self.time.final)
         except SpecError as error:
             raise error if error.key.startswith("model") else error.located(prefix="model") from None
         except Exception as error:

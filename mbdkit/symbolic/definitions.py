@@ -24,6 +24,8 @@ ca, sa, cb, sb = sp.symbols("ca sa cb sb", real=True)
 """Cosine and sine of ``theta_a`` and ``theta_b``."""
 ax, ay, bx, by = sp.symbols("ax ay bx by", real=True)
 """Global components of the two points, from their bodies' centres of mass."""
+nx, ny = sp.symbols("nx ny", real=True)
+"""Global components of the normal of a line whose direction in the frame of the first body is ``(p4, p5)``."""
 gx, gy, length = sp.symbols("gx gy length", positive=True)
 """The gap ``p_b - p_a`` and its norm."""
 
@@ -32,6 +34,8 @@ INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
     ay: sa * PARAMETERS[0] + ca * PARAMETERS[1],
     bx: cb * PARAMETERS[2] - sb * PARAMETERS[3],
     by: sb * PARAMETERS[2] + cb * PARAMETERS[3],
+    nx: -sa * PARAMETERS[4] - ca * PARAMETERS[5],
+    ny: ca * PARAMETERS[4] - sa * PARAMETERS[5],
     gx: xb + bx - xa - ax,
     gy: yb + by - ya - ay,
     length: sp.sqrt(gx**2 + gy**2),
@@ -47,6 +51,8 @@ _DERIVATIVES: dict[sp.Symbol, dict[sp.Symbol, sp.Expr]] = {
     ay: {tha: ax},
     bx: {thb: -by},
     by: {thb: bx},
+    nx: {tha: -ny},
+    ny: {tha: nx},
     gx: {xb: sp.Integer(1), xa: sp.Integer(-1), tha: ay, thb: -by},
     gy: {yb: sp.Integer(1), ya: sp.Integer(-1), tha: -ax, thb: bx},
 }
@@ -86,6 +92,8 @@ CONSTRAINTS = (
     ConstraintKind("driver_angle", (thb - tha - u,), "Phi = theta_b - theta_a - u(t)"),
     ConstraintKind("driver_x", (ca * _ARM[0] + sa * _ARM[1] - u,), "Phi = x of b's point in a's frame - u(t)"),
     ConstraintKind("driver_y", (ca * _ARM[1] - sa * _ARM[0] - u,), "Phi = y of b's point in a's frame - u(t)"),
+    ConstraintKind("point_on_line", (nx * gx + ny * gy,), "Phi = distance of b's point from the line through a's"),
+    ConstraintKind("fixed_angle", (thb - tha - PARAMETERS[4],), "Phi = theta_b - theta_a - angle"),
 )
 
 

@@ -45,6 +45,15 @@ def free(old: str, new: str) -> str:
     return FREE.replace(old, new)
 
 
+def slide(rest: str) -> str:
+    joint = f"    P: {{type: prismatic, bodies: [crank, rod], points: [[0, 0], [0, 0]], {rest}}}\n"
+    return free("  forces:", joint + "  forces:")
+
+
+def table(columns: str) -> str:
+    return free('"0.1*cos(t)"', f"{{table: {columns}}}")
+
+
 #: What is wrong: the spec, the line of the message (None where it names none), the key, and words of the message.
 WRONG = {
     "unknown key at the top": (small("time:", "tiem:"), 6, "tiem", "did you mean 'time'?"),
@@ -123,6 +132,27 @@ WRONG = {
         13,
         "model.forces.m.bdoy",
         "did you mean 'body'?",
+    ),
+    "a slide along nothing": (slide("axis: [0, 0]"), 12, "model.joints.P.axis", "has no direction"),
+    "a slide without axis": (slide("angle: 0"), 12, "model.joints.P.axis", "is missing"),
+    "a slide of a point mass": (
+        slide("axis: [1, 0]")
+        .replace("rod: {mass: 1, inertia: 0.1,", "rod: {mass: 1,")
+        .replace("[[0.5, 0], [-0.5, 0]]", "[[0.5, 0], [0, 0]]"),
+        12,
+        "model.joints.P.bodies[1]",
+        "has no angle for a prismatic",
+    ),
+    "a table that goes back": (table("[[0, 2, 1], [0, 1, 2]]"), 13, "model.forces.m.value.table[0][2]", "increase"),
+    "a table with a hole": (table("[[0, 1], [0, .nan]]"), 13, "model.forces.m.value.table[1][1]", "finite"),
+    "a table of one point": (table("[[0], [0]]"), 13, "model.forces.m.value.table", "two points or more"),
+    "a table with a value too few": (table("[[0, 1], [0]]"), 13, "model.forces.m.value.table", "as many values"),
+    "a table of one column": (table("[0, 1, 2]"), 13, "model.forces.m.value.table", "column of times"),
+    "a table shorter than the run": (
+        table("[[0, 0.5], [0, 1]]"),
+        13,
+        "model.forces.m.value.table[0]",
+        "the table covers 0.0 s to 0.5 s, but the run goes from 0.0 s to 1.0 s",
     ),
     "a number as a name": (free("rod: {mass", "5: {masss"), 8, "model.bodies.5.masss", "did you mean 'mass'?"),
 }

@@ -90,10 +90,24 @@ def driven_frame(rng: np.random.Generator) -> Mechanism:
     return m
 
 
+def slides(rng: np.random.Generator) -> Mechanism:
+    """Return an arm pinned to the ground with a frame on its slide, a rod in the frame's and one welded to that."""
+    m = Mechanism()
+    for i, name in enumerate(("arm", "frame", "rod", "fin")):
+        add_rod(m, rng, name, rng.normal(size=2), float(i) - 1.0)
+    m.revolute("pivot", m.ground, "arm", points=((0.1, 0.2), (-0.4, 0.1)))
+    m.prismatic("long", "arm", "frame", points=((0.2, 0.0), (-0.1, 0.1)), axis=(3.0, -1.0), angle=1.1)
+    m.prismatic("cross", "rod", "frame", points=((0.0, 0.1), (0.3, 0.2)), axis=(0.2, 0.5))
+    m.weld("foot", "rod", "fin", points=((-0.3, 0.0), (0.1, 0.4)))
+    m.spring_damper("s", "arm", "rod", points=((0.0, 0.4), (0.2, 0.0)), stiffness=20.0, damping=1.0)
+    return m
+
+
 KINDS: dict[str, Callable[[np.random.Generator], Mechanism]] = {
     "chain": chain,
     "tree": tree,
     "loop": loop,
     "ladder": ladder,
     "driven frame": driven_frame,
+    "slides": slides,
 }

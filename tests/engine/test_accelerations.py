@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.mechanism.elements import Distance, Driver, Revolute
+from mbdkit.mechanism.elements import Distance, Driver, Prismatic, Revolute, Weld
 from mbdkit.mechanism.expression import Expression
 from mbdkit.mechanism.mechanism import Mechanism
 
@@ -28,6 +28,15 @@ def dense_phi(m: Mechanism, q: Any, t: Any) -> Any:
         a, b = (number[name] for name in joint.bodies)
         if isinstance(joint, Revolute):
             rows += list(place(q, b, joint.points[1]) - place(q, a, joint.points[0]))
+        elif isinstance(joint, Prismatic):
+            gap = place(q, b, joint.points[1]) - place(q, a, joint.points[0])
+            c, s = np.cos(q[3 * a + 2]), np.sin(q[3 * a + 2])
+            x, y = np.array(joint.axis) / np.hypot(*joint.axis)
+            rows.append((c * x - s * y) * gap[1] - (s * x + c * y) * gap[0])
+            rows.append(q[3 * b + 2] - q[3 * a + 2] - held_angle(m, joint))
+        elif isinstance(joint, Weld):
+            rows += list(place(q, b, joint.points[1]) - place(q, a, joint.points[0]))
+            rows.append(q[3 * b + 2] - q[3 * a + 2] - held_angle(m, joint))
         elif isinstance(joint, Distance):
             gap = place(q, b, joint.points[1]) - place(q, a, joint.points[0])
             rows.append(np.sqrt(gap[0] ** 2 + gap[1] ** 2) - joint.length)
@@ -41,6 +50,13 @@ def dense_phi(m: Mechanism, q: Any, t: Any) -> Any:
                 c, s = np.cos(q[3 * a + 2]), np.sin(q[3 * a + 2])
                 rows.append((c * gap[0] + s * gap[1] if joint.coordinate == "x" else c * gap[1] - s * gap[0]) - u)
     return np.array(rows)
+
+
+def held_angle(m: Mechanism, joint: Prismatic | Weld) -> float:
+    if joint.angle is not None:
+        return joint.angle
+    first, second = (0.0 if name == "ground" else m.bodies[name].angle for name in joint.bodies)
+    return second - first
 
 
 def motion(value: Any, t: Any) -> Any:
@@ -96,6 +112,47 @@ def test_the_schur_complement_and_the_pivoted_system_agree(kind: str, seed: int)
     assert c.problem.solver.pivoted[0] == 1
     assert_close(acc, pivoted_acc)
     assert_close(lam, pivoted_lam)
+
+
+@kinds
+@seeds
+def test_residuals_and_rows_are_those_written_by_hand(kind: str, seed: int) -> None:
+    c = Compiled(KINDS[kind](np.random.default_rng(seed)), T)
+    expected = dense_phi(c.mechanism, c.q, c.t)
+    assert_close(c.constraints(c.q)[0], expected, tolerance=1e-14, size=1.0)
+    assert [row.label for row in c.compiled.rows] == [name for name, _ in c.mechanism.constraint_rows()]
+
+
+@pytest.mark.parametrize("inertia", [1e-8, 1e8])
+def test_bodies_of_very_different_inertia_that_do_not_turn_against_each_other_take_the_pivoted_system(
+    inertia: float,
+) -> None:
+    # expected: welded at the centre of mass, they fall as one body and turn by the torque over both inertias
+    m = Mechanism()
+    m.body("one", mass=1.0, inertia=1.0)
+    m.body("two", mass=1.0, inertia=inertia)
+    m.weld("W", "one", "two", at=(0.0, 0.0))
+    m.torque("spin", "two", value=3.0)
+    c = Compiled(m, T)
+    assert c.problem.solver.pivoted[0] == 1
+    acc, lam = c.accelerations()
+    turning = 3.0 / (1.0 + inertia)
+    np.testing.assert_allclose(acc, [0.0, -9.81, turning] * 2, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(lam[2], turning, rtol=1e-12)  # what turns the first is +lambda
+
+
+def test_a_light_arm_with_a_slider_far_out_takes_the_pivoted_system() -> None:
+    # expected: at rest and level, both turn by the slider's weight over their moment of inertia about the pin
+    m = Mechanism()
+    m.body("arm", mass=1.0, inertia=1e-9)
+    m.body("slider", mass=1.0, inertia=1e-9, position=(1.0, 0.0))
+    m.revolute("pin", m.ground, "arm", at=(0.0, 0.0))
+    m.prismatic("slide", "arm", "slider", points=((0.0, 0.0), (0.0, 0.0)), axis=(1.0, 0.0))
+    c = Compiled(m, T)
+    assert c.problem.solver.pivoted[0] == 1
+    acc, _ = c.accelerations()
+    turning = -9.81 / (1.0 + 2e-9)
+    np.testing.assert_allclose(acc, [0.0, 0.0, turning, 0.0, turning, turning], rtol=1e-12, atol=1e-12)
 
 
 @kinds

@@ -51,6 +51,30 @@ def four_bar(noise: float, seed: int = 0) -> Mechanism:
     return m
 
 
+def test_a_slide_and_a_weld_keep_the_angle_as_given_and_not_as_assembled() -> None:
+    # expected: the bodies' own angles in the spec, although assembly turns the first of them
+    m = Mechanism()
+    m.body("frame", mass=1.0, inertia=1.0, position=(0.1, 0.0), angle=0.4)
+    m.body("block", mass=2.0, inertia=1.0, position=(1.0, 0.7), angle=0.5)
+    m.body("fin", mass=0.5, inertia=0.2, position=(1.4, 1.0), angle=-0.3)
+    m.driver("tilt", m.ground, "frame", coordinate="angle", motion=1.0)
+    m.prismatic("P", "frame", "block", points=((0.0, 0.1), (0.2, 0.0)), axis=(1.0, 1.0))
+    m.weld("W", "block", "fin", points=((0.3, 0.0), (0.0, 0.0)))
+    start = assemble(m)
+    np.testing.assert_allclose(start.q[:, 2], (1.0, 1.1, 0.3), rtol=0, atol=1e-12)
+    c = Compiled(m)
+    assert np.max(np.abs(c.constraints(np.append(start.q.ravel(), np.zeros(3)))[0])) < 1e-12
+
+
+def test_a_slide_that_cannot_meet_its_angle_is_named() -> None:
+    m = Mechanism()
+    m.body("block", mass=1.0, inertia=1.0, position=(0.0, 0.0))
+    m.prismatic("P", m.ground, "block", at=(0.0, 0.0), axis=(1.0, 0.0), angle=0.2)
+    m.driver("turn", m.ground, "block", coordinate="angle", motion=0.0)
+    with pytest.raises(SpecError, match=r"these joints cannot meet at t = 0 s: .*P \(0\.1 rad\)"):
+        assemble(m)
+
+
 def given(m: Mechanism) -> tuple[np.ndarray, np.ndarray]:
     q = np.array([(*body.position, body.angle) for body in m.bodies.values()])
     v = np.array([(*body.velocity, body.angular_velocity) for body in m.bodies.values()])

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import sympy as sp
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
 
+from mbdkit.engine.assembly import assemble
+from mbdkit.errors import SpecError
 from mbdkit.mechanism.expression import Expression
 from mbdkit.mechanism.mechanism import Mechanism
 
@@ -64,7 +69,7 @@ OPERATIONS = [
 TIMES = (0.15, 0.83, 1.7, 2.9)
 
 
-def jets(texts: list[str], times: tuple[float, ...]) -> np.ndarray:
+def jets(texts: list[Any], times: tuple[float, ...]) -> np.ndarray:
     """Return value, first and second derivative (times, texts, 3) as the compiled kernel has them."""
     m = Mechanism()
     body = m.body("body", mass=1.0, inertia=1.0)
@@ -123,6 +128,56 @@ def test_a_negative_power_of_zero_is_not_finite() -> None:
 
 def test_negative_bases_keep_their_sign_in_whole_powers() -> None:
     np.testing.assert_allclose(jets(["(t - 3)**3"], (1.0,))[0, 0], (-8.0, 12.0, -12.0), rtol=1e-14)
+
+
+TABLES = {
+    "seven points": ([-1.0, -0.4, 0.1, 0.2, 1.4, 1.5, 3.0], [0.3, 2.0, -1.0, -1.1, 0.0, 4.0, 4.5]),
+    "four points": ([0.0, 0.5, 1.0, 3.0], [1.0, -2.0, 0.5, 0.25]),
+    "three points": ([0.0, 1.0, 3.0], [1.0, -2.0, 0.5]),
+    "two points": ([0.0, 3.0], [1.0, -2.0]),
+    "many points": (np.linspace(0.0, 3.0, 400).tolist(), np.sin(np.linspace(0.0, 7.0, 400) ** 2).tolist()),
+}
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_a_table_has_the_value_rate_and_acceleration_of_the_spline_of_scipy(table: str) -> None:
+    # expected: CubicSpline with its own default ends, at the points, between them and a little outside
+    columns = TABLES[table]
+    spline = CubicSpline(*columns)
+    times = tuple(np.concatenate([columns[0], np.linspace(columns[0][0] - 1e-9, columns[0][-1] + 1e-9, 101)]))
+    found = jets([{"table": columns}], times)[:, 0]
+    for order in range(3):
+        expected = spline(times, order)
+        np.testing.assert_allclose(found[:, order], expected, rtol=1e-13, atol=1e-13 * np.abs(expected).max())
+
+
+def test_two_and_three_points_are_a_line_and_a_parabola() -> None:
+    # expected: 1 + 2 t, and 1 - t + t^2
+    line, parabola = jets([{"table": [[0, 2], [1, 5]]}, {"table": [[0, 1, 3], [1, 1, 7]]}], (1.7,))[0]
+    np.testing.assert_allclose(line, (4.4, 2.0, 0.0), atol=1e-14)
+    np.testing.assert_allclose(parabola, (2.19, 2.4, 2.0), atol=1e-13)
+
+
+def test_tables_stand_beside_expressions_and_each_other_and_equal_ones_are_kept_once() -> None:
+    first, second = ({"table": TABLES[name]} for name in ("seven points", "four points"))
+    mixed = ["0.3*t*t", first, 2.5, second, "sin(3*t)", first]
+    together = jets(mixed, (1.3,))[0]
+    np.testing.assert_array_equal(together, [jets([motion], (1.3,))[0, 0] for motion in mixed])
+    m = Mechanism()
+    body = m.body("body", mass=1.0, inertia=1.0)
+    for i, motion in enumerate(mixed):
+        m.torque(f"m{i}", body, value=motion)
+    assert len(Compiled(m).compiled.motions) == 5
+
+
+@pytest.mark.parametrize(
+    "table", [[[0.0, 5e-324, 1.0, 2.0], [0.0, 1.0, 0.0, 1.0]], [[0.0, 1.0, 2.0, 3.0], [0.0, 1e308, -1e308, 1e308]]]
+)
+def test_a_table_whose_spline_overflows_is_refused_at_the_start(table: list[list[float]]) -> None:
+    m = Mechanism()
+    m.torque("push", m.body("body", mass=1.0, inertia=1.0), value={"table": table})
+    with pytest.raises(SpecError, match=r"forces\.push\.value: the spline through this table is not finite"):
+        assemble(m)
 
 
 LEAF = st.sampled_from(["t", "0.7", "2", "1.5", "(t - 1.3)", "(0.4*t + 2)"])

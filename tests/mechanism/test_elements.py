@@ -6,7 +6,19 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from mbdkit.mechanism.elements import Body, Distance, Driver, PointForce, Revolute, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.elements import (
+    Body,
+    Distance,
+    Driver,
+    PointForce,
+    Prismatic,
+    Revolute,
+    SpringDamper,
+    Table,
+    Torque,
+    TorsionSpring,
+    Weld,
+)
 
 POINTS = ((0.0, 0.0), (1.0, 0.0))
 
@@ -65,6 +77,69 @@ def test_a_motion_is_kept_as_written(motion):
     assert Driver(bodies=("a", "b"), coordinate="angle", motion=motion).motion == motion
 
 
+TABLE = {"table": [[0, 1, 2.5], [3, 1, 4]]}
+
+
+def test_a_table_is_kept_as_written_and_reads_back():
+    driver = Driver(bodies=("a", "b"), coordinate="angle", motion=TABLE)
+    assert driver.motion == Table(table=((0.0, 1.0, 2.5), (3.0, 1.0, 4.0)))
+    assert driver.motion.span == (0.0, 2.5)
+    assert Driver.model_validate(driver.model_dump()) == driver
+    assert Driver.model_validate_json(driver.model_dump_json()) == driver
+    assert hash(driver.motion) == hash(Table(**TABLE))
+
+
+@pytest.mark.parametrize(
+    "columns", [np.array([[0, 1, 2.5], [3, 1, 4]]), (np.array([0, 1, 2.5]), [3, 1, np.float64(4)])]
+)
+def test_a_table_takes_arrays(columns):
+    assert Torque(body="a", value={"table": columns}).value == Table(**TABLE)
+
+
+@pytest.mark.parametrize(
+    ("motion", "words"),
+    [
+        ({}, "should be {table"),
+        ({"tabel": [[0, 1], [0, 1]]}, "should be {table"),
+        ({**TABLE, "kind": "linear"}, "should be {table"),
+        ({"table": 3}, "a column of times and a column of values"),
+        ({"table": [[0, 1]]}, "a column of times and a column of values"),
+        ({"table": [[0, 1], [0, 1], [0, 1]]}, "a column of times and a column of values"),
+        ({"table": ["01", [0, 1]]}, "a list of numbers"),
+        ({"table": [[0, 1], [0]]}, "as many values as times; it has 1 and 2"),
+        ({"table": [[0], [1]]}, "two points or more, not 1"),
+        ({"table": [[], []]}, "two points or more, not 0"),
+        ({"table": [[0, 1, 1], [1, 2, 3]]}, "times must increase: 1.0 comes after 1.0"),
+        ({"table": [[0, 2, 1], [1, 2, 3]]}, "times must increase: 1.0 comes after 2.0"),
+        ({"table": [[0, 1], [1, math.nan]]}, "a finite number, not nan"),
+        ({"table": [[0, math.inf], [1, 2]]}, "a finite number, not inf"),
+        ({"table": [[0, 1], [1, 10**400]]}, "a finite number"),
+        ({"table": [[0, 1], [1, "2"]]}, "a finite number, not '2'"),
+        ({"table": [[0, True], [1, 2]]}, "a finite number, not True"),
+    ],
+)
+def test_a_table_is_two_columns_of_finite_numbers_with_increasing_times(motion, words):
+    with pytest.raises(ValidationError) as caught:
+        Driver(bodies=("a", "b"), coordinate="angle", motion=motion)
+    assert words in str(caught.value)
+    with pytest.raises(ValidationError):
+        Table(**motion)
+
+
+def test_the_direction_of_a_slide_has_length_one_and_its_axis_stays_as_written():
+    slide = Prismatic(bodies=("a", "b"), points=POINTS, axis=(3, -4))
+    assert (slide.axis, slide.direction) == ((3.0, -4.0), (0.6, -0.8))
+    for size in (1e-320, 5e-200, 1e200, 1.7e308):
+        slide = Prismatic(bodies=("a", "b"), points=POINTS, axis=(size, -size))
+        assert slide.direction == pytest.approx((0.5**0.5, -(0.5**0.5)), rel=1e-15)
+
+
+@pytest.mark.parametrize("axis", [(0, 0), (0.0, -0.0), (1,), (1, 0, 0), None, (math.nan, 1), ("1", 0)])
+def test_a_slide_needs_a_direction(axis):
+    with pytest.raises(ValidationError):
+        Prismatic(bodies=("a", "b"), points=POINTS, axis=axis)
+
+
 def test_a_driver_takes_points_only_where_they_mean_something():
     assert Driver(bodies=("a", "b"), coordinate="x", motion=0).point == (0.0, 0.0)
     assert Driver(bodies=("a", "b"), coordinate="x", motion=0, points=POINTS).point == (1.0, 0.0)
@@ -85,6 +160,10 @@ def test_a_spring_has_no_negative_parameters(key):
 def test_rows_and_units_name_the_constraints():
     assert Revolute(bodies=("a", "b"), points=POINTS).rows == ("x", "y")
     assert Distance(bodies=("a", "b"), points=POINTS, length=1).units == ("m",)
+    slide, weld = Prismatic(bodies=("a", "b"), points=POINTS, axis=(1, 0)), Weld(bodies=("a", "b"), points=POINTS)
+    assert (slide.rows, slide.units) == (("normal", "angle"), ("m", "rad"))
+    assert (weld.rows, weld.units) == (("x", "y", "angle"), ("m", "m", "rad"))
+    assert slide.angles() == weld.angles() == [("bodies[0]", "a"), ("bodies[1]", "b")]
     angle, x = (Driver(bodies=("a", "b"), coordinate=coordinate, motion=0) for coordinate in ("angle", "x"))
     assert (angle.rows, angle.units, x.rows, x.units) == (("angle",), ("rad",), ("x",), ("m",))
 

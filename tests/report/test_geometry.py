@@ -102,6 +102,34 @@ def test_springs_and_distances_join_the_points_of_their_bodies():
     assert len(drawing.grounds) == 2
 
 
+def test_a_slide_is_a_line_of_its_first_body_past_the_point_that_slides_on_it():
+    mechanism = Mechanism()
+    arm = mechanism.body("arm", mass=1, inertia=1, position=(1, 0), angle=np.pi / 2)
+    block = mechanism.body("block", mass=1, inertia=1, position=(1, 2), angle=np.pi / 2)
+    mechanism.revolute("pin", mechanism.ground, arm, at=(1, -1))
+    mechanism.prismatic("slide", arm, block, points=((0.5, 0), (0, 0)), axis=(2, 0))
+    drawing = draw_mechanism(mechanism)
+    world = drawing.world(initial_poses(mechanism)).round(12)
+    assert world[list(drawing.sliders)].tolist() == [[1.0, 2.0]]
+    ends = world[list(drawing.guides[0])]
+    assert ends[:, 0].tolist() == [1.0, 1.0]
+    assert ends[0, 1] < 0.5
+    assert ends[1, 1] > 2.0
+    assert set(drawing.owner[list(drawing.guides[0])]) == {0}
+    assert [trace.label for trace in drawing.traces] == ["slide"]
+    assert len(drawing.pins) == len(drawing.grounds) == 1
+
+
+def test_a_weld_is_marked_at_its_point():
+    mechanism = Mechanism()
+    beam = mechanism.body("beam", mass=1, inertia=1, position=(1, 0))
+    mechanism.weld("wall", mechanism.ground, beam, at=(0, 0))
+    drawing = draw_mechanism(mechanism)
+    assert drawing.world(initial_poses(mechanism), drawing.welds).tolist() == [[0.0, 0.0]]
+    assert drawing.pins == ()
+    assert outline(mechanism, 0) == [[0.0, 0.0], [2.0, 0.0]]
+
+
 @pytest.mark.parametrize("name", ["single-pendulum", "double-pendulum", "four-bar-knee"])
 def test_models_are_drawn_from_the_spec_alone(name):
     from mbdkit.report.geometry import build_mechanism

@@ -61,6 +61,25 @@ def test_a_coordinate_driver_prescribes_the_point_of_the_second_body_in_the_fram
 
 
 @ends
+@pytest.mark.parametrize("seed", range(3))
+def test_a_point_on_a_line_is_as_far_from_it_as_the_gap_goes_along_its_normal(ends: tuple[int, int], seed: int) -> None:
+    e = Element("point_on_line", *ends, seed)
+    phi, phi_t = e.position(e.q, e.u)
+    axis = turn(e.q[3 * ends[0] + 2]) @ e.p[0, 4:6]
+    gap = point(e, ends[1], 2) - point(e, ends[0], 0)
+    assert_close(phi, [axis[0] * gap[1] - axis[1] * gap[0]], size=1.0)
+    assert not np.any(phi_t)
+
+
+@ends
+def test_a_fixed_angle_holds_the_second_angle_less_the_first(ends: tuple[int, int]) -> None:
+    e = Element("fixed_angle", *ends, 0)
+    phi, phi_t = e.position(e.q, e.u)
+    assert_close(phi, [e.q[3 * ends[1] + 2] - e.q[3 * ends[0] + 2] - e.p[0, 4]])
+    assert not np.any(phi_t)
+
+
+@ends
 def test_pathways_measure_the_distance_of_two_points_and_the_relative_angle(ends: tuple[int, int]) -> None:
     e = Element("two_points", *ends, 0)
     assert_close(e.gradient(e.q)[0], np.hypot(*(point(e, ends[1], 2) - point(e, ends[0], 0))))
