@@ -367,24 +367,6 @@ class Mechanism:
         """
         check_mechanism(self.bodies, self.joints, self.forces, self.assembly)
 
-    def to_sympy(self, *, numbers: bool = True) -> SymbolicSystem:
-        """Return its index-1 equations of motion as SymPy matrices, which print as LaTeX and evaluate to numbers.
-
-        Parameters
-        ----------
-        numbers
-            Whether masses, lengths, stiffnesses and the like are put in as numbers, or stay symbols whose values
-            ``parameters`` keeps. Expressions of t stay as they were written.
-
-        Raises
-        ------
-        SpecError
-            With the key path of the first thing that is wrong, or of a force that has no symbolic form.
-        """
-        from mbdkit.symbolic.build import build_system
-
-        return build_system(self, numbers=numbers)
-
     # ---- to and from a spec --------------------------------------------------------------------------------------
 
     def to_spec(self) -> dict[str, Any]:
@@ -432,6 +414,26 @@ class Mechanism:
         mechanism.assembly = data.assembly
         mechanism.validate()
         return mechanism
+
+    # ---- its equations -------------------------------------------------------------------------------------------
+
+    def to_sympy(self, *, numbers: bool = True) -> SymbolicSystem:
+        """Return its index-1 equations of motion as SymPy matrices, which print as LaTeX and evaluate to numbers.
+
+        Parameters
+        ----------
+        numbers
+            Whether masses, lengths, stiffnesses and the like are put in as numbers, or stay symbols whose values
+            ``parameters`` keeps. Expressions of t stay as they were written.
+
+        Raises
+        ------
+        SpecError
+            With the key path of the first thing that is wrong, or of a force that has no symbolic form.
+        """
+        from mbdkit.symbolic.build import build_system
+
+        return build_system(self, numbers=numbers)
 
     # ---- private -------------------------------------------------------------------------------------------------
 
