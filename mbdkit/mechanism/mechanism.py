@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -30,6 +30,9 @@ from mbdkit.mechanism.elements import (
     TorsionSpring,
     Weld,
 )
+
+if TYPE_CHECKING:
+    from mbdkit.symbolic.system import SymbolicSystem
 
 Pair = Sequence[float]
 Value = float | str | Table | Mapping[str, Any]
@@ -491,6 +494,26 @@ class Mechanism:
         mechanism.assembly = data.assembly
         mechanism.validate()
         return mechanism
+
+    # ---- its equations -------------------------------------------------------------------------------------------
+
+    def to_sympy(self, *, numbers: bool = True) -> SymbolicSystem:
+        """Return its index-1 equations of motion as SymPy matrices, which print as LaTeX and evaluate to numbers.
+
+        Parameters
+        ----------
+        numbers
+            Whether masses, lengths, stiffnesses and the like are put in as numbers, or stay symbols whose values
+            ``parameters`` keeps. Expressions of t stay as they were written.
+
+        Raises
+        ------
+        SpecError
+            With the key path of the first thing that is wrong, or of a force that has no symbolic form.
+        """
+        from mbdkit.symbolic.build import build_system
+
+        return build_system(self, numbers=numbers)
 
     # ---- private -------------------------------------------------------------------------------------------------
 

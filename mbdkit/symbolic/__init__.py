@@ -1,5 +1,6 @@
 """The symbolic room: every element defined once, at position level, in SymPy; it writes ``engine/elements.py``.
 
-Nothing here is imported while a simulation runs. ``python -m mbdkit.symbolic`` writes the generated file anew,
+From the same definitions `Mechanism.to_sympy` puts the equations of a whole mechanism together. Nothing here is
+imported while a simulation runs. ``python -m mbdkit.symbolic`` writes the generated file anew,
 ``python -m mbdkit.symbolic --check`` says whether the one that is checked in is fresh.
 """

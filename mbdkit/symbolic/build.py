@@ -1,0 +1,307 @@
+"""Put the elements' definitions together: from a mechanism, by name, to the matrices of its `SymbolicSystem`.
+
+Constraints come from the compiled mechanism, row by row and kind by kind, so that a new kind of joint needs nothing
+here. A force is its virtual work along a pathway or a point of the definitions; a new kind of force is a method.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from functools import cache
+from typing import Any
+
+import sympy as sp
+
+from mbdkit.engine.compiled import CompiledMechanism, compile_mechanism
+from mbdkit.engine.constraints import KINDS
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.elements import GROUND, Force, PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.expression import Expression
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.symbolic import definitions as d
+from mbdkit.symbolic.system import SymbolicSystem
+
+TIME = sp.Symbol("t", real=True)
+
+Jet = tuple[sp.Expr, sp.Expr, sp.Expr]
+"""A motion with its first two derivatives by time."""
+
+_CONSTANTS = {("distance", 4): ("L", "L")}
+"""Name and LaTeX of a constraint kind's parameter that is not part of a point; others are p4 and p5."""
+
+_KINKED = (sp.Abs, sp.Min, sp.Max)
+
+
+def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
+    """Return the index-1 system of a mechanism.
+
+    Parameters
+    ----------
+    mechanism
+        Bodies, joints and forces by name.
+    numbers
+        Whether masses, lengths and the like are put in as numbers, or stay symbols.
+
+    Raises
+    ------
+    SpecError
+        For a mechanism that is not valid, or a force without symbolic form.
+    """
+    mechanism.validate()
+    return _Builder(mechanism, numbers).system()
+
+
+class _Builder:
+    """Names the symbols of one mechanism and adds up the terms of its elements."""
+
+    def __init__(self, mechanism: Mechanism, numbers: bool):
+        self.mechanism, self.numbers = mechanism, numbers
+        self.compiled: CompiledMechanism = compile_mechanism(mechanism)
+        self.names: dict[sp.Symbol, str] = {TIME: "t"}
+        self.parameters: dict[sp.Symbol, float] = {}
+        self.known: dict[tuple[float, str, tuple[str, ...]], sp.Symbol] = {}
+        self.bodies = [*mechanism.bodies, GROUND]
+        letters = (("x", "x"), ("y", "y"), ("theta", r"\theta"))
+        self.q, self.v, self.a = (
+            [
+                self.symbol(f"{letter}{dots}_{body}", f"{accent % tex}_{{{_text(body)}}}")
+                for body in mechanism.bodies
+                for letter, tex in letters
+            ]
+            for dots, accent in (("", "%s"), ("dot", r"\dot{%s}"), ("ddot", r"\ddot{%s}"))
+        )
+        self.forces = [sp.Integer(0)] * len(self.q)
+
+    def system(self) -> SymbolicSystem:
+        mass = self.masses_and_gravity()
+        for name, force in self.mechanism.forces.items():
+            self.add_force(name, force)
+        constraints, jacobian, gamma, multipliers = self.constraints()
+        matrices = {
+            "mass_matrix": sp.ImmutableMatrix(sp.diag(*mass)),
+            "constraints": _column(constraints),
+            "constraint_jacobian": sp.ImmutableMatrix(len(jacobian), len(self.q), [x for row in jacobian for x in row]),
+            "gamma": _column(gamma),
+            "forces": _column(self.forces),
+        }
+        used = set().union(*(matrix.free_symbols for matrix in matrices.values()))
+        unused = [symbol for symbol in self.parameters if symbol not in used]
+        return SymbolicSystem(
+            t=TIME,
+            q=_column(self.q),
+            v=_column(self.v),
+            accelerations=_column(self.a),
+            multipliers=_column(multipliers),
+            parameters={symbol: value for symbol, value in self.parameters.items() if symbol in used},
+            names={symbol: tex for symbol, tex in self.names.items() if symbol not in unused},
+            **matrices,
+        )
+
+    # ---- symbols -------------------------------------------------------------------------------------------------
+
+    def symbol(self, name: str, tex: str) -> sp.Symbol:
+        """Return a new real symbol; one whose name is taken, as names with underscores can bring about, gets a mark."""
+        symbol = sp.Symbol(name, real=True)
+        while symbol in self.names:
+            name, tex = f"{name}'", f"{{{tex}}}'"
+            symbol = sp.Symbol(name, real=True)
+        self.names[symbol] = tex
+        return symbol
+
+    def parameter(self, value: float, letter: str, *owners: str, tex: str = "") -> sp.Expr:
+        """Return a parameter as a number, or as a symbol that belongs to elements and bodies; zeros stay zeros."""
+        if self.numbers or value == 0:
+            return _number(value)
+        key = (value, letter, owners)
+        if key not in self.known:
+            index = f"_{{{','.join(_text(owner) for owner in owners)}}}" if owners else ""
+            self.known[key] = self.symbol("_".join((letter, *owners)), (tex or letter) + index)
+            self.parameters[self.known[key]] = float(value)
+        return self.known[key]
+
+    def point(self, name: str, body: str, point: Sequence[float]) -> list[sp.Expr]:
+        """Return the coordinates of a point in a body's frame."""
+        return [
+            self.parameter(x, letter, name, body, tex=rf"\{letter}")
+            for x, letter in zip(point, ("xi", "eta"), strict=True)
+        ]
+
+    # ---- elements ------------------------------------------------------------------------------------------------
+
+    def masses_and_gravity(self) -> list[sp.Expr]:
+        """Return the diagonal of the mass matrix, and add the weights to the forces."""
+        x, y = self.mechanism.gravity
+        if x == 0 and y < 0:
+            gravity = (sp.Integer(0), -self.parameter(-y, "g"))
+        else:
+            gravity = (self.parameter(x, "g_x"), self.parameter(y, "g_y"))
+        diagonal: list[sp.Expr] = []
+        for i, (name, body) in enumerate(self.mechanism.bodies.items()):
+            mass = self.parameter(body.mass, "m", name)
+            inertia = sp.Integer(1) if body.inertia is None else self.parameter(body.inertia, "J", name)
+            diagonal += [mass, mass, inertia]
+            for axis in range(2):
+                self.forces[3 * i + axis] += mass * gravity[axis]
+        return diagonal
+
+    def constraints(self) -> tuple[list[sp.Expr], list[list[sp.Expr]], list[sp.Expr], list[sp.Symbol]]:
+        """Return Phi, the rows of Phi_q, gamma and the multipliers, in the order of the rows' labels."""
+        kinds = {code: name for name, code in KINDS.items()}
+        top = self.compiled.topology
+        owners = {
+            pair: name
+            for name, pairs in zip(self.compiled.joints, self.compiled.joint_pairs, strict=True)
+            for pair in pairs
+        }
+        values: dict[int, dict[sp.Symbol, sp.Expr]] = {}
+        constraints, jacobian, gamma, multipliers = [], [], [], []
+        for row in self.compiled.rows:
+            code, a, b, motion = (int(x) for x in top.pairs[row.pair])
+            kind, joint = kinds[code], owners[row.pair]
+            if row.pair not in values:
+                given = top.pair_parameters[row.pair].tolist()
+                parameters = [
+                    *self.point(joint, self.bodies[a], given[:2]),
+                    *self.point(joint, self.bodies[b], given[2:4]),
+                ]
+                for i, x in enumerate(given[4:], start=4):
+                    letter, tex = _CONSTANTS.get((kind, i), (f"p{i}", f"p^{{({i})}}"))
+                    parameters.append(self.parameter(x, letter, joint, tex=tex))
+                jet = _jet(self.compiled.motions[motion]) if motion >= 0 else None
+                values[row.pair] = self.values(a, b, parameters, jet)
+            terms = _constraint_terms(kind)
+            here = values[row.pair]
+            constraints.append(terms["phi"][row.place].xreplace(here))
+            gamma.append(terms["gamma"][row.place].xreplace(here))
+            whole = [sp.Integer(0)] * len(self.q)
+            self.spread([x.xreplace(here) for x in terms["jacobian"].row(row.place)], a, b, whole)
+            jacobian.append(whole)
+            label = row.label.rpartition(".")[2]
+            shown = label if len(label) == 1 else _text(label)
+            multipliers.append(self.symbol(f"lambda_{joint}_{label}", rf"\lambda_{{{_text(joint)},{shown}}}"))
+        return constraints, jacobian, gamma, multipliers
+
+    def add_force(self, name: str, force: Force) -> None:
+        """Add the generalized forces of a force element."""
+        match force:
+            case SpringDamper(bodies=(a, b), points=points):
+                free = self.parameter(force.free_length, "l", name, tex=r"\ell")
+                held = [*self.point(name, a, points[0]), *self.point(name, b, points[1])]
+                self.add_spring("two_points", name, force, free, held)
+            case TorsionSpring():
+                free = self.parameter(force.free_angle, "phi", name, tex=r"\varphi")
+                self.add_spring("relative_angle", name, force, free, [])
+            case Torque():
+                gradient = _pathway_terms("relative_angle")[1]
+                self.add(gradient.T * _jet(force.value)[0], force.reaction_body or GROUND, force.body, [])
+            case PointForce():
+                place = d.jacobian((d.xb + d.bx, d.yb + d.by), d.BODY_COORDINATES)
+                value = sp.Matrix([_jet(x)[0] for x in force.value])
+                held = [sp.Integer(0)] * 2 + self.point(name, force.body, force.point)
+                self.add(place.T * value, GROUND, force.body, held)
+            case _:
+                raise SpecError(f"a {force.type} has no symbolic form", key=f"model.forces.{name}")
+
+    def add_spring(
+        self, pathway: str, name: str, force: SpringDamper | TorsionSpring, free: sp.Expr, held: Sequence[sp.Expr]
+    ) -> None:
+        """Add a linear spring and damper, of tension F = k (s - s_0) + c s', on a pathway: Q = -F s_q."""
+        length, gradient = _pathway_terms(pathway)
+        rate = (gradient * sp.Matrix(d.BODY_VELOCITIES))[0]
+        stiffness, damping = self.parameter(force.stiffness, "k", name), self.parameter(force.damping, "c", name)
+        self.add(-(stiffness * (length - free) + damping * rate) * gradient.T, *force.bodies, held)
+
+    def add(self, terms: sp.Matrix, a: str, b: str, parameters: Sequence[sp.Expr]) -> None:
+        """Add generalized forces (6, 1), as the definitions have them, on bodies `a` and `b`."""
+        first, second = self.bodies.index(a), self.bodies.index(b)
+        here = self.values(first, second, parameters)
+        self.spread([_shortest(x).xreplace(here) for x in terms], first, second, self.forces)
+
+    # ---- from the definitions' symbols to the mechanism's ----------------------------------------------------------
+
+    def values(
+        self, a: int, b: int, parameters: Sequence[sp.Expr], motion: Jet | None = None
+    ) -> dict[sp.Symbol, sp.Expr]:
+        """Return what each symbol of the definitions stands for in an element between bodies `a` and `b`."""
+        at_rest = [sp.Integer(0)] * 3
+        q, v = (
+            [x for body in (a, b) for x in (whole[3 * body : 3 * body + 3] or at_rest)] for whole in (self.q, self.v)
+        )
+        values: dict[sp.Symbol, sp.Expr] = dict(zip(d.BODY_COORDINATES, q, strict=True))
+        values |= zip(d.BODY_VELOCITIES, v, strict=True)
+        values |= {d.ca: sp.cos(q[2]), d.sa: sp.sin(q[2]), d.cb: sp.cos(q[5]), d.sb: sp.sin(q[5])}
+        values |= zip(d.PARAMETERS, parameters, strict=False)
+        if motion is not None:
+            values |= zip(d.MOTION, motion, strict=True)
+        for symbol, expr in d.INTERMEDIATES.items():
+            values[symbol] = expr.xreplace(values)
+        return values
+
+    def spread(self, terms: Sequence[sp.Expr], a: int, b: int, whole: list[sp.Expr]) -> None:
+        """Add six terms to the places of two bodies in a row of the whole system; ground has none."""
+        for i, term in enumerate(terms):
+            place = 3 * (a, b)[i // 3] + i % 3
+            if place < len(whole):
+                whole[place] += term
+
+
+@cache
+def _constraint_terms(kind: str) -> dict[str, sp.Matrix]:
+    """Return ``phi``, ``jacobian`` and ``gamma`` of a constraint kind in the symbols of the definitions."""
+    derived = d.derive_constraint(next(one for one in d.CONSTRAINTS if one.name == kind))
+    return {name: derived[name].applyfunc(_shortest) for name in ("phi", "jacobian", "gamma")}
+
+
+@cache
+def _pathway_terms(kind: str) -> tuple[sp.Expr, sp.Matrix]:
+    """Return the length and its gradient (1, 6) of a pathway in the symbols of the definitions."""
+    derived = d.derive_pathway(next(one for one in d.PATHWAYS if one.name == kind))
+    return derived["length"][0], derived["gradient"]
+
+
+def _shortest(expr: sp.Expr) -> sp.Expr:
+    """Return the shortest of a few ways of writing an expression."""
+    return min((expr, sp.expand(expr), sp.factor_terms(sp.expand(expr))), key=sp.count_ops)
+
+
+def _column(entries: Sequence[sp.Expr]) -> sp.ImmutableMatrix:
+    return sp.ImmutableMatrix(len(entries), 1, list(entries))
+
+
+def _number(value: float) -> sp.Expr:
+    """Return a number as it was written: an integer, or the shortest decimal that stands for the same float."""
+    value = float(value)
+    return sp.Integer(int(value)) if value.is_integer() else sp.Float(repr(value), 17)
+
+
+def _jet(motion: Any) -> Jet:
+    """Return a motion, a number or an expression of t, with its first two derivatives by time."""
+    if not isinstance(motion, str):
+        return _number(motion), sp.Integer(0), sp.Integer(0)
+    value = Expression.parse(motion).to_sympy()
+    value = value.xreplace({x: _angle(float(x)) for x in value.atoms(sp.Float)})
+    smooth = value.rewrite(sp.Piecewise) if value.has(*_KINKED) else value
+    return value, smooth.diff(TIME), smooth.diff(TIME, 2)
+
+
+def _angle(value: float) -> sp.Expr:
+    """Return a number as a simple fraction of pi where it is one to the last bits, otherwise as it was written."""
+    part = Fraction(value / math.pi).limit_denominator(12)
+    if part and abs(value - float(part) * math.pi) <= math.ulp(value):
+        return sp.Rational(part.numerator, part.denominator) * sp.pi
+    return _number(value)
+
+
+_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    **{letter: rf"\{letter}" for letter in "{}$&#_%"},
+}
+
+
+def _text(name: str) -> str:
+    """Return a name as text within LaTeX mathematics."""
+    return rf"\text{{{''.join(_SPECIAL.get(letter, letter) for letter in name)}}}"
