@@ -17,7 +17,7 @@ import sympy as sp
 from mbdkit.engine.compiled import CompiledMechanism, compile_mechanism
 from mbdkit.engine.constraints import KINDS
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import GROUND, Force, PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.elements import GROUND, Force, PointForce, SpringDamper, Table, Torque, TorsionSpring
 from mbdkit.mechanism.expression import Expression
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.symbolic import definitions as d
@@ -28,7 +28,12 @@ TIME = sp.Symbol("t", real=True)
 Jet = tuple[sp.Expr, sp.Expr, sp.Expr]
 """A motion with its first two derivatives by time."""
 
-_CONSTANTS = {("distance", 4): ("L", "L")}
+_CONSTANTS = {
+    ("distance", 4): ("L", "L"),
+    ("point_on_line", 4): ("e_x", "e^{x}"),
+    ("point_on_line", 5): ("e_y", "e^{y}"),
+    ("fixed_angle", 4): ("phi", r"\varphi"),
+}
 """Name and LaTeX of a constraint kind's parameter that is not part of a point; others are p4 and p5."""
 
 _KINKED = (sp.Abs, sp.Min, sp.Max)
@@ -277,13 +282,28 @@ def _number(value: float) -> sp.Expr:
 
 
 def _jet(motion: Any) -> Jet:
-    """Return a motion, a number or an expression of t, with its first two derivatives by time."""
+    """Return a motion, a number, an expression of t or a table, with its first two derivatives by time."""
+    if isinstance(motion, Table):
+        value = _spline(motion)
+        return value, value.diff(TIME), value.diff(TIME, 2)
     if not isinstance(motion, str):
         return _number(motion), sp.Integer(0), sp.Integer(0)
     value = Expression.parse(motion).to_sympy()
     value = value.xreplace({x: _angle(float(x)) for x in value.atoms(sp.Float)})
     smooth = value.rewrite(sp.Piecewise) if value.has(*_KINKED) else value
     return value, smooth.diff(TIME), smooth.diff(TIME, 2)
+
+
+def _spline(table: Table) -> sp.Expr:
+    """Return the cubic spline of a table; its end pieces go on beyond its ends."""
+    from scipy.interpolate import CubicSpline
+
+    times, values = table.table
+    pieces = []
+    for begin, end, coefficients in zip(times, times[1:], CubicSpline(times, values).c.T, strict=False):
+        cubic = sum(_number(c) * (TIME - _number(begin)) ** (3 - i) for i, c in enumerate(coefficients))
+        pieces.append((cubic, sp.true if end == times[-1] else sp.Lt(TIME, _number(end))))
+    return sp.Piecewise(*pieces)
 
 
 def _angle(value: float) -> sp.Expr:

@@ -40,6 +40,11 @@ def every_element() -> Mechanism:
     m.driver("motor", m.ground, "disc_2", coordinate="angle", motion="0.1 + atan2(sin(2*pi*t), 3) + max(t, 1 - t)**2")
     m.driver("lift", "arm", "point", coordinate="y", motion="0.8 + 0.1*abs(sin(3*t + 4))")
     m.driver("slide", "arm", "disc_2", coordinate="x", motion="1.5 + t**3/7", points=((0, 0), (0.1, 0.3)))
+    m.body("plate", mass=1.0, inertia=0.3, position=(2.6, 0.5), angle=0.2)
+    m.weld("bolts", "disc_2", "plate", points=((0.4, 0.5), (-0.3, 0.1)), angle=0.15)
+    m.body("slider", mass=0.6, inertia=0.02, position=(3.0, 1.0), angle=-0.1)
+    m.prismatic("rail", "plate", "slider", points=((0.1, 0.2), (-0.1, 0.3)), axis=(0.6, 0.7))
+    m.driver("cam", "plate", "slider", coordinate="x", motion={"table": [[0, 0.5, 1, 2, 3], [0.4, 0.5, 0.3, 0.2, 0.1]]})
     m.spring_damper(
         "s", "arm", "disc_2", points=((0.1, 0.2), (0.2, -0.3)), stiffness=31.0, damping=1.7, free_length=0.4
     )
@@ -248,8 +253,8 @@ def test_redundant_joints_have_accelerations_all_the_same() -> None:
 
 def test_a_state_that_is_not_one_is_refused() -> None:
     s = every_element().to_sympy()
-    with pytest.raises(ValueError, match="v should have 12 numbers, 3 for each of 4 bodies, not 2"):
-        s.evaluate(0.0, np.zeros(12), [0.0, 1.0])
+    with pytest.raises(ValueError, match="v should have 18 numbers, 3 for each of 6 bodies, not 2"):
+        s.evaluate(0.0, np.zeros(18), [0.0, 1.0])
     m = Mechanism()
     m.body("b", mass=1.0, inertia=1.0)
     m.distance("d", m.ground, "b", points=((0, 0), (0, 0)), length=1.0)
@@ -275,7 +280,7 @@ def test_every_force_element_has_a_symbolic_form_and_no_key_of_one_is_left_out()
     kinds = get_args(get_args(Force)[0])
     assert {kind.model_fields["type"].default: set(kind.model_fields) for kind in kinds} == FIELDS
     present = [*every_element().joints.values(), *every_element().forces.values()]
-    assert {one.type for one in present} >= FIELDS.keys() | {"revolute", "distance", "driver"}
+    assert {one.type for one in present} >= FIELDS.keys() | {"revolute", "distance", "driver", "prismatic", "weld"}
 
 
 # ---- LaTeX --------------------------------------------------------------------------------------------------------
