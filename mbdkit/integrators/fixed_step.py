@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -75,7 +76,7 @@ class State:
         self.iterations, self.row_iterations = np.zeros(2, dtype=np.int64), np.zeros((self.rows, 2), dtype=np.int64)
 
 
-class FixedStepper:
+class FixedStepper(ABC):
     """Base of the steppers in fixed steps; a family brings `steps`.
 
     Parameters
@@ -105,9 +106,9 @@ class FixedStepper:
         self.pace = Pace(max(1, min(16, 100_000 // problem.mechanism.size)))
         self._renewed: set[tuple[int, int]] = set()
 
+    @abstractmethod
     def steps(self, h: float, t0: float, first: int, last: int, every: int, state: State) -> tuple[int, int, int]:
         """Take steps `first` to `last - 1` of size `h`, step k from ``t0 + k h``; return (status, next, rows)."""
-        raise NotImplementedError
 
     def load_kernel(self) -> None:
         """Take no steps: the compiled loop is loaded before the first step is timed."""
