@@ -1,0 +1,230 @@
+"""Least change: the nearest positions and velocities, in the mass metric, that meet all constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from mbdkit.engine.compiled import CompiledMechanism
+from mbdkit.engine.constraints import KINDS
+from mbdkit.engine.observe import constraints_at, stiffness_at
+from mbdkit.engine.problem import new_scratch
+
+Entries = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""A sparse matrix as (row, column, value)."""
+
+MOST_ITERATIONS = 60
+MOST_DESCENTS = 30
+
+
+class LeastChange:
+    """Newton iterations onto the constraints of a mechanism at one time.
+
+    Parameters
+    ----------
+    compiled
+        The mechanism, with n = 3 B coordinates and m constraint rows.
+    t0
+        Time [s].
+    fixed
+        (n,) whether a coordinate is held.
+    """
+
+    def __init__(self, compiled: CompiledMechanism, t0: float, fixed: np.ndarray):
+        self.compiled, self.t0 = compiled, t0
+        self.scratch = new_scratch(compiled)[0]
+        self.n = len(fixed)
+        self.mass = compiled.topology.mass[:-1].ravel()
+        self.free = np.flatnonzero(~fixed)
+        self.rows = np.array([(row.pair, row.place) for row in compiled.rows], dtype=np.int64).reshape(-1, 2)
+
+    @property
+    def reach(self) -> float:
+        """Largest arm of a joint, at least 1 m: by how much a rate of turning is magnified in a point's velocity."""
+        return max(1.0, float(np.max(np.abs(self.compiled.topology.pair_parameters[:, :4]), initial=0.0)))
+
+    def padded(self, x: np.ndarray) -> np.ndarray:
+        """Return a vector of coordinates (n,) with those of the ground behind."""
+        return np.concatenate([x, np.zeros(3)])
+
+    def evaluate(self, q: np.ndarray) -> tuple[np.ndarray, Entries, np.ndarray]:
+        """Return Phi (m,), the Jacobian as (row, column, value) and Phi_t (m,)."""
+        w, top = self.scratch, self.compiled.topology
+        constraints_at(top, w, self.t0, self.padded(q), self.padded(np.zeros(self.n)))
+        pair, place = self.rows[:, 0], self.rows[:, 1]
+        blocks = w.jac.reshape(-1, 2, 6)[pair, place]
+        columns = np.concatenate(
+            [3 * top.pairs[pair, 1:2] + np.arange(3), 3 * top.pairs[pair, 2:3] + np.arange(3)], axis=1
+        )
+        row = np.repeat(np.arange(len(self.rows)), 6)
+        keep = (columns.ravel() < self.n) & (blocks.ravel() != 0)
+        return w.phi[pair, place], (row[keep], columns.ravel()[keep], blocks.ravel()[keep]), w.phi_t[pair, place]
+
+    def rates(self, jacobian: Entries, v: np.ndarray, phi_t: np.ndarray) -> np.ndarray:
+        """Return ``Phi_q v + Phi_t`` (m,)."""
+        row, column, value = jacobian
+        return phi_t + np.bincount(row, value * v[column], minlength=len(phi_t))
+
+    def positions(self, given: np.ndarray, tolerance: float) -> np.ndarray:
+        """Return the positions nearest to the given ones at which the gaps close, or come as near as they can."""
+        q = self.closed(self.separated(given), tolerance)
+        if float(np.max(np.abs(self.evaluate(q)[0]))) > tolerance:
+            return q
+        for _ in range(MOST_DESCENTS):
+            nearest = self.stationary(given, q, tolerance)
+            if nearest is not None:
+                return nearest
+            nearer = self.descended(given, q, tolerance)
+            if nearer is None:
+                return q
+            q = nearer
+        return q
+
+    def velocities(self, v: np.ndarray, jacobian: Entries, phi_t: np.ndarray, tolerance: float) -> np.ndarray:
+        """Return the velocities nearest to `v` under which the gaps stay closed, or as near to that as they come."""
+        rate = self.rates(jacobian, v, phi_t)
+        try:
+            solve = self.kkt(jacobian)
+        except RuntimeError:
+            return v
+        for _ in range(6):
+            v = v + solve(np.zeros(self.n), rate)[0]
+            rate = self.rates(jacobian, v, phi_t)
+            if np.max(np.abs(rate)) <= tolerance:
+                break
+        return v
+
+    def closed(self, q: np.ndarray, tolerance: float) -> np.ndarray:
+        """Close the gaps by Newton steps of least size, damped while the gaps do not shrink."""
+        phi, jacobian, _ = self.evaluate(q)
+        size = max(1.0, float(np.max(np.abs(q), initial=0.0)), self.reach)
+        nothing = np.zeros(self.n)
+        for _ in range(MOST_ITERATIONS):
+            gap = float(np.max(np.abs(phi)))
+            try:
+                step, _ = self.kkt(jacobian)(nothing, phi)
+            except RuntimeError:
+                return q
+            largest = float(np.max(np.abs(step)))
+            if not np.isfinite(largest):
+                return q
+            scale = min(1.0, 0.5 * size / largest) if largest > 0 else 1.0
+            best = (q, phi, jacobian, gap)
+            for _ in range(12):
+                trial = q + scale * step
+                phi_trial, jacobian_trial, _ = self.evaluate(trial)
+                gap_trial = float(np.max(np.abs(phi_trial)))
+                if gap_trial < best[3]:
+                    best = (trial, phi_trial, jacobian_trial, gap_trial)
+                if gap_trial <= 0.9 * gap:
+                    break
+                scale *= 0.5
+            if best[0] is q:
+                return q  # as near as round-off lets it come, or stuck
+            closed_enough = gap <= tolerance
+            q, phi, jacobian, _ = best
+            if closed_enough:
+                return q
+        return q
+
+    def stationary(self, given: np.ndarray, q: np.ndarray, tolerance: float) -> np.ndarray | None:
+        """Run Newton on the conditions of least change from `q`; None where it does not come to a nearer point."""
+        start = q
+        size = max(1.0, float(np.max(np.abs(q), initial=0.0)), self.reach)
+        multipliers: np.ndarray | None = None
+        for _ in range(20):
+            phi, jacobian, _ = self.evaluate(q)
+            pull = self.mass * (q - given)
+            try:
+                if multipliers is None:
+                    multipliers = self.kkt(jacobian)(pull, np.zeros(len(phi)))[1]
+                row, column, value = jacobian
+                gradient = pull + np.bincount(column, value * multipliers[row], minlength=self.n)
+                step, change = self.kkt(jacobian, self.stiffness(q, multipliers))(gradient, phi)
+            except RuntimeError:
+                return None
+            largest = float(np.max(np.abs(step)))
+            if not largest < size:
+                return None
+            q, multipliers = q + step, multipliers + change
+            if largest <= 1e-9 * size:  # Newton: the next change would be round-off
+                gap = float(np.max(np.abs(self.evaluate(q)[0])))
+                near = self.distance(given, q) <= self.distance(given, start) * (1 + 1e-9)
+                return q if gap <= tolerance and near else None
+        return None
+
+    def descended(self, given: np.ndarray, q: np.ndarray, tolerance: float) -> np.ndarray | None:
+        """Take a step along the joints towards the given positions; None where none is nearer."""
+        _, jacobian, _ = self.evaluate(q)
+        try:
+            step, _ = self.kkt(jacobian)(self.mass * (q - given), np.zeros(len(self.rows)))
+        except RuntimeError:
+            return None
+        scale = 1.0
+        for _ in range(12):
+            trial = self.closed(q + scale * step, tolerance)
+            met = float(np.max(np.abs(self.evaluate(trial)[0]))) <= tolerance
+            if met and self.distance(given, trial) < self.distance(given, q) * (1 - 1e-12):
+                return trial
+            scale *= 0.5
+        return None
+
+    def distance(self, given: np.ndarray, q: np.ndarray) -> float:
+        """Return the change in the mass metric, which assembly makes as small as it can."""
+        return float(self.mass @ (q - given) ** 2)
+
+    def separated(self, q: np.ndarray) -> np.ndarray:
+        """Return positions at which no distance joint has its points on top of each other, without a direction."""
+        top = self.compiled.topology
+        for k in np.flatnonzero(top.pairs[:, 0] == KINDS["distance"]):
+            constraints_at(top, self.scratch, self.t0, self.padded(q), self.padded(np.zeros(self.n)))
+            if np.all(np.isfinite(self.scratch.jac[k])):
+                continue
+            for body in top.pairs[k, [2, 1]]:
+                if 3 * body in self.free:
+                    q = q.copy()
+                    q[3 * body] += top.pair_parameters[k, 4]
+                    break
+        return q
+
+    def kkt(self, jacobian: Entries, stiffness: Entries | None = None) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
+        """Return a solver of ``[M + K, J^T; J, -e] [step, mu] = [-gradient, -gap]`` over the free coordinates.
+
+        A trace `e` of regularisation keeps redundant rows from stopping the solve. It acts on the change of the
+        multipliers only, so that it vanishes as the iterations around it converge.
+        """
+        from scipy.sparse import block_array, csr_array, diags_array
+        from scipy.sparse.linalg import splu
+
+        row, column, value = jacobian
+        j = csr_array((value, (row, column)), shape=(len(self.rows), self.n)).tocsc()[:, self.free]
+        hessian = diags_array(self.mass[self.free]).tocsc()
+        trace = 1e-13 * ((j**2) @ (1 / self.mass[self.free]))
+        if stiffness is not None:
+            row, column, value = stiffness
+            hessian += csr_array((value, (row, column)), shape=(self.n, self.n)).tocsc()[self.free][:, self.free]
+        corner = -diags_array(np.where(trace > 0, trace, 1.0))
+        matrix = block_array([[hessian, j.T], [j, corner]], format="csc")
+        lu = splu(matrix)
+
+        def solve(gradient: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            right = np.concatenate([-gradient[self.free], -gap])
+            solution = lu.solve(right)
+            solution += lu.solve(right - matrix @ solution)
+            step = np.zeros(self.n)
+            step[self.free] = solution[: len(self.free)]
+            return step, solution[len(self.free) :]
+
+        return solve
+
+    def stiffness(self, q: np.ndarray, multipliers: np.ndarray) -> Entries:
+        """Return d(J^T mu)/dq as (row, column, value)."""
+        w, top = self.scratch, self.compiled.topology
+        lam = np.zeros((len(top.pairs), 2))
+        lam[self.rows[:, 0], self.rows[:, 1]] = multipliers
+        stiffness_at(top, w, self.t0, self.padded(q), self.padded(np.zeros(self.n)), lam)
+        columns = np.concatenate([3 * top.pairs[:, 1:2] + np.arange(3), 3 * top.pairs[:, 2:3] + np.arange(3)], axis=1)
+        row, column = np.repeat(columns, 6, axis=1).ravel(), np.tile(columns, (1, 6)).ravel()
+        keep = (row < self.n) & (column < self.n) & (w.stiff.ravel() != 0)
+        return row[keep], column[keep], w.stiff.ravel()[keep]
