@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
@@ -144,8 +145,7 @@ class FixedStepper(ABC):
         elif self.done < total:
             t0 = table.start + (total - 1) * (table.step or 0.0)
             # the step's number starts again at 0 there, so that its time is exact
-            status_rows = self._run_last(t0)
-            rows = status_rows
+            self._run_last(t0)
         self.pace.timed(self.done - first, begin)
         stretch = self._collect(rows)
         if self.failure is None and self.done >= allowed:
@@ -172,7 +172,8 @@ class FixedStepper(ABC):
                 self._handle(status)
         return rows
 
-    def _run_last(self, t0: float) -> int:
+    def _run_last(self, t0: float) -> None:
+        """Take the shorter last step; its row is the end, which is recorded apart."""
         total = self.timetable.steps
         while self.done < total and self.failure is None:
             status, reached, _ = self.steps(self.timetable.last_step, t0, 0, 1, 2, self.state)
@@ -181,14 +182,12 @@ class FixedStepper(ABC):
                 self.counters.steps = self.counters.accepted = self.done
             else:
                 self._handle(status)
-        return 0
 
     def _rows_from(self, rows: int) -> State:
         """Return the state with its row buffers from `rows` on."""
         if rows == 0:
             return self.state
-        view = State.__new__(State)
-        view.__dict__.update(self.state.__dict__)
+        view = copy.copy(self.state)
         view.row_q, view.row_v = self.state.row_q[rows:], self.state.row_v[rows:]
         view.row_energy, view.row_iterations = self.state.row_energy[rows:], self.state.row_iterations[rows:]
         return view

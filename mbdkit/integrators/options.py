@@ -45,7 +45,7 @@ class RadauOptions(ImplicitOptions):
 class AdaptiveOptions(Options):
     """A method of SciPy that controls its own error."""
 
-    rtol: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] = 1e-8
-    """Relative error tolerance of a step."""
+    rtol: Annotated[float, Field(ge=2.3e-14, lt=1, allow_inf_nan=False)] = 1e-8
+    """Relative error tolerance of a step; SciPy takes none below 100 roundings, 2.3e-14."""
     atol: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1e-10
     """Absolute error tolerance of a step [m, rad, m/s, rad/s]."""

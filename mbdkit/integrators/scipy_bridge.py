@@ -56,7 +56,7 @@ class SciPyStepper:
         self._finite = True
         y0 = np.concatenate([problem.q0[: self.n3], problem.v0[: self.n3], np.zeros(2 * self.has_power)])
         solver = getattr(scipy.integrate, method.solver) if isinstance(method.solver, str) else method.solver
-        options: dict[str, Any] = {"rtol": max(method.rtol, 100 * np.finfo(float).eps), "atol": method.atol}
+        options: dict[str, Any] = {"rtol": method.rtol, "atol": method.atol}
         if method.needs_jacobian:
             options["jac"] = self.jacobian
         if timetable.step is not None:
