@@ -17,6 +17,7 @@ NAMES = [
     "chain",
     "crank-press",
     "double-pendulum",
+    "double-wishbone",
     "four-bar",
     "gravity-balanced-arm",
     "knee",
@@ -119,3 +120,59 @@ def test_crank_of_the_watt_six_bar_goes_round():
     with mbdkit.run("watt-six-bar") as run:
         assert np.ptp(run["crank"].angle) > 4 * np.pi
         assert run["crank"].angular_velocity[0] == 7.0
+
+
+def test_double_wishbone_stands_at_rest_until_the_bump_and_keeps_its_tyre_on_the_road():
+    # expected: the weight of all that the tyre carries, 360 kg, and k (0.3286 m - length) as its force; a tyre as a
+    # spring must not pull
+    with mbdkit.run("double-wishbone") as run:
+        time = np.asarray(run.time)
+        road, wheel, chassis = (np.asarray(run[name].position) for name in ("road", "upright", "chassis"))
+        lean = np.asarray(run["upright"].angle)
+    tyre = 190e3 * (0.3286 - np.hypot(*(wheel - road).T))
+    before = time < 0.4
+    np.testing.assert_allclose(tyre[before], 360 * 9.81, rtol=2e-3)
+    assert np.ptp(chassis[before, 1]) < 1e-4
+    assert tyre.min() > 500
+    assert np.abs(road[before, 1]).max() < 1e-5
+    assert road[:, 1].max() == pytest.approx(0.02, abs=1e-4)
+    assert lean[np.argmax(wheel[:, 1] - chassis[:, 1])] > 0.01  # its top leans inwards as it rises
+    assert np.ptp(wheel[:, 0]) < 0.001
+    assert np.abs(chassis[-1] - chassis[0]).max() < 1e-3
+
+
+def test_coil_of_the_double_wishbone_is_to_the_wheel_what_its_source_says():
+    # expected: 16 kN/m and 1000 N s/m as the wheel feels them: rates times the square of the lengths' ratio
+    mechanism = load_spec("double-wishbone").mechanism()
+    with mbdkit.run(mechanism, integrator={"name": "gauss", "stages": 2}, time={"end": 0.6, "step": 0.0025}) as run:
+        coil, rise = length(run, mechanism, "coil"), run["upright"].position[:, 1] - run["chassis"].position[:, 1]
+    ratio = np.polyfit(rise - rise[0], coil, 2)[1]  # where the car stands
+    force = mechanism.forces["coil"]
+    assert force.stiffness * ratio**2 == pytest.approx(16000, rel=0.01)
+    assert force.damping * ratio**2 == pytest.approx(1000, rel=0.01)
+
+
+def test_strut_of_the_knee_holds_the_foot_forward_of_where_it_would_hang():
+    # expected: at rest the potential energy of weight and strut is least; the comment says the rest
+    rest = {}
+    for name, settings in (("supported", ()), ("free", ("model.springs={}",))):
+        spec = load_spec("knee", settings)
+        with mbdkit.run(spec) as run:
+            flexion = np.degrees(np.pi / 2 - np.asarray(run["shank"].angle))
+            rest[name] = flexion[np.argmin(run.energy.potential)]
+            if name == "supported":
+                strut = length(run, spec.mechanism(), "support")
+                assert flexion[-1] == pytest.approx(rest[name], abs=0.5)
+    assert rest["free"] - rest["supported"] == pytest.approx(25, abs=1)
+    assert strut[0] < 0.4
+    assert strut.min() > 0.2
+
+
+def length(run, mechanism, name):
+    """Return the distance of a force's two points over time [m]."""
+    ends = []
+    for body, (x, y) in zip(mechanism.forces[name].bodies, mechanism.forces[name].points, strict=True):
+        place, angle = ((0.0, 0.0), 0.0) if body == "ground" else (run[body].position, run[body].angle)
+        c, s = np.cos(angle), np.sin(angle)
+        ends.append(np.asarray(place) + np.stack([c * x - s * y, s * x + c * y], axis=-1))
+    return np.hypot(*(ends[1] - ends[0]).T)
