@@ -6,7 +6,6 @@ rod 2. Models are built beforehand, nothing is recorded on the way, and all loop
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 import math
 import time
@@ -14,6 +13,9 @@ from collections.abc import Callable
 from typing import Any
 
 import mbdkit
+
+from .exudyn_model import by_exudyn
+from .frames import chain
 
 END = 5.0
 G = 9.81
@@ -188,38 +190,12 @@ def exudyn_alpha() -> Contender:
     Generalized-alpha with spectral radius 1 and index-2 constraints, that is Newmark's trapezoidal rule with full
     Newton and dense matrices; with index-3 constraints rounding grows with the number of steps and spoils 1e-6 m.
     """
-    import exudyn
-
-    items: Any = importlib.import_module("exudyn.itemInterface")
+    mechanism = chain(2)
 
     def contender(steps: int) -> Outcome:
-        system = exudyn.SystemContainer().AddSystem()
-        ground = system.AddObject(items.ObjectGround())
-        before = system.AddMarker(items.MarkerBodyPosition(bodyNumber=ground))
-        node = -1
-        for k in range(2):
-            node = system.AddNode(items.NodeRigidBody2D(referenceCoordinates=[0.5 + k, 0.0, 0.0]))
-            body = system.AddObject(items.ObjectRigidBody2D(nodeNumber=node, mass=1.0, inertia=1.0 / 12.0))
-            centre = system.AddMarker(items.MarkerBodyMass(bodyNumber=body))
-            system.AddLoad(items.LoadMassProportional(markerNumber=centre, loadVector=[0.0, -G, 0.0]))
-            inner = system.AddMarker(items.MarkerBodyPosition(bodyNumber=body, localPosition=[-0.5, 0.0, 0.0]))
-            system.AddObject(items.ObjectJointRevolute2D(markerNumbers=[before, inner]))
-            before = system.AddMarker(items.MarkerBodyPosition(bodyNumber=body, localPosition=[0.5, 0.0, 0.0]))
-        system.Assemble()
-        settings = exudyn.SimulationSettings()
-        settings.solution.file.write = False
-        settings.linearSolver.solverType = exudyn.LinearSolverType.EXUdense
-        times = settings.timeIntegration
-        times.numberOfSteps, times.endTime, times.verboseMode = steps, END, 0
-        times.newton.useModifiedNewton = False
-        times.generalizedAlpha.spectralRadius = 1.0
-        times.generalizedAlpha.useNewmark = True
-        times.generalizedAlpha.useIndex2Constraints = True
-        start = time.perf_counter()
-        system.SolveDynamic(settings)
-        taken = time.perf_counter() - start
-        x, y, angle = system.GetNodeOutput(node, exudyn.OutputVariableType.Coordinates)
-        return taken, tip(1.5 + float(x), float(y), float(angle))
+        taken, bodies = by_exudyn(mechanism, steps, END, sparse=False)
+        x, y, angle = bodies[-1]
+        return taken, tip(float(x), float(y), float(angle))
 
     return contender
 
