@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from mbdkit.registry.hookspecs import hookimpl
     from mbdkit.registry.items import Claims, IntegratorPlugin, ModelPlugin
     from mbdkit.simulation import run
-    from mbdkit.spec import RunSpec
+    from mbdkit.spec import RunSpec, StudySpec
+    from mbdkit.studies.study import Study, load_study, study
 
 __all__ = [
     "ButcherTableau",
@@ -31,10 +32,14 @@ __all__ = [
     "RunError",
     "RunSpec",
     "SpecError",
+    "Study",
+    "StudySpec",
     "__version__",
     "hookimpl",
     "load",
+    "load_study",
     "run",
+    "study",
 ]
 
 _HOME = {
@@ -49,9 +54,13 @@ _HOME = {
     "RunError": "mbdkit.errors",
     "RunSpec": "mbdkit.spec",
     "SpecError": "mbdkit.errors",
+    "Study": "mbdkit.studies.study",
+    "StudySpec": "mbdkit.spec",
     "hookimpl": "mbdkit.registry.hookspecs",
     "load": "mbdkit.archive.reader",
+    "load_study": "mbdkit.studies.study",
     "run": "mbdkit.simulation",
+    "study": "mbdkit.studies.study",
 }
 
 

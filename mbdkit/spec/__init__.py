@@ -1,7 +1,20 @@
-"""What a run is told: the run spec, read from YAML, TOML, JSON, a dict or a Mechanism, and checked to the last key."""
+"""What a run or a study is told: its spec, from YAML, TOML, JSON, a dict or a Mechanism, checked to the last key."""
 
 from mbdkit.spec.loading import example_names, example_text, load_spec
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.sections import Limits, Output, Time
+from mbdkit.spec.study_loading import load_study_spec, study_names
+from mbdkit.spec.study_spec import StudySpec
 
-__all__ = ["Limits", "Output", "RunSpec", "Time", "example_names", "example_text", "load_spec"]
+__all__ = [
+    "Limits",
+    "Output",
+    "RunSpec",
+    "StudySpec",
+    "Time",
+    "example_names",
+    "example_text",
+    "load_spec",
+    "load_study_spec",
+    "study_names",
+]

@@ -140,8 +140,8 @@ def _unknown_key(key: str, owner: type[BaseModel] | None, root: type[BaseModel])
 
 
 def _purpose(owner: type[BaseModel] | None, key: str) -> str:
-    if key == "mbdkit":
-        return "; write `mbdkit: 1`, the version of the spec"
+    if key in ("mbdkit", "mbdkit_study"):
+        return f"; write `{key}: 1`, the version of the spec"
     info = None if owner is None else owner.model_fields.get(key)
     text = " ".join((info.description or "").split()).rstrip(".") if info else ""
     return f": {text[:1].lower()}{text[1:]}" if text else ""

@@ -44,7 +44,7 @@ def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> Ru
     if isinstance(source, RunSpec) and not sections and not tuple(overrides):
         source.mechanism()
         return source
-    document = _document(source)
+    document = read_source(source)
     document.data |= sections
     document.keywords = frozenset(sections)
     for assignment in overrides:
@@ -87,7 +87,8 @@ def _examples() -> Any:
     return importlib.resources.files("mbdkit.models") / "examples"
 
 
-def _document(source: Any) -> Document:
+def read_source(source: Any) -> Document:
+    """Return what `source` names as a document, unchecked; see `load_spec`."""
     if isinstance(source, RunSpec):
         return Document({name: getattr(source, name) for name in type(source).model_fields})
     if isinstance(source, Mapping):
@@ -108,7 +109,7 @@ def _named(source: str | FilePath) -> Document:
     names = example_names()
     if str(source) in names and not os.path.isfile(path):
         return read_text(example_text(str(source)), f"{source} (packaged example)")
-    if not _exists(path):
+    if not exists(path):
         raise SpecError(
             f"there is no such file, and no packaged example of this name{did_you_mean(str(source), names)}; "
             f"examples: {listed(names)}",
@@ -117,7 +118,8 @@ def _named(source: str | FilePath) -> Document:
     return read_file(path)
 
 
-def _exists(path: FilePath) -> bool:
+def exists(path: FilePath) -> bool:
+    """Return whether there is anything at `path`, readable or not."""
     try:
         path.stat()
     except PermissionError:

@@ -168,31 +168,46 @@ def set_value(document: Document, assignment: str) -> None:
     """
     where = f"--set {assignment}"
     key, equals, text = assignment.partition("=")
-    path = _parsed_key(key.strip())
+    path = parse_key(key.strip())
     if not equals or not path:
         raise SpecError("this should be of the form KEY=VALUE, such as time.step=0.005", file=where)
     try:
         value = read_value(text)
     except SpecError as error:
         raise SpecError(error.message, key=key.strip(), file=where) from None
-    place: Any = document.data
+    try:
+        put(document.data, path, value)
+    except SpecError as error:
+        raise error.located(file=where) from None
+    document.overridden[path] = assignment
+
+
+def put(data: dict[str, Any], path: Path, value: Any) -> None:
+    """Set the key at `path` of plain data; mappings that are missing on the way are made.
+
+    Raises
+    ------
+    SpecError
+        If the path leads through something that has no such keys.
+    """
+    place: Any = data
     for index, part in enumerate(path):
         here = path_text(path[:index]) or "the spec"
         last = index == len(path) - 1
         if isinstance(place, list) and isinstance(part, int):
             if part >= len(place):
-                raise SpecError(f"{here} has {len(place)} items, counted from 0", key=path_text(path), file=where)
+                raise SpecError(f"{here} has {len(place)} items, counted from 0", key=path_text(path))
         elif isinstance(place, dict) and isinstance(part, str):
             if not last and place.get(part) is None and isinstance(path[index + 1], str):
                 place[part] = {}
         else:
-            raise SpecError(f"{here} is {found(place)}, so it has no '{part}'", key=path_text(path), file=where)
+            raise SpecError(f"{here} is {found(place)}, so it has no '{part}'", key=path_text(path))
         if last:
             place[part] = value
         else:
             place = place.get(part) if isinstance(place, dict) else place[part]
-    document.overridden[path] = assignment
 
 
-def _parsed_key(key: str) -> Path:
+def parse_key(key: str) -> Path:
+    """Return the parts of a dotted key that somebody typed; none if it is not one."""
     return () if not key or ".." in f".{key}." else parse_path(key)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
@@ -11,7 +10,6 @@ from pydantic import (
     ConfigDict,
     Field,
     PrivateAttr,
-    ValidationError,
     create_model,
     model_validator,
 )
@@ -21,17 +19,15 @@ from mbdkit.registry.catalogue import KINDS, Registered, Registry
 from mbdkit.registry.items import Claims, IntegratorPlugin, ModelPlugin
 from mbdkit.registry.options import item_of
 from mbdkit.spec.choices import Choice, choice_of
-from mbdkit.spec.document import Document
-from mbdkit.spec.explain import explain
-from mbdkit.spec.plain import canonical, plain
-from mbdkit.spec.sections import Limits, Output, Section, Time
+from mbdkit.spec.sections import Limits, Output, Time
+from mbdkit.spec.strict import StrictSpec
 from mbdkit.text import listed, one_line
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
 
 
-class RunSpec(Section):
+class RunSpec(StrictSpec):
     """All that a run is told; equal specs give equal runs.
 
     Models and integrators are those of the installed plugins, told apart by `name`, with their own options beside it.
@@ -64,17 +60,6 @@ class RunSpec(Section):
     """What stops the run early."""
 
     _mechanism: Any = PrivateAttr(default=None)
-    _document: Document | None = PrivateAttr(default=None)
-
-    def __init__(self, **data: Any):
-        # A spec is JSON data whatever it was written in, so it is validated as such.
-        try:
-            text = json.dumps(plain(data), allow_nan=False)
-            self.__pydantic_validator__.validate_json(text, self_instance=self)
-        except ValidationError as error:
-            raise explain(error, type(self)) from None
-        except RecursionError:
-            raise SpecError("this spec is nested too deeply, or contains itself") from None
 
     @model_validator(mode="after")
     def _suits_the_method(self) -> RunSpec:
@@ -166,21 +151,6 @@ class RunSpec(Section):
         if not isinstance(mechanism, Mechanism):
             raise PluginError(f"model {self.model_item.id} built {type(mechanism).__name__}, not a Mechanism")
         return mechanism
-
-    def placed(self, error: SpecError) -> SpecError:
-        """Return an error about this spec with the file and line where its key was written, if it came from a file."""
-        return error if self._document is None else self._document.place(error)
-
-    def canonical_json(self) -> str:
-        """Return the spec as canonical JSON: defaults filled in, keys of options sorted, numbers at their shortest.
-
-        Names that the user gave (bodies, joints, forces) keep their order, which is that of the arrays in the archive.
-        """
-        return json.dumps(canonical(self), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-
-    def sha256(self) -> str:
-        """Return the SHA-256 of the canonical JSON in UTF-8, as hexadecimal digits."""
-        return hashlib.sha256(self.canonical_json().encode()).hexdigest()
 
     def run_id(self) -> str:
         """Return 16 hexadecimal digits that name this spec run with these versions of its plugins."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import re
 from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+from ruamel.yaml.representer import SafeRepresenter
 
 from mbdkit.errors import SpecError
 from mbdkit.spec.plain import Path, path_text
@@ -173,3 +175,32 @@ def _syntax(error: MarkedYAMLError, text: str) -> SpecError:
 
 def _first_line(error: Exception) -> str:
     return next(iter(str(error).splitlines()), type(error).__name__)
+
+
+def write_yaml(data: Any) -> str:
+    """Return plain data as YAML that `read_yaml` reads back to equal data.
+
+    Parameters
+    ----------
+    data
+        Dicts, lists, text, numbers, booleans and None.
+    """
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = None  # type: ignore[assignment]  # mappings and lists of scalars on one line
+    yaml.sort_base_mapping_type_on_output = False
+    yaml.width = 120
+    yaml.Representer = _Representer
+    stream = io.StringIO()
+    yaml.dump(data, stream)
+    return stream.getvalue()
+
+
+class _Representer(SafeRepresenter):
+    """Puts a text in quotes wherever it would be read as something else."""
+
+    def represent_str(self, data: str) -> ScalarNode:
+        style = None if isinstance(_Reader()._resolved(data, ScalarNode("", data), ()), str) else '"'
+        return self.represent_scalar(f"{CORE}str", data, style=style)
+
+
+_Representer.add_representer(str, _Representer.represent_str)

@@ -1,0 +1,159 @@
+"""The study spec: families of runs over a base spec, as one strict, frozen pydantic model."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, WithJsonSchema, model_validator
+from pydantic_core import PydanticCustomError
+
+from mbdkit.errors import SpecError
+from mbdkit.spec.document import Document
+from mbdkit.spec.plain import Path, path_text
+from mbdkit.spec.reading import parse_key
+from mbdkit.spec.sections import Section
+from mbdkit.spec.strict import StrictSpec
+from mbdkit.spec.value_sets import ValueSet, expand
+from mbdkit.text import listed
+
+Measure = Literal[
+    "misalignment_max",
+    "velocity_misalignment_max",
+    "angle_misalignment_max",
+    "energy_balance_max",
+    "energy_balance_end",
+    "energy_scale",
+    "end_error",
+    "end_angle_error",
+    "trajectory_error",
+    "trajectory_angle_error",
+]
+#: The measures that are taken against the reference run.
+ERRORS = ("end_error", "end_angle_error", "trajectory_error", "trajectory_angle_error")
+
+
+def _check_key(key: str) -> str:
+    if not parse_key(key):
+        raise PydanticCustomError("mbdkit", "should be a dotted key of a run spec, such as time.step")
+    return key
+
+
+def _check_keys(keys: dict[str, Any]) -> dict[str, Any]:
+    for key in keys:
+        if not parse_key(key):
+            raise SpecError("should be a dotted key of a run spec, such as time.step", key=key)
+    return keys
+
+
+def _check_axis(axis: dict[str, Any]) -> dict[str, Any]:
+    _check_keys(axis)
+    sizes = {key: len(expand(values)) for key, values in axis.items()}
+    if not sizes:
+        raise SpecError("needs at least one key of a run spec, such as `time.step: [0.1, 0.01]`")
+    if len(set(sizes.values())) > 1:
+        told = listed([f"'{key}' has {size}" for key, size in sizes.items()], "and")
+        raise SpecError(f"the keys of one axis go together, so they have equally many values; here {told}")
+    return axis
+
+
+def _check_axes(axes: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
+    taken: dict[str, int] = {}
+    for number, axis in enumerate(axes):
+        for key in axis:
+            path = parse_key(key)
+            for other, where in taken.items():
+                if parse_key(other)[: len(path)] == path:
+                    how = "stands" if other == key else "would replace what is set"
+                    raise SpecError(f"{how} in axes[{where}] already, as '{other}'", key=path_text((number, key)))
+            taken[key] = number
+    return axes
+
+
+Overrides = Annotated[dict[str, Any], AfterValidator(_check_keys)]
+Axes = Annotated[
+    tuple[Annotated[dict[str, ValueSet], AfterValidator(_check_axis)], ...],
+    AfterValidator(_check_axes),
+]
+Base = Annotated[
+    str | dict[str, Any],
+    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
+]
+Reference = Literal["none"] | Overrides
+Repeats = Annotated[int, Field(ge=1, le=1000)]
+
+
+class Family(Section):
+    """One grid of runs among several; what it leaves out is taken from the top of the study."""
+
+    title: str = ""
+    """Free text."""
+    base: Base | None = None
+    """A run spec: the name of a packaged example, a file, or a mapping."""
+    overrides: Overrides = Field(default_factory=dict)
+    """Dotted keys set in the base, after those at the top of the study."""
+    axes: Axes = ()
+    """What varies: each axis maps dotted keys to value sets; axes multiply, the keys of one axis go together."""
+    reference: Reference | None = None
+    """What makes the reference run of a point out of its spec, as dotted keys; `none` for no reference."""
+    repeats: Repeats | None = None
+    """How often each run is timed; more than once means serially, after all runs."""
+
+
+class StudySpec(StrictSpec):
+    """All that a study is told: a base spec, what varies over it, and what is measured.
+
+    Raises
+    ------
+    SpecError
+        If anything is wrong, with the key path.
+    """
+
+    model_config = ConfigDict(title="mbdkit study spec", defer_build=True)
+
+    mbdkit_study: Literal[1]
+    """Version of the spec."""
+    title: str = ""
+    """Free text."""
+    base: Base | None = None
+    """A run spec: the name of a packaged example, a file, or a mapping, less what the axes bring."""
+    overrides: Overrides = Field(default_factory=dict)
+    """Dotted keys set in the base, such as `time.end: 5.0`."""
+    axes: Axes = ()
+    """What varies: each axis maps dotted keys to value sets; axes multiply, the keys of one axis go together."""
+    families: dict[str, Family] = Field(default_factory=dict)
+    """Several grids in one study, by name, instead of `axes`."""
+    reference: Reference = "none"
+    """What makes the reference run of a point out of its spec, as dotted keys; `none` for no reference."""
+    repeats: Repeats = 1
+    """How often each run is timed; more than once means serially, after all runs."""
+    measures: Literal["all"] | tuple[Measure, ...] = "all"
+    """What is taken of each run, beside its counters and times."""
+    verdict: str = ""
+    """The name of the function that judges the study in the report; empty for none."""
+
+    _bases: dict[Path, Document] = PrivateAttr(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> StudySpec:
+        if self.axes and self.families:
+            raise SpecError("stands beside `families`; each family has axes of its own", key="axes")
+        if not self.axes and not self.families:
+            raise PydanticCustomError("mbdkit", "needs `axes` (what varies) or `families` (several grids of runs)")
+        for name, family in self.families.items():
+            if not name.strip() or "/" in name:
+                raise SpecError(f"'{name}' should be a name without '/'", key="families")
+            if self.base is None and family.base is None:
+                raise SpecError(
+                    "is missing, here and at the top of the study: it is the run spec to vary",
+                    key=path_text(("families", name, "base")),
+                )
+        if not self.families and self.base is None:
+            raise SpecError(
+                "is missing: it is the run spec to vary, a packaged example, a file or a mapping", key="base"
+            )
+        references = [self.reference, *(family.reference for family in self.families.values())]
+        if self.measures != "all" and all(reference in ("none", None) for reference in references):
+            for index, measure in enumerate(self.measures):
+                if measure in ERRORS:
+                    raise SpecError(f"'{measure}' needs a `reference` to be taken against", key=f"measures[{index}]")
+        return self

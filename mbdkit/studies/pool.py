@@ -1,0 +1,170 @@
+"""A few worker processes that take tasks one by one; the death of one is an outcome of its task."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from mbdkit.spec import RunSpec
+
+#: Libraries that would use several threads for small matrices, and disturb each other.
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a worker is to do.
+
+    Parameters
+    ----------
+    spec
+        The run.
+    path
+        Where its archive goes.
+    repeats
+        If not 0: how often to time the run in memory instead, once more than that to warm up.
+    """
+
+    spec: RunSpec
+    path: Path
+    repeats: int = 0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a task: the status of the run, why, and the wall times of its repeats [s]."""
+
+    status: str
+    reason: str
+    seconds: tuple[float, ...] = ()
+
+
+class Pool:
+    """Worker processes, each with one thread for linear algebra; to be used in a `with` block, which ends them.
+
+    Parameters
+    ----------
+    size
+        How many at most.
+    notify
+        Told once what the workers say takes long.
+    """
+
+    def __init__(self, size: int, notify: Callable[[str], None]):
+        self.size = size
+        self.notify = notify
+        self._workers: list[_Worker] = []
+        self._said: set[str] = set()
+
+    def work(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Outcome]]:
+        """Yield each task with its outcome as it is done; tasks are begun in their order."""
+        waiting = deque(tasks)
+        lines: queue.SimpleQueue[tuple[_Worker, str]] = queue.SimpleQueue()
+        while waiting and len(self._workers) < min(self.size, len(tasks)):
+            self._workers.append(_Worker(lines))
+            self._workers[-1].give(waiting.popleft())
+        while any(worker.task for worker in self._workers):
+            worker, line = lines.get()
+            task = worker.task
+            assert task is not None
+            if line:
+                answer: dict[str, Any] = json.loads(line)
+                if "note" in answer:
+                    self._say(answer["note"])
+                    continue
+                outcome = Outcome(answer["status"], answer["reason"], tuple(answer.get("seconds", ())))
+                worker.task = None
+            else:
+                outcome = Outcome("failed", f"worker-died: {worker.death()}")
+                self._workers.remove(worker)
+                worker.end()
+                if waiting:
+                    worker = _Worker(lines)
+                    self._workers.append(worker)
+            if waiting:
+                worker.give(waiting.popleft())
+            yield task, outcome
+
+    def _say(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            self.notify(text)
+
+    def __enter__(self) -> Pool:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for worker in self._workers:
+            worker.end()
+
+
+class _Worker:
+    """One process, its task, and a thread that passes on what it says."""
+
+    def __init__(self, lines: queue.SimpleQueue[tuple[_Worker, str]]):
+        self.task: Task | None = None
+        self.errors = tempfile.TemporaryFile()  # noqa: SIM115
+        environment = os.environ | dict.fromkeys(ONE_THREAD, "1")
+        environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
+        # In a session of its own, so that Ctrl-C reaches only the one who waits for it.
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "mbdkit.studies.worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self.errors,
+            env=environment,
+            start_new_session=True,
+            text=True,
+            encoding="utf-8",
+        )
+        threading.Thread(target=self._listen, args=(lines,), daemon=True).start()
+
+    def _listen(self, lines: queue.SimpleQueue[tuple[_Worker, str]]) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            lines.put((self, line))
+        lines.put((self, ""))
+
+    def give(self, task: Task) -> None:
+        """Let the process begin a task; if it is dead already, its silence will tell."""
+        self.task = task
+        spec = json.loads(task.spec.canonical_json())
+        text = json.dumps({"spec": spec, "path": str(task.path.absolute()), "repeats": task.repeats})
+        assert self.process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self.process.stdin.write(text + "\n")
+            self.process.stdin.flush()
+
+    def death(self) -> str:
+        """Return how the process died, in words."""
+        code = self.process.wait()
+        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit status {code}"
+        self.errors.seek(0)
+        said = self.errors.read().decode(errors="replace").strip().splitlines()
+        return f"the process that computed it {how}{': ' + said[-1].strip() if said else ''}."
+
+    def end(self) -> None:
+        """End the process, whatever it is doing."""
+        self.process.kill()
+        self.process.wait()
+        for stream in (self.process.stdin, self.errors):
+            assert stream is not None
+            with contextlib.suppress(BrokenPipeError):
+                stream.close()
+        if self.task is not None:
+            self.task.path.with_name(self.task.path.name + ".part").unlink(missing_ok=True)

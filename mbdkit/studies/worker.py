@@ -1,0 +1,71 @@
+"""A worker process of a study: reads tasks as JSON lines, runs them, answers in JSON lines.
+
+Started as ``python -m mbdkit.studies.worker``; it ends with its standard input, at once, whatever it is doing.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import sys
+import threading
+from pathlib import Path
+from typing import IO, Any
+
+from mbdkit.errors import PluginError, SpecError
+from mbdkit.text import one_line
+
+
+def main() -> None:
+    """Work until there is nothing more to read."""
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what a plugin prints is no answer
+    tasks: queue.SimpleQueue[str] = queue.SimpleQueue()
+    threading.Thread(target=_read, args=(sys.stdin, tasks), daemon=True).start()
+
+    def answer(message: dict[str, Any]) -> None:
+        answers.write(json.dumps(message) + "\n")
+        answers.flush()
+
+    def notify(text: str) -> None:
+        answer({"note": text})
+
+    while True:
+        answer(_outcome(json.loads(tasks.get()), notify))
+
+
+def _read(source: IO[str], tasks: queue.SimpleQueue[str]) -> None:
+    for line in source:
+        tasks.put(line)
+    os._exit(0)  # nobody waits for an answer any more
+
+
+def _outcome(task: dict[str, Any], notify: Any) -> dict[str, Any]:
+    try:
+        return _work(task, notify)
+    except SpecError as error:
+        return {"status": "failed", "reason": f"wrong-input: {error}"}
+    except PluginError as error:
+        return {"status": "failed", "reason": f"plugin-error: {error}"}
+    except Exception as error:
+        return {"status": "failed", "reason": f"error: {one_line(error)}"}
+
+
+def _work(task: dict[str, Any], notify: Any) -> dict[str, Any]:
+    from mbdkit.simulation import simulate
+    from mbdkit.spec import RunSpec
+
+    spec = RunSpec(**task["spec"])
+    if task["repeats"] == 0:
+        with simulate(spec, path=Path(task["path"]), overwrite=True, notify=notify) as run:
+            return {"status": run.status, "reason": run.status_reason}
+    seconds = []
+    for _ in range(task["repeats"] + 1):
+        with simulate(spec, notify=notify) as run:
+            seconds.append(float(run.stats["wall_s"]))
+    return {"status": "complete", "reason": "", "seconds": seconds[1:]}  # the first one warmed up
+
+
+if __name__ == "__main__":
+    main()
