@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from mbdkit import terminal
-from mbdkit.terminal import Commands, progress_bar, say, silence
+from mbdkit.terminal import Commands, count_bar, progress_bar, say, silence
 from mbdkit.text import table
 
 if TYPE_CHECKING:
@@ -58,6 +58,10 @@ def _print_version(value: bool) -> None:
 SpecName = Annotated[
     str,
     typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example such as knee."),
+]
+StudyName = Annotated[
+    str,
+    typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged study: convergence."),
 ]
 Archive = Annotated[Path, typer.Argument(metavar="FILE.h5", help="A run archive.")]
 Archives = Annotated[list[Path], typer.Argument(metavar="FILE.h5", help="Run archives.")]
@@ -150,6 +154,63 @@ def _moves(start: AssembledState) -> list[tuple[str, ...]]:
     if len(named) > BODIES_SHOWN:
         rows.append((f"and {len(named) - BODIES_SHOWN} more", "", "", "", ""))
     return rows
+
+
+@app.command()
+def study(
+    spec: StudyName,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="The study's folder; by default ./SPEC.")
+    ] = None,
+    workers: Annotated[int, typer.Option("--workers", min=1, metavar="N", help="How many processes compute.")] = 1,
+    shard: Annotated[
+        str | None, typer.Option("--shard", metavar="i/N", help="Compute only part i of N of the runs.")
+    ] = None,
+    executor: Annotated[
+        Literal["local"], typer.Option("--executor", help="Where the processes are: on this machine.")
+    ] = "local",
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Run a family of specs and collect what comes out.
+
+    The folder gets one archive a run and index.h5, one row a run. A second call
+    computes only what is missing; runs that failed are results like others.
+    """
+    from mbdkit.studies.execute import Shard
+    from mbdkit.studies.study import study as carry_out
+    from mbdkit.studies.summary import outcome, summary
+
+    part = None if shard is None else Shard.parse(shard)
+    path = output if output is not None else Path(_stem(spec))
+    computed = 0
+    with count_bar(path.name, quiet) as draw:
+
+        def progress(done: int, total: int, failed: int) -> None:
+            nonlocal computed
+            computed = done
+            if draw is not None:
+                draw(done, total, failed)
+
+        result = carry_out(
+            spec, out=path, workers=workers, shard=part, progress=progress, notify=silence if quiet else say
+        )
+    if as_json:
+        print(json.dumps(outcome(result, computed)))
+    elif not quiet:
+        print(summary(result, computed))
+
+
+@schema_app.command("study")
+def schema_study(debug: Debug = False) -> None:
+    """Print the JSON schema of a study spec.
+
+    It has the options of every model and integrator that is installed.
+    """
+    from mbdkit.spec.schema import study_schema
+
+    print(json.dumps(study_schema(), indent=2, ensure_ascii=False))
 
 
 @schema_app.command("run")

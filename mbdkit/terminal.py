@@ -84,6 +84,34 @@ def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, fl
             bar.stop()
 
 
+@contextmanager
+def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, int], None] | None]:
+    """Give a function to call with (runs done, runs to do, runs that failed), which draws a bar on a terminal.
+
+    Gives None where there is no terminal to draw on, or nobody wants it.
+    """
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("runs[red]{task.fields[failed]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=None, failed="")
+
+        def advance(done: int, total: int, failed: int) -> None:
+            bar.update(task, completed=done, total=total, failed=f", {failed} failed" if failed else "")
+
+        yield advance
+
+
 def _bar() -> Progress:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn

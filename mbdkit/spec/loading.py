@@ -45,6 +45,9 @@ def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> Ru
         source.mechanism()
         return source
     document = read_source(source)
+    if "mbdkit_study" in document.data and "mbdkit" not in document.data:
+        message = "this is a study spec, which `mbdkit study` runs; a run spec begins with `mbdkit: 1`"
+        raise document.place(SpecError(message, key="mbdkit_study"))
     document.data |= sections
     document.keywords = frozenset(sections)
     for assignment in overrides:

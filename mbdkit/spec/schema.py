@@ -1,15 +1,19 @@
-"""The JSON schema of the run spec, for editors and other tools."""
+"""The JSON schemas of the specs, for editors and other tools."""
 
 from __future__ import annotations
 
 import json
+import sys
+from collections.abc import Callable
 from typing import Any
 
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import registry
 from mbdkit.spec.run_spec import spec_type
+from mbdkit.spec.study_spec import StudySpec
 
-HOME = "https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/run.schema.json"
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+HOME = "https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/{}.schema.json"
 
 
 def run_schema(installed: Registry | None = None) -> dict[str, Any]:
@@ -21,15 +25,44 @@ def run_schema(installed: Registry | None = None) -> dict[str, Any]:
         The models and integrators to put in; by default all that are installed.
     """
     schema = spec_type(installed if installed is not None else registry()).model_json_schema()
-    schema["description"] = schema["description"].partition("\n\nRaises")[0]
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+    return {"$schema": DRAFT, **_described(schema)}
 
 
-def builtin_schema_text() -> str:
-    """Return the text of ``schemas/run.schema.json``: the schema with the models and integrators of mbdkit alone."""
-    schema = run_schema(registry().only("mbdkit"))
-    return json.dumps({"$schema": schema.pop("$schema"), "$id": HOME, **schema}, indent=2, ensure_ascii=False) + "\n"
+def study_schema(installed: Registry | None = None) -> dict[str, Any]:
+    """Return the JSON schema (draft 2020-12) of the study spec, in whose bases every key of a run spec is known.
+
+    Parameters
+    ----------
+    installed
+        The models and integrators to put in; by default all that are installed.
+    """
+    schema, run = _described(StudySpec.model_json_schema()), run_schema(installed)
+    base = {"type": "object", "properties": run["properties"], "additionalProperties": False}
+    for place in (schema, schema["$defs"]["Family"]):
+        place["properties"]["base"]["anyOf"] = [{"type": "string"}, {"$ref": "#/$defs/Base"}]
+    schema["$defs"] |= run["$defs"] | {"Base": base}
+    return {"$schema": DRAFT, **schema}
+
+
+def _described(schema: dict[str, Any]) -> dict[str, Any]:
+    return schema | {"description": schema["description"].partition("\n\nRaises")[0]}
+
+
+SCHEMAS: dict[str, Callable[[Registry], dict[str, Any]]] = {"run": run_schema, "study": study_schema}
+
+
+def builtin_schema_text(kind: str) -> str:
+    """Return the text of ``schemas/KIND.schema.json``: the schema with the models and integrators of mbdkit alone.
+
+    Parameters
+    ----------
+    kind
+        ``run`` or ``study``.
+    """
+    schema = SCHEMAS[kind](registry().only("mbdkit"))
+    home = HOME.format(kind)
+    return json.dumps({"$schema": schema.pop("$schema"), "$id": home, **schema}, indent=2, ensure_ascii=False) + "\n"
 
 
 if __name__ == "__main__":
-    print(builtin_schema_text(), end="")
+    print(builtin_schema_text(sys.argv[1]), end="")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, WithJsonSchema, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
 
 from mbdkit.errors import SpecError
@@ -74,10 +74,7 @@ Axes = Annotated[
     tuple[Annotated[dict[str, ValueSet], AfterValidator(_check_axis)], ...],
     AfterValidator(_check_axes),
 ]
-Base = Annotated[
-    str | dict[str, Any],
-    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
-]
+Base = str | dict[str, Any]
 Reference = Literal["none"] | Overrides
 Repeats = Annotated[int, Field(ge=1, le=1000)]
 

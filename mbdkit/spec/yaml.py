@@ -186,8 +186,8 @@ def write_yaml(data: Any) -> str:
         Dicts, lists, text, numbers, booleans and None.
     """
     yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = None  # type: ignore[assignment]  # mappings and lists of scalars on one line
-    yaml.sort_base_mapping_type_on_output = False
+    yaml.default_flow_style = None  # mappings and lists of scalars on one line
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
     yaml.width = 120
     yaml.Representer = _Representer
     stream = io.StringIO()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -43,6 +44,24 @@ class Shard:
 
     number: int
     count: int
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """Return the part that was typed as ``2/3``.
+
+        Raises
+        ------
+        SpecError
+            If it is none.
+        """
+        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
+        if not found or not 1 <= int(found[1]) <= int(found[2]):
+            raise SpecError(f"a part of a study is written number/count, such as 1/2 and 2/2, not {text!r}")
+        return cls(int(found[1]), int(found[2]))
+
+    def has(self, place: int) -> bool:
+        """Tell whether the run at this place, from 0, belongs to the part."""
+        return place % self.count == self.number - 1
 
 
 class Execution:
@@ -128,7 +147,7 @@ class Execution:
             mine = {
                 run_id: spec
                 for number, (run_id, spec) in enumerate(self.every_run.items())
-                if shard is None or number % shard.count == shard.number - 1
+                if shard is None or shard.has(number)
             }
             missing = {run_id: spec for run_id, spec in mine.items() if not self.is_done(run_id, spec)}
             repeats: dict[str, tuple[float, ...]] = {}
@@ -137,7 +156,8 @@ class Execution:
                 if shard is None:
                     self.time(repeats, notify)
             finally:
-                table.write(self.folder.index, self.collect(repeats))
+                with self.folder.indexing():
+                    table.write(self.folder.index, self.collect(repeats))
 
     def compute(
         self,

@@ -72,6 +72,21 @@ class StudyFolder:
             os.replace(part, self.spec)
 
     @contextlib.contextmanager
+    def indexing(self) -> Iterator[None]:
+        """Wait until no other part of the study writes the index, and keep them from it."""
+        if sys.platform == "win32":
+            yield
+            return
+        import fcntl
+
+        handle = os.open(self.runs, os.O_RDONLY)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+            yield
+        finally:
+            os.close(handle)
+
+    @contextlib.contextmanager
     def locked(self, *, shared: bool = False) -> Iterator[None]:
         """Keep other calls out of the folder while this one works in it.
 

@@ -13,7 +13,7 @@ import threading
 from pathlib import Path
 from typing import IO, Any
 
-from mbdkit.errors import PluginError, SpecError
+from mbdkit.errors import MbdkitError, PluginError, SpecError
 from mbdkit.text import one_line
 
 
@@ -48,6 +48,8 @@ def _outcome(task: dict[str, Any], notify: Any) -> dict[str, Any]:
         return {"status": "failed", "reason": f"wrong-input: {error}"}
     except PluginError as error:
         return {"status": "failed", "reason": f"plugin-error: {error}"}
+    except MbdkitError as error:
+        return {"status": "failed", "reason": f"error: {error}"}
     except Exception as error:
         return {"status": "failed", "reason": f"error: {one_line(error)}"}
 

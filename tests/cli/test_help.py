@@ -19,6 +19,8 @@ COMMANDS = [
     ("rerun",),
     ("schema",),
     ("schema", "run"),
+    ("schema", "study"),
+    ("study",),
     ("plugins",),
     ("plugins", "list"),
     ("plugins", "show"),

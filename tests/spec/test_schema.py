@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import json
+import re
 from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
-from mbdkit.spec import example_names, load_spec
-from mbdkit.spec.schema import HOME, builtin_schema_text, run_schema
+from mbdkit.spec import example_names, load_spec, load_study_spec, study_names
+from mbdkit.spec.schema import HOME, SCHEMAS, builtin_schema_text, run_schema, study_schema
 
-SCHEMA = Path(__file__).parents[2] / "schemas" / "run.schema.json"
+FOLDER = Path(__file__).parents[2] / "schemas"
 
 
-def test_the_schema_in_the_repository_is_fresh():
-    assert SCHEMA.read_text("utf-8") == builtin_schema_text(), (
-        "schemas/run.schema.json is stale; write it again: `python -m mbdkit.spec.schema > schemas/run.schema.json`"
+@pytest.mark.parametrize("kind", SCHEMAS)
+def test_the_schema_in_the_repository_is_fresh(kind):
+    name = f"schemas/{kind}.schema.json"
+    assert (FOLDER / f"{kind}.schema.json").read_text("utf-8") == builtin_schema_text(kind), (
+        f"{name} is stale; write it again: `python -m mbdkit.spec.schema {kind} > {name}`"
     )
 
 
@@ -41,8 +44,26 @@ def test_a_choice_is_made_by_name():
 def test_every_packaged_example_is_valid_and_names_the_schema(name):
     assert load_spec(name).mechanism().bodies
     first = (files("mbdkit.models") / "examples" / f"{name}.yaml").read_text("utf-8").splitlines()[0]
-    assert first == f"# yaml-language-server: $schema={HOME}"
+    assert first == f"# yaml-language-server: $schema={HOME.format('run')}"
 
 
-def test_the_schema_is_json():
-    assert json.loads(builtin_schema_text())["$id"] == HOME
+@pytest.mark.parametrize("name", study_names())
+def test_every_packaged_study_is_valid_and_names_the_schema(name):
+    assert load_study_spec(name).title
+    first = (files("mbdkit.studies") / "packaged" / f"{name}.yaml").read_text("utf-8").splitlines()[0]
+    assert first == f"# yaml-language-server: $schema={HOME.format('study')}"
+
+
+@pytest.mark.parametrize("kind", SCHEMAS)
+def test_the_schema_is_json(kind):
+    assert json.loads(builtin_schema_text(kind))["$id"] == HOME.format(kind)
+
+
+def test_the_schema_of_a_study_knows_the_keys_of_its_base_and_refers_to_nothing_that_is_not_there():
+    schema = study_schema()
+    assert set(schema["$defs"]["Base"]["properties"]) == set(run_schema()["properties"])
+    for name, section in schema["properties"].items():
+        assert section.get("description"), name
+    text = json.dumps(schema)
+    for reference in re.findall(r'"#/\$defs/(.*?)"', text):
+        assert reference in schema["$defs"]
