@@ -184,22 +184,13 @@ def study(
 
     part = None if shard is None else Shard.parse(shard)
     path = output if output is not None else Path(_stem(spec))
-    computed = 0
-    with count_bar(path.name, quiet) as draw:
-
-        def progress(done: int, total: int, failed: int) -> None:
-            nonlocal computed
-            computed = done
-            if draw is not None:
-                draw(done, total, failed)
-
-        result = carry_out(
-            spec, out=path, workers=workers, shard=part, progress=progress, notify=silence if quiet else say
-        )
+    notify = silence if quiet else say
+    with count_bar(path.name, quiet) as progress:
+        result = carry_out(spec, out=path, workers=workers, shard=part, progress=progress, notify=notify)
     if as_json:
-        print(json.dumps(outcome(result, computed)))
+        print(json.dumps(outcome(result)))
     elif not quiet:
-        print(summary(result, computed))
+        print(summary(result))
 
 
 @schema_app.command("study")

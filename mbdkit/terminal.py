@@ -86,7 +86,7 @@ def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, fl
 
 @contextmanager
 def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, int], None] | None]:
-    """Give a function to call with (runs done, runs to do, runs that failed), which draws a bar on a terminal.
+    """Give a function to call with (pieces done, pieces in all, runs that failed), which draws a bar on a terminal.
 
     Gives None where there is no terminal to draw on, or nobody wants it.
     """
@@ -100,14 +100,14 @@ def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, in
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("runs[red]{task.fields[failed]}"),
+        TextColumn("[red]{task.fields[failed]}"),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None, failed="")
 
         def advance(done: int, total: int, failed: int) -> None:
-            bar.update(task, completed=done, total=total, failed=f", {failed} failed" if failed else "")
+            bar.update(task, completed=done, total=total, failed=f"{failed} failed" if failed else "")
 
         yield advance
 

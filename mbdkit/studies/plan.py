@@ -151,6 +151,16 @@ class PlannedPoint:
             raise self._placed(SpecError(message), self.grid.reference_place)
         return made
 
+    @cached_property
+    def run_id(self) -> str:
+        """The name of its run: equal runs have equal ones."""
+        return self.spec.run_id()
+
+    @cached_property
+    def reference_id(self) -> str:
+        """The name of its reference run; empty without one."""
+        return "" if self.reference is None else self.reference.run_id()
+
     def _checked(self, settings: tuple[Setting, ...], which: str) -> RunSpec:
         data = {"mbdkit": 1, **copy.deepcopy(dict(self.grid.base))}
         told = point_label(self.axes)

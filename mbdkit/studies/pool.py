@@ -79,7 +79,10 @@ class Pool:
         while any(worker.task for worker in self._workers):
             worker, line = lines.get()
             task = worker.task
-            assert task is not None
+            if task is None:  # it died without work
+                self._workers.remove(worker)
+                worker.end()
+                continue
             if line:
                 answer: dict[str, Any] = json.loads(line)
                 if "note" in answer:

@@ -104,6 +104,8 @@ class Study:
     ----------
     folder
         Where it lies.
+    computed
+        How many runs the call computed that gives the study; 0 if it was only opened.
     keep
         What keeps a temporary folder alive as long as the study is.
 
@@ -113,7 +115,8 @@ class Study:
         If there is no study with an index there.
     """
 
-    def __init__(self, folder: str | Path, keep: tempfile.TemporaryDirectory[str] | None = None):
+    def __init__(self, folder: str | Path, *, computed: int = 0, keep: tempfile.TemporaryDirectory[str] | None = None):
+        self.computed = computed
         self._files = StudyFolder(Path(folder))
         self._keep = keep
         if not self._files.spec.is_file():
@@ -317,7 +320,7 @@ def study(
     shard
         The part of the study to compute; left out, all of it.
     progress
-        Called with (runs done, runs to do, runs that failed) after each.
+        Called with (pieces of work done, pieces in all, runs that failed) after each.
     notify
         Told what takes long.
 
@@ -337,5 +340,6 @@ def study(
         keep = tempfile.TemporaryDirectory(prefix="mbdkit-study-")
         out = keep.name
     folder = StudyFolder(Path(out))
-    Execution(spec, folder).run(workers, progress, notify, shard)
-    return Study(folder.path, keep)
+    execution = Execution(spec, folder, shard=shard, progress=progress, notify=notify)
+    execution.run(workers)
+    return Study(folder.path, computed=execution.computed, keep=keep)

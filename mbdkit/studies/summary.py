@@ -12,15 +12,13 @@ if TYPE_CHECKING:
 FAILURES_SHOWN = 20
 
 
-def summary(study: Study, computed: int) -> str:
+def summary(study: Study) -> str:
     """Return what became of a study: runs, failures with their reasons, folder.
 
     Parameters
     ----------
     study
         The study.
-    computed
-        How many runs were computed just now.
     """
     counts = Counter(point.status for point in study.points)
     runs = ", ".join(f"{counts[status]} {status}" for status in ("complete", "failed", "missing") if counts[status])
@@ -28,7 +26,7 @@ def summary(study: Study, computed: int) -> str:
     lines = [
         ("study", " ".join(study.spec.title.split())),
         ("runs", f"{len(study.points)}: {runs}{beside}"),
-        ("computed", f"{computed} now" if computed else "nothing: all of it was there"),
+        ("computed", f"{study.computed} now" if study.computed else "nothing now"),
         ("folder", str(study.folder)),
     ]
     text = [f"{label:<10} {value}" for label, value in lines if value]
@@ -44,15 +42,13 @@ def _named(point: StudyPoint) -> str:
     return f"{which} {point.number}{f' ({told})' if told else ''}"
 
 
-def outcome(study: Study, computed: int) -> dict[str, Any]:
+def outcome(study: Study) -> dict[str, Any]:
     """Return what became of a study as plain values.
 
     Parameters
     ----------
     study
         The study.
-    computed
-        How many runs were computed just now.
     """
     counts = Counter(point.status for point in study.points)
     return {
@@ -61,7 +57,7 @@ def outcome(study: Study, computed: int) -> dict[str, Any]:
         "status": study.status,
         "runs": len(study.points),
         "references": len(study.references),
-        "computed": computed,
+        "computed": study.computed,
         **{status: counts[status] for status in ("complete", "failed", "missing")},
         "failures": [
             {

@@ -1,0 +1,169 @@
+"""The command `mbdkit study`: what it says, and that Ctrl-C costs only what was under way."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import pytest
+
+from mbdkit import load_study, terminal
+from mbdkit.archive.check import check
+
+SWEEP = """\
+mbdkit_study: 1
+title: A sweep
+base: pendulum
+overrides:
+  time: {end: 0.2, step: 0.01}
+axes:
+  - model.length: [1.0, 2.0]
+  - limits.max_steps: [100, 3]
+"""
+
+#: Runs of about a second each.
+SLOW = """\
+mbdkit_study: 1
+base: double-pendulum
+overrides:
+  integrator: {name: rk4}
+  time: {steps: 150000, step: 1.0e-5}
+  output.every: 1000
+axes:
+  - model.masses[0]: [1.0, 2.0, 3.0]
+"""
+
+
+def test_the_summary_counts_runs_and_names_what_failed(mbdkit, in_tmp_path):
+    (in_tmp_path / "sweep.yaml").write_text(SWEEP)
+    result = mbdkit("study", "sweep.yaml")
+    assert result.exit_code == 0
+    assert result.stderr == ""
+    assert sorted(os.listdir(in_tmp_path)) == ["sweep", "sweep.yaml"]
+    lines = result.stdout.splitlines()
+    assert lines[:4] == [
+        "study      A sweep",
+        "runs       4: 2 complete, 2 failed",
+        "computed   4 now",
+        "folder     sweep",
+    ]
+    assert lines[4].startswith("failed     run 2 (model.length 1; limits.max_steps 3): max-steps: ")
+    assert len(lines) == 6
+
+
+def test_json_is_one_object(mbdkit, in_tmp_path):
+    (in_tmp_path / "sweep.yaml").write_text(SWEEP)
+    found = json.loads(mbdkit("study", "sweep.yaml", "-o", "out", "--json", "--workers", "2").stdout)
+    failures = found.pop("failures")
+    assert found == {
+        "path": "out",
+        "title": "A sweep",
+        "status": "complete",
+        "runs": 4,
+        "references": 0,
+        "computed": 4,
+        "complete": 2,
+        "failed": 2,
+        "missing": 0,
+    }
+    assert [failure["number"] for failure in failures] == [2, 4]
+    assert failures[0]["axes"] == {"model.length": 1.0, "limits.max_steps": 3}
+    assert failures[0]["status_reason"].startswith("max-steps: ")
+    again = json.loads(mbdkit("study", "sweep.yaml", "-o", "out", "--json", "--executor", "local").stdout)
+    assert (again["computed"], again["failed"]) == (0, 2)
+
+
+def start(folder: Path, out: str) -> subprocess.Popen:
+    return subprocess.Popen(
+        [sys.executable, "-m", "mbdkit", "study", "slow.yaml", "-o", out],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_ctrl_c_keeps_what_is_finished_and_the_next_call_comes_to_the_same_index(tmp_path):
+    (tmp_path / "slow.yaml").write_text(SLOW)
+    process = start(tmp_path, "cut")
+    runs = tmp_path / "cut" / "runs"
+    deadline = time.monotonic() + 300  # a first run may compile for a minute before
+    while time.monotonic() < deadline and process.poll() is None:
+        if runs.is_dir() and list(runs.glob("*.h5")) and list(runs.glob("*.h5.part")):
+            break
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    told, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert told == ""
+    assert errors == "interrupted\n"
+    assert not list(runs.glob("*.part"))
+    study = load_study(tmp_path / "cut")
+    assert study.status == "partial"
+    kept = {path: path.stat().st_mtime_ns for path in runs.iterdir()}
+    assert len(kept) == sum(point.status == "complete" for point in study.points) in (1, 2)
+    assert all(check(path) == [] for path in kept)
+
+    for out in ("cut", "whole"):
+        assert start(tmp_path, out).wait(timeout=300) == 0
+    assert all(path.stat().st_mtime_ns == before for path, before in kept.items())
+    hashes = []
+    for out in ("cut", "whole"):
+        with h5py.File(tmp_path / out / "index.h5") as file:
+            hashes.append(file.attrs["data_sha256"])
+    assert hashes[0] == hashes[1]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends a signal")
+def test_workers_do_not_outlive_a_study_that_is_killed(tmp_path):
+    (tmp_path / "slow.yaml").write_text(
+        SLOW.replace("150000", "1000000000").replace("output", "limits.max_steps: 1e12\n  output")
+    )
+    process = start(tmp_path, "cut")
+    runs = tmp_path / "cut" / "runs"
+    deadline = time.monotonic() + 300
+    while time.monotonic() < deadline and process.poll() is None:
+        if runs.is_dir() and list(runs.glob("*.h5.part")):
+            break
+        time.sleep(0.01)
+    process.kill()
+    process.communicate(timeout=60)
+    part = next(runs.glob("*.h5.part"))
+    while time.monotonic() < deadline and is_locked(part):
+        time.sleep(0.05)
+    assert not is_locked(part)
+
+
+def is_locked(path: Path) -> bool:
+    """Whether somebody still writes an archive."""
+    import fcntl
+
+    with path.open("rb") as handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
+def test_a_terminal_sees_how_many_are_done_and_how_many_failed(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with terminal.count_bar("study") as advance:
+        advance(3, 7, 0)
+        advance(4, 7, 2)
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "4/7" in captured.err
+    assert "2 failed" in captured.err
+
+
+def test_without_a_terminal_there_is_no_bar():
+    with terminal.count_bar("study") as advance:
+        assert advance is None

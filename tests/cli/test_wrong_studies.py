@@ -1,0 +1,244 @@
+"""Wrong study specs end with exit status 2 and one message that names file, line and key; nothing is left behind."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+STUDY = """\
+mbdkit_study: 1
+base:
+  model: {name: double-pendulum}
+  time: {end: 1.0, step: 0.01}
+overrides:
+  output.every: 2
+axes:
+  - integrator:
+      - {name: rk4}
+      - {name: gauss, stages: 2}
+  - time.step: [0.1, 0.05]
+reference:
+  integrator: {name: gauss, stages: 4}
+"""
+
+
+def study(old: str, new: str) -> str:
+    assert old in STUDY
+    return STUDY.replace(old, new)
+
+
+#: What is wrong: the spec, the line, the key, words of the message.
+WRONG = {
+    "unknown key": (study("axes:", "axis:"), 7, "axis", "did you mean 'axes'?"),
+    "no version": (study("mbdkit_study: 1\n", ""), None, "mbdkit_study", "write `mbdkit_study: 1`"),
+    "a version to come": (study("mbdkit_study: 1", "mbdkit_study: 2"), 1, "mbdkit_study", "should be 1"),
+    "a run spec": (study("mbdkit_study: 1", "mbdkit: 1"), 1, "mbdkit", "`mbdkit run` runs"),
+    "no base": ("mbdkit_study: 1\naxes: [{time.step: [1]}]\n", None, "base", "is missing"),
+    "nothing that varies": (STUDY[: STUDY.index("axes:")], None, "", "needs `axes`"),
+    "an example that is none": (
+        "mbdkit_study: 1\nbase: knnee\naxes: [{time.step: [1]}]\n",
+        2,
+        "base",
+        "did you mean 'knee'?",
+    ),
+    "axes that are no list": (study("  - integrator", "    integrator"), None, "", "not valid YAML"),
+    "an axis that is a list": (
+        study("  - time.step: [0.1, 0.05]", "  - [time.step, 0.1]"),
+        11,
+        "axes[1]",
+        "should be a mapping",
+    ),
+    "an axis of nothing": (study("time.step: [0.1, 0.05]", "{}"), 11, "axes[1]", "at least one key"),
+    "values that are no list": (study("[0.1, 0.05]", "0.1"), 11, "axes[1].time.step", "should be a list of values"),
+    "no values": (study("[0.1, 0.05]", "[]"), 11, "axes[1].time.step", "at least one value"),
+    "a mistyped spacing": (
+        study("[0.1, 0.05]", "{geomspce: [1, 2, 3]}"),
+        11,
+        "axes[1].time.step.geomspce",
+        "did you mean 'geomspace'?",
+    ),
+    "keys of different length": (
+        study("[0.1, 0.05]", "[0.1, 0.05]\n    time.end: [1.0]"),
+        11,
+        "axes[1]",
+        "'time.step' has 2 and 'time.end' has 1",
+    ),
+    "one key on two axes": (
+        study("[0.1, 0.05]", "[0.1]\n  - time.step: [0.2]"),
+        12,
+        "axes[2].time.step",
+        "stands in axes[1] already",
+    ),
+    "a key under one that comes later": (
+        study("  - integrator:", "  - integrator.stages: [1]\n  - integrator:"),
+        9,
+        "axes[1].integrator",
+        "as 'integrator.stages'",
+    ),
+    "no key at all": (study("  - time.step:", "  - .step:"), 11, "axes[1]..step", "dotted key"),
+    "a mistyped key of the run": (
+        study("time.step: [", "time.stpe: ["),
+        11,
+        "axes[1].time.stpe[0]",
+        "did you mean 'step'?",
+    ),
+    "a value that a run refuses": (
+        study("0.05]", "-0.05]"),
+        11,
+        "axes[1].time.step[1]",
+        "should be greater than 0, not -0.05 (in run 2: rk4; time.step -0.05)",
+    ),
+    "an unknown integrator": (
+        study("{name: rk4}", "{name: rk5}"),
+        9,
+        "axes[0].integrator[0].name",
+        "did you mean 'rk4'?",
+    ),
+    "an option of a labelled object": (
+        study("{name: rk4}", "{label: x, value: {name: gauss, stages: 9}}"),
+        9,
+        "axes[0].integrator[0].value.stages",
+        "should be at most 6",
+    ),
+    "a mistake in the base": (study("double-pendulum", "duoble-pendulum"), 3, "base.model.name", "'double-pendulum'"),
+    "a mistake in the overrides": (study("output.every", "output.evry"), 6, "overrides.output.evry", "mean 'every'?"),
+    "an override of what has no keys": (
+        study("output.every", "time.step.small"),
+        6,
+        "overrides.time.step.small",
+        "so it has no 'small'",
+    ),
+    "a combination that a run refuses": (
+        study("output.every: 2", "output: {interval: 0.1}"),
+        6,
+        "overrides.output.interval",
+        "no dense output",
+    ),
+    "a key that only together is wrong": (
+        study("time.step: [0.1, 0.05]", "time.steps: [10]"),
+        11,
+        "axes[1].time.steps[0]",
+        "time: takes exactly one of `end` and `steps`, not both",
+    ),
+    "a reference that is a number": (
+        STUDY[: STUDY.index("reference:")] + "reference: 5\n",
+        12,
+        "reference",
+        "should be 'none' or a mapping (`key: value`), not 5",
+    ),
+    "a mistake in the reference": (
+        study("stages: 4", "stages: 7"),
+        13,
+        "reference.integrator.stages",
+        "in the reference of run 1",
+    ),
+    "a reference of another length": (
+        STUDY + "  time.end: 2.0\n",
+        12,
+        "reference",
+        "the reference of run 1 goes from 0 s to 2 s, the run from 0 s to 1 s",
+    ),
+    "an unknown measure": (STUDY + "measures: [end_eror]\n", 14, "measures[0]", "did you mean 'end_error'?"),
+    "an error without reference": (
+        STUDY[: STUDY.index("reference:")] + "measures: [end_error]\n",
+        12,
+        "measures[0]",
+        "needs a `reference`",
+    ),
+    "no repeats": (STUDY + "repeats: 0\n", 14, "repeats", "at least 1"),
+    "axes beside families": (STUDY + "families: {a: {}}\n", 7, "axes", "each family has axes of its own"),
+    "a family with a mistyped key": (
+        "mbdkit_study: 1\nbase: pendulum\nfamilies:\n  a:\n    axs: []\n",
+        5,
+        "families.a.axs",
+        "did you mean 'axes'?",
+    ),
+    "a mistake in a family": (
+        "mbdkit_study: 1\nbase: pendulum\nfamilies:\n  a:\n    axes:\n      - time.step: [0]\n",
+        6,
+        "families.a.axes[0].time.step[0]",
+        "should be greater than 0",
+    ),
+    "a family without base": (
+        "mbdkit_study: 1\nfamilies:\n  a:\n    axes: [{time.step: [1]}]\n",
+        3,
+        "families.a.base",
+        "is missing",
+    ),
+    "too many runs": (
+        study("[0.1, 0.05]", "{linspace: [0.1, 0.2, 9000]}"),
+        7,
+        "axes",
+        "makes 18000 runs; a study has at most 10000",
+    ),
+    "not finite": (study("[0.1, 0.05]", "[.nan]"), 11, "axes[1].time.step[0]", "finite"),
+}
+
+
+def check_refusal(result, folder, before):
+    """Check that nothing but one message came out, and return it."""
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    assert "Traceback" not in result.stderr
+    assert set(os.listdir(folder)) == before
+    first, *more = result.stderr.splitlines()
+    assert first.startswith("error: ")
+    assert all(line.startswith("  ") for line in more)
+    return first.removeprefix("error: ")
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_study_is_refused_with_file_line_and_key(case, mbdkit, in_tmp_path):
+    text, line, key, words = WRONG[case]
+    (in_tmp_path / "spec.yaml").write_text(text)
+    message = check_refusal(mbdkit("study", "spec.yaml"), in_tmp_path, {"spec.yaml"})
+    place = "spec.yaml" if line is None else f"spec.yaml:{line}"
+    if key:
+        assert message.startswith(f"{place}: {key}: ")
+    assert words in message
+
+
+def test_the_study_that_all_of_these_are_made_from_is_right(in_tmp_path):
+    from mbdkit.spec import load_study_spec
+    from mbdkit.studies.plan import outline
+
+    (in_tmp_path / "spec.yaml").write_text(STUDY)
+    assert [point.spec.time.step for point in outline(load_study_spec("spec.yaml"))] == [0.1, 0.05, 0.1, 0.05]
+
+
+def test_a_mistake_in_the_file_of_the_base_is_placed_there(mbdkit, in_tmp_path):
+    (in_tmp_path / "base.yaml").write_text("mbdkit: 1\nmodel:\n  name: double-pendulum\n  lenghts: [1, 1]\n")
+    (in_tmp_path / "spec.yaml").write_text("mbdkit_study: 1\nbase: base.yaml\naxes: [{integrator: [{name: rk4}]}]\n")
+    result = mbdkit("study", "spec.yaml")
+    message = check_refusal(result, in_tmp_path, {"base.yaml", "spec.yaml"})
+    assert message.startswith("base.yaml:4: model.lenghts: unknown key (did you mean 'lengths'?)")
+
+
+def test_run_says_that_a_study_is_a_study(mbdkit, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(STUDY)
+    message = check_refusal(mbdkit("run", "spec.yaml"), in_tmp_path, {"spec.yaml"})
+    assert message.startswith("spec.yaml:1: mbdkit_study: this is a study spec, which `mbdkit study` runs")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("nonsense",), "no packaged study of this name"),
+        (("convergnce",), "did you mean 'convergence'?"),
+        (("spec.yaml", "--shard", "3/2"), "written number/count"),
+        (("spec.yaml", "--shard", "half"), "written number/count"),
+        (("spec.yaml", "-o", "missing/out"), "does not exist; create it first"),
+        (("spec.yaml", "-o", "file"), "this is not a folder"),
+        (("spec.yaml", "-o", "other"), "holds other things and no study.yaml"),
+    ],
+)
+def test_wrong_arguments_are_refused_before_any_work(arguments, words, mbdkit, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(STUDY)
+    (in_tmp_path / "file").write_text("precious")
+    (in_tmp_path / "other").mkdir()
+    (in_tmp_path / "other" / "file").write_text("precious")
+    result = mbdkit("study", *arguments)
+    message = check_refusal(result, in_tmp_path, {"spec.yaml", "file", "other"})
+    assert words in message
+    assert os.listdir(in_tmp_path / "other") == ["file"]

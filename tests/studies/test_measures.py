@@ -1,0 +1,36 @@
+"""Interpolation between recorded rows."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mbdkit.studies.measures import interpolated
+
+
+def recorded(function, time):
+    """A run of one body whose coordinates are `function` (a NumPy polynomial) at `time`."""
+    arrays = {
+        f"trajectory/{name}": np.repeat(function.deriv(order)(time)[:, None, None], 3, axis=2)
+        for order, name in enumerate(("position", "velocity", "acceleration"))
+    }
+    return SimpleNamespace(time=time, array=arrays.__getitem__)
+
+
+def test_a_motion_of_degree_five_is_met_exactly_on_uneven_rows():
+    motion = np.polynomial.Polynomial([1.0, -2.0, 3.0, 0.5, -1.0, 2.0])
+    run = recorded(motion, np.array([0.0, 0.3, 0.4, 1.0, 1.7]))
+    time = np.linspace(0.0, 1.7, 52)
+    assert interpolated(run, time)[:, 0, 2] == pytest.approx(motion(time), abs=1e-13)
+
+
+def test_recorded_rows_are_met_to_the_bit():
+    rng = np.random.default_rng(1)
+    time = np.cumsum(rng.uniform(0.01, 0.1, 30))
+    values = {name: rng.standard_normal((30, 2, 3)) for name in ("position", "velocity", "acceleration")}
+    run = SimpleNamespace(time=time, array=lambda path: values[path.rpartition("/")[2]])
+    assert np.array_equal(interpolated(run, time), values["position"])
+    late = time * (1 + 1e-14)  # the same instants, rounded otherwise
+    assert np.allclose(interpolated(run, late[:-1]), values["position"][:-1], rtol=0, atol=1e-10)

@@ -1,0 +1,127 @@
+"""From a study to its runs."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbdkit.errors import SpecError
+from mbdkit.spec import load_spec, load_study_spec
+from mbdkit.studies.plan import outline
+
+
+def points(study):
+    return outline(load_study_spec(study))
+
+
+def test_axes_multiply_and_the_last_one_changes_fastest(small):
+    found = [(point.number, point.axes["integrator"], point.axes["time.step"]) for point in points(small)]
+    assert found == [(1, "rk4", 0.02), (2, "rk4", 0.01), (3, "Gauss 2", 0.02), (4, "Gauss 2", 0.01)]
+
+
+def test_the_keys_of_one_axis_go_together(small):
+    small["axes"] = [{"integrator": [{"name": "rk4"}, {"name": "gauss", "stages": 2}], "time.step": [0.01, 0.1]}]
+    found = [(point.spec.integrator.name, point.spec.time.step) for point in points(small)]
+    assert found == [("rk4", 0.01), ("gauss", 0.1)]
+
+
+def test_a_point_is_the_run_that_its_spec_would_be_by_itself(small):
+    alone = load_spec(
+        {
+            "mbdkit": 1,
+            "model": {"name": "double-pendulum"},
+            "integrator": {"name": "gauss", "stages": 2},
+            "time": {"end": 0.5, "step": 0.01},
+        }
+    )
+    assert points(small)[3].run_id == alone.run_id()
+
+
+def test_keys_are_set_in_order_base_overrides_axes(small):
+    small["base"] = "pendulum"
+    small["overrides"] = {"time": {"end": 1.0, "step": 0.5}, "model.length": 2.0, "output.every": 3}
+    small["axes"] = [{"integrator": [{"name": "gauss", "stages": 1}]}, {"integrator.stages": [2, 3]}]
+    found = points(small)
+    assert [point.spec.integrator.stages for point in found] == [2, 3]
+    assert {point.spec.time.step for point in found} == {0.5}
+    assert {point.spec.model.length for point in found} == {2.0}
+    assert {point.spec.output.every for point in found} == {3}
+
+
+def test_a_list_in_the_base_is_changed_item_by_item(small):
+    small["base"] = small["base"] | {"model": {"name": "double-pendulum", "lengths": [1.0, 2.0]}}
+    small["overrides"] = {"model.lengths[1]": 3.0}
+    assert points(small)[0].spec.model.lengths == (1.0, 3.0)
+    assert small["base"]["model"]["lengths"] == [1.0, 2.0]
+
+
+def test_there_is_one_reference_for_all_points_that_it_fits(small):
+    small["axes"] = [{"model": [{"name": "single-pendulum"}, {"name": "double-pendulum"}]}, *small["axes"]]
+    found = points(small)
+    assert len(found) == 8
+    of_model = {name: {p.reference_id for p in found if p.spec.model.name == name} for name in
+                ("single-pendulum", "double-pendulum")}  # fmt: skip
+    assert [len(ids) for ids in of_model.values()] == [1, 1]
+    assert of_model["single-pendulum"] != of_model["double-pendulum"]
+    assert found[0].reference.integrator.stages == 4
+    assert found[0].reference.model.name == "single-pendulum"
+
+
+def test_a_family_takes_from_the_top_what_it_leaves_out(small):
+    study = small | {
+        "axes": [],
+        "overrides": {"time.step": 0.1, "output.every": 2},
+        "families": {
+            "plain": {"axes": [{"integrator": [{"name": "rk4"}, {"name": "rk-gill"}]}]},
+            "own": {
+                "title": "Everything its own",
+                "base": "pendulum",
+                "overrides": {"time": {"end": 1.0, "step": 0.25}},
+                "axes": [{"model.length": [1.0, 2.0, 3.0]}],
+                "reference": "none",
+                "repeats": 3,
+            },
+            "one": {"overrides": {"integrator": {"name": "rk4"}}},
+        },
+    }
+    del study["axes"]
+    found = points(study)
+    assert [point.family for point in found] == ["plain"] * 2 + ["own"] * 3 + ["one"]
+    assert [point.number for point in found] == [1, 2, 3, 4, 5, 6]
+    plain, own, one = found[0], found[2], found[5]
+    assert (plain.spec.time.step, plain.spec.output.every, plain.grid.repeats) == (0.1, 2, 1)
+    assert (own.spec.time.step, own.spec.output.every, own.grid.repeats) == (0.25, 2, 3)
+    assert plain.reference is not None
+    assert own.reference is None
+    assert one.axes == {}
+    assert one.run_id == plain.run_id
+
+
+def test_a_base_file_is_looked_for_beside_the_study(tmp_path):
+    (tmp_path / "base.yaml").write_text(
+        "mbdkit: 1\nmodel: {name: single-pendulum}\nintegrator: {name: rk4}\ntime: {end: 1.0, step: 0.1}\n"
+    )
+    (tmp_path / "study.yaml").write_text("mbdkit_study: 1\nbase: base.yaml\naxes: [{time.step: [0.1, 0.2]}]\n")
+    spec = load_study_spec(tmp_path / "study.yaml")
+    assert spec.base["model"] == {"name": "single-pendulum"}
+    assert [point.spec.time.step for point in outline(spec)] == [0.1, 0.2]
+
+
+def test_a_mechanism_built_in_python_is_a_base():
+    import mbdkit
+
+    m = mbdkit.Mechanism()
+    rod = m.body("rod", mass=1.0, inertia=1 / 12, position=(0.5, 0.0))
+    m.revolute("A", m.ground, rod, at=(0.0, 0.0))
+    study = {
+        "mbdkit_study": 1,
+        "base": m,
+        "overrides": {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.1}},
+        "axes": [{"model.bodies.rod.mass": [1.0, 2.0]}],
+    }
+    assert [point.spec.mechanism().bodies["rod"].mass for point in points(study)] == [1.0, 2.0]
+
+
+def test_more_runs_than_a_study_may_have_are_refused_before_they_are_made(small):
+    small["axes"] = [{"time.step": {"linspace": [0.01, 0.02, 200]}}, {"model.masses[0]": {"linspace": [1, 2, 200]}}]
+    with pytest.raises(SpecError, match="makes 40000 runs; a study has at most 10000"):
+        points(small)

@@ -1,0 +1,72 @@
+"""The values of an axis."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbdkit.errors import SpecError
+from mbdkit.spec.value_sets import check_values, expand
+
+
+def values(given):
+    return [entry.value for entry in expand(check_values(given))]
+
+
+def labels(given):
+    return [entry.label for entry in expand(check_values(given))]
+
+
+def test_geomspace_has_equal_ratios_and_meets_its_ends_and_the_powers_between_exactly():
+    assert values({"geomspace": [0.1, 0.001, 3]}) == [0.1, 0.01, 0.001]
+    steps = values({"geomspace": [1.0, 16.0, 9]})
+    assert steps[::2] == [1.0, 2.0, 4.0, 8.0, 16.0]
+    assert steps[1] == pytest.approx(2**0.5, rel=1e-11)
+    assert values({"geomspace": [-1.0, -100.0, 3]}) == [-1.0, -10.0, -100.0]
+
+
+def test_linspace_has_equal_distances_and_whole_numbers_stay_whole():
+    assert values({"linspace": [0.0, 1.0, 5]}) == [0.0, 0.25, 0.5, 0.75, 1.0]
+    bodies = values({"linspace": [1, 10, 10]})
+    assert bodies == list(range(1, 11))
+    assert all(isinstance(number, int) for number in bodies)
+    assert values({"linspace": [2.5, 2.5, 1]}) == [2.5]
+
+
+def test_numbers_and_texts_are_their_own_labels_and_objects_go_by_name_and_options():
+    assert labels([0.1, 2, "index-1"]) == [0.1, 2, "index-1"]
+    assert labels([{"name": "rk4"}, {"name": "gauss", "stages": 2}]) == ["rk4", "gauss, stages 2"]
+    assert labels([[1.0, 2.0], True]) == ["[1.0, 2.0]", "true"]
+    assert labels([{"label": "mine", "value": {"name": "rk4"}}]) == ["mine"]
+    assert values([{"label": "mine", "value": {"name": "rk4"}}]) == [{"name": "rk4"}]
+
+
+def test_different_objects_never_share_a_label_and_equal_ones_do():
+    long = [{"name": "mechanism", "bodies": {"x" * 80: index}} for index in (1, 2, 1)]
+    first, second, third = labels(long)
+    assert first == third
+    assert second == f"{first} (2)"
+
+
+@pytest.mark.parametrize(
+    ("given", "key", "words"),
+    [
+        ([], "", "at least one value"),
+        (5, "", "should be a list of values"),
+        ({"geomspce": [1, 2, 3]}, "geomspce", "did you mean 'geomspace'?"),
+        ({"geomspace": [1, 2, 3], "linspace": [1, 2, 3]}, "geomspace", "stands alone"),
+        ({"geomspace": [1, 2]}, "geomspace", "[first, last, number of values], not a list of 2"),
+        ({"linspace": [1, "2", 3]}, "linspace", "[first, last, number of values]"),
+        ({"linspace": [1, True, 3]}, "linspace", "[first, last, number of values]"),
+        ({"linspace": [1, 2, 2.5]}, "linspace[2]", "whole number"),
+        ({"linspace": [1, 2, 0]}, "linspace[2]", "from 1 to 10000"),
+        ({"linspace": [1, 2, 10**9]}, "linspace[2]", "from 1 to 10000"),
+        ({"linspace": [1, 2, 1]}, "linspace[2]", "both 1 and 2"),
+        ({"geomspace": [0, 1, 3]}, "geomspace[0]", "other than 0"),
+        ({"geomspace": [1, -1, 3]}, "geomspace[1]", "one sign"),
+    ],
+)
+def test_what_is_no_set_of_values_is_refused(given, key, words):
+    with pytest.raises(SpecError) as caught:
+        check_values(given)
+    assert caught.value.key == key
+    assert words in caught.value.message
