@@ -162,7 +162,10 @@ def study(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="The study's folder; by default ./SPEC.")
     ] = None,
-    workers: Annotated[int, typer.Option("--workers", min=1, metavar="N", help="How many processes compute.")] = 1,
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", min=1, metavar="N", help="How many processes compute; by default one a core."),
+    ] = None,
     shard: Annotated[
         str | None, typer.Option("--shard", metavar="i/N", help="Compute only part i of N of the runs.")
     ] = None,
@@ -186,11 +189,16 @@ def study(
     path = output if output is not None else Path(_stem(spec))
     notify = silence if quiet else say
     with count_bar(path.name, quiet) as progress:
-        result = carry_out(spec, out=path, workers=workers, shard=part, progress=progress, notify=notify)
+        result = carry_out(spec, out=path, workers=workers or _cores(), shard=part, progress=progress, notify=notify)
     if as_json:
         print(json.dumps(outcome(result)))
     elif not quiet:
         print(summary(result))
+
+
+def _cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
 @schema_app.command("study")

@@ -42,6 +42,23 @@ def test_the_first_spec_runs_through_the_commands_that_follow_it(tmp_path: Path)
     assert {"swing.h5", "fine.h5", "swing-drift.png", "swing.html"} <= {p.name for p in tmp_path.iterdir()}
 
 
+def test_the_study_runs_through_the_commands_that_follow_it(tmp_path: Path) -> None:
+    (tmp_path / "steps.yaml").write_text(blocks("yaml")[1], encoding="utf-8")
+    said = []
+    for line in blocks("sh")[3].splitlines():
+        done = subprocess.run(
+            [sys.executable, "-m", *line.split("#")[0].split()],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=True,
+        )
+        said.append(done.stdout)
+    assert "12 complete, and 1 to compare with" in said[0]
+    assert "nothing now" in said[1]
+
+
 def test_run_and_test_sections_begin_with_their_one_command() -> None:
     sections = dict(re.findall(r"^## (.*?)\n(.*?)(?=^## |\Z)", README, flags=re.MULTILINE | re.DOTALL))
     for title in ("Run", "Test"):

@@ -154,7 +154,8 @@ def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row]) -> N
         numeric = not any(isinstance(label, str) for label in labels)
         filled = [(math.nan if numeric else "") if label is None else label for label in labels]
         values = filled if numeric else list(map(str, filled))
-        dataset = add(key, values, FLOAT if numeric else TEXT, "1", f"axis of the study: {key} of the run spec")
+        name = key.replace("/", "|")  # which HDF5 takes for a group
+        dataset = add(name, values, FLOAT if numeric else TEXT, "1", f"axis of the study: {key} of the run spec")
         set_text(dataset, "role", "axis")
     for name in dict.fromkeys(name for row in rows for name in row.values):
         units, what = described(name)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mbdkit.errors import SpecError
-from mbdkit.spec.yaml import read_yaml
+from mbdkit.spec.yaml import read_yaml, write_yaml
 
 
 @pytest.mark.parametrize(
@@ -103,3 +105,22 @@ def test_what_is_no_plain_data_is_refused_with_its_line(case):
     assert "\n" not in caught.value.message
     if line is not None:
         assert caught.value.line == line
+
+
+LETTERS = st.characters(exclude_categories=["Cc", "Cs"])
+WORDS = st.sampled_from(
+    ["yes", "1e5", "0x1F", "1_000", "~", "null", "", "5", ".nan", "a: b", "- a", "#", "<<", "=", "a\nb"]
+)
+SCALARS = st.one_of(
+    st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False, allow_infinity=False), st.text(LETTERS), WORDS
+)
+PLAIN = st.recursive(
+    SCALARS, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(LETTERS) | WORDS, inner, max_size=4)
+)
+
+
+@given(st.dictionaries(st.text(LETTERS, min_size=1), PLAIN, max_size=4))
+def test_what_is_written_is_read_back_to_the_same_data(data):
+    back, _ = read_yaml(write_yaml(data))
+    assert back == data
+    assert repr(back) == repr(data)  # a number is of the same type, and keys are in the same order
