@@ -12,7 +12,7 @@ from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import index as table
 from mbdkit.studies.collect import collect
 from mbdkit.studies.folder import StudyFolder
-from mbdkit.studies.ledger import MISSING, Ledger
+from mbdkit.studies.ledger import Ledger
 from mbdkit.studies.plan import outline
 from mbdkit.studies.pool import Pool, Task
 
@@ -113,9 +113,8 @@ class Execution:
             missing = []
             for place, run_id in enumerate(self.runs):
                 if not ledger.is_done(run_id):
-                    mine = self.shard is None or self.shard.has(place)
-                    ledger.note(run_id, MISSING if mine else None)
-                    missing += [run_id] if mine else []
+                    ledger.note(run_id, None)  # its file may come from elsewhere, or just before an interrupt
+                    missing += [run_id] if self.shard is None or self.shard.has(place) else []
             repeats = self.repeats(ledger) if self.shard is None else {}
             total = len(missing) + len(repeats)
             try:

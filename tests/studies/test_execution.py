@@ -201,6 +201,29 @@ def test_the_death_of_a_worker_is_the_failure_of_its_run_alone_and_the_run_is_tr
     assert index_hash(tmp_path / "out") == index_hash(finished.folder)
 
 
+def test_an_interrupted_call_leaves_an_index_of_all_that_is_there(finished, small, tmp_path, monkeypatch):
+    work = pool.Pool.work
+
+    def interrupted(self, tasks):
+        for number, done in enumerate(work(self, tasks)):
+            if number == 2:  # its archive is written, but nobody has heard of it
+                raise KeyboardInterrupt
+            yield done
+
+    monkeypatch.setattr(pool.Pool, "work", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        mbdkit.study(small, out=tmp_path / "out")
+    monkeypatch.undo()
+    study = mbdkit.load_study(tmp_path / "out")
+    there = {path.stem for path in (tmp_path / "out" / "runs").glob("*.h5")}
+    rows = (*study.points, *study.references)
+    assert {point.run_id for point in rows if point.status == "complete"} == there
+    assert {point.status for point in rows if point.run_id not in there} == {"missing"}
+    assert len(there) >= 3
+    assert mbdkit.study(small, out=tmp_path / "out").computed == 5 - len(there)
+    assert index_hash(tmp_path / "out") == index_hash(finished.folder)
+
+
 def test_equal_runs_are_computed_once(tmp_path):
     study = {
         "mbdkit_study": 1,
