@@ -1,0 +1,125 @@
+"""What a run cost, in counts that are the same on every machine and in time that is not; and what it bought."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.archive.run import Run
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a run cost.
+
+    Attributes
+    ----------
+    steps, evaluations, jacobians, factorizations, iterations
+        Steps taken, evaluations of the right side or of the stage equations, of their tangents, factorizations, and
+        iterations.
+    wall_s
+        From the first step to the last [s].
+    """
+
+    steps: int
+    evaluations: int
+    jacobians: int
+    factorizations: int
+    iterations: int
+    wall_s: float
+
+
+def cost(run: Run) -> Cost:
+    """Return what a run cost, by its own counters."""
+    stats = run.stats
+    return Cost(
+        steps=int(stats["steps"]),
+        evaluations=int(stats["rhs_evaluations"]),
+        jacobians=int(stats["jacobian_evaluations"]),
+        factorizations=int(stats["factorizations"]),
+        iterations=int(stats["newton_iterations"]),
+        wall_s=float(stats["wall_s"]),
+    )
+
+
+@dataclass(frozen=True)
+class WorkPoint:
+    """One run in a work-precision and work-drift diagram.
+
+    Attributes
+    ----------
+    method
+        The method's label; the points of one method make a line.
+    setting
+        Its step [s] or its relative tolerance.
+    cost
+        What the run cost.
+    error
+        Error at the end against a reference [m]; nan without one.
+    misalignment
+        Largest misalignment over every step [m].
+    """
+
+    method: str
+    setting: float
+    cost: Cost
+    error: float
+    misalignment: float
+
+
+def by_method(points: Iterable[WorkPoint]) -> dict[str, tuple[WorkPoint, ...]]:
+    """Return the points of each method, cheapest first, methods in the order of their first point."""
+    lines: dict[str, list[WorkPoint]] = {}
+    for point in points:
+        lines.setdefault(point.method, []).append(point)
+    return {name: tuple(sorted(line, key=lambda point: point.cost.evaluations)) for name, line in lines.items()}
+
+
+def at_equal_work(work: Sequence[float], result: Sequence[float], wanted: float) -> float:
+    """Return the result at a cost that no run had exactly: interpolated between neighbours, both in logarithms.
+
+    Parameters
+    ----------
+    work
+        (K,) costs > 0, in any order.
+    result
+        (K,) errors or misalignments; those that are not finite or not positive are left out.
+    wanted
+        The cost at which the result is asked for.
+
+    Returns
+    -------
+    float
+        nan where `wanted` lies outside the costs of the runs: nothing is extrapolated.
+    """
+    pairs = sorted((w, r) for w, r in zip(work, result, strict=True) if w > 0 and r > 0 and math.isfinite(r))
+    if not pairs or not pairs[0][0] <= wanted <= pairs[-1][0]:
+        return math.nan
+    x, y = np.log(np.array(pairs)).T
+    return float(np.exp(np.interp(math.log(wanted), x, y)))
+
+
+def work_for(work: Sequence[float], result: Sequence[float], wanted: float) -> float:
+    """Return the least cost at which the result is as small as `wanted` and stays so; nan where no run is that good.
+
+    Parameters
+    ----------
+    work
+        (K,) costs > 0, in any order.
+    result
+        (K,) errors or misalignments; one that is not finite counts as too large.
+    wanted
+        The result that is asked for.
+    """
+    pairs = sorted((w, r if math.isfinite(r) else math.inf) for w, r in zip(work, result, strict=True) if w > 0)
+    last_bad = max((i for i, (_, r) in enumerate(pairs) if r > wanted), default=-1)
+    if last_bad == len(pairs) - 1:
+        return math.nan
+    if last_bad < 0 or not math.isfinite(pairs[last_bad][1]) or pairs[last_bad + 1][1] <= 0:
+        return pairs[last_bad + 1][0]
+    (w0, r0), (w1, r1) = pairs[last_bad], pairs[last_bad + 1]
+    share = math.log(wanted / r0) / math.log(r1 / r0)
+    return math.exp(math.log(w0) + share * math.log(w1 / w0))

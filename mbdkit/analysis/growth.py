@@ -1,0 +1,233 @@
+"""How misalignment grows with time: bounded, linear, quadratic or exponential, and how sure that is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from mbdkit.analysis.blocks import BLOCKS, block_maxima, independent
+
+Law = Literal["none", "bounded", "linear", "quadratic", "exponential", "unclear"]
+
+FEWEST = 6
+"""Blocks below which nothing can be told of a law."""
+CLEAR = 4.0
+"""Difference in AICc from which a law counts as worse; Burnham and Anderson call 4 to 7 considerably less support."""
+LOOSE = math.log(2.0)
+"""Scatter of the block maxima about the best law, as a logarithm, above which no law describes them."""
+STEADY = 1.5
+"""Factor by which a law must rise over the history to count as growth; less is bounded, as far as was looked."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One law fitted to the block maxima of a history, in logarithms: errors count as factors.
+
+    Attributes
+    ----------
+    law
+        Its name.
+    scale
+        The law's value at the end of the history [unit of the history].
+    offset
+        ``offset + slope s^p`` for the power laws: the part that does not grow, as a share of `scale`; else 0.
+    rate
+        Growth rate of the exponential law [1/s]; else 0.
+    scatter
+        Root mean square of log(maxima / law); 0.1 is about 10 percent.
+    aicc
+        Akaike's criterion, corrected for small samples, over as many maxima as are independent; lower is better.
+    """
+
+    law: Law
+    scale: float
+    offset: float
+    rate: float
+    scatter: float
+    aicc: float
+
+    def rise(self, duration: float) -> float:
+        """Return by which factor the law rises over a history of `duration` [s], from its start or first block on."""
+        if self.law == "exponential":
+            return math.exp(self.rate * duration)
+        if self.law == "bounded":
+            return 1.0
+        return 1.0 / max(self.offset, 1.0 / BLOCKS)
+
+
+@dataclass(frozen=True)
+class Growth:
+    """The growth law of a history.
+
+    Attributes
+    ----------
+    law
+        The law with most support; ``none`` for a history of zeros, ``unclear`` where none of the four describes it.
+    candidates
+        All laws that the data do not tell apart from the best, the best first; one where the law is certain.
+    exponent, exponent_error
+        p of the power law s^p that comes nearest to the maxima, and its standard error; nan for a history of zeros.
+    independent
+        How many independent maxima the decision rests on.
+    fits
+        The four fits, best first.
+    """
+
+    law: Law
+    candidates: tuple[Law, ...]
+    exponent: float
+    exponent_error: float
+    independent: float
+    fits: tuple[Fit, ...]
+
+    @property
+    def certain(self) -> bool:
+        """Whether exactly one law is left."""
+        return len(self.candidates) == 1
+
+    def describe(self) -> str:
+        """Return the finding in words."""
+        if self.law == "none":
+            return "no misalignment at all"
+        if self.law == "unclear":
+            return "no clear law: oscillation and growth cannot be told apart"
+        best = self.fits[0]
+        return f"{' or '.join(self.candidates)}, the law met within a factor of {math.exp(best.scatter):.2g}"
+
+
+def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Growth:
+    """Tell by which law a history grows.
+
+    The history is cut into blocks of equal duration; the largest value of each, which no oscillation within a block
+    touches, is compared with c, c + a s, c + a s^2 (c, a >= 0) and c exp(r s), s the time since the start, by least
+    squares of the logarithms. Laws are ranked by the corrected Akaike criterion, over the number of maxima that are
+    independent by the correlation of their residuals, so that a slow oscillation does not pass for evidence. Laws that
+    the data do not tell apart are all named.
+
+    Parameters
+    ----------
+    time
+        (T,) increasing times [s].
+    value
+        (T,) values >= 0, such as a joint's misalignment [m].
+    blocks
+        Most blocks.
+
+    Returns
+    -------
+    Growth
+        The law, its rivals, and the fits.
+
+    Raises
+    ------
+    ValueError
+        For a history of fewer than 24 rows, of negative numbers, or that is not finite.
+
+    References
+    ----------
+    Burnham, Anderson, *Model Selection and Multimodel Inference*, Springer 2002, section 2.6.
+    """
+    time, value = np.asarray(time, dtype=float), np.asarray(value, dtype=float)
+    if len(time) != len(value) or len(time) < 4 * FEWEST:
+        raise ValueError(f"a growth law needs {4 * FEWEST} rows and as many times, not {len(value)} and {len(time)}")
+    if not np.all(np.isfinite(value)) or np.any(value < 0):
+        raise ValueError("a growth law is fitted to finite values that are not negative")
+    at, largest = block_maxima(time, value, blocks)
+    keep = largest > 0
+    if not np.any(keep):
+        return Growth("none", ("none",), math.nan, math.nan, 0.0, ())
+    if keep.sum() < FEWEST:
+        return Growth("unclear", ("unclear",), math.nan, math.nan, float(keep.sum()), ())
+    s, y = (at[keep] - time[0]) / (time[-1] - time[0]), np.log(largest[keep])
+    residuals = {law: fit(s, y) for law, fit in _FITS.items()}
+    nearest = min(residuals.values(), key=lambda found: float(found[0] @ found[0]))
+    count = max(independent(nearest[0]), float(FEWEST))
+    duration = float(time[-1] - time[0])
+    fits = tuple(
+        sorted(
+            (_fit(law, found, count, len(y), duration) for law, found in residuals.items()), key=lambda fit: fit.aicc
+        )
+    )
+    exponent, error = _exponent(s, y)
+    if fits[0].scatter > LOOSE:
+        return Growth("unclear", ("unclear",), exponent, error, count, fits)
+    likely = [fit for fit in fits if fit.aicc - fits[0].aicc < CLEAR]
+    laws: list[Law] = ["bounded" if fit.rise(duration) < STEADY else fit.law for fit in likely]
+    candidates = tuple(dict.fromkeys(laws))
+    return Growth(candidates[0], candidates, exponent, error, count, fits)
+
+
+# Residuals, the logarithm of the value at the end, the parameter of the shape, and the number of parameters.
+_Found = tuple[np.ndarray, float, float, int]
+
+
+def _bounded(s: np.ndarray, y: np.ndarray) -> _Found:
+    mean = float(y.mean())
+    return y - mean, mean, 0.0, 1
+
+
+def _power(p: int) -> Callable[[np.ndarray, np.ndarray], _Found]:
+    def fit(s: np.ndarray, y: np.ndarray) -> _Found:
+        def shape(log_offset: float) -> np.ndarray:
+            return np.asarray(np.log(math.exp(log_offset) + s**p))
+
+        def spread(log_offset: float) -> float:
+            return float(np.var(y - shape(log_offset)))
+
+        # The variance may have two valleys, one of them on the way to no offset: a coarse search comes first.
+        grid = np.linspace(-18.0, 6.0, 49)
+        start = float(grid[int(np.argmin([spread(x) for x in grid]))])
+        best = float(minimize_scalar(spread, bounds=(start - 0.5, start + 0.5), method="bounded").x)
+        difference = y - shape(best)
+        mean = float(difference.mean())
+        offset = math.exp(best)
+        return difference - mean, mean + math.log1p(offset), offset / (1 + offset), 2
+
+    return fit
+
+
+def _exponential(s: np.ndarray, y: np.ndarray) -> _Found:
+    slope, start = np.polyfit(s, y, 1)
+    if slope <= 0:
+        residual, mean, _, _ = _bounded(s, y)
+        return residual, mean, 0.0, 2
+    return y - (start + slope * s), float(start + slope), float(slope), 2
+
+
+_FITS: dict[Law, Callable[[np.ndarray, np.ndarray], _Found]] = {
+    "bounded": _bounded,
+    "linear": _power(1),
+    "quadratic": _power(2),
+    "exponential": _exponential,
+}
+
+
+def _fit(law: Law, found: _Found, count: float, maxima: int, duration: float) -> Fit:
+    residual, log_end, shape, parameters = found
+    variance = max(float(residual @ residual) / maxima, 1e-12)  # below a millionth, all laws fit equally well
+    k = parameters + 1  # and the variance
+    correction = 2 * k * (k + 1) / max(count - k - 1, 0.5)
+    power = law in ("linear", "quadratic")
+    return Fit(
+        law=law,
+        scale=math.exp(log_end),
+        offset=shape if power else 0.0,
+        rate=shape / duration if law == "exponential" else 0.0,
+        scatter=math.sqrt(variance),
+        aicc=count * math.log(variance) + 2 * k + correction,
+    )
+
+
+def _exponent(s: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Return the slope of log value over log time and its standard error."""
+    x = np.log(np.maximum(s, 1e-12))
+    (slope, start), x = np.polyfit(x, y, 1), x
+    residual = y - (start + slope * x)
+    count = max(independent(residual), 2.5)
+    variance = float(residual @ residual) / len(y) * count / (count - 2)
+    return float(slope), math.sqrt(variance / count / float(np.var(x)))
