@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,39 +43,6 @@ def cost(run: Run) -> Cost:
         iterations=int(stats["newton_iterations"]),
         wall_s=float(stats["wall_s"]),
     )
-
-
-@dataclass(frozen=True)
-class WorkPoint:
-    """One run in a work-precision and work-drift diagram.
-
-    Attributes
-    ----------
-    method
-        The method's label; the points of one method make a line.
-    setting
-        Its step [s] or its relative tolerance.
-    cost
-        What the run cost.
-    error
-        Error at the end against a reference [m]; nan without one.
-    misalignment
-        Largest misalignment over every step [m].
-    """
-
-    method: str
-    setting: float
-    cost: Cost
-    error: float
-    misalignment: float
-
-
-def by_method(points: Iterable[WorkPoint]) -> dict[str, tuple[WorkPoint, ...]]:
-    """Return the points of each method, cheapest first, methods in the order of their first point."""
-    lines: dict[str, list[WorkPoint]] = {}
-    for point in points:
-        lines.setdefault(point.method, []).append(point)
-    return {name: tuple(sorted(line, key=lambda point: point.cost.evaluations)) for name, line in lines.items()}
 
 
 def at_equal_work(work: Sequence[float], result: Sequence[float], wanted: float) -> float:

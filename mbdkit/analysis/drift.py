@@ -44,11 +44,6 @@ def drift(run: Run) -> dict[str, Drift]:
     }
 
 
-def worst_joint(run: Run) -> str:
-    """Return the name of the joint that came apart most; the first of equals, empty without joints."""
-    return max(run.joints.values(), key=lambda joint: joint.misalignment_max).name if run.joints else ""
-
-
 def worst_history(run: Run) -> np.ndarray:
     """Return the misalignment (T,) [m] of whichever joint is apart most at each recorded time."""
     return np.asarray(np.max(run.array("joints/misalignment"), axis=1, initial=0.0))

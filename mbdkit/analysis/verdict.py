@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Literal, TypeVar
 
@@ -102,6 +102,14 @@ class Claim:
     computed: str
     answer: Answer
     sentence: str
+
+
+UNDECIDED = "Not decided: the runs that would tell are missing or failed."
+
+
+def told(claims: Sequence[Claim]) -> tuple[Claim, ...]:
+    """Return the claims as they are told: an open one says that it is not decided, whatever its figures seem to say."""
+    return tuple(replace(claim, sentence=UNDECIDED) if claim.answer is Answer.OPEN else claim for claim in claims)
 
 
 @dataclass(frozen=True)

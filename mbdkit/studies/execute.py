@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from mbdkit.analysis.verdicts import check_verdict
 from mbdkit.errors import SpecError
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_spec import StudySpec
@@ -86,6 +87,7 @@ class Execution:
     ):
         self.spec, self.folder, self.shard = spec, folder, shard
         self.progress, self.notify = progress, notify
+        check_verdict(spec)
         self.points = outline(spec)
         runs, references = {}, {}
         for point in self.points:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.analysis.cost import WorkPoint, at_equal_work, by_method, cost, work_for
+from mbdkit.analysis.cost import at_equal_work, cost, work_for
 
 WORK = np.array([100.0, 200.0, 400.0, 800.0])
 ERROR = 1e6 * WORK**-4.0
@@ -44,11 +44,3 @@ def test_work_for_a_result_is_that_from_which_on_it_stays_good() -> None:
 
 def test_runs_that_failed_count_as_too_large() -> None:
     assert work_for(WORK, [math.nan, 1e-5, 1e-6, 1e-7], 1e-4) == 200.0
-
-
-def test_points_are_sorted_by_method_and_cost() -> None:
-    cheap, dear = (cost(mbdkit.run("pendulum", time={"steps": n, "step": 0.01})) for n in (5, 10))
-    points = [WorkPoint("b", 1, dear, 1, 1), WorkPoint("a", 1, dear, 1, 1), WorkPoint("b", 2, cheap, 1, 1)]
-    lines = by_method(points)
-    assert list(lines) == ["b", "a"]
-    assert [point.setting for point in lines["b"]] == [2, 1]

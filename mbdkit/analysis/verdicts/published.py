@@ -1,0 +1,245 @@
+"""What the paper shows: paths of the end point (its Fig. 3) and misalignment over the steps (its Fig. 4)."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.analysis.verdict import (
+    Answer,
+    Axis,
+    Cell,
+    Claim,
+    Column,
+    Figure,
+    Line,
+    Range,
+    Table,
+    exceeds,
+    together,
+)
+from mbdkit.analysis.verdicts.points import METHOD, MODEL, STEP, family, value
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit.studies.study import Study, StudyPoint
+
+GILL, GAUSS2, GAUSS3 = "RK-Gill", "Gauss 2", "Gauss 3"
+METHODS = (GILL, GAUSS2, GAUSS3)
+
+#: Misalignment that the paper states [m], by model and method.
+PUBLISHED = {("single", GAUSS2): 1e-6, ("double", GAUSS2): 1e-5, ("single", GAUSS3): 1e-10, ("double", GAUSS3): 1e-8}
+FACTOR = 3.0
+PAPER_STEP = 0.1
+
+VISIBLE = 0.01
+"""Distance between two paths, as a share of the pendulum's length, from which a figure shows it."""
+
+
+def magnitudes(study: Study) -> tuple[Claim, Table]:
+    """Compare the four published misalignments with the computed ones."""
+    points = family(study, "published")
+    rows: list[tuple[Cell, ...]] = []
+    answers, computed = [], []
+    for (model, method), published in PUBLISHED.items():
+        found = points.at({MODEL: model, METHOD: method}).value("misalignment_max")
+        answers.append(Range.around(published, FACTOR).holds(found))
+        computed.append(f"{found:.1e} m ({model}, {method})")
+        rows.append((model, method, published, found, found / published, str(answers[-1])))
+    answer = together(answers)
+    number = sum(one is Answer.YES for one in answers)
+    claim = Claim(
+        "magnitudes",
+        "Gauss with two and three stages keeps the joints of the single and the double pendulum together to the "
+        "published magnitudes.",
+        "1e-6 and 1e-5 m with two stages, 1e-10 and 1e-8 m with three (single and double)",
+        ", ".join(computed),
+        answer,
+        f"{number} of the 4 published misalignments are met within a factor of {FACTOR:.0f}, with masses, lengths and "
+        "start by our reading, which the paper does not state.",
+    )
+    columns = (
+        Column("model"),
+        Column("method"),
+        Column("published", "m"),
+        Column("computed", "m"),
+        Column("computed / published"),
+        Column("within a factor of 3"),
+    )
+    return claim, Table("magnitudes", "Largest misalignment, published and computed", columns, tuple(rows))
+
+
+def ranking(study: Study) -> tuple[Claim, Claim, Table]:
+    """Ask of every model and step whether RK-Gill is the worst of the paper's methods, and Gauss 3 the best."""
+    groups: dict[tuple[str, float], dict[str, StudyPoint]] = {}
+    for name in ("published", "joints", "knee", "steps", "precision", "one-metre"):
+        for point in family(study, name):
+            method = str(point.axes[METHOD])
+            if method in METHODS:
+                groups.setdefault((_model(point), float(point.axes.get(STEP, PAPER_STEP))), {})[method] = point
+    rows: list[tuple[Cell, ...]] = []
+    worst, best, exceptions = [], [], []
+    for model in dict.fromkeys(model for model, _ in groups):
+        steps = sorted((step for name, step in groups if name == model), reverse=True)
+        for step in steps:
+            cell = groups[model, step]
+            values = [value(cell[method], "misalignment_max") if method in cell else math.nan for method in METHODS]
+            gill, two, three = values
+            is_worst = together([exceeds(gill, two), exceeds(gill, three)])
+            if method_overflowed(cell.get(GILL)) and not math.isnan(max(two, three)):
+                is_worst = Answer.YES
+            worst.append(is_worst)
+            best.append(exceeds(two, three))
+            if is_worst in (Answer.NO, Answer.PARTLY):
+                exceptions.append(f"{model}, step {step:g} s, where even the best is off by {min(values):.1g} m")
+            rows.append((model, step, *values, str(is_worst), str(best[-1])))
+    columns = (Column("model"), Column("step", "s"), *(Column(method, "m") for method in METHODS))
+    columns += (Column("RK-Gill worst"), Column("Gauss 3 better than Gauss 2"))
+    table = Table(
+        "ranking",
+        "Largest misalignment of the paper's three methods, every model and step",
+        columns,
+        tuple(rows),
+        "Empty: the run failed, by overflow or because its stage equations had no solution that Newton found; a method "
+        "that overflows where another does not is the worse one. Open: both failed, or both are at rounding.",
+    )
+    but = f" Not at: {'; '.join(exceptions)}." if exceptions else ""
+    yes, decided = worst.count(Answer.YES), len(worst) - worst.count(Answer.OPEN)
+    undecided = f" ({len(worst) - decided} more stay open, where runs failed)" if decided < len(worst) else ""
+    gill_claim = Claim(
+        "gill-worst",
+        "RK-Gill is by far the worst of the three methods.",
+        "worst for single and double pendulum at h = 0.1 s",
+        f"worst in {yes} of {decided} pairs of model and step{undecided}",
+        together([answer for answer in worst if answer is not Answer.OPEN]),
+        f"RK-Gill lets the joints come apart most in {yes} of {decided} pairs of model and step.{but}",
+    )
+    yes, decided = best.count(Answer.YES), len(best) - best.count(Answer.OPEN)
+    undecided = f" ({len(best) - decided} more stay open, where runs failed)" if decided < len(best) else ""
+    gauss_claim = Claim(
+        "gauss3-better",
+        "Three stages keep the joints together better than two.",
+        "better for single and double pendulum at h = 0.1 s",
+        f"better in {yes} of {decided} pairs of model and step{undecided}",
+        together([answer for answer in best if answer is not Answer.OPEN]),
+        f"Three stages do better than two in {yes} of {decided} pairs of model and step.",
+    )
+    return gill_claim, gauss_claim, table
+
+
+def method_overflowed(point: StudyPoint | None) -> bool:
+    """Return whether a point's run ended because its numbers overflowed."""
+    return point is not None and point.status == "failed" and point.reason.startswith("not-finite")
+
+
+def _model(point: StudyPoint) -> str:
+    """Return what a point's model is called in the table."""
+    if "model.n" in point.axes:
+        rods = int(point.axes["model.n"])
+        return f"{rods} rods of 20 m" if rods > 1 else "1 rod of 20 m"
+    if "model.springs" in point.axes:
+        return f"knee, {point.axes['model.springs']}"
+    rods = {"single": 1, "double": 2}.get(str(point.axes.get(MODEL)), 1 if point.family == "steps" else 2)
+    length = 1 if point.family == "one-metre" else 20
+    return f"{rods} rod{'s' if rods > 1 else ''} of {length} m" + (", from the horizontal" if length == 1 else "")
+
+
+def end_point(run: Run) -> np.ndarray:
+    """Return the path (T, 2) [m] of the free end of a chain's last rod."""
+    model = run.spec["model"]
+    length = model["length"] if "length" in model else model["lengths"][-1]
+    rod = run[list(run.bodies)[-1]]
+    along = np.stack([np.cos(rod.angle), np.sin(rod.angle)], axis=1)
+    return np.asarray(rod.position + 0.5 * length * along)
+
+
+def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure, ...]]:
+    """Draw the end points' paths and the joints' misalignments, and ask whether the paths depend on the method."""
+    paths, drifts = [], []
+    apart: dict[str, float] = {}
+    for name, model in (("published", "single"), ("published", "double"), ("one-metre", "double")):
+        points = family(study, name).at({MODEL: model} | ({STEP: 0.1} if name == "one-metre" else {}))
+        path: dict[str, np.ndarray] = {}
+        histories: dict[str, dict[str, np.ndarray]] = {}
+        for point in points:
+            run = study.run(point)
+            if run is not None:
+                with run:
+                    path[str(point.axes[METHOD])] = end_point(run)
+                    histories[str(point.axes[METHOD])] = {
+                        joint: drift.misalignment for joint, drift in run.joints.items()
+                    }
+        size = 1.0 if name == "one-metre" else 20.0
+        size *= 2 if model == "double" else 1
+        apart[f"{name} {model}"] = _apart(path) / size
+        label = model if name == "published" else f"{model}-one-metre"
+        paths.append(_path_figure(label, path, size))
+        if name == "published":
+            drifts.append(_drift_figure(model, histories))
+    single, double, metre = (apart[f"{name}"] for name in ("published single", "published double", "one-metre double"))
+    answers = [exceeds(double, VISIBLE), exceeds(metre, VISIBLE)]
+    claim = Claim(
+        "paths",
+        "The path of the double pendulum depends on the method.",
+        "visibly different paths at h = 0.1 s",
+        f"at most {double:.1e} of the pendulum's length between the methods with rods of 20 m, {metre:.1e} with rods "
+        f"of 1 m let go from the horizontal (single pendulum of 20 m: {single:.1e})",
+        together(answers),
+        "With the lengths that give the published misalignments, the three paths of the double pendulum cannot be told "
+        "apart in a figure; with rods of 1 m let go from the horizontal they part within seconds. No reading that we "
+        "found of the paper's parameters gives both its Fig. 3 and its Fig. 4.",
+    )
+    return claim, tuple(paths), tuple(drifts)
+
+
+def _apart(path: dict[str, np.ndarray]) -> float:
+    """Return the largest distance between two methods' paths at equal rows; of a failed run, as far as it went."""
+    paths = list(path.values())
+    distances = [0.0]
+    for i, one in enumerate(paths):
+        for other in paths[:i]:
+            rows = min(len(one), len(other))
+            distance = np.linalg.norm(one[:rows] - other[:rows], axis=1)
+            distances.append(float(np.max(distance[np.isfinite(distance)], initial=0.0)))
+    return max(distances) if len(paths) == len(METHODS) else math.nan
+
+
+def _path_figure(label: str, path: dict[str, np.ndarray], size: float) -> Figure:
+    lines = []
+    for method, points in path.items():
+        shown = np.where(np.abs(points) <= 1.5 * size, points, np.nan)  # what has come apart is not drawn
+        lines.append(Line(method, shown[:, 0], shown[:, 1], "line", method))
+    model = label.removesuffix("-one-metre")
+    what = "rods of 1 m, let go from the horizontal" if label != model else "rods of 20 m, let go 40 degrees below it"
+    return Figure(
+        f"trajectory-{label}",
+        f"Path of the end point, {model} pendulum, h = 0.1 s",
+        f"The paper's Fig. 3 with {what}.",
+        Axis("x", "m"),
+        Axis("y", "m"),
+        tuple(lines),
+        equal=True,
+    )
+
+
+def _drift_figure(model: str, histories: dict[str, dict[str, np.ndarray]]) -> Figure:
+    lines = [
+        Line(f"{method}, {joint}", np.arange(len(history)), _positive(history), "line", method)
+        for method, joints in histories.items()
+        for joint, history in joints.items()
+    ]
+    return Figure(
+        f"drift-{model}",
+        f"Misalignment over the steps, {model} pendulum, h = 0.1 s",
+        "The paper's Fig. 4: RK-Gill drifts away, Gauss with two and three stages stays near its first swing.",
+        Axis("step"),
+        Axis("misalignment", "m", log=True),
+        tuple(lines),
+    )
+
+
+def _positive(values: np.ndarray) -> np.ndarray:
+    """Return values for an axis in logarithms: nan for zeros."""
+    return np.where(values > 0, values, np.nan)

@@ -1,0 +1,110 @@
+"""The paper's way to evaluate its equations: numbers put into symbolic matrices, every time; and what that costs.
+
+The whole system of a chain of rods stands as SymPy matrices whose masses and lengths are numbers already; each
+evaluation substitutes time, positions and velocities by ``subs`` and solves the numeric system by LAPACK.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mbdkit.spec import RunSpec
+
+EVALUATIONS = 24
+"""How many evaluations are timed: the least of so many is steady on a busy machine too."""
+FILE = "substitution.json"
+
+
+@dataclass(frozen=True)
+class Substitution:
+    """What one evaluation by substitution takes.
+
+    Attributes
+    ----------
+    bodies
+        Number of bodies.
+    least_s, median_s
+        Least and median processor time of an evaluation [s]: a busy machine does not make it longer.
+    evaluations
+        How many were timed.
+    """
+
+    bodies: int
+    least_s: float
+    median_s: float
+    evaluations: int
+
+
+def measure(spec: RunSpec, evaluations: int = EVALUATIONS) -> Substitution:
+    """Time the evaluation of a spec's equations by substitution.
+
+    Parameters
+    ----------
+    spec
+        The run whose mechanism is evaluated, at states near its start.
+    evaluations
+        How many evaluations, one more to warm up.
+    """
+    mechanism = spec.mechanism()
+    system = mechanism.to_sympy()
+    matrix, right = system.kkt()
+    bodies = mechanism.bodies.values()
+    start = np.array([[*body.position, body.angle, *body.velocity, body.angular_velocity] for body in bodies])
+    symbols = [*system.q, *system.v]
+    taken = []
+    for k in range(evaluations + 1):
+        state = start + 0.1 * math.sin(k + 1)  # never a zero that SymPy could drop
+        numbers = [*state[:, :3].ravel().tolist(), *state[:, 3:].ravel().tolist()]
+        begin = time.process_time()
+        values = dict(zip(symbols, numbers, strict=True)) | {system.t: 0.1 * k}
+        left = np.array(matrix.subs(values).tolist(), dtype=float)
+        np.linalg.solve(left, np.array(right.subs(values).tolist(), dtype=float))
+        taken.append(time.process_time() - begin)
+    taken = sorted(taken[1:])
+    return Substitution(len(start), taken[0], taken[len(taken) // 2], len(taken))
+
+
+def measured(folder: Path, specs: Sequence[RunSpec]) -> tuple[Substitution, ...]:
+    """Return the times by substitution for some specs, from the study's folder where they were measured before.
+
+    Parameters
+    ----------
+    folder
+        The study's folder; the times are kept in ``measured/substitution.json``.
+    specs
+        Runs of different numbers of bodies.
+    """
+    path = folder / "measured" / FILE
+    names = [spec.sha256() for spec in specs]
+    known = _read(path)
+    if any(name not in known for name in names):
+        known = {name: known.get(name) or measure(spec) for name, spec in zip(names, specs, strict=True)}
+        _write(path, known)
+    return tuple(known[name] for name in names)
+
+
+def _read(path: Path) -> dict[str, Substitution]:
+    try:
+        found = json.loads(path.read_text("utf-8"))
+        return {str(name): Substitution(**entry) for name, entry in found.items()}
+    except (OSError, ValueError, TypeError, AttributeError):  # not measured yet, or not by this version
+        return {}
+
+
+def _write(path: Path, times: dict[str, Substitution]) -> None:
+    text = json.dumps({name: asdict(entry) for name, entry in times.items()}, indent=2)
+    try:
+        path.parent.mkdir(exist_ok=True)
+        part = path.with_suffix(".json.part")
+        part.write_text(text + "\n", "utf-8")
+        os.replace(part, path)
+    except OSError:  # a folder that can only be read: measured again next time
+        return
