@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.errors import MbdkitError, PluginError, RunError, SpecError
     from mbdkit.integrators.tableau import ButcherTableau
+    from mbdkit.mechanism.laws import ExpressionLaw, FunctionLaw
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.registry.hookspecs import hookimpl
-    from mbdkit.registry.items import Claims, IntegratorPlugin, ModelPlugin
+    from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, ModelPlugin
     from mbdkit.simulation import run
     from mbdkit.spec import RunSpec, StudySpec
     from mbdkit.studies.study import Study, load_study, study
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 __all__ = [
     "ButcherTableau",
     "Claims",
+    "ExpressionLaw",
+    "ForceLawPlugin",
+    "FunctionLaw",
     "IntegratorPlugin",
     "MbdkitError",
     "Mechanism",
@@ -45,6 +49,9 @@ __all__ = [
 _HOME = {
     "ButcherTableau": "mbdkit.integrators.tableau",
     "Claims": "mbdkit.registry.items",
+    "ExpressionLaw": "mbdkit.mechanism.laws",
+    "ForceLawPlugin": "mbdkit.registry.items",
+    "FunctionLaw": "mbdkit.mechanism.laws",
     "IntegratorPlugin": "mbdkit.registry.items",
     "MbdkitError": "mbdkit.errors",
     "Mechanism": "mbdkit.mechanism.mechanism",

@@ -137,9 +137,9 @@ def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Pro
         Where joints cannot meet, or the start has no unique accelerations.
     """
     mechanism = spec.mechanism()
-    compiled = compile_mechanism(mechanism)
     ensure_compiled(notify)
     try:
+        compiled = compile_mechanism(mechanism)
         start = assemble(mechanism, spec.time.start, compiled)
         problem = Problem(compiled, spec.time.start, _padded(start.q), _padded(start.v))
         require_unique_start(problem)
@@ -320,4 +320,8 @@ def _provenance(spec: RunSpec) -> dict[str, str | int | float]:
         found[f"{kind}_distribution"] = item.origin.distribution
         found[f"{kind}_version"] = item.origin.version
         found[f"{kind}_entry_point"] = item.origin.entry_point
+    if laws := spec.force_law_items:
+        found["force_laws"] = ", ".join(item.id for item in laws)
+        for part in ("distribution", "version", "entry_point"):
+            found[f"force_laws_{part}"] = ", ".join(getattr(item.origin, part) for item in laws)
     return found

@@ -73,15 +73,22 @@ def _open_cache() -> Path:
 FOLDER = _open_cache()
 
 
-def _jit(function: Callable[..., Any], **options: Any) -> Any:
-    """Compile without Numba's reference counts: kernels allocate nothing, and counting costs more than a pendulum."""
+@contextmanager
+def cached_here() -> Iterator[None]:
+    """Let Numba keep in the cache folder what is decorated meanwhile."""
     before = vars(config)["CACHE_DIR"]
     vars(config)["CACHE_DIR"] = str(FOLDER)
     try:
-        compiler: Any = njit
-        return compiler(function, error_model="numpy", _nrt=False, **options)
+        yield
     finally:
         vars(config)["CACHE_DIR"] = before
+
+
+def _jit(function: Callable[..., Any], **options: Any) -> Any:
+    """Compile without Numba's reference counts: kernels allocate nothing, and counting costs more than a pendulum."""
+    compiler: Any = njit
+    with cached_here():
+        return compiler(function, error_model="numpy", _nrt=False, **options)
 
 
 def kernel(function: Callable[..., Any]) -> Any:

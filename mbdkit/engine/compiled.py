@@ -9,9 +9,12 @@ import numpy as np
 
 from mbdkit.engine.analysis import minimum_degree, neighbours
 from mbdkit.engine.constraints import KINDS
-from mbdkit.engine.forces import PATHWAYS, POINT_FORCE, TORQUE
+from mbdkit.engine.forces import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQUE
+from mbdkit.engine.law_compiler import CompiledLaw, bind_law
 from mbdkit.engine.motions import OPCODES
 from mbdkit.engine.system import Topology
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.data import Force
 from mbdkit.mechanism.elements import (
     Distance,
     Driver,
@@ -25,6 +28,7 @@ from mbdkit.mechanism.elements import (
     Weld,
 )
 from mbdkit.mechanism.expression import Expression, Program
+from mbdkit.mechanism.law_element import Coordinate, Law, Pathway, RelativeAngle, TwoPoints
 from mbdkit.mechanism.mechanism import Mechanism
 
 Numbers = tuple[float, ...]
@@ -61,6 +65,8 @@ class CompiledMechanism:
         (J,) the pairs of rows that make up each joint.
     motions
         What each motion was written as.
+    laws
+        The force laws that are no linear springs, in the order of the topology's rows: the force and its law.
     order, below
         Order of elimination of the pairs and the fill that goes with it.
     well_scaled
@@ -74,6 +80,7 @@ class CompiledMechanism:
     rows: tuple[Row, ...]
     joint_pairs: tuple[tuple[int, ...], ...]
     motions: tuple[Motion, ...]
+    laws: tuple[tuple[str, CompiledLaw], ...]
     order: tuple[int, ...]
     below: tuple[frozenset[int], ...]
     well_scaled: bool
@@ -195,7 +202,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
             row = pair.first_row + r
             rows.append(Row(place[written], r, f"{name}.{joint.rows[row]}", joint.units[row]))
 
-    springs, spring_points, spring_laws, loads, load_points = _forces(mechanism, number, motions)
+    forces = _Forces(mechanism, number, motions)
     mass = np.ones((len(bodies) + 1, 3))
     for i, body in enumerate(mechanism.bodies.values()):
         mass[i] = (body.mass, body.mass, 1.0 if body.inertia is None else body.inertia)
@@ -210,11 +217,13 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         ).reshape(-1, 4),
         rows=np.array([pairs[k].rows for k in order], dtype=np.int64),
         pair_parameters=np.array([pairs[k].parameters for k in order], dtype=float).reshape(-1, 6),
-        springs=np.array(springs, dtype=np.int64).reshape(-1, 3),
-        spring_points=np.array(spring_points, dtype=float).reshape(-1, 6),
-        spring_laws=np.array(spring_laws, dtype=float).reshape(-1, 3),
-        loads=np.array(loads, dtype=np.int64).reshape(-1, 5),
-        load_points=np.array(load_points, dtype=float).reshape(-1, 2),
+        springs=np.array(forces.springs, dtype=np.int64).reshape(-1, 4),
+        spring_points=np.array(forces.spring_points, dtype=float).reshape(-1, 6),
+        linear=np.array(forces.linear, dtype=float).reshape(-1, 3),
+        laws=np.array(forces.law_rows, dtype=np.int64).reshape(-1, 3),
+        law_parameters=np.array(forces.law_parameters, dtype=float),
+        loads=np.array(forces.loads, dtype=np.int64).reshape(-1, 5),
+        load_points=np.array(forces.load_points, dtype=float).reshape(-1, 2),
         motion_start=np.array(motions.start, dtype=np.int64),
         motion_ops=np.array(motions.ops, dtype=np.int64),
         motion_values=np.array(motions.values, dtype=float),
@@ -227,6 +236,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         rows=tuple(rows),
         joint_pairs=tuple(tuple(members) for members in joint_pairs),
         motions=tuple(motions.numbers),
+        laws=tuple(forces.laws),
         order=tuple(order),
         below=tuple(frozenset(b) for b in below),
         well_scaled=_is_well_scaled(mechanism),
@@ -270,33 +280,73 @@ def _pairs(mechanism: Mechanism, number: dict[str, int], motions: _Motions) -> l
     return pairs
 
 
-def _forces(
-    mechanism: Mechanism, number: dict[str, int], motions: _Motions
-) -> tuple[list[Numbers], list[Numbers], list[Numbers], list[Numbers], list[Numbers]]:
-    """Return force elements (topology, points, laws) and loads (topology, points)."""
-    springs: list[Numbers] = []
-    spring_points: list[Numbers] = []
-    spring_laws: list[Numbers] = []
-    loads: list[Numbers] = []
-    load_points: list[Numbers] = []
-    for force in mechanism.forces.values():
-        if isinstance(force, SpringDamper):
-            springs.append((PATHWAYS["two_points"], *(number[name] for name in force.bodies)))
-            spring_points.append((*force.points[0], *force.points[1], 0.0, 0.0))
-            spring_laws.append((force.stiffness, force.damping, force.free_length))
-        elif isinstance(force, TorsionSpring):
-            springs.append((PATHWAYS["relative_angle"], *(number[name] for name in force.bodies)))
-            spring_points.append((0.0,) * 6)
-            spring_laws.append((force.stiffness, force.damping, force.free_angle))
-        elif isinstance(force, Torque):
-            reaction = number[force.reaction_body] if force.reaction_body is not None else number["ground"]
-            loads.append((TORQUE, number[force.body], reaction, motions.add(force.value), -1))
-            load_points.append((0.0, 0.0))
-        else:
-            assert isinstance(force, PointForce)
-            loads.append((POINT_FORCE, number[force.body], number["ground"], *(motions.add(x) for x in force.value)))
-            load_points.append(force.point)
-    return springs, spring_points, spring_laws, loads, load_points
+class _Forces:
+    """Collects force elements on pathways (springs) and loads, each by its topology and its numbers."""
+
+    def __init__(self, mechanism: Mechanism, number: dict[str, int], motions: _Motions):
+        self.number, self.motions = number, motions
+        self.springs: list[Numbers] = []
+        self.spring_points: list[Numbers] = []
+        self.linear: list[Numbers] = []
+        self.laws: list[tuple[str, CompiledLaw]] = []
+        self.law_rows: list[Numbers] = []
+        self.law_parameters: list[float] = []
+        self.loads: list[Numbers] = []
+        self.load_points: list[Numbers] = []
+        for name, force in mechanism.forces.items():
+            self.add(name, force)
+
+    def add(self, name: str, force: Force) -> None:
+        match force:
+            case SpringDamper():
+                points = (*force.points[0], *force.points[1])
+                self.add_spring("two_points", force.bodies, points, (force.stiffness, force.damping, force.free_length))
+            case TorsionSpring():
+                numbers = (force.stiffness, force.damping, force.free_angle)
+                self.add_spring("relative_angle", force.bodies, (0.0,) * 4, numbers)
+            case Law():
+                self.add_law(name, force)
+            case Torque():
+                reaction = self.number[force.reaction_body or "ground"]
+                self.add_load(TORQUE, force.body, reaction, (force.value,), (0.0, 0.0))
+            case PointForce():
+                kind = BODY_FORCE if force.frame == "body" else POINT_FORCE
+                self.add_load(kind, force.body, self.number["ground"], force.value, force.point)
+
+    def add_spring(
+        self, pathway: str, bodies: tuple[str, str], points: Numbers, linear: Numbers, law: int = -1
+    ) -> None:
+        self.springs.append((PATHWAYS[pathway], *(self.number[name] for name in bodies), law))
+        self.spring_points.append((*points, 0.0, 0.0))
+        self.linear.append(linear)
+
+    def add_law(self, name: str, force: Law) -> None:
+        try:
+            compiled, block = bind_law(force.force_law, force, force.law_id)
+        except SpecError as error:
+            raise error.located(prefix=f"model.forces.{name}") from None
+        self.add_spring(*pathway_kind(force.pathway), (0.0, 0.0, 0.0), len(self.laws))
+        self.laws.append((name, compiled))
+        self.law_rows.append((compiled.address, len(self.law_parameters), compiled.claims))
+        self.law_parameters += block
+
+    def add_load(
+        self, kind: int, body: str, reaction: int, values: tuple[Motion, ...], point: tuple[float, float]
+    ) -> None:
+        motions = [self.motions.add(value) for value in values]
+        self.loads.append((kind, self.number[body], reaction, *motions, *[-1] * (2 - len(motions))))
+        self.load_points.append(point)
+
+
+def pathway_kind(pathway: Pathway) -> tuple[str, tuple[str, str], Numbers]:
+    """Return a pathway's kind among the definitions, its bodies, and the points (x_a, y_a, x_b, y_b) on them [m]."""
+    match pathway:
+        case TwoPoints():
+            return "two_points", pathway.bodies, (*pathway.points[0], *pathway.points[1])
+        case RelativeAngle():
+            return "relative_angle", pathway.bodies, (0.0,) * 4
+        case Coordinate():
+            return f"coordinate_{pathway.coordinate}", pathway.bodies, (0.0, 0.0, *pathway.point)
 
 
 def _is_well_scaled(mechanism: Mechanism) -> bool:

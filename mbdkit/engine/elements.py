@@ -22,7 +22,7 @@ from mbdkit.engine.cache import element
 CONSTRAINT_KINDS = ('revolute', 'distance', 'driver_angle', 'driver_x', 'driver_y', 'point_on_line', 'fixed_angle')
 
 
-PATHWAY_KINDS = ('two_points', 'relative_angle')
+PATHWAY_KINDS = ('two_points', 'relative_angle', 'coordinate_x', 'coordinate_y')
 
 
 JACOBIAN_ENTRIES = {
@@ -72,12 +72,16 @@ RESIDUAL_Q_ENTRIES = {
 GRADIENT_ENTRIES = {
     "two_points": (0, 1, 2, 3, 4, 5),
     "relative_angle": (2, 5),
+    "coordinate_x": (0, 1, 2, 3, 4, 5),
+    "coordinate_y": (0, 1, 2, 3, 4, 5),
 }
 
 
 HESSIAN_ENTRIES = {
     "two_points": (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35),
     "relative_angle": (),
+    "coordinate_x": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
+    "coordinate_y": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
 }
 
 
@@ -1067,3 +1071,120 @@ def relative_angle_gradient(k, a, b, q, cs, p, s, grad):
     s[k, 0] = -tha + thb
     grad[k, 2] = -1.0
     grad[k, 5] = 1.0
+
+
+@element
+def coordinate_x_gradient(k, a, b, q, cs, p, s, grad):
+    """s = x of b's point in a's frame [m] and its gradient."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = bx - xa + xb
+    t1 = by - ya + yb
+    s[k, 0] = ca*t0 + sa*t1
+    grad[k, 0] = -ca
+    grad[k, 1] = -sa
+    grad[k, 2] = ca*t1 - sa*t0
+    grad[k, 3] = ca
+    grad[k, 4] = sa
+    grad[k, 5] = bx*sa - by*ca
+
+
+@element
+def coordinate_x_hessian(k, a, b, q, cs, p, hess):
+    """Second derivatives of s = x of b's point in a's frame [m]."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = -ca
+    t1 = -sa
+    t2 = bx*ca + by*sa
+    hess[k, 2] = sa
+    hess[k, 8] = t0
+    hess[k, 12] = sa
+    hess[k, 13] = t0
+    hess[k, 14] = -ca*(bx - xa + xb) - sa*(by - ya + yb)
+    hess[k, 15] = t1
+    hess[k, 16] = ca
+    hess[k, 17] = t2
+    hess[k, 20] = t1
+    hess[k, 26] = ca
+    hess[k, 32] = t2
+    hess[k, 35] = -t2
+
+
+@element
+def coordinate_y_gradient(k, a, b, q, cs, p, s, grad):
+    """s = y of b's point in a's frame [m] and its gradient."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = by - ya + yb
+    t1 = bx - xa + xb
+    s[k, 0] = ca*t0 - sa*t1
+    grad[k, 0] = sa
+    grad[k, 1] = -ca
+    grad[k, 2] = -ca*t1 - sa*t0
+    grad[k, 3] = -sa
+    grad[k, 4] = ca
+    grad[k, 5] = bx*ca + by*sa
+
+
+@element
+def coordinate_y_hessian(k, a, b, q, cs, p, hess):
+    """Second derivatives of s = y of b's point in a's frame [m]."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = -ca
+    t1 = -sa
+    t2 = bx*sa - by*ca
+    t3 = -t2
+    hess[k, 2] = ca
+    hess[k, 8] = sa
+    hess[k, 12] = ca
+    hess[k, 13] = sa
+    hess[k, 14] = -ca*(by - ya + yb) + sa*(bx - xa + xb)
+    hess[k, 15] = t0
+    hess[k, 16] = t1
+    hess[k, 17] = t3
+    hess[k, 20] = t0
+    hess[k, 26] = t1
+    hess[k, 32] = t3
+    hess[k, 35] = t2

@@ -63,9 +63,7 @@ def observe(top, w, solver, times, q, v, acc, lam, phi, phi_rate, reactions, kin
             for d in range(3):
                 energy += 0.5 * top.mass[b, d] * v[r, 3 * b + d] * v[r, 3 * b + d]
         kinetic[r] = energy
-        potential[r] = potential_energy(
-            top.springs, top.spring_points, top.spring_laws, top.mass, top.gravity, q[r], w.cs, w.s, w.grad
-        )
+        potential[r] = potential_energy(top.springs, top.laws, top.mass, top.gravity, q[r], w.tension)
     return OK, len(times)
 
 

@@ -18,7 +18,7 @@ from mbdkit.engine.analysis import (
 )
 from mbdkit.engine.compiled import CompiledMechanism
 from mbdkit.engine.constraints import KINDS
-from mbdkit.engine.forces import PATHWAYS, POINT_FORCE
+from mbdkit.engine.forces import BODY_FORCE, PATHWAYS, POINT_FORCE
 from mbdkit.engine.lu import Factors, Pattern
 from mbdkit.engine.motions import MAX_DEPTH
 from mbdkit.engine.system import Scatter, Scratch, Solver, Topology
@@ -150,6 +150,14 @@ class Problem:
         """Return whether drivers and loads were finite numbers where they were evaluated last."""
         return finite_motions(self.mechanism.topology, self.scratch.u)
 
+    def unusable_law(self) -> str | None:
+        """Return the first force whose law gave a number that is not finite where it was evaluated last, if any."""
+        top, w = self.mechanism.topology, self.scratch
+        for spring in np.flatnonzero(top.springs[:, 3] >= 0):
+            if np.isfinite(w.s[spring, 0]) and not np.all(np.isfinite(w.tension[spring])):
+                return self.mechanism.laws[top.springs[spring, 3]][0]
+        return None
+
     def use_pivots(self) -> None:
         """Solve for accelerations with newly chosen pivots from now on; raises SingularSystemError."""
         pattern, factors, scatter = self.choose_pivots()
@@ -169,7 +177,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     n3, p, s, loads = 3 * len(mechanism.bodies), len(top.pairs), len(top.springs), len(top.loads)
     shapes = {
         "jac": (p, 12), "stiff": (p, 36), "gamma_v": (p, 12), "res_q": (p, 12),
-        "spring_stiff": (s, 36), "spring_damp": (s, 36), "load_stiff": (loads, 1),
+        "spring_stiff": (s, 36), "spring_damp": (s, 36), "load_stiff": (loads, 3),
     }  # fmt: skip
     offsets, total = {"mass": 0}, n3
     for name, (rows, columns) in shapes.items():
@@ -182,6 +190,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     cs[:, 0] = 1.0
     unknowns = n3 + len(mechanism.rows)
     scratch = Scratch(
+        time=np.zeros(1),
         cs=cs,
         u=np.zeros((len(top.motion_start) - 1, 3)),
         stack=np.zeros((MAX_DEPTH, 3)),
@@ -193,6 +202,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
         s=np.zeros((s, 1)),
         grad=np.zeros((s, 6)),
         hess=np.zeros((s, 36)),
+        tension=np.zeros((s + 1, 4)),
         source=source,
         right=np.zeros(unknowns),
         solution=np.zeros(unknowns),
@@ -256,9 +266,11 @@ def _stage_terms(mechanism: CompiledMechanism, offsets: dict[str, int]) -> Terms
                 entry = 6 * i + j
                 add(offsets["spring_stiff"] + 36 * members + entry, coordinate(bodies, i), coordinate(bodies, j), 3)
                 add(offsets["spring_damp"] + 36 * members + entry, coordinate(bodies, i), coordinate(bodies, j), 1)
-    members = np.flatnonzero(top.loads[:, 0] == POINT_FORCE)
-    theta = 3 * top.loads[members, 1] + 2
-    add(offsets["load_stiff"] + members, theta, theta, 3)
+    for load, entries in ((POINT_FORCE, (2,)), (BODY_FORCE, (0, 1))):
+        members = np.flatnonzero(top.loads[:, 0] == load)
+        first = 3 * top.loads[members, 1]
+        for entry in entries:
+            add(offsets["load_stiff"] + 3 * members + entry, first + entry, first + 2, 3)
 
     source, row, column = (np.concatenate([part[i] for part in parts]).astype(np.int64) for i in range(3))
     factor = np.concatenate([np.full(len(part[0]), part[3], dtype=np.int64) for part in parts])

@@ -29,7 +29,10 @@ KKT_TOLERANCE = 1e-9
 
 
 class Topology(NamedTuple):
-    """A compiled mechanism: what does not change while it moves. B bodies and ground, P pairs, S springs, L loads."""
+    """A compiled mechanism: what does not change while it moves. B bodies and ground, P pairs, S springs, L loads.
+
+    Springs are all force elements on a pathway, whatever their law.
+    """
 
     mass: np.ndarray
     """(B + 1, 3) diagonal of the mass matrix; ground has ones."""
@@ -42,10 +45,14 @@ class Topology(NamedTuple):
     """(P,) number of real rows, 1 or 2."""
     pair_parameters: np.ndarray
     springs: np.ndarray
-    """(S, 3) pathway, first body, second body."""
+    """(S, 4) pathway, first body, second body, row of `laws` (-1: linear)."""
     spring_points: np.ndarray
-    spring_laws: np.ndarray
-    """(S, 3) stiffness, damping, free length."""
+    linear: np.ndarray
+    """(S, 3) stiffness, damping, free length of the linear ones."""
+    laws: np.ndarray
+    """(W, 3) of the others: the law's address, where its parameters begin, what it claims."""
+    law_parameters: np.ndarray
+    """(N,) for each law in use the number of its parameters, and these."""
     loads: np.ndarray
     """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
     load_points: np.ndarray
@@ -57,6 +64,8 @@ class Topology(NamedTuple):
 class Scratch(NamedTuple):
     """Working arrays of one run. `source` holds every term of the stage matrix; the others are views or apart."""
 
+    time: np.ndarray
+    """(1,) time of the last `prepare` [s]."""
     cs: np.ndarray
     u: np.ndarray
     stack: np.ndarray
@@ -68,6 +77,8 @@ class Scratch(NamedTuple):
     s: np.ndarray
     grad: np.ndarray
     hess: np.ndarray
+    tension: np.ndarray
+    """(S + 1, 4) force, derivatives by length and rate, potential of each spring; the last row is to spare."""
     source: np.ndarray
     jac: np.ndarray
     stiff: np.ndarray
@@ -113,6 +124,7 @@ class Solver(NamedTuple):
 @inlined
 def prepare(top, w, t, q):
     """Evaluate what depends on time and positions alone: motions, cosines and sines."""
+    w.time[0] = t
     evaluate_motions(t, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
     turn_bodies(q, w.cs)
 
@@ -121,18 +133,19 @@ def prepare(top, w, t, q):
 def applied(top, w, q, v):
     """Evaluate the applied forces into ``w.force``; needs `prepare`."""
     applied_forces(
-        top.springs, top.spring_points, top.spring_laws, top.loads, top.load_points,
-        q, v, w.cs, w.u, w.s, w.grad, w.force,
+        top.springs, top.spring_points, top.linear, top.laws, top.law_parameters, top.loads, top.load_points,
+        q, v, w.cs, w.u, w.time, w.s, w.grad, w.tension, w.force,
     )  # fmt: skip
 
 
 @inlined
 def evaluate_powers(top, w, q, v, lam):
-    """Return (power of loads and drivers, dissipated power) [W]; needs `prepare` and `applied`."""
+    """Return (power of loads, drivers and active laws, dissipated power) [W]; needs `prepare` and `applied`."""
     constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
     return powers(
-        top.springs, top.spring_laws, top.loads, top.load_points, top.pairs, v, w.cs, w.u, w.grad, w.phi_t, lam
-    )
+        top.springs, top.linear, top.laws, top.law_parameters, top.loads, top.load_points, top.pairs,
+        v, w.cs, w.u, w.time, w.s, w.grad, w.tension, w.phi_t, lam,
+    )  # fmt: skip
 
 
 @part
@@ -270,6 +283,6 @@ def evaluate_tangents(top, w, t, q, v, acc, lam):
     constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
     constraint_tangents(top.pairs, top.pair_parameters, q, v, acc, w.cs, w.u, lam, w.stiff, w.gamma_v, w.res_q)
     force_tangents(
-        top.springs, top.spring_points, top.spring_laws, top.loads, top.load_points, q, v, w.cs, w.u,
-        w.s, w.grad, w.hess, w.spring_stiff, w.spring_damp, w.load_stiff,
+        top.springs, top.spring_points, top.linear, top.laws, top.law_parameters, top.loads, top.load_points,
+        q, v, w.cs, w.u, w.time, w.s, w.grad, w.hess, w.tension, w.spring_stiff, w.spring_damp, w.load_stiff,
     )  # fmt: skip

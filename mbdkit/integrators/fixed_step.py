@@ -46,8 +46,8 @@ def book_energies(h, b, energy, low):
 
 
 def has_power(top: Topology) -> bool:
-    """Return whether loads, drivers or dampers act, so that work and dissipated energy change."""
-    return bool(len(top.loads) or np.any(top.pairs[:, 3] >= 0) or np.any(top.spring_laws[:, 1]))
+    """Return whether loads, drivers, dampers or laws act, so that work and dissipated energy change."""
+    return bool(len(top.loads) or np.any(top.pairs[:, 3] >= 0) or np.any(top.linear[:, 1]) or len(top.laws))
 
 
 @dataclass
@@ -198,6 +198,9 @@ class FixedStepper(ABC):
         where = f"in step {self.done + 1} from t = {self.time:.6g} s"
         if not self.problem.motions_are_finite():
             self.failure = Failure("not-finite", f"a driver or load is not a finite number {where}.")
+            return
+        if law := self.problem.unusable_law():
+            self.failure = Failure("not-finite", f"the law of force '{law}' is not a finite number {where}.")
             return
         if status in (REPIVOT, REPIVOT_STAGES) and not self.problem.is_finite():
             status = self.overflow

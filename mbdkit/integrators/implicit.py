@@ -23,9 +23,8 @@ import numpy as np
 
 from mbdkit.engine.analysis import new_factors
 from mbdkit.engine.cache import kernel
-from mbdkit.engine.constraints import constraint_positions, turn_bodies
+from mbdkit.engine.constraints import constraint_positions
 from mbdkit.engine.lu import Factors
-from mbdkit.engine.motions import evaluate_motions
 from mbdkit.engine.observe import tangents_at
 from mbdkit.engine.system import (
     DIVERGED,
@@ -123,8 +122,7 @@ def run_implicit(
                 stale = False
                 taken_at = m
             for i in range(s):
-                evaluate_motions(t + c[i] * h, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
-                turn_bodies(q_stage[i], w.cs)
+                prepare(top, w, t + c[i] * h, q_stage[i])
                 status = solve_accelerations(top, w, solver, q_stage[i], v_stage[i], f[i], lam[i], before < ROUGH)
                 if status != OK:
                     return status, k, rows

@@ -121,7 +121,8 @@ def is_round_off(top, w, h, q, v, lam, acc, bodies, change, patient):
         speed = 0.0
         for i in range(3):
             speed += abs(w.grad[k, i] * v[3 * a + i]) + abs(w.grad[k, 3 + i] * v[3 * b + i])
-        force = top.spring_laws[k, 0] * (abs(w.s[k, 0]) + abs(top.spring_laws[k, 2])) + top.spring_laws[k, 1] * speed
+        force = abs(w.tension[k, 1]) * (abs(w.s[k, 0]) + abs(top.linear[k, 2])) + abs(w.tension[k, 2]) * speed
+        force = max(force, abs(w.tension[k, 0]))
         for side in range(2):
             body = top.springs[k, 1 + side]
             for i in range(3):

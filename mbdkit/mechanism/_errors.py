@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 from pydantic import BaseModel, ValidationError
 
 from mbdkit.errors import SpecError
+from mbdkit.mechanism.data import Assembly, MechanismData
 from mbdkit.mechanism.elements import (
-    Assembly,
     Body,
     Distance,
     Driver,
-    MechanismData,
     PointForce,
     Prismatic,
     Revolute,
@@ -19,11 +20,15 @@ from mbdkit.mechanism.elements import (
     TorsionSpring,
     Weld,
 )
+from mbdkit.mechanism.law_element import Coordinate, Law, RelativeAngle, TwoPoints, find_law
 from mbdkit.text import did_you_mean, listed
 
 _BY_TYPE: dict[str, type[BaseModel]] = {
     cls.model_fields["type"].default: cls
-    for cls in (Revolute, Prismatic, Weld, Distance, Driver, SpringDamper, TorsionSpring, Torque, PointForce)
+    for cls in (Revolute, Prismatic, Weld, Distance, Driver, SpringDamper, TorsionSpring, Torque, PointForce, Law)
+}
+_PATHWAYS: dict[str, type[BaseModel]] = {
+    get_args(cls.model_fields["type"].annotation)[0]: cls for cls in (TwoPoints, RelativeAngle, Coordinate)
 }
 
 
@@ -64,6 +69,12 @@ def _owner(root: type[BaseModel], location: list[int | str]) -> tuple[type[BaseM
     if root is MechanismData and len(location) > 2:
         kind, _, part = location[:3]
         if kind in ("joints", "forces") and part in _BY_TYPE:
-            return _BY_TYPE[str(part)], location[:2] + location[3:]
+            owner, inside = _owner(_BY_TYPE[str(part)], location[3:])
+            return owner, location[:2] + inside
         return Body, location
+    if root is Law and location and location[0] not in Law.model_fields:
+        owner, inside = find_law(str(location[0])), location[1:]
+        if inside[:1] == ["pathway"] and len(inside) > 1 and inside[1] in _PATHWAYS:
+            return _PATHWAYS[str(inside[1])], [inside[0], *inside[2:]]
+        return owner, inside
     return (Assembly if location[:1] == ["assembly"] else root), location

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Container, Iterable, Mapping
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import GROUND, Assembly, Body, Driver, Force, Joint, PointForce, Table, Torque
+from mbdkit.mechanism.data import Assembly, Force, Joint
+from mbdkit.mechanism.elements import GROUND, Body, Driver, PointForce, Table, Torque
+from mbdkit.mechanism.law_element import Law
 from mbdkit.text import did_you_mean
 
 ROUNDING = 1e-9
@@ -74,6 +76,15 @@ def check_known(name: object, bodies: Iterable[str], key: str) -> None:
         raise SpecError(f"there is no body '{name}'{did_you_mean(name, [GROUND, *bodies])}", key=key)
 
 
+def _described(element: Joint | Force) -> str:
+    match element:
+        case Law():
+            return f"pathway of type {element.pathway.type}"
+        case PointForce():
+            return "force in its frame"
+    return element.type
+
+
 def _check_element(key: str, element: Joint | Force, bodies: Iterable[str], point_masses: Container[str]) -> None:
     places = element.places()
     for place, body in places:
@@ -86,7 +97,7 @@ def _check_element(key: str, element: Joint | Force, bodies: Iterable[str], poin
     for place, body in element.angles():
         if body in point_masses:
             raise SpecError(
-                f"'{body}' is a point mass (it has no inertia), so it has no angle for a {element.type}",
+                f"'{body}' is a point mass (it has no inertia), so it has no angle for a {_described(element)}",
                 key=f"{key}.{place}",
             )
     for place, body, point in element.attachments():

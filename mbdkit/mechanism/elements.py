@@ -59,7 +59,7 @@ def _motion(value: Any) -> Any:
             raise SpecError(
                 f"should be {{table: [[t, ...], [value, ...]]}}, not a mapping with the keys {_shown([*value])}"
             )
-        return Table(table=_columns(value["table"], "table"))
+        return Table(table=columns_of(value["table"], "table"))
     elif isinstance(value, Table):
         return value
     elif isinstance(value, bool) or not isinstance(value, int | float):
@@ -72,10 +72,23 @@ def _motion(value: Any) -> Any:
     return value
 
 
-def _columns(value: Any, key: str = "") -> Any:
-    """Return the two columns of a table as tuples of floats; raise SpecError where no spline goes through them."""
+def columns_of(value: Any, key: str = "", *, at: str = "times", of: str = "values", shown: str = "t, value") -> Any:
+    """Return the two columns of a table as tuples of floats; raise SpecError where no spline goes through them.
+
+    Parameters
+    ----------
+    value
+        What was given.
+    key
+        Key of the table, for messages.
+    at, of
+        What stands in the first and in the second column.
+    shown
+        One of each, as messages show them.
+    """
+    first, second = shown.split(", ")
     try:
-        columns = pair("a column of times and a column of values, [[t, ...], [value, ...]]")(value)
+        columns = pair(f"a column of {at} and a column of {of}, [[{first}, ...], [{second}, ...]]")(value)
     except SpecError as error:
         raise error.located(prefix=key) from None
     columns = [sequence(column) for column in columns]
@@ -87,13 +100,13 @@ def _columns(value: Any, key: str = "") -> Any:
                 raise SpecError(f"should be a finite number, not {_shown(x)}", key=f"{key}[{number}][{row}]")
     times, values = (tuple(float(x) for x in column) for column in columns)
     if len(times) != len(values):
-        raise SpecError(f"a table needs as many values as times; it has {len(values)} and {len(times)}", key=key)
+        raise SpecError(f"a table needs as many {of} as {at}; it has {len(values)} and {len(times)}", key=key)
     if len(times) < 2:
         raise SpecError(f"a table needs two points or more, not {len(times)}", key=key)
     for row in range(1, len(times)):
         if not times[row - 1] < times[row]:
             raise SpecError(
-                f"times must increase: {times[row]!r} comes after {times[row - 1]!r}", key=f"{key}[0][{row}]"
+                f"{at} must increase: {times[row]!r} comes after {times[row - 1]!r}", key=f"{key}[0][{row}]"
             )
     return times, values
 
@@ -104,7 +117,7 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Point = Annotated[tuple[Number, Number], BeforeValidator(pair("two numbers [x, y]"))]
 Points = Annotated[tuple[Point, Point], BeforeValidator(pair("two points, one in each body's frame, [[x, y], [x, y]]"))]
 BodyPair = Annotated[tuple[str, str], BeforeValidator(pair("two body names [first, second]"))]
-Columns = Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidator(_columns)]
+Columns = Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidator(columns_of)]
 
 
 class Element(BaseModel):
@@ -172,7 +185,7 @@ class Body(Element):
         return c * x + s * y, -s * x + c * y
 
 
-class _Between(Element):
+class Between(Element):
     """An element between two bodies."""
 
     bodies: BodyPair
@@ -183,7 +196,7 @@ class _Between(Element):
         return [("bodies[0]", self.bodies[0]), ("bodies[1]", self.bodies[1])]
 
 
-class _BetweenPoints(_Between):
+class BetweenPoints(Between):
     """An element between a point of one body and a point of another."""
 
     points: Points
@@ -198,7 +211,7 @@ class _BetweenPoints(_Between):
         return []
 
 
-class Revolute(_BetweenPoints):
+class Revolute(BetweenPoints):
     """A pin: both points coincide, ``p_b - p_a = 0`` in the global frame."""
 
     type: Literal["revolute"] = "revolute"
@@ -206,7 +219,7 @@ class Revolute(_BetweenPoints):
     units: ClassVar[tuple[str, ...]] = ("m", "m")
 
 
-class Distance(_BetweenPoints):
+class Distance(BetweenPoints):
     """A massless link: ``|p_b - p_a| - length = 0``."""
 
     type: Literal["distance"] = "distance"
@@ -216,7 +229,7 @@ class Distance(_BetweenPoints):
     units: ClassVar[tuple[str, ...]] = ("m",)
 
 
-class Prismatic(_BetweenPoints):
+class Prismatic(BetweenPoints):
     """A slide: b's point stays on the line through a's point along `axis`, and b does not turn against a."""
 
     type: Literal["prismatic"] = "prismatic"
@@ -246,7 +259,7 @@ class Prismatic(_BetweenPoints):
         return self.places()
 
 
-class Weld(_BetweenPoints):
+class Weld(BetweenPoints):
     """A rigid connection: both points coincide, and b does not turn against a."""
 
     type: Literal["weld"] = "weld"
@@ -260,7 +273,7 @@ class Weld(_BetweenPoints):
         return self.places()
 
 
-class Driver(_Between):
+class Driver(Between):
     """A prescribed motion of b relative to a: ``coordinate - motion(t) = 0``.
 
     `angle` drives ``angle_b - angle_a`` (absolute, not relative to the start); `x` and `y` drive that coordinate of b's
@@ -309,7 +322,7 @@ class Driver(_Between):
         return self.places() if self.coordinate == "angle" else self.places()[:1]
 
 
-class SpringDamper(_BetweenPoints):
+class SpringDamper(BetweenPoints):
     """A linear spring and damper along the line between two points.
 
     Tension ``stiffness * (l - free_length) + damping * dl/dt`` pulls the points together, l being their distance.
@@ -324,7 +337,7 @@ class SpringDamper(_BetweenPoints):
     """Length without force [m]."""
 
 
-class TorsionSpring(_Between):
+class TorsionSpring(Between):
     """A linear torsion spring and damper on ``angle_b - angle_a``.
 
     The torque on b is ``-stiffness * (angle_b - angle_a - free_angle) - damping * (rate_b - rate_a)``, and its opposite
@@ -374,7 +387,7 @@ class Torque(Element):
 
 
 class PointForce(Element):
-    """A force on a point of a body, given in the global frame."""
+    """A force on a point of a body, given in the global frame or in the body's own, with which it turns."""
 
     type: Literal["force"] = "force"
     body: str
@@ -382,7 +395,9 @@ class PointForce(Element):
     point: Point = (0.0, 0.0)
     """Where it acts, in the body's frame [m]."""
     value: MotionPair
-    """Force (x, y) [N] in the global frame: numbers, expressions of t, or tables."""
+    """Force (x, y) [N]: numbers, expressions of t, or tables."""
+    frame: Literal["global", "body"] = "global"
+    """The frame that x and y of the force belong to: `global`, or that of the `body`."""
 
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element names."""
@@ -394,32 +409,4 @@ class PointForce(Element):
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose own angle takes part, so that it cannot be a point mass."""
-        return []
-
-
-Joint = Annotated[Revolute | Prismatic | Weld | Distance | Driver, Field(discriminator="type")]
-Force = Annotated[SpringDamper | TorsionSpring | Torque | PointForce, Field(discriminator="type")]
-
-
-class Assembly(Element):
-    """How the initial state is made consistent with the joints."""
-
-    fix: Annotated[tuple[str, ...], BeforeValidator(sequence)] = ()
-    """Bodies that are held where they are while the others move."""
-    tolerance: Positive = 1.0e-12
-    """Largest residual of a start that counts as consistent [m, rad, m/s, rad/s]; such a start is left untouched."""
-
-
-class MechanismData(Element):
-    """The `mechanism` model as it stands in a spec: everything about a mechanism, by name."""
-
-    gravity: Point = (0.0, -9.81)
-    """Gravitational acceleration (x, y) [m/s^2]."""
-    bodies: dict[str, Body]
-    """The bodies by name; `ground` exists without being listed."""
-    joints: dict[str, Joint] = Field(default_factory=dict)
-    """Joints and drivers by name."""
-    forces: dict[str, Force] = Field(default_factory=dict)
-    """Force elements by name."""
-    assembly: Assembly = Assembly()
-    """How the start is made consistent."""
+        return self.places() if self.frame == "body" else []

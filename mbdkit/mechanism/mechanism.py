@@ -10,16 +10,13 @@ from pydantic import TypeAdapter, ValidationError
 from mbdkit.errors import SpecError
 from mbdkit.mechanism._errors import spec_error
 from mbdkit.mechanism.checks import check_known, check_mechanism, check_name, check_tables
+from mbdkit.mechanism.data import Assembly, Force, Joint, MechanismData
 from mbdkit.mechanism.elements import (
     GROUND,
-    Assembly,
     Body,
     Distance,
     Driver,
     Element,
-    Force,
-    Joint,
-    MechanismData,
     Point,
     PointForce,
     Prismatic,
@@ -30,6 +27,7 @@ from mbdkit.mechanism.elements import (
     TorsionSpring,
     Weld,
 )
+from mbdkit.mechanism.law_element import Law
 
 if TYPE_CHECKING:
     from mbdkit.symbolic.system import SymbolicSystem
@@ -332,6 +330,55 @@ class Mechanism:
             TorsionSpring, key, bodies=(a, b), stiffness=stiffness, damping=damping, free_angle=free_angle
         )
 
+    def law(
+        self,
+        name: str,
+        a: str,
+        b: str,
+        *,
+        law: str,
+        along: Literal["line", "angle", "x", "y"] = "line",
+        from_: Pair | None = None,
+        to: Pair | None = None,
+        points: Sequence[Pair] | None = None,
+        **options: Any,
+    ) -> None:
+        """Put a force law on a pathway between `a` and `b`.
+
+        Parameters
+        ----------
+        name
+            Its name.
+        a, b
+            The two bodies.
+        law
+            Name of the force law: ``one-sided``, ``table``, ``linear``, or one of a plugin.
+        along
+            What the law's length is: the length of the ``line`` between two points [m], the ``angle``
+            angle_b - angle_a [rad], or ``x`` or ``y`` of b's point in a's frame, from a's origin [m].
+        from_, to
+            For a line: the point of a and the point of b (x, y) [m] in the global frame at the initial positions.
+        points
+            For a line, instead of `from_` and `to`: the points in a's and in b's own frame, ((x, y), (x, y)) [m]. For x
+            and y: ((0, 0), b's point in its own frame); left out, b's origin.
+        **options
+            The law's own options; ``mbdkit plugins show LAW`` lists them.
+        """
+        key = self._new(name, self.forces, "forces")
+        pathway: dict[str, Any] = {"bodies": (a, b)}
+        if along == "line":
+            held = self._points(key, a, b, points, from_, to, "from_ and to")
+            pathway |= {"type": "two-points", "points": held}
+        else:
+            self._known(a, f"{key}.pathway.bodies[0]")
+            self._known(b, f"{key}.pathway.bodies[1]")
+            if from_ is not None or to is not None:
+                raise SpecError(f"from_ and to belong to a line, not to along='{along}'", key=key)
+            pathway |= {"type": "relative-angle"} if along == "angle" else {"type": "coordinate", "coordinate": along}
+            if points is not None:
+                pathway["points"] = points
+        self.forces[name] = _validated(Law, key, {"law": law, "pathway": pathway, **options})
+
     def torque(self, name: str, body: str, *, value: Value, reaction_body: str | None = None) -> None:
         """Apply a torque to a body.
 
@@ -353,7 +400,14 @@ class Mechanism:
         self.forces[name] = _make(Torque, key, body=body, value=value, reaction_body=reaction_body)
 
     def force(
-        self, name: str, body: str, *, value: Sequence[Value], at: Pair | None = None, point: Pair | None = None
+        self,
+        name: str,
+        body: str,
+        *,
+        value: Sequence[Value],
+        at: Pair | None = None,
+        point: Pair | None = None,
+        frame: Literal["global", "body"] = "global",
     ) -> None:
         """Apply a force to a point of a body.
 
@@ -364,11 +418,13 @@ class Mechanism:
         body
             The body that the force acts on.
         value
-            Force (x, y) [N] in the global frame: numbers, expressions of t, or tables.
+            Force (x, y) [N]: numbers, expressions of t, or tables.
         at
             Where it acts (x, y) [m], in the global frame at the initial position.
         point
             Instead of `at`: where it acts, in the body's own frame [m]; the centre of mass by default.
+        frame
+            The frame that x and y of the force belong to: ``global``, or the ``body``'s own, with which it turns.
         """
         key = self._new(name, self.forces, "forces")
         self._known(body, f"{key}.body")
@@ -377,7 +433,7 @@ class Mechanism:
         if at is not None:
             point = self.to_local(body, _point(at, f"{key}.at"))
         place = (0.0, 0.0) if point is None else point
-        self.forces[name] = _make(PointForce, key, body=body, point=place, value=value)
+        self.forces[name] = _make(PointForce, key, body=body, point=place, value=value, frame=frame)
 
     def hold(self, *bodies: str, tolerance: float = 1e-12) -> None:
         """Say which bodies stay where they are while the start is made consistent, and to which residual.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbdkit.mechanism.elements import MechanismData
+from mbdkit.mechanism.data import MechanismData
 from mbdkit.mechanism.mechanism import Mechanism
 
 SUMMARY = "Any mechanism of bodies, joints, drivers and forces, written out by name."

@@ -1,1 +1,1 @@
-"""The registry: through which models and integrators arrive, ours and anybody's."""
+"""The registry: through which models, integrators and force laws arrive, ours and anybody's."""

@@ -1,9 +1,9 @@
-"""The plugin of mbdkit itself: its models and integrators arrive like anybody's."""
+"""The plugin of mbdkit itself: its models, integrators and force laws arrive like anybody's."""
 
 from __future__ import annotations
 
 from mbdkit.registry.hookspecs import hookimpl
-from mbdkit.registry.items import IntegratorPlugin, ModelPlugin
+from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, ModelPlugin
 
 
 @hookimpl
@@ -20,3 +20,11 @@ def mbdkit_integrators() -> list[IntegratorPlugin]:
     from mbdkit.integrators.builtin import INTEGRATORS
 
     return list(INTEGRATORS)
+
+
+@hookimpl
+def mbdkit_force_laws() -> list[ForceLawPlugin]:
+    """Return the force laws that mbdkit ships."""
+    from mbdkit.laws import LAWS
+
+    return list(LAWS)

@@ -1,4 +1,4 @@
-"""The catalogue of what was loaded: models and integrators by name, and a report on everything that was tried."""
+"""The catalogue of models, integrators and force laws by name, and a report on everything that was tried."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from mbdkit.errors import SpecError
-from mbdkit.registry.items import IntegratorPlugin, ModelPlugin
+from mbdkit.registry.items import Plugin
 from mbdkit.text import did_you_mean, listed
 
-Kind = Literal["model", "integrator"]
-KINDS: tuple[Kind, ...] = ("model", "integrator")
+Kind = Literal["model", "integrator", "force-law"]
+KINDS: tuple[Kind, ...] = ("model", "integrator", "force-law")
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,10 @@ class Origin:
 
 @dataclass(frozen=True)
 class Registered:
-    """One model or integrator in the registry, with where it came from."""
+    """One model, integrator or force law in the registry, with where it came from."""
 
     kind: Kind
-    plugin: ModelPlugin | IntegratorPlugin
+    plugin: Plugin
     origin: Origin
 
     @property
@@ -64,7 +64,7 @@ class Report:
 
 
 class Registry:
-    """All models and integrators that could be loaded, and a report on everything that was tried.
+    """All models, integrators and force laws that could be loaded, and a report on everything that was tried.
 
     Parameters
     ----------
@@ -116,21 +116,22 @@ class Registry:
             If there is none, or if the short alias is claimed by several distributions.
         """
         namesakes = self._namesakes(kind, name)
+        word, key = (kind, f"{kind}.name") if kind != "force-law" else ("force law", "law")
         if len(namesakes) > 1:
             owners = listed([f"{item.origin.distribution} {item.origin.version}" for item in namesakes], "and")
             ids = listed([f"'{item.id}'" for item in namesakes], "or")
-            raise SpecError(f"the {kind} name '{name}' is claimed by {owners}; write {ids}", key=f"{kind}.name")
+            raise SpecError(f"the {word} name '{name}' is claimed by {owners}; write {ids}", key=key)
         if namesakes:
             return namesakes[0]
         for item in self.of_kind(kind):
             if item.id == name:
                 return item
         names = self.names(kind)
-        message = f"there is no {kind} '{name}'{did_you_mean(name, names)}; installed: {listed(names) or 'none'}"
+        message = f"there is no {word} '{name}'{did_you_mean(name, names)}; installed: {listed(names) or 'none'}"
         if self.failures:
             broken = listed([f"'{report.id}'" for report in self.failures], "and")
             message += f"; not loaded: {broken} (see `mbdkit plugins doctor`)"
-        raise SpecError(message, key=f"{kind}.name")
+        raise SpecError(message, key=key)
 
     def _namesakes(self, kind: Kind, name: str) -> list[Registered]:
         return [item for item in self.of_kind(kind) if item.name == name]

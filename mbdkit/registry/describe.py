@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from mbdkit.errors import PluginError, SpecError
 from mbdkit.registry.catalogue import KINDS, Registered, Registry, Report
-from mbdkit.registry.items import Claims, IntegratorPlugin
+from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.registry.options import named_options
 from mbdkit.text import did_you_mean, listed, table
@@ -72,6 +72,8 @@ def details(item: Registered) -> dict[str, Any]:
         "references": list(item.plugin.references),
     }
     claims = _claims(item)
+    if isinstance(item.plugin, ForceLawPlugin):
+        shown["claims"] = _law_claims(item.plugin)
     if claims is not None:
         shown["claims"] = {name: getattr(claims, name) for name in Claims.__dataclass_fields__}
     return shown
@@ -91,6 +93,9 @@ def page(item: Registered) -> str:
     if claims is not None:
         lines += ["", "Claims:" if not item.plugin.options.model_fields else "Claims, with these defaults:"]
         lines += [f"  {name.replace('_', ' ')}: {text}" for name, text in _claim_texts(claims)]
+    if isinstance(item.plugin, ForceLawPlugin):
+        lines += ["", "Claims:"]
+        lines += [f"  {name}: {'yes' if value else 'no'}" for name, value in _law_claims(item.plugin).items()]
     if item.plugin.references:
         lines += ["", "References:", *(textwrap.indent(entry.strip(), "  ") for entry in item.plugin.references)]
     return "\n".join(lines)
@@ -148,6 +153,10 @@ def _claims(item: Registered) -> Claims | None:
     return claims if isinstance(claims, Claims) else None
 
 
+def _law_claims(plugin: ForceLawPlugin) -> dict[str, bool]:
+    return {"potential": plugin.law.potential not in (None, False), "passive": plugin.law.passive}
+
+
 def _claim_texts(claims: Claims) -> list[tuple[str, str]]:
     texts = []
     for name in Claims.__dataclass_fields__:
@@ -187,12 +196,12 @@ def _inside(info: Schema, definitions: Schema) -> list[tuple[str, Schema]]:
     if "$ref" in info:
         target = definitions[info["$ref"].rpartition("/")[2]]
         return [("", target)] if "properties" in target else []
+    tags = info.get("discriminator", {}).get("mapping", {})
+    if tags:
+        return [(f" ({tag})", definitions[ref.rpartition("/")[2]]) for tag, ref in tags.items()]
     members = info.get("additionalProperties")
     if not isinstance(members, dict):
         return []
-    if "oneOf" in members:
-        tags = members.get("discriminator", {}).get("mapping", {})
-        return [(f".NAME ({tag})", definitions[ref.rpartition("/")[2]]) for tag, ref in tags.items()]
     return [(f".NAME{label}", inner) for label, inner in _inside(members, definitions)]
 
 

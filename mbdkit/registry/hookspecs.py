@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import pluggy
 
-from mbdkit.registry.items import IntegratorPlugin, ModelPlugin
+from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, ModelPlugin
 
 PROJECT = "mbdkit"
 
@@ -44,5 +44,30 @@ def mbdkit_integrators() -> list[IntegratorPlugin]:  # type: ignore[empty-body]
     Returns
     -------
     list of IntegratorPlugin
+        Each name once.
+    """
+
+
+@hookspec
+def mbdkit_force_laws() -> list[ForceLawPlugin]:  # type: ignore[empty-body]
+    """Return the force laws of this plugin, for elements of type ``law``.
+
+    A law written in SymPy, whose derivatives follow by themselves::
+
+        length, rate, k, k3, c = sympy.symbols("length rate stiffness cubic damping")
+        law = mbdkit.ExpressionLaw(k*length + k3*length**3 + c*rate, k*length**2/2 + k3*length**4/4, passive=True)
+        mbdkit.ForceLawPlugin("duffing", "A spring that hardens", DuffingOptions, law)
+
+    and one that Numba compiles::
+
+        def magnet(length, rate, time, parameters):
+            strength = parameters[0]
+            return strength/length**2, -2*strength/length**3, 0.0, -strength/length
+
+        mbdkit.ForceLawPlugin("magnet", "Attraction", MagnetOptions, mbdkit.FunctionLaw(magnet, potential=True))
+
+    Returns
+    -------
+    list of ForceLawPlugin
         Each name once.
     """

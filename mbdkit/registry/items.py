@@ -1,4 +1,4 @@
-"""What a plugin hands over: models and integrators, each with its options, its references and what it claims."""
+"""What a plugin hands over: models, integrators and force laws, with their options, references and claims."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
+    from mbdkit.mechanism.laws import ForceLaw
     from mbdkit.mechanism.mechanism import Mechanism
 
 
@@ -76,6 +77,31 @@ class ModelPlugin:
 
 
 @dataclass(frozen=True)
+class ForceLawPlugin:
+    """A force law: the tension of a force element from its length, rate and time.
+
+    Parameters
+    ----------
+    name
+        Short name, such as ``one-sided``; what a spec says under ``law`` in an element of type ``law``.
+    summary
+        One line of what it is.
+    options
+        Pydantic model of the options, which stand beside ``type``, ``law`` and ``pathway`` in the element.
+    law
+        The law, as an ``ExpressionLaw`` in SymPy or as a ``FunctionLaw`` that Numba compiles.
+    references
+        BibTeX entries of the sources.
+    """
+
+    name: str
+    summary: str
+    options: type[BaseModel]
+    law: ForceLaw
+    references: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class IntegratorPlugin:
     """An integrator: how the state is advanced.
 
@@ -104,3 +130,6 @@ class IntegratorPlugin:
     claims: Callable[[Any], Claims]
     references: tuple[str, ...] = ()
     dense_output: bool = False
+
+
+Plugin = ModelPlugin | IntegratorPlugin | ForceLawPlugin

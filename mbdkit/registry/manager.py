@@ -15,10 +15,12 @@ from typing import Any, Protocol
 import pluggy
 
 from mbdkit.errors import PluginError
+from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.laws import ForceLaw
 from mbdkit.registry import hookspecs
 from mbdkit.registry.catalogue import Kind, Origin, Registered, Registry, Report
-from mbdkit.registry.items import IntegratorPlugin, ModelPlugin
-from mbdkit.registry.options import named_options
+from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, ModelPlugin, Plugin
+from mbdkit.registry.options import check_law_options, law_element, named_options
 from mbdkit.text import listed, one_line
 
 GROUP = hookspecs.PROJECT
@@ -27,6 +29,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 HOOKS: dict[str, tuple[Kind, type]] = {
     "mbdkit_models": ("model", ModelPlugin),
     "mbdkit_integrators": ("integrator", IntegratorPlugin),
+    "mbdkit_force_laws": ("force-law", ForceLawPlugin),
 }
 
 log = logging.getLogger("mbdkit")
@@ -59,6 +62,11 @@ class EntryPoint(Protocol):
 def registry() -> Registry:
     """Return the registry of everything installed; loaded once in a process."""
     return load_registry(importlib.metadata.entry_points(group=GROUP))
+
+
+def find_installed_law(name: str) -> type[Law]:
+    """Return the element class of an installed force law; raises SpecError where there is none."""
+    return law_element(registry().get("force-law", name))
 
 
 def load_registry(entry_points: Iterable[EntryPoint]) -> Registry:
@@ -125,7 +133,7 @@ def _accept(
         item = Registered(kind, _checked(kind, thing), origin)
         named_options(item).model_json_schema()
         if any(other.kind == kind and other.id == item.id for other in known):
-            raise PluginError(f"its distribution has another {kind} of the same name")
+            raise PluginError(f"its distribution has another {kind.replace('-', ' ')} of the same name")
     except KeyboardInterrupt:
         raise
     except BaseException as error:
@@ -134,12 +142,12 @@ def _accept(
         found.append(item)
 
 
-def _checked(kind: Kind, thing: object) -> ModelPlugin | IntegratorPlugin:
+def _checked(kind: Kind, thing: object) -> Plugin:
     from pydantic import BaseModel
 
     wanted = next(cls for of_kind, cls in HOOKS.values() if of_kind == kind)
-    if not isinstance(thing, ModelPlugin | IntegratorPlugin) or not isinstance(thing, wanted):
-        raise PluginError(f"a hook for {kind}s returned {_a(thing)}, not {wanted.__name__}")
+    if not isinstance(thing, Plugin) or not isinstance(thing, wanted):
+        raise PluginError(f"a hook for {kind.replace('-', ' ')}s returned {_a(thing)}, not {wanted.__name__}")
     if not isinstance(thing.name, str) or not NAME.fullmatch(thing.name):
         raise PluginError(f"the name {thing.name!r} is not made of letters, digits and . _ -")
     if not isinstance(thing.summary, str) or "\n" in thing.summary:
@@ -148,6 +156,11 @@ def _checked(kind: Kind, thing: object) -> ModelPlugin | IntegratorPlugin:
         raise PluginError(f"its options are {_a(thing.options)}, not a class derived from pydantic.BaseModel")
     if not isinstance(thing.references, tuple) or not all(isinstance(entry, str) for entry in thing.references):
         raise PluginError("its references are not a tuple of texts")
+    if isinstance(thing, ForceLawPlugin):
+        if not isinstance(thing.law, ForceLaw):
+            raise PluginError(f"its law is {_a(thing.law)}, not an ExpressionLaw or a FunctionLaw")
+        check_law_options(thing.options)
+        return thing
     for function in ("build",) if isinstance(thing, ModelPlugin) else ("create", "claims"):
         if not callable(getattr(thing, function)):
             raise PluginError(f"its `{function}` cannot be called")

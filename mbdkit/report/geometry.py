@@ -155,7 +155,7 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
             sketch.guide(joint, _travel(mechanism, joint))
     for force in mechanism.forces.values():
         ends = sketch.attach(force)
-        if force.type == "spring-damper":
+        if force.type == "spring-damper" or (force.type == "law" and force.pathway.type == "two-points"):
             sketch.springs.append((ends[0], ends[1]))
     return sketch.finish()
 

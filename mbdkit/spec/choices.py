@@ -50,3 +50,12 @@ class Choice:
 def choice_of(root: type[BaseModel], kind: Kind) -> Choice:
     """Return the choice that the field `kind` of a spec offers."""
     return next(extra for extra in root.model_fields[kind].metadata if isinstance(extra, Choice))
+
+
+def registry_of(root: type[BaseModel]) -> Registry:
+    """Return the registry that a spec chooses from; what is installed, where it chooses nothing itself."""
+    for field in root.model_fields.values():
+        for extra in field.metadata:
+            if isinstance(extra, Choice):
+                return extra.registry
+    return registry()

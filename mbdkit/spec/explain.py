@@ -13,7 +13,7 @@ from pydantic_core.core_schema import ErrorType
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.expression import Expression
 from mbdkit.registry.options import is_of_item, item_of
-from mbdkit.spec.choices import choice_of
+from mbdkit.spec.choices import choice_of, registry_of
 from mbdkit.spec.plain import Path, found, parse_path, path_text
 from mbdkit.spec.walk import walk
 from mbdkit.text import did_you_mean, listed
@@ -128,10 +128,12 @@ def _unknown_key(key: str, owner: type[BaseModel] | None, root: type[BaseModel])
     message = f"unknown key{did_you_mean(key, known)}"
     if is_of_item(owner):
         item = item_of(owner)
-        items = choice_of(root, item.kind).registry.of_kind(item.kind)
+        items = registry_of(root).of_kind(item.kind)
         others = [f"'{other.name}'" for other in items if key in other.plugin.options.model_fields]
         if others:
-            message = f"'{key}' belongs to {listed(others, 'and')}, not to the {item.kind} '{item.name}'"
+            message = (
+                f"'{key}' belongs to {listed(others, 'and')}, not to the {item.kind.replace('-', ' ')} '{item.name}'"
+            )
     for name, info in fields.items():
         section = info.annotation
         if isinstance(section, type) and issubclass(section, BaseModel) and key in section.model_fields:

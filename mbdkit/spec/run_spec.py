@@ -15,7 +15,8 @@ from pydantic import (
 )
 
 from mbdkit.errors import PluginError, SpecError
-from mbdkit.registry.catalogue import KINDS, Registered, Registry
+from mbdkit.mechanism.law_element import Law
+from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.items import Claims, IntegratorPlugin, ModelPlugin
 from mbdkit.registry.options import item_of
 from mbdkit.spec.choices import Choice, choice_of
@@ -25,6 +26,10 @@ from mbdkit.text import listed, one_line
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
+
+
+_CHOSEN: tuple[Kind, ...] = ("model", "integrator")
+"""What a spec chooses by name."""
 
 
 class RunSpec(StrictSpec):
@@ -110,6 +115,12 @@ class RunSpec(StrictSpec):
         return plugin
 
     @property
+    def force_law_items(self) -> list[Registered]:
+        """The force laws that the mechanism uses, in the registry, each once, by name."""
+        laws = {item_of(force) for force in self.mechanism().forces.values() if isinstance(force, Law)}
+        return sorted(laws, key=lambda item: item.id)
+
+    @property
     def claims(self) -> Claims:
         """What the integrator claims of itself with these options."""
         try:
@@ -154,7 +165,8 @@ class RunSpec(StrictSpec):
 
     def run_id(self) -> str:
         """Return 16 hexadecimal digits that name this spec run with these versions of its plugins."""
-        used = [f"{item.id}=={item.origin.version}" for item in (self.model_item, self.integrator_item)]
+        items = [self.model_item, self.integrator_item, *self.force_law_items]
+        used = [f"{item.id}=={item.origin.version}" for item in items]
         return hashlib.sha256("\n".join([self.canonical_json(), *used]).encode()).hexdigest()[:16]
 
 
@@ -162,6 +174,6 @@ def spec_type(installed: Registry) -> type[RunSpec]:
     """Return the RunSpec whose models and integrators are those of the given registry, not of what is installed."""
     fields: dict[str, Any] = {
         kind: (Annotated[BaseModel, Choice(kind, installed)], Field(description=RunSpec.model_fields[kind].description))
-        for kind in KINDS
+        for kind in _CHOSEN
     }
     return create_model("RunSpec", __base__=RunSpec, __doc__=RunSpec.__doc__, **fields)

@@ -7,8 +7,13 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from pydantic import BaseModel
+from pydantic.json_schema import models_json_schema
+
+from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import registry
+from mbdkit.registry.options import law_element
 from mbdkit.spec.run_spec import spec_type
 from mbdkit.spec.study_spec import StudySpec
 
@@ -24,7 +29,16 @@ def run_schema(installed: Registry | None = None) -> dict[str, Any]:
     installed
         The models and integrators to put in; by default all that are installed.
     """
-    schema = spec_type(installed if installed is not None else registry()).model_json_schema()
+    chosen = installed if installed is not None else registry()
+    laws = [law_element(item) for item in chosen.of_kind("force-law")]
+    models: list[type[BaseModel]] = [spec_type(chosen), Law, *laws]
+    references, whole = models_json_schema([(model, "validation") for model in models])
+    definitions = whole["$defs"]
+    names = [references[model, "validation"]["$ref"].rpartition("/")[2] for model in models]
+    schema = definitions.pop(names[0])
+    if laws:  # an element of type law is one of those that are installed
+        definitions[names[1]] = {"oneOf": [{"$ref": f"#/$defs/{name}"} for name in names[2:]]}
+    schema = {"$defs": definitions, **schema}
     return {"$schema": DRAFT, **_described(schema)}
 
 

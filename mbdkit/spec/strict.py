@@ -9,6 +9,9 @@ from typing import Any
 from pydantic import PrivateAttr, ValidationError
 
 from mbdkit.errors import SpecError
+from mbdkit.mechanism.law_element import Law
+from mbdkit.registry.options import law_element
+from mbdkit.spec.choices import registry_of
 from mbdkit.spec.document import Document
 from mbdkit.spec.explain import explain
 from mbdkit.spec.plain import canonical, plain
@@ -30,11 +33,15 @@ class StrictSpec(Section):
         # A spec is JSON data whatever it was written in, so it is validated as such.
         try:
             text = json.dumps(plain(data), allow_nan=False)
-            self.__pydantic_validator__.validate_json(text, self_instance=self)
+            self.__pydantic_validator__.validate_json(text, self_instance=self, context={"find_law": self._find_law})
         except ValidationError as error:
             raise explain(error, type(self)) from None
         except RecursionError:
             raise SpecError("this spec is nested too deeply, or contains itself") from None
+
+    @classmethod
+    def _find_law(cls, name: str) -> type[Law]:
+        return law_element(registry_of(cls).get("force-law", name))
 
     def placed(self, error: SpecError) -> SpecError:
         """Return an error about this spec with the file and line where its key was written, if it came from a file."""

@@ -7,20 +7,29 @@ here. A force is its virtual work along a pathway or a point of the definitions;
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import cache
 from typing import Any
 
+import numpy as np
 import sympy as sp
+from sympy.core.function import UndefinedFunction
 
-from mbdkit.engine.compiled import CompiledMechanism, compile_mechanism
+from mbdkit.engine.compiled import CompiledMechanism, compile_mechanism, pathway_kind
 from mbdkit.engine.constraints import KINDS
+from mbdkit.engine.law_compiler import law_parameters
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import GROUND, Force, PointForce, SpringDamper, Table, Torque, TorsionSpring
+from mbdkit.mechanism.data import Force
+from mbdkit.mechanism.elements import GROUND, PointForce, SpringDamper, Table, Torque, TorsionSpring
 from mbdkit.mechanism.expression import Expression
+from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.laws import ExpressionLaw
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.symbolic import definitions as d
+from mbdkit.symbolic.laws import LENGTH, RATE, law_expressions
+from mbdkit.symbolic.laws import T as LAW_TIME
 from mbdkit.symbolic.system import SymbolicSystem
 
 TIME = sp.Symbol("t", real=True)
@@ -35,6 +44,9 @@ _CONSTANTS = {
     ("fixed_angle", 4): ("phi", r"\varphi"),
 }
 """Name and LaTeX of a constraint kind's parameter that is not part of a point; others are p4 and p5."""
+
+_LETTERS = {"stiffness": ("k", "k"), "damping": ("c", "c"), "free_length": ("l", r"\ell")}
+"""Name and LaTeX of a law's parameter; others are called as they are."""
 
 _KINKED = (sp.Abs, sp.Min, sp.Max)
 
@@ -66,6 +78,7 @@ class _Builder:
         self.compiled: CompiledMechanism = compile_mechanism(mechanism)
         self.names: dict[sp.Symbol, str] = {TIME: "t"}
         self.parameters: dict[sp.Symbol, float] = {}
+        self.functions: set[str] = set()
         self.known: dict[tuple[float, str, tuple[str, ...]], sp.Symbol] = {}
         self.bodies = [*mechanism.bodies, GROUND]
         letters = (("x", "x"), ("y", "y"), ("theta", r"\theta"))
@@ -201,9 +214,13 @@ class _Builder:
             case Torque():
                 gradient = _pathway_terms("relative_angle")[1]
                 self.add(gradient.T * _jet(force.value)[0], force.reaction_body or GROUND, force.body, [])
+            case Law():
+                self.add_law(name, force)
             case PointForce():
                 place = d.jacobian((d.xb + d.bx, d.yb + d.by), d.BODY_COORDINATES)
                 value = sp.Matrix([_jet(x)[0] for x in force.value])
+                if force.frame == "body":
+                    value = sp.Matrix([[d.cb, -d.sb], [d.sb, d.cb]]) * value
                 held = [sp.Integer(0)] * 2 + self.point(name, force.body, force.point)
                 self.add(place.T * value, GROUND, force.body, held)
             case _:
@@ -217,6 +234,41 @@ class _Builder:
         rate = (gradient * sp.Matrix(d.BODY_VELOCITIES))[0]
         stiffness, damping = self.parameter(force.stiffness, "k", name), self.parameter(force.damping, "c", name)
         self.add(-(stiffness * (length - free) + damping * rate) * gradient.T, *force.bodies, held)
+
+    def add_law(self, name: str, force: Law) -> None:
+        """Add the force F of a law on its pathway: Q = -F s_q; a law that is no expression stays a function F."""
+        pathway, bodies, points = pathway_kind(force.pathway)
+        length, gradient = _pathway_terms(pathway)
+        rate = (gradient * sp.Matrix(d.BODY_VELOCITIES))[0]
+        law = force.force_law
+        names, values = law_parameters(law, force, force.law_id)
+        if isinstance(law, ExpressionLaw):
+            tension, _ = law_expressions(law, names)
+            known = {LENGTH: length, RATE: rate, LAW_TIME: TIME}
+            for option, value in zip(names, values, strict=True):
+                letter, tex = _LETTERS.get(option, (option, _text(option)))
+                known[sp.Symbol(option, real=True)] = self.parameter(value, letter, name, tex=tex)
+            tension = tension.xreplace(known)
+        else:
+            tension = self.numeric_law(name, law.function, np.array(values))(length, rate, TIME)
+        held = [*self.point(name, bodies[0], points[:2]), *self.point(name, bodies[1], points[2:])]
+        self.add(-tension * gradient.T, *bodies, held)
+
+    def numeric_law(self, name: str, function: Any, parameters: np.ndarray) -> Any:
+        """Return the force of a law as a function that has no formula, only numbers: of length, rate and time."""
+
+        def force(length: float, rate: float, time: float) -> float:
+            return float(function(length, rate, time, parameters)[0])
+
+        def latex(term: Any, printer: Any, exp: str | None = None) -> str:
+            shown = rf"F_{{{_text(name)}}}\left({', '.join(printer._print(x) for x in term.args)}\right)"
+            return shown if exp is None else rf"{{{shown}}}^{{{exp}}}"
+
+        word = "F_" + re.sub(r"\W", "_", name)
+        while word in self.functions:
+            word += "_"
+        self.functions.add(word)
+        return UndefinedFunction(word, __dict__={"_imp_": staticmethod(force), "_latex": latex})
 
     def add(self, terms: sp.Matrix, a: str, b: str, parameters: Sequence[sp.Expr]) -> None:
         """Add generalized forces (6, 1), as the definitions have them, on bodies `a` and `b`."""

@@ -85,13 +85,15 @@ class ConstraintKind:
 
 
 _ARM = (xb + bx - xa, yb + by - ya)
+_IN_A = (ca * _ARM[0] + sa * _ARM[1], ca * _ARM[1] - sa * _ARM[0])
+"""The point of the second body in the frame of the first, from its origin."""
 
 CONSTRAINTS = (
     ConstraintKind("revolute", (gx, gy), "Two points coincide: Phi = p_b - p_a"),
     ConstraintKind("distance", (length - PARAMETERS[4],), "Phi = |p_b - p_a| - length"),
     ConstraintKind("driver_angle", (thb - tha - u,), "Phi = theta_b - theta_a - u(t)"),
-    ConstraintKind("driver_x", (ca * _ARM[0] + sa * _ARM[1] - u,), "Phi = x of b's point in a's frame - u(t)"),
-    ConstraintKind("driver_y", (ca * _ARM[1] - sa * _ARM[0] - u,), "Phi = y of b's point in a's frame - u(t)"),
+    ConstraintKind("driver_x", (_IN_A[0] - u,), "Phi = x of b's point in a's frame - u(t)"),
+    ConstraintKind("driver_y", (_IN_A[1] - u,), "Phi = y of b's point in a's frame - u(t)"),
     ConstraintKind("point_on_line", (nx * gx + ny * gy,), "Phi = distance of b's point from the line through a's"),
     ConstraintKind("fixed_angle", (thb - tha - PARAMETERS[4],), "Phi = theta_b - theta_a - angle"),
 )
@@ -109,6 +111,8 @@ class PathwayKind:
 PATHWAYS = (
     PathwayKind("two_points", length, "s = |p_b - p_a| [m]"),
     PathwayKind("relative_angle", thb - tha, "s = theta_b - theta_a [rad]"),
+    PathwayKind("coordinate_x", _IN_A[0], "s = x of b's point in a's frame [m]"),
+    PathwayKind("coordinate_y", _IN_A[1], "s = y of b's point in a's frame [m]"),
 )
 
 

@@ -147,7 +147,30 @@ def test_the_tangent_of_a_force_is_that_of_its_turning_arm() -> None:
         return arm[0] * force[1] - arm[1] * force[0]
 
     c.tangents()
-    assert_close(c.scratch.load_stiff, [[-gradient(moment, c.q)[5]]])
+    assert_close(c.scratch.load_stiff, [[0.0, 0.0, -gradient(moment, c.q)[5]]])
+
+
+def test_a_force_in_the_frame_of_its_body_turns_with_it() -> None:
+    # expected: R(theta) F at the point, written by hand, its derivatives by theta by complex step
+    m = two_bodies()
+    m.force("f", "b", value=[3.0, "2*cos(t)"], point=POINT_B, frame="body")
+    c = Compiled(m, T)
+    local = (3.0, 2 * np.cos(T))
+
+    def force(q: Any) -> Any:
+        turned = place(q, 1, local) - q[3:5]
+        arm = place(q, 1, POINT_B) - q[3:5]
+        return np.array([*turned, arm[0] * turned[1] - arm[1] * turned[0]])
+
+    c.tangents()
+    assert_close(c.scratch.force[3:6], force(c.q))
+    by_angle = -gradient(force, c.q)[:, 5]
+    assert_close(c.scratch.load_stiff, [[by_angle[0], by_angle[1], 0.0]])
+    assert_close(by_angle[2], 0.0, size=1.0)
+    work, lost = c.powers()
+    speed = gradient(lambda q: place(q, 1, POINT_B), c.q)[:, :6] @ c.v[:6]
+    assert_close(work, force(c.q)[:2] @ speed)
+    assert lost == 0.0
 
 
 @seeds

@@ -17,7 +17,7 @@ from mbdkit.engine.compiled import compile_mechanism
 from mbdkit.engine.observe import constraints_at, observe
 from mbdkit.engine.problem import Problem
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import Force
+from mbdkit.mechanism.data import Force
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
 from mbdkit.symbolic.system import SymbolicSystem
@@ -53,6 +53,14 @@ def every_element() -> Mechanism:
     m.torsion_spring("clock", "disc_2", m.ground, stiffness=1.1)
     m.torque("drive", "arm", value="0.5*cos(4*t)", reaction_body="long rod")
     m.torque("brake", "disc_2", value=-0.3)
+    m.law(
+        "rope", "arm", "disc_2", law="one-sided", points=((0.0, 0.2), (0.1, 0.0)), stiffness=9.0, damping=0.4,
+        free_length=0.6, acts="tension",
+    )  # fmt: skip
+    m.law("bush", "arm", "disc_2", law="table", along="y", table=[[-2.0, 0.1, 1.5], [-3.0, 0.2, 4.0]], damping=0.7)
+    m.law("coil %1", "arm", "long rod", law="table", along="angle", table=[[-2.0, 0.1, 1.5], [-3.0, 0.2, 4.0]])
+    m.law("cart", "disc_2", "point", law="linear", along="x", stiffness=3.0, damping=0.2, free_length=-0.3)
+    m.force("thrust", "disc_2", value=[1.2, "0.3 + t"], point=(-0.3, 0.1), frame="body")
     m.force("push", "long rod", value=[1.5, "tanh(t) - min(t, 0.2)"], point=(0.3, -0.1))
     return m
 
@@ -271,7 +279,8 @@ FIELDS = {
     "spring-damper": {"type", "bodies", "points", "stiffness", "damping", "free_length"},
     "torsion-spring": {"type", "bodies", "stiffness", "damping", "free_angle"},
     "torque": {"type", "body", "value", "reaction_body"},
-    "force": {"type", "body", "point", "value"},
+    "force": {"type", "body", "point", "value", "frame"},
+    "law": {"type", "law", "pathway"},
 }
 """What `mbdkit.symbolic.build` reads of each force element."""
 
@@ -287,7 +296,7 @@ def test_every_force_element_has_a_symbolic_form_and_no_key_of_one_is_left_out()
 
 COMMANDS = re.compile(
     "begin|end|left|right|hline|text|(text(backslash|asciitilde|asciicircum))|operatorname|sin|cos|tan|tanh|atan"
-    "|max|min|frac|sqrt|cdot|pi|lambda|theta|d?dot|xi|eta|ell|varphi|geq|leq|quad"
+    "|max|min|frac|sqrt|wedge|cdot|pi|lambda|theta|d?dot|xi|eta|ell|varphi|geq|leq|quad"
 )
 
 

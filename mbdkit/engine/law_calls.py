@@ -1,0 +1,51 @@
+"""The call of a force law from compiled kernels: by its address, under one explicit C signature.
+
+A law is a C function ``void law(double length, double rate, double time, const double *parameters, double *out)`` that
+writes the force, its derivatives by length and by rate, and the potential into ``out[0..3]``; ``parameters[0]`` is the
+number of parameters that follow. Kernels read its address from an array, so that they stay compiled whatever laws are
+in use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import njit, types
+from numba.core.dispatcher import Dispatcher
+from numba.extending import intrinsic
+
+SIGNATURE = types.void(
+    types.float64, types.float64, types.float64, types.CPointer(types.float64), types.CPointer(types.float64)
+)
+
+
+def _call_law(typing, address, length, rate, time, parameters, begin, out, row):
+    """Call the law at `address`: its block of `parameters` (N,) begins at `begin`, its results go to `out` (K, 4)."""
+    number, real = types.int64, types.float64
+    vector, matrix = types.Array(real, 1, "C"), types.Array(real, 2, "C")
+    signature = types.void(number, real, real, real, vector, number, matrix, number)
+
+    def generate(context, builder, signature, arguments):
+        address, length, rate, time, parameters, begin, out, row = arguments
+        double, pointer = ir.DoubleType(), ir.DoubleType().as_pointer()
+        function = ir.FunctionType(ir.VoidType(), [double, double, double, pointer, pointer])
+        block = context.make_array(signature.args[4])(context, builder, parameters).data
+        results = context.make_array(signature.args[6])(context, builder, out).data
+        four = ir.Constant(row.type, 4)
+        builder.call(
+            builder.inttoptr(address, function.as_pointer()),
+            [length, rate, time, builder.gep(block, [begin]), builder.gep(results, [builder.mul(row, four)])],
+        )
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+call_law: Any = intrinsic(_call_law)
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Return a law's function compiled by Numba, whether its author has done so or not."""
+    return function if isinstance(function, Dispatcher) else njit(function, error_model="numpy")

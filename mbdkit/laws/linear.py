@@ -1,0 +1,43 @@
+"""The linear spring and damper, for any pathway."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbdkit.mechanism.elements import Element, NotNegative, Number
+from mbdkit.mechanism.laws import ExpressionLaw
+
+if TYPE_CHECKING:
+    import sympy
+
+SUMMARY = "A linear spring and damper, on any pathway."
+
+
+class LinearOptions(Element):
+    """Options of `linear`: the force is ``stiffness * (length - free_length) + damping * rate``."""
+
+    stiffness: NotNegative = 0.0
+    """Stiffness [N/m or N m/rad]."""
+    damping: NotNegative = 0.0
+    """Damping [N s/m or N m s/rad]."""
+    free_length: Number = 0.0
+    """Length, angle or coordinate without force [m or rad]."""
+
+
+def force() -> sympy.Expr:
+    """Return k (s - s_0) + c s'."""
+    from sympy import symbols
+
+    length, rate, stiffness, damping, free_length = symbols("length rate stiffness damping free_length", real=True)
+    return stiffness * (length - free_length) + damping * rate
+
+
+def potential() -> sympy.Expr:
+    """Return k (s - s_0)^2 / 2."""
+    from sympy import symbols
+
+    length, stiffness, free_length = symbols("length stiffness free_length", real=True)
+    return stiffness * (length - free_length) ** 2 / 2
+
+
+LAW = ExpressionLaw(force, potential, passive=True)
