@@ -1,0 +1,1 @@
+"""Force laws: those that ship, and those of a plugin."""

@@ -1,0 +1,263 @@
+"""What force laws do to a motion: against analytic motions, and against each other written in other ways."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+import mbdkit
+from mbdkit import Mechanism, Run
+
+GAUSS = {"name": "gauss", "stages": 3}
+RK4 = {"name": "rk4"}
+
+
+def run(m: Mechanism, end: float, step: float, integrator: Any = None) -> Run:
+    found = mbdkit.run(m, integrator=integrator or GAUSS, time={"end": end, "step": step})
+    found.check()
+    return found
+
+
+def mass_on_a_line(position: float, velocity: float, **body: Any) -> Mechanism:
+    """Return a point mass of 1 kg that moves along the x axis, without gravity."""
+    m = Mechanism(gravity=(0, 0))
+    m.body("mass", mass=1.0, position=(position, 0.0), velocity=(velocity, 0.0), **body)
+    return m
+
+
+def swinging(along: str, law: str, **options: Any) -> Mechanism:
+    """Return a double pendulum with a law between its rods, and one from the ground."""
+    m = Mechanism()
+    m.body("upper", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    m.body("lower", mass=0.7, inertia=0.08, position=(1.4, 0.2), angle=0.4)
+    m.revolute("A", m.ground, "upper", points=((0, 0), (-0.5, 0)))
+    m.revolute("B", "upper", "lower", points=((0.5, 0), (-0.45, 0)))
+    places: dict[str, Any] = {}
+    if along == "line":
+        places = {"points": ((0.1, 0.3), (0.3, 0.1))}
+    elif along != "angle":
+        places = {"points": ((0.0, 0.0), (0.3, 0.1))}
+    if law == "built-in":
+        add = m.spring_damper if along == "line" else m.torsion_spring
+        free = "free_length" if along == "line" else "free_angle"
+        add("s", "upper", "lower", **places, **{free if key == "free" else key: x for key, x in options.items()})
+    else:
+        m.law("s", "upper", "lower", law=law, along=along, **places, **options)
+    return m
+
+
+@pytest.mark.parametrize("integrator", [RK4, GAUSS], ids=["rk4", "gauss"])
+@pytest.mark.parametrize("along", ["line", "angle"])
+@pytest.mark.parametrize("law", ["linear-sympy", "linear-numba"])
+def test_a_linear_law_moves_like_the_built_in_spring(law: str, along: str, integrator: Any) -> None:
+    # expected: the same numbers but for round-off, which this motion enlarges little over a second
+    options = {"stiffness": 40.0, "damping": 0.8, "free": 0.3}
+    expected = run(swinging(along, "built-in", **options), 1.0, 0.01, integrator)
+    found = run(swinging(along, law, **options), 1.0, 0.01, integrator)
+    np.testing.assert_allclose(found["lower"].position, expected["lower"].position, rtol=0, atol=1e-13)
+    for name in ("potential", "dissipated", "work", "balance"):
+        np.testing.assert_allclose(getattr(found.energy, name), getattr(expected.energy, name), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("along", ["line", "angle", "x", "y"])
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("duffing", {"stiffness": 20.0, "cubic": 50.0, "damping": 0.5}), ("pump", {})],
+    ids=["duffing", "pump"],
+)
+def test_a_law_in_sympy_moves_like_the_same_law_as_a_function(name: str, options: Any, along: str) -> None:
+    runs = [run(swinging(along, f"{name}-{kind}", **options), 1.0, 0.02) for kind in ("sympy", "numba")]
+    np.testing.assert_allclose(runs[0]["lower"].position, runs[1]["lower"].position, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(runs[0].energy.dissipated, runs[1].energy.dissipated, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(runs[0].energy.work, runs[1].energy.work, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("along", ["line", "angle", "x", "y"])
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("duffing-numba", {"stiffness": 20.0, "cubic": 50.0, "damping": 0.5}), ("pump-sympy", {})],
+    ids=["passive", "active"],
+)
+@pytest.mark.parametrize(
+    ("integrator", "step", "order"),
+    [(RK4, 0.01, 4), ({"name": "gauss", "stages": 2}, 0.02, 4), (GAUSS, 0.04, 6)],
+    ids=["rk4", "gauss2", "gauss3"],
+)
+def test_the_energy_balance_of_a_law_closes_with_the_order_of_the_method(
+    name: str, options: Any, along: str, integrator: Any, step: float, order: int
+) -> None:
+    # expected: the error of a method of order p is divided by 2^p when its step is halved
+    errors = [
+        float(np.max(np.abs(run(swinging(along, name, **options), 0.8, h, integrator).energy.balance)))
+        for h in (step, step / 2)
+    ]
+    assert errors[1] < 1e-3
+    assert math.log2(errors[0] / errors[1]) > order - 0.5
+
+
+def test_a_law_that_dissipates_books_no_work_and_one_that_drives_dissipates_nothing() -> None:
+    passive = run(swinging("line", "duffing-numba", stiffness=20.0, damping=0.5), 0.5, 0.01).energy
+    assert not np.any(passive.work)
+    assert np.all(np.diff(passive.dissipated) >= 0.0)
+    assert passive.dissipated[-1] > 0.01
+    active = run(swinging("line", "pump-numba"), 0.5, 0.01).energy
+    assert not np.any(active.dissipated)
+    assert abs(active.work[-1]) > 0.001
+
+
+@pytest.mark.parametrize("along", ["x", "y"])
+def test_a_mass_on_a_coordinate_spring_swings_with_the_root_of_stiffness_over_mass(along: str) -> None:
+    # expected: x = l + a cos(w t), w = sqrt(k/m), in the frame of a body that stands turned by 0.7 rad
+    k, free, start = 9.0, 0.4, 0.9
+    turn = np.array([[math.cos(0.7), -math.sin(0.7)], [math.sin(0.7), math.cos(0.7)]])
+    column = 0 if along == "x" else 1
+    local = np.array([0.0, 0.3])
+    local[column] = start
+    m = Mechanism(gravity=(0, 0))
+    m.body("frame", mass=5.0, inertia=1.0, position=(0.2, -0.1), angle=0.7)
+    m.weld("hold", m.ground, "frame", points=((0.2, -0.1), (0, 0)))
+    m.body("mass", mass=1.0, position=np.array([0.2, -0.1]) + turn @ local)
+    m.law("s", "frame", "mass", law="linear", along=along, stiffness=k, free_length=free)
+    found = run(m, 2.0, 0.05)
+    inside = (found["mass"].position[:, :2] - (0.2, -0.1)) @ turn
+    np.testing.assert_allclose(
+        inside[:, column], free + (start - free) * np.cos(math.sqrt(k) * found.time), rtol=0, atol=1e-7
+    )
+    np.testing.assert_allclose(inside[:, 1 - column], local[1 - column], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("integrator", [RK4, GAUSS], ids=["rk4", "gauss"])
+def test_a_mass_thrown_against_a_stop_comes_back_after_half_a_period(integrator: Any) -> None:
+    # expected: free flight, x = -v/w sin(w (t - t1)) for half a period pi/w, free flight back; corners on step ends
+    step, flight, contact = 0.01, 20, 50
+    w = math.pi / (contact * step)
+    speed, touch = 2.0, flight * step
+    m = mass_on_a_line(speed * touch, -speed)
+    m.law("stop", m.ground, "mass", law="one-sided", along="x", stiffness=w**2, acts="compression")
+    found = run(m, (2 * flight + contact) * step, step, integrator)
+    t = found.time
+    held = np.where(t < touch, speed * (touch - t), -speed / w * np.sin(w * (t - touch)))
+    expected = np.where(t > touch + math.pi / w, speed * (t - touch - math.pi / w), held)
+    np.testing.assert_allclose(found["mass"].position[:, 0], expected, rtol=0, atol=2e-6 if integrator is RK4 else 1e-8)
+    np.testing.assert_allclose(found.energy.balance, 0.0, atol=2e-5 if integrator is RK4 else 1e-8)
+
+
+def test_a_stop_without_stiffness_but_damping_brakes_exponentially_and_never_pulls() -> None:
+    # expected: from x = 0 on v = -v0 exp(-c t), so that it sinks in by v0/c; a step ends where it comes into touch
+    c = 5.0
+    m = mass_on_a_line(0.0, -1.0)
+    m.law("mud", m.ground, "mass", law="one-sided", along="x", stiffness=0.0, damping=c, acts="compression")
+    found = run(m, 2.0, 0.01)
+    np.testing.assert_allclose(found["mass"].position[:, 0], -(1 - np.exp(-c * found.time)) / c, rtol=0, atol=1e-3)
+    assert np.all(found["mass"].acceleration[:, 0] >= 0.0)
+
+
+@pytest.mark.parametrize(("acts", "side"), [("tension", 1.0), ("compression", -1.0)])
+@pytest.mark.parametrize("integrator", [RK4, {"name": "gauss", "stages": 2}], ids=["rk4", "gauss"])
+def test_a_damped_one_sided_spring_never_acts_the_other_way(acts: str, side: float, integrator: Any) -> None:
+    # expected: the force F = -m a has the sign of its side or is zero, leaving it as well as coming to it
+    m = mass_on_a_line(1.0 - side * 0.2, side * 1.0)
+    m.law("s", m.ground, "mass", law="one-sided", along="x", stiffness=60.0, damping=9.0, free_length=1.0, acts=acts)
+    found = run(m, 1.0, 0.002, integrator)
+    force = -side * found["mass"].acceleration[:, 0]
+    beyond = side * (found["mass"].position[:, 0] - 1.0)
+    assert np.all(force >= 0.0)
+    assert np.max(force) > 1.0
+    assert np.any(beyond > 1e-3)
+    assert not np.any(force[beyond < 0.0])
+    late = (beyond > 0.0) & (force == 0.0)  # in touch still, but the damper alone would hold it back
+    assert np.any(late)
+    assert np.all(np.diff(found.energy.dissipated) >= -1e-15)
+    assert abs(found.energy.balance[-1]) < 1e-3
+
+
+TABLE = (np.array([-0.4, 0.1, 0.5, 0.9, 1.4]), (3.0, -2.0, 0.5, 4.0))
+"""Lengths of a table, and the coefficients of a cubic by rising powers."""
+
+
+def cubic(x: np.ndarray) -> np.ndarray:
+    return np.polynomial.polynomial.polyval(x, TABLE[1])
+
+
+def test_a_table_through_a_cubic_is_the_cubic() -> None:
+    # expected: the not-a-knot spline through points of a cubic is this cubic
+    results = []
+    for law, options in (
+        ("table", {"table": [TABLE[0], cubic(TABLE[0])]}),
+        ("polynomial", {"weights": list(TABLE[1])}),
+    ):
+        m = mass_on_a_line(0.8, 0.3)
+        m.law("s", m.ground, "mass", law=law, along="x", **options)
+        results.append(run(m, 0.7, 0.02))
+    position = results[0]["mass"].position
+    assert np.all(np.abs(position[:, 0] - 0.5) < 0.9)
+    np.testing.assert_allclose(position, results[1]["mass"].position, rtol=0, atol=1e-12)
+    first, second = (one.energy.potential - one.energy.potential[0] for one in results)
+    np.testing.assert_allclose(first, second, rtol=0, atol=1e-12)
+
+
+def test_beyond_its_ends_a_table_goes_on_straight() -> None:
+    # expected: accelerations -F(x) from SciPy's own spline, continued by its slope at the ends; potential by quadrature
+    lengths, forces = np.array([0.0, 0.3, 0.5, 1.0]), np.array([-1.0, 0.2, 1.1, 5.0])
+    spline = CubicSpline(lengths, forces)
+    m = mass_on_a_line(0.6, 2.5)
+    m.law("s", m.ground, "mass", law="table", along="x", table=[lengths, forces])
+    found = run(m, 3.0, 0.01)
+    x = found["mass"].position[:, 0]
+    assert x.min() < -0.2
+    assert x.max() > 1.2
+    held = np.clip(x, 0.0, 1.0)
+    np.testing.assert_allclose(
+        -found["mass"].acceleration[:, 0], spline(held) + spline(held, 1) * (x - held), atol=1e-12
+    )
+    potential = [spline.integrate(0.0, b) for b in held] + (x - held) * (
+        spline(held) + spline(held, 1) * (x - held) / 2
+    )
+    np.testing.assert_allclose(found.energy.potential, potential, rtol=0, atol=1e-12)
+
+
+def test_a_disc_that_spins_and_pushes_itself_goes_in_a_circle_on_its_drift() -> None:
+    # expected: m v' = R(w t) F with constant w, so v = F/(m w) (sin w t, 1 - cos w t) and x its integral
+    w, force, mass = 3.0, 4.0, 2.0
+    m = Mechanism(gravity=(0, 0))
+    m.body("disc", mass=mass, inertia=0.5, angular_velocity=w)
+    m.force("thrust", "disc", value=[force, 0.0], frame="body")
+    found = run(m, 2.0, 0.02)
+    t, size = found.time, force / (mass * w)
+    expected = size * np.column_stack([(1 - np.cos(w * t)) / w, t - np.sin(w * t) / w])
+    np.testing.assert_allclose(found["disc"].position[:, :2], expected, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found["disc"].angle, w * t, rtol=0, atol=1e-13)
+
+
+def test_thrust_beside_the_centre_of_mass_winds_up_a_disc_evenly() -> None:
+    # expected: the moment arm x force stays what it is in the body's frame, so theta = M t^2 / (2 I)
+    m = Mechanism(gravity=(0, 0))
+    m.body("disc", mass=1.5, inertia=0.4)
+    m.force("thrust", "disc", value=[0.3, 1.0], point=(0.5, -0.2), frame="body")
+    found = run(m, 2.0, 0.05)
+    moment = 0.5 * 1.0 + 0.2 * 0.3
+    np.testing.assert_allclose(found["disc"].angle, moment * found.time**2 / 0.8, rtol=0, atol=1e-12)
+    assert np.max(np.abs(found.energy.balance)) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("law", "options"),
+    [
+        ("duffing-numba", {"stiffness": 200.0, "cubic": 500.0, "damping": 0.5}),
+        ("table", {"table": [[0.0, 0.5, 1.0, 2.0], [-100.0, 0.0, 120.0, 500.0]], "damping": 0.5}),
+    ],
+    ids=["duffing", "table"],
+)
+@pytest.mark.parametrize("along", ["line", "angle", "x", "y"])
+def test_newton_contracts_faster_with_smaller_steps(law: str, options: dict[str, Any], along: str) -> None:
+    # expected: with exact tangents a change shrinks by O(h) in each iteration; a term left out would keep the rate
+    counts = []
+    for step in (0.01, 0.0025, 0.000625):
+        found = run(swinging(along, law, **options), 0.2, step)
+        counts.append(found.stats["newton_iterations"] / found.stats["steps"])
+    assert counts[0] - 1.0 > counts[1] > counts[2] + 0.5
+    assert counts[2] < 4.0
