@@ -6,6 +6,8 @@ generalized force is ``Q = -F s_q``. Gravity is not here: it is a constant accel
 
 from __future__ import annotations
 
+import numpy as np
+
 from mbdkit.engine import elements as e
 from mbdkit.engine.cache import part
 from mbdkit.engine.law_calls import call_law
@@ -52,8 +54,11 @@ def path_rate(k, a, b, v, grad):
 
 
 @part
-def evaluate_tension(k, springs, linear, laws, parameters, time, length, rate, tension):
-    """Write F, dF/ds, dF/ds' and the potential of force element `k` into its row of `tension` (S + 1, 4)."""
+def evaluate_tension(k, springs, linear, laws, parameters, time, length, rate, tension, faulty):
+    """Write F, dF/ds, dF/ds' and the potential of force element `k` into its row of `tension` (S + 1, 4).
+
+    A law that has no finite force where its arguments are finite is noted in `faulty` (1,).
+    """
     law = springs[k, 3]
     if law < 0:
         stiffness, damping, stretch = linear[k, 0], linear[k, 1], length - linear[k, 2]
@@ -63,11 +68,13 @@ def evaluate_tension(k, springs, linear, laws, parameters, time, length, rate, t
         tension[k, 3] = 0.5 * stiffness * stretch * stretch
     else:
         call_law(laws[law, 0], length, rate, time[0], parameters, laws[law, 1], tension, k)
+        if not abs(tension[k, 0]) < np.inf and abs(length) < np.inf and abs(rate) < np.inf:
+            faulty[0] = law
 
 
 @part
 def applied_forces(
-    springs, points, linear, laws, parameters, loads, load_points, q, v, cs, u, time, s, grad, tension, force
+    springs, points, linear, laws, parameters, loads, load_points, q, v, cs, u, time, s, grad, tension, faulty, force
 ):
     """Write the generalized applied forces without gravity into `force` (3 (B + 1),)."""
     force[:] = 0.0
@@ -75,7 +82,7 @@ def applied_forces(
     for k in range(len(springs)):
         a, b = springs[k, 1], springs[k, 2]
         rate = path_rate(k, a, b, v, grad)
-        evaluate_tension(k, springs, linear, laws, parameters, time, s[k, 0], rate, tension)
+        evaluate_tension(k, springs, linear, laws, parameters, time, s[k, 0], rate, tension, faulty)
         pull = tension[k, 0]
         for i in range(3):
             force[3 * a + i] -= pull * grad[k, i]
@@ -108,7 +115,7 @@ def point_force(k, loads, load_points, cs, u):
 @part
 def force_tangents(
     springs, points, linear, laws, parameters, loads, load_points, q, v, cs, u, time,
-    s, grad, hess, tension, stiff, damp, load_stiff,
+    s, grad, hess, tension, faulty, stiff, damp, load_stiff,
 ):  # fmt: skip
     """Write K = -dQ/dq and C = -dQ/dv of every element.
 
@@ -118,7 +125,9 @@ def force_tangents(
     pathway_lengths(springs, points, q, cs, s, grad)
     for k in range(len(springs)):
         a, b = springs[k, 1], springs[k, 2]
-        evaluate_tension(k, springs, linear, laws, parameters, time, s[k, 0], path_rate(k, a, b, v, grad), tension)
+        evaluate_tension(
+            k, springs, linear, laws, parameters, time, s[k, 0], path_rate(k, a, b, v, grad), tension, faulty
+        )
         pull, stiffness, damping = tension[k, 0], tension[k, 1], tension[k, 2]
         curved = True
         if springs[k, 0] == _TWO_POINTS:

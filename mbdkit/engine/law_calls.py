@@ -47,5 +47,5 @@ call_law: Any = intrinsic(_call_law)
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Return a law's function compiled by Numba, whether its author has done so or not."""
-    return function if isinstance(function, Dispatcher) else njit(function, error_model="numpy")
+    """Return a law's function compiled by Numba, copied into its caller; as it is where its author compiled it."""
+    return function if isinstance(function, Dispatcher) else njit(function, error_model="numpy", forceinline=True)

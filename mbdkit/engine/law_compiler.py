@@ -182,10 +182,10 @@ def _check_results(function: Callable[..., Any]) -> None:
     numbers = list(getattr(returned, "types", [returned]))  # of a tuple
     if len(numbers) == 4 and all(isinstance(one, types.Number | types.Boolean) for one in numbers):
         return
+    found = "one value" if len(numbers) == 1 else f"{len(numbers)} values" if len(numbers) != 4 else "other things"
     raise PluginError(
-        f"its function returns {'one value' if len(numbers) == 1 else f'{len(numbers)} values'}, not the four numbers "
-        "force, derivative by length, derivative by rate and potential: give the derivatives, or write the law as a "
-        "SymPy expression, which has them by itself"
+        f"its function returns {found}, not the four numbers force, derivative by length, derivative by rate and "
+        "potential: give the derivatives, or write the law as a SymPy expression, which has them by itself"
     )
 
 

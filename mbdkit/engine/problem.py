@@ -151,12 +151,9 @@ class Problem:
         return finite_motions(self.mechanism.topology, self.scratch.u)
 
     def unusable_law(self) -> str | None:
-        """Return the first force whose law gave a number that is not finite where it was evaluated last, if any."""
-        top, w = self.mechanism.topology, self.scratch
-        for spring in np.flatnonzero(top.springs[:, 3] >= 0):
-            if np.isfinite(w.s[spring, 0]) and not np.all(np.isfinite(w.tension[spring])):
-                return self.mechanism.laws[top.springs[spring, 3]][0]
-        return None
+        """Return the name of the last force whose law gave no finite number, if any."""
+        law = int(self.scratch.faulty[0])
+        return self.mechanism.laws[law][0] if law >= 0 else None
 
     def use_pivots(self) -> None:
         """Solve for accelerations with newly chosen pivots from now on; raises SingularSystemError."""
@@ -203,6 +200,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
         grad=np.zeros((s, 6)),
         hess=np.zeros((s, 36)),
         tension=np.zeros((s + 1, 4)),
+        faulty=np.array([-1]),
         source=source,
         right=np.zeros(unknowns),
         solution=np.zeros(unknowns),

@@ -81,6 +81,8 @@ def require_unique_start(problem: Problem) -> None:
             raise SingularSystemError
     except SingularSystemError:
         raise SpecError(_blame(problem), key="model.joints") from None
+    if force := problem.unusable_law():
+        raise SpecError("its law gives no finite number at the start", key=f"model.forces.{force}")
     if not (np.all(np.isfinite(acc)) and np.all(np.isfinite(lam))):
         raise SpecError("the forces of the start are too large to be held in double precision", key="model")
 

@@ -79,6 +79,8 @@ class Scratch(NamedTuple):
     hess: np.ndarray
     tension: np.ndarray
     """(S + 1, 4) force, derivatives by length and rate, potential of each spring; the last row is to spare."""
+    faulty: np.ndarray
+    """(1,) row of the last law that gave a force that was not finite; -1 for none."""
     source: np.ndarray
     jac: np.ndarray
     stiff: np.ndarray
@@ -134,7 +136,7 @@ def applied(top, w, q, v):
     """Evaluate the applied forces into ``w.force``; needs `prepare`."""
     applied_forces(
         top.springs, top.spring_points, top.linear, top.laws, top.law_parameters, top.loads, top.load_points,
-        q, v, w.cs, w.u, w.time, w.s, w.grad, w.tension, w.force,
+        q, v, w.cs, w.u, w.time, w.s, w.grad, w.tension, w.faulty, w.force,
     )  # fmt: skip
 
 
@@ -284,5 +286,5 @@ def evaluate_tangents(top, w, t, q, v, acc, lam):
     constraint_tangents(top.pairs, top.pair_parameters, q, v, acc, w.cs, w.u, lam, w.stiff, w.gamma_v, w.res_q)
     force_tangents(
         top.springs, top.spring_points, top.linear, top.laws, top.law_parameters, top.loads, top.load_points,
-        q, v, w.cs, w.u, w.time, w.s, w.grad, w.hess, w.tension, w.spring_stiff, w.spring_damp, w.load_stiff,
+        q, v, w.cs, w.u, w.time, w.s, w.grad, w.hess, w.tension, w.faulty, w.spring_stiff, w.spring_damp, w.load_stiff,
     )  # fmt: skip

@@ -199,8 +199,8 @@ class FixedStepper(ABC):
         if not self.problem.motions_are_finite():
             self.failure = Failure("not-finite", f"a driver or load is not a finite number {where}.")
             return
-        if law := self.problem.unusable_law():
-            self.failure = Failure("not-finite", f"the law of force '{law}' is not a finite number {where}.")
+        if force := self.problem.unusable_law():
+            self.failure = Failure("not-finite", f"the law of force '{force}' gives no finite number {where}.")
             return
         if status in (REPIVOT, REPIVOT_STAGES) and not self.problem.is_finite():
             status = self.overflow

@@ -190,6 +190,8 @@ class SciPyStepper:
         return True
 
     def _overflow(self, t: float) -> Failure:
+        if force := self.problem.unusable_law():
+            return Failure("not-finite", f"the law of force '{force}' gives no finite number after t = {t:.6g} s.")
         return Failure("not-finite", f"numbers overflowed after t = {t:.6g} s; tighter tolerances may help.")
 
     def _effort(self, t: float) -> tuple[int, int]:

@@ -66,7 +66,11 @@ def without_derivatives(length: float, rate: float, time: float, p: Any) -> floa
 
 
 def not_compilable(length: float, rate: float, time: float, p: Any) -> Any:
-    return {"force": length}, 0.0, 0.0, 0.0
+    return open("force.txt").read(), 0.0, 0.0, 0.0
+
+
+def not_numbers(length: float, rate: float, time: float, p: Any) -> Any:
+    return "force", 0.0, 0.0, 0.0
 
 
 def not_finite(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
@@ -104,12 +108,13 @@ LAWS = [
     plugin("lambda", Linear, FunctionLaw(lambda s, v, t, p: (p[0] * s, p[0], 0.0, p[0] * s * s / 2), potential=True)),
     plugin("without-derivatives", Nothing, FunctionLaw(without_derivatives)),
     plugin("not-compilable", Nothing, FunctionLaw(not_compilable)),
+    plugin("not-numbers", Nothing, FunctionLaw(not_numbers)),
     plugin("not-finite", Nothing, FunctionLaw(not_finite)),
     plugin("not-smooth", Nothing, ExpressionLaw(sp.Function("f")(length))),
     plugin("not-an-expression", Nothing, ExpressionLaw(lambda: "length")),
     plugin("unknown-symbol", Linear, ExpressionLaw(sp.Symbol("stifness") * length)),
     plugin("wrong-potential", Linear, ExpressionLaw(stiffness * length, stiffness * length**2)),
-    plugin("timed-potential", Linear, ExpressionLaw(stiffness * length * time, stiffness * length**2 * time / 2)),
+    plugin("timed-potential", Linear, ExpressionLaw(stiffness * length * time, stiffness * length**2 / 2)),
     plugin("no-parameters", Nothing, FunctionLaw(linear, parameters=fail)),
 ]
 

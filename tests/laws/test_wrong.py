@@ -1,0 +1,237 @@
+"""Laws and law elements that are wrong: who can mend it is told what and where, in one sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mbdkit
+from mbdkit import ExpressionLaw, ForceLawPlugin, Mechanism, PluginError, SpecError
+from mbdkit.registry.manager import registry
+from mbdkit.spec import load_spec
+
+from .plugin import Nothing, length
+
+SPEC = """\
+mbdkit: 1
+integrator: {name: rk4}
+time: {end: 1, step: 0.1}
+model:
+  name: mechanism
+  bodies:
+    arm: {mass: 1, inertia: 0.1, position: [0.5, 0]}
+    ball: {mass: 1, position: [1.5, 0]}
+  forces:
+    p:
+      type: law
+      law: one-sided
+      pathway:
+        type: two-points
+        bodies: [ground, arm]
+        points: [[0, 0], [0.5, 0]]
+      stiffness: 10
+      acts: tension
+"""
+
+
+def spec(old: str, new: str) -> str:
+    assert SPEC.count(old) == 1
+    return SPEC.replace(old, new)
+
+
+def table(columns: str) -> str:
+    return spec("law: one-sided", f"law: table\n      table: {columns}").replace(
+        "      stiffness: 10\n      acts: tension\n", ""
+    )
+
+
+ANGLE = spec("two-points", "relative-angle").replace("        points: [[0, 0], [0.5, 0]]\n", "")
+COORDINATE = spec("two-points", "coordinate\n        coordinate: x")
+
+WRONG = {
+    "unknown law": (spec("one-sided", "one-sidde"), 12, "law", "there is no force law 'one-sidde' (did you mean"),
+    "no law": (spec("      law: one-sided\n", ""), 10, "law", "is missing: name of the force law"),
+    "law as a number": (spec("one-sided", "5"), 12, "law", "should be text, not 5"),
+    "unknown option": (spec("stiffness", "stifness"), 17, "stifness", "did you mean 'stiffness'?"),
+    "option of another law": (
+        SPEC + "      table: [[0, 1], [0, 1]]\n",
+        19,
+        "table",
+        "belongs to 'table', not to the force law 'one-sided'",
+    ),
+    "option of the wrong type": (spec("stiffness: 10", "stiffness: hard"), 17, "stiffness", "a number, not the text"),
+    "option out of range": (spec("stiffness: 10", "stiffness: -1"), 17, "stiffness", "at least 0, not -1"),
+    "unknown word": (spec("acts: tension", "acts: pull"), 18, "acts", "'tension' or 'compression'"),
+    "option missing": (spec("      acts: tension\n", ""), 10, "acts", "is missing: `tension` pulls"),
+    "no pathway": (spec("pathway:", "path:"), 13, "path", "did you mean 'pathway'?"),
+    "unknown pathway": (spec("two-points", "two-point"), 14, "pathway.type", "did you mean 'two-points'?"),
+    "pathway without type": (spec("        type: two-points\n", ""), 13, "pathway.type", "is missing"),
+    "unknown body": (spec("[ground, arm]", "[ground, amr]"), 15, "pathway.bodies[1]", "(did you mean 'arm'?)"),
+    "one body": (spec("[ground, arm]", "[arm, arm]"), 15, "pathway.bodies[1]", "differ"),
+    "point off a point mass": (spec("[ground, arm]", "[ground, ball]"), 16, "pathway.points[1]", "only at [0, 0]"),
+    "a point of three": (spec("[[0, 0], [0.5, 0]]", "[[0, 0, 0], [0.5, 0]]"), 16, "pathway.points[0]", "x, y"),
+    "angle of a point mass": (
+        ANGLE.replace("[ground, arm]", "[arm, ball]"),
+        15,
+        "pathway.bodies[1]",
+        "no angle for a pathway of type relative-angle",
+    ),
+    "points on an angle": (spec("two-points", "relative-angle"), 16, "pathway.points", "unknown key"),
+    "coordinate in a point mass": (
+        COORDINATE.replace("[ground, arm]", "[ball, arm]"),
+        16,
+        "pathway.bodies[0]",
+        "no angle for a pathway of type coordinate",
+    ),
+    "coordinate from another point": (
+        COORDINATE.replace("[[0, 0], [0.5, 0]]", "[[0, 1], [0.5, 0]]"),
+        17,
+        "pathway.points[0]",
+        "from the origin of the first body",
+    ),
+    "coordinate angle": (
+        COORDINATE.replace("coordinate: x", "coordinate: angle"),
+        15,
+        "pathway.coordinate",
+        "{type: relative-angle, ...}",
+    ),
+    "unknown coordinate": (
+        COORDINATE.replace("coordinate: x", "coordinate: z"),
+        15,
+        "pathway.coordinate",
+        "'x' or 'y'",
+    ),
+    "table not increasing": (table("[[0, 2, 1], [0, 1, 2]]"), 13, "table[0][2]", "lengths must increase: 1.0 comes"),
+    "table with a hole": (table("[[0, 1], [0, .nan]]"), 13, "table[1][1]", "finite"),
+    "table of one point": (table("[[0], [0]]"), 13, "table", "two points or more"),
+    "table with a force too few": (table("[[0, 1], [0]]"), 13, "table", "as many forces as lengths"),
+    "table of one column": (table("[0, 1, 2]"), 13, "table", "a column of lengths and a column of forces"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_law_element_is_refused_with_line_and_key(case: str, tmp_path: Path) -> None:
+    text, line, key, words = WRONG[case]
+    file = tmp_path / "spec.yaml"
+    file.write_text(text)
+    with pytest.raises(SpecError) as caught:
+        load_spec(str(file))
+    assert str(caught.value).startswith(f"{file}:{line}: model.forces.p.{key}: ")
+    assert words in str(caught.value)
+
+
+def test_a_force_in_the_frame_of_a_point_mass_is_refused() -> None:
+    m = Mechanism()
+    m.body("ball", mass=1.0)
+    m.force("f", "ball", value=[1.0, 0.0], frame="body")
+    with pytest.raises(
+        SpecError, match=r"model\.forces\.f\.body: 'ball' is a point mass .* no angle for a force in its"
+    ):
+        m.validate()
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "words"),
+    [
+        ({"law": "one-sidde"}, "law", "did you mean 'one-sided'?"),
+        ({"stifness": 2.0}, "stifness", "did you mean 'stiffness'?"),
+        ({"stiffness": -2.0}, "stiffness", "greater than or equal to 0"),
+        ({"along": "x"}, "", "from_ and to belong to a line"),
+        ({"points": ((0, 0), (0, 0, 0)), "from_": None, "to": None}, "pathway.points[1]", "two numbers"),
+    ],
+)
+def test_the_builder_refuses_at_once(changes: dict[str, Any], key: str, words: str) -> None:
+    m = Mechanism()
+    arm = m.body("arm", mass=1.0, inertia=1.0)
+    given: dict[str, Any] = {"law": "one-sided", "from_": (0, 0), "to": (1, 0), "stiffness": 1.0, "acts": "tension"}
+    with pytest.raises(SpecError) as caught:
+        m.law("p", m.ground, arm, **given | changes)
+    assert caught.value.key == f"model.forces.p{'.' * bool(key)}{key}"
+    assert words in caught.value.message
+    assert not m.forces
+
+
+def with_law(law: str, **options: Any) -> Mechanism:
+    m = Mechanism()
+    m.body("ball", mass=1.0, position=(1.0, 0.0))
+    m.law("p", m.ground, "ball", law=law, from_=(0, 0), to=(1, 0), **options)
+    return m
+
+
+@pytest.mark.parametrize(
+    ("law", "options", "words"),
+    [
+        ("without-derivatives", {}, "its function returns one value, not the four numbers force, derivative by length"),
+        ("not-compilable", {}, "cannot be compiled: TypingError"),
+        ("not-numbers", {}, "its function returns other things, not the four numbers"),
+        ("not-smooth", {}, "SymPy cannot take the derivatives of its force f(length)"),
+        ("not-an-expression", {}, "an object of type str is no SymPy expression"),
+        ("unknown-symbol", {"stiffness": 1.0}, "the symbol 'stifness' of its force is none of"),
+        ("wrong-potential", {"stiffness": 1.0}, "of its potential is not its force at rate zero"),
+        ("timed-potential", {"stiffness": 1.0}, "has no potential: leave it out"),
+        ("no-parameters", {}, "failed to make its parameters: ZeroDivisionError: no parameters today"),
+    ],
+)
+def test_a_law_that_fails_to_be_built_is_the_plugins_fault(law: str, options: Any, words: str) -> None:
+    with pytest.raises(PluginError) as caught:
+        mbdkit.run(with_law(law, **options), integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.1})
+    assert str(caught.value).startswith(f"force law acme:{law}")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "gauss", "scipy-dop853", "scipy-radau"])
+def test_a_law_that_gives_no_number_ends_the_run_as_not_finite(integrator: str) -> None:
+    # expected: the square root of 0.5 - t is none from t = 0.5 s on
+    time = {"end": 1.0, "step": 0.01}
+    run = mbdkit.run(with_law("not-finite"), integrator={"name": integrator}, time=time)
+    assert run.status == "failed"
+    assert run.status_reason.startswith("not-finite: ")
+    assert 0.4 < run.time[-1] <= 0.5
+    assert "the law of force 'p' gives no finite number" in run.status_reason
+
+
+def test_a_law_that_gives_no_number_at_the_start_is_refused() -> None:
+    with pytest.raises(SpecError, match=r"model\.forces\.p: its law gives no finite number at the start"):
+        mbdkit.run(with_law("not-finite"), integrator={"name": "rk4"}, time={"start": 0.7, "end": 1.0, "step": 0.01})
+
+
+class Points(Nothing):
+    points: int = 3
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"law": length}, "its law is an object of type Symbol, not an ExpressionLaw or a FunctionLaw"),
+        ({"options": Points}, "its option 'points' has a name that every element of type law uses itself"),
+        ({"name": "a law"}, "is not made of letters, digits"),
+    ],
+)
+def test_an_item_that_is_no_law_is_reported_and_left_out(changes: dict[str, Any], words: str) -> None:
+    from types import SimpleNamespace
+
+    from mbdkit import hookimpl
+    from mbdkit.registry.manager import load_registry
+
+    made: dict[str, Any] = {"name": "mine", "summary": "Mine", "options": Nothing, "law": ExpressionLaw(length)}
+
+    @hookimpl
+    def mbdkit_force_laws() -> Any:
+        return [ForceLawPlugin(**made | changes), ForceLawPlugin(**made)]
+
+    entry = SimpleNamespace(
+        name="laws",
+        value="other",
+        dist=SimpleNamespace(name="other", version="1"),
+        load=lambda: SimpleNamespace(mbdkit_force_laws=mbdkit_force_laws),
+    )
+    loaded = load_registry([entry])
+    assert [item.id for item in loaded.of_kind("force-law")] == ["other:mine"]
+    assert words in str(loaded.failures[0].error)
+
+
+def test_the_plugin_of_these_tests_is_loaded_whole() -> None:
+    assert not registry().failures
