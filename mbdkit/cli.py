@@ -29,7 +29,7 @@ BODIES_SHOWN = 20
 
 app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=False, **PLAIN)
 schema_app = typer.Typer(help="Print the JSON schema of a spec, for editors.", **PLAIN)
-plugins_app = typer.Typer(help="Show which models and integrators are installed.", **PLAIN)
+plugins_app = typer.Typer(help="Show which models, integrators and force laws are installed.", **PLAIN)
 examples_app = typer.Typer(
     help="List the packaged examples, or copy one to edit it.",
     **{**PLAIN, "no_args_is_help": False},
@@ -216,7 +216,7 @@ def schema_study(debug: Debug = False) -> None:
 def schema_run(debug: Debug = False) -> None:
     """Print the JSON schema of a run spec.
 
-    It has the options of every model and integrator that is installed.
+    It has the options of every model, integrator and force law that is installed.
     """
     from mbdkit.spec.schema import run_schema
 
@@ -263,7 +263,7 @@ def examples_copy(
 
 @plugins_app.command("list")
 def plugins_list(as_json: AsJson = False, debug: Debug = False) -> None:
-    """List models and integrators, and what could not be loaded."""
+    """List what is installed, and what could not be loaded."""
     from mbdkit.registry import describe
 
     print(json.dumps(describe.listing()) if as_json else describe.listing_text())

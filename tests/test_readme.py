@@ -6,10 +6,16 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
+from mbdkit import Mechanism
+from mbdkit.engine.law_compiler import bind_law
+from mbdkit.registry.manager import load_registry
+from mbdkit.registry.options import law_element
 from mbdkit.spec import load_spec
+from mbdkit.spec.yaml import read_yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -20,13 +26,39 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
 
 
-@pytest.mark.parametrize("number", range(len(blocks("python"))))
+SCRIPTS = [block for block in blocks("python") if "hookimpl" not in block]
+PLUGINS = [block for block in blocks("python") if "hookimpl" in block]
+
+
+@pytest.mark.parametrize("number", range(len(SCRIPTS)))
 def test_python_of_the_readme_runs_as_printed(number: int, tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", blocks("python")[number]], cwd=tmp_path, capture_output=True, text=True, timeout=300
+        [sys.executable, "-c", SCRIPTS[number]], cwd=tmp_path, capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout
+
+
+@pytest.mark.parametrize("code", PLUGINS)
+def test_a_plugin_of_the_readme_loads_and_its_laws_compile(code: str) -> None:
+    module = ModuleType("plugin")
+    exec(code, vars(module))
+    entry = SimpleNamespace(
+        name="plugin", value="plugin", dist=SimpleNamespace(name="mine", version="1"), load=lambda: module
+    )
+    loaded = load_registry([entry])
+    assert not loaded.failures
+    for item in loaded.of_kind("force-law"):
+        options = law_element(item).model_construct(stiffness=2.0, cubic=3.0, damping=0.5)
+        bind_law(item.plugin.law, options, item.id)
+
+
+def test_the_forces_that_the_readme_shows_are_those_of_a_mechanism() -> None:
+    forces = read_yaml(next(block for block in blocks("yaml") if block.startswith("forces:")))[0]["forces"]
+    m = Mechanism()
+    m.body("load", mass=1.0, inertia=0.1)
+    m.body("frame", mass=1.0, inertia=0.1)
+    assert Mechanism.from_spec(m.to_spec() | {"forces": forces}).forces.keys() == {"rope", "bush"}
 
 
 def test_the_first_spec_runs_through_the_commands_that_follow_it(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The run spec as one strict, frozen pydantic model; models and integrators come from the registry."""
+"""The run spec as one strict, frozen pydantic model; models, integrators and force laws come from the registry."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ class RunSpec(StrictSpec):
 
 
 def spec_type(installed: Registry) -> type[RunSpec]:
-    """Return the RunSpec whose models and integrators are those of the given registry, not of what is installed."""
+    """Return the RunSpec whose choices are those of the given registry, not of what is installed."""
     fields: dict[str, Any] = {
         kind: (Annotated[BaseModel, Choice(kind, installed)], Field(description=RunSpec.model_fields[kind].description))
         for kind in _CHOSEN

@@ -27,7 +27,7 @@ def run_schema(installed: Registry | None = None) -> dict[str, Any]:
     Parameters
     ----------
     installed
-        The models and integrators to put in; by default all that are installed.
+        The models, integrators and force laws to put in; by default all that are installed.
     """
     chosen = installed if installed is not None else registry()
     laws = [law_element(item) for item in chosen.of_kind("force-law")]
@@ -48,7 +48,7 @@ def study_schema(installed: Registry | None = None) -> dict[str, Any]:
     Parameters
     ----------
     installed
-        The models and integrators to put in; by default all that are installed.
+        The models, integrators and force laws to put in; by default all that are installed.
     """
     schema, run = _described(StudySpec.model_json_schema()), run_schema(installed)
     base = {"type": "object", "properties": run["properties"], "additionalProperties": False}
@@ -66,7 +66,7 @@ SCHEMAS: dict[str, Callable[[Registry], dict[str, Any]]] = {"run": run_schema, "
 
 
 def builtin_schema_text(kind: str) -> str:
-    """Return the text of ``schemas/KIND.schema.json``: the schema with the models and integrators of mbdkit alone.
+    """Return the text of ``schemas/KIND.schema.json``: the schema with the plugins of mbdkit alone.
 
     Parameters
     ----------

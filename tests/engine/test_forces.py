@@ -41,6 +41,17 @@ def torsion(m: Mechanism, a: str = "a", b: str = "b") -> None:
     m.torsion_spring("s", a, b, stiffness=STIFFNESS, damping=DAMPING, free_angle=FREE)
 
 
+def law_on(along: str) -> Callable[..., None]:
+    """Return a function that puts the linear law on a coordinate of b's point in a's frame."""
+
+    def add(m: Mechanism, a: str = "a", b: str = "b") -> None:
+        points = ((0.0, 0.0), POINT_B)
+        m.law("s", a, b, law="linear", along=along, points=points,
+              stiffness=STIFFNESS, damping=DAMPING, free_length=FREE)  # fmt: skip
+
+    return add
+
+
 NUMBER = {"a": 0, "b": 1, "ground": 2}
 
 
@@ -56,9 +67,29 @@ def torsion_angle(a: str, b: str) -> Callable[[Any], Any]:
     return lambda q: q[3 * NUMBER[b] + 2] - q[3 * NUMBER[a] + 2]
 
 
+def coordinate(column: int) -> Callable[[str, str], Callable[[Any], Any]]:
+    """Return the length of a pathway along x or y: R(theta_a)^T (p_b - r_a)."""
+
+    def length_of(a: str, b: str) -> Callable[[Any], Any]:
+        def length(q: Any) -> Any:
+            first = q[3 * NUMBER[a] : 3 * NUMBER[a] + 3]
+            x, y = place(q, NUMBER[b], POINT_B) - first[:2]
+            c, s = np.cos(first[2]), np.sin(first[2])
+            return (c * x + s * y, c * y - s * x)[column]
+
+        return length
+
+    return length_of
+
+
 springs = pytest.mark.parametrize(
     ("add", "length"),
-    [pytest.param(spring, spring_length, id="spring-damper"), pytest.param(torsion, torsion_angle, id="torsion")],
+    [
+        pytest.param(spring, spring_length, id="spring-damper"),
+        pytest.param(torsion, torsion_angle, id="torsion"),
+        pytest.param(law_on("x"), coordinate(0), id="x"),
+        pytest.param(law_on("y"), coordinate(1), id="y"),
+    ],
 )
 ends = pytest.mark.parametrize("ends", [("a", "b"), ("b", "a"), ("ground", "b"), ("a", "ground")], ids="-".join)
 seeds = pytest.mark.parametrize("seed", range(3))

@@ -91,3 +91,53 @@ def test_a_model_that_fails_to_build_is_the_plugins_fault(tmp_path):
     assert "swing-kit:swing failed to build: ZeroDivisionError" in failed.stderr
     assert "Traceback" not in failed.stderr
     assert not (tmp_path / "spec.h5").exists()
+
+
+LAW = """
+import mbdkit
+from pydantic import BaseModel
+
+class RubberOptions(BaseModel):
+    stiffness: float
+
+def rubber(length, rate, time, p):
+    return p[0] * length, p[0], 0.0, p[0] * length**2 / 2
+
+@mbdkit.hookimpl
+def mbdkit_force_laws():
+    return [mbdkit.ForceLawPlugin("rubber", "Rubber", RubberOptions, mbdkit.FunctionLaw(rubber, potential=True))]
+"""
+
+BOUNCE = {
+    "mbdkit": 1,
+    "model": {
+        "name": "mechanism",
+        "bodies": {"ball": {"mass": 1.0, "position": [1.0, 0.0]}},
+        "forces": {
+            "band": {
+                "type": "law",
+                "law": "rubber",
+                "stiffness": 4.0,
+                "pathway": {"type": "two-points", "bodies": ["ground", "ball"], "points": [[0, 0], [0, 0]]},
+            }
+        },
+    },
+    "integrator": {"name": "rk4"},
+    "time": {"end": 0.1, "step": 0.01},
+}
+
+
+def test_a_force_law_of_a_plugin_runs_and_one_without_derivatives_is_the_plugins_fault(tmp_path):
+    install(tmp_path, "rubber-kit", LAW)
+    (tmp_path / "spec.json").write_text(json.dumps(BOUNCE))
+    done = mbdkit(tmp_path, "run", "spec.json", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["status"] == "complete"
+    code = (tmp_path / "rubber_kit.py").read_text()
+    (tmp_path / "rubber_kit.py").write_text(code.replace(", p[0], 0.0, p[0] * length**2 / 2", ""))
+    for command in (("run", "spec.json", "--overwrite"), ("validate", "spec.json")):
+        failed = mbdkit(tmp_path, *command)
+        assert failed.returncode == 4
+        assert failed.stderr.startswith("error: force law rubber-kit:rubber: its function returns one value, not the")
+        assert "Traceback" not in failed.stderr
+        assert len(failed.stderr.splitlines()) == 1
