@@ -129,9 +129,10 @@ def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> N
     from mbdkit.simulation import build
 
     mechanism = checked.mechanism()
-    _, start = build(checked)
+    problem, start = build(checked)
     print(f"{spec}: this spec is valid")
     print(f"model        {checked.model_item.id}: {mechanism.description()}")
+    print(f"freedom      {problem.mechanism.freedoms()}")
     print(f"integrator   {checked.integrator_item.id}")
     if start.changed:
         print(f"start        made consistent, with residuals {start.residual:.2g} and {start.velocity_residual:.2g}")

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.archive.writer import ArchiveNames, ArchiveWriter
+from mbdkit.archive.writer import ArchiveNames, ArchiveWriter, SharedForces
 from mbdkit.engine.analysis import SingularSystemError
 from mbdkit.engine.compiled import CompiledMechanism
 from mbdkit.engine.observe import observe
 from mbdkit.engine.problem import Problem
+from mbdkit.engine.reactions import share_evenly
 from mbdkit.engine.system import OK
 from mbdkit.integrators.stepping import Failure, Stretch
 
@@ -22,6 +23,18 @@ def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
         constraint_units=[row.unit for row in mechanism.rows],
         joint_bodies=list(mechanism.joint_bodies),
     )
+
+
+def shared_forces(mechanism: CompiledMechanism) -> SharedForces | None:
+    """Return which reactions are not unique because joints are redundant; None where all of them are."""
+    redundancy = mechanism.redundancy
+    if not redundancy.rows:
+        return None
+    return SharedForces(redundancy.describe(mechanism.drivers), redundancy.not_unique, mechanism.length)
+
+
+SELF_STRESS_BYTES = 1 << 25
+"""Bound on the buffer in which the forces of redundant rows are told apart."""
 
 
 class Recorder:
@@ -45,6 +58,7 @@ class Recorder:
         self._joint = np.array([number[row.pair] for row in mechanism.rows], dtype=np.int64)
         self._pair_joint = np.array([number[k] for k in range(len(mechanism.topology.pairs))], dtype=np.int64)
         self._joints = len(mechanism.joints)
+        self._length = mechanism.length
         self._start_total: float | None = None
         self.largest = np.zeros(self._joints)
         """(J,) largest misalignment [m] of the recorded states."""
@@ -74,14 +88,25 @@ class Recorder:
         acc, lam = np.zeros_like(q), np.zeros((count, pairs, 2))
         phi, rate, reactions = np.zeros_like(lam), np.zeros_like(lam), np.zeros((count, pairs, 3))
         kinetic, potential = np.zeros((2, count))
+        arrays = (stretch.time, q, v, acc, lam, phi, rate, reactions, kinetic, potential)
+        spare = len(top.spare)
+        most = max(1, SELF_STRESS_BYTES // (40 * spare * pairs)) if spare else count
         failure = None
         done, renewed = 0, -1
         while done < count:
-            arrays = (stretch.time, q, v, acc, lam, phi, rate, reactions, kinetic, potential)
-            status, reached = observe(top, self.problem.scratch, self.problem.solver, *(x[done:] for x in arrays))
+            some = slice(done, min(done + most, count))
+            stress, its_reactions = (np.zeros((some.stop - done, spare, pairs, columns)) for columns in (2, 3))
+            status, reached = observe(
+                top, self.problem.scratch, self.problem.solver, *(x[some] for x in arrays), stress, its_reactions
+            )
+            here, there = slice(done, done + reached), slice(0, reached)
+            if spare and reached:
+                share_evenly(
+                    lam[here], reactions[here], stress[there], its_reactions[there], self._pair_joint, self._length
+                )
             done += reached
             if status == OK:
-                break
+                continue
             try:
                 if renewed == done:
                     raise SingularSystemError

@@ -27,12 +27,12 @@ from mbdkit.engine.analysis import SingularSystemError
 from mbdkit.engine.assembly import AssembledState, assemble
 from mbdkit.engine.compiled import compile_mechanism
 from mbdkit.engine.problem import Problem
-from mbdkit.engine.redundancy import require_unique_start
+from mbdkit.engine.redundancy import require_unique_start, without_redundancy
 from mbdkit.engine.warm import ensure_compiled, to_stderr
 from mbdkit.errors import MbdkitError, PluginError, SpecError
 from mbdkit.integrators.methods import Method
 from mbdkit.integrators.stepping import Counters, Failure, Stepper, Stretch, Timetable
-from mbdkit.recorder import Recorder, archive_names
+from mbdkit.recorder import Recorder, archive_names, shared_forces
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.text import one_line
 
@@ -106,6 +106,7 @@ def simulate(
         {**_provenance(spec), "assembly": start.describe()},
         spec.output.recorded,
         overwrite=overwrite,
+        shared=shared_forces(problem.mechanism),
     )
     try:
         return _Simulation(spec, problem, method, writer, begin).run(progress)
@@ -141,6 +142,7 @@ def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Pro
     try:
         compiled = compile_mechanism(mechanism)
         start = assemble(mechanism, spec.time.start, compiled)
+        compiled = without_redundancy(compiled, spec.time.start, start.q.ravel(), start.v.ravel(), spec.time.final)
         problem = Problem(compiled, spec.time.start, _padded(start.q), _padded(start.v))
         require_unique_start(problem)
     except SpecError as error:

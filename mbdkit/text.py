@@ -21,6 +21,11 @@ def listed(names: Iterable[str], last: str = "") -> str:
     return f"{', '.join(words[:-1])} {last} {words[-1]}"
 
 
+def counted(number: int, one: str, many: str = "") -> str:
+    """Return ``1 joint`` or ``2 joints``; `many` for plurals that take more than an s."""
+    return f"{number} {one if number == 1 else many or one + 's'}"
+
+
 def one_line(error: BaseException) -> str:
     """Return type and message of a foreign exception on one line of bearable length."""
     text = " ".join(str(error).split())

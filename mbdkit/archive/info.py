@@ -61,6 +61,7 @@ def describe(path: str | Path) -> dict[str, Any]:
                 name: None if math.isnan(joint.misalignment_max) else joint.misalignment_max
                 for name, joint in run.joints.items()
             },
+            "redundancy": run.redundancy,
             "stats": {name: run.stats[name] for name in (*COUNTERS, *TIMINGS) if name in run.stats},
             "provenance": dict(run.provenance),
             "spec_sha256": run.spec_sha256,
@@ -76,6 +77,7 @@ def _array(dataset: h5py.Dataset) -> dict[str, Any]:
         "type": TEXT if is_text(dataset) else dataset.dtype.str,
         "units": dataset.attrs.get("units", ""),
         "long_name": dataset.attrs.get("long_name", ""),
+        "not_unique": dataset.attrs.get("not_unique", ""),
     }
 
 
@@ -101,7 +103,7 @@ def text(description: Mapping[str, Any]) -> str:
     width = max(map(len, arrays), default=0)
     for path, array in arrays.items():
         axes = ", ".join(f"{dim} {length}" for dim, length in zip(array["dims"], array["shape"], strict=True))
-        lines.append(f"{path:<{width}}  ({axes})  {array['units']}")
+        lines.append(f"{path:<{width}}  ({axes})  {array['units']}{', not unique' if array['not_unique'] else ''}")
     return "\n".join(lines)
 
 

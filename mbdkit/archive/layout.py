@@ -113,6 +113,9 @@ class Array:
         return "time" if self.dims == ("time",) and self.is_scale else self.path
 
 
+#: Arrays of a mechanism with redundant joints whose attribute `not_unique` says which joints share their forces.
+SHARED = ("joints/reaction_force", "joints/reaction_torque", "constraints/multiplier")
+
 #: Axes that grow during a run: recorded rows, and the intervals between them.
 GROWING = ("time", "interval")
 

@@ -59,6 +59,7 @@ class Run:
                 self._stats = _plain_attributes(file["stats"])
                 self._provenance = _plain_attributes(file["provenance"])
                 self._misalignment_max: np.ndarray | None = file["joints"].attrs.get("misalignment_max")
+                self._redundancy = str(file["joints"].attrs.get("redundancy", ""))
                 self._names = {
                     name: tuple(file[name].asstr()[:])
                     for name in (
@@ -176,6 +177,16 @@ class Run:
                 self, name, index, float(largest[index]), (first[index], second[index]) if first else ("", "")
             ),
         )
+
+    @property
+    def redundancy(self) -> str:
+        """Which joints hold what others hold already, such as ``1 redundant row: joint D``; empty if none does.
+
+        Reactions are not unique then. The recorded ones are, of all that give the same motion, those of the least sum
+        over joints of ``|force|^2 + (torque / length)^2``; the length [m] is the attribute ``characteristic_length`` of
+        the group ``joints``.
+        """
+        return self._redundancy
 
     @cached_property
     def constraints(self) -> Histories[ConstraintHistory]:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.text import counted
+
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
@@ -41,7 +43,8 @@ def summary(run: Run) -> str:
     bodies, joints = len(run.bodies), len(run.joints)
     lines = [
         ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
-        ("model", ", ".join((_named(spec, "model"), _count(bodies, "body", "bodies"), _count(joints, "joint")))),
+        ("model", ", ".join((_named(spec, "model"), counted(bodies, "body", "bodies"), counted(joints, "joint")))),
+        ("redundancy", run.redundancy and f"{run.redundancy}; reactions are not unique, the least are recorded"),
         ("start", _start(run)),
         ("integrator", _method(spec)),
         ("time", _time(run)),
@@ -54,10 +57,6 @@ def summary(run: Run) -> str:
     if spec.get("title"):
         lines.insert(0, ("run", " ".join(str(spec["title"]).split())))
     return "\n".join(f"{label:<13} {text}" for label, text in lines if text)
-
-
-def _count(number: int, one: str, many: str = "") -> str:
-    return f"{number} {one if number == 1 else many or one + 's'}"
 
 
 def _named(spec: Mapping[str, Any], kind: str) -> str:
@@ -93,8 +92,8 @@ def _time(run: Run) -> str:
     if rows == 0:
         return "no row recorded"
     steps = run.stats.get("steps")
-    taken = "" if steps is None else f", {_count(int(steps), 'step')}"
-    return f"{run.time[0]:g} to {run.time[-1]:g} s{taken}, {_count(rows, 'row')}"
+    taken = "" if steps is None else f", {counted(int(steps), 'step')}"
+    return f"{run.time[0]:g} to {run.time[-1]:g} s{taken}, {counted(rows, 'row')}"
 
 
 def _speed(stats: Mapping[str, int | float]) -> str:

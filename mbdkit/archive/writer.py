@@ -59,6 +59,26 @@ class ArchiveNames:
     joint_bodies: Sequence[tuple[str, str]]
 
 
+@dataclass(frozen=True)
+class SharedForces:
+    """What an archive says of a mechanism with redundant joints.
+
+    Parameters
+    ----------
+    redundancy
+        In words, such as ``1 redundant row: joint D``.
+    joints
+        The joints whose reactions are not unique.
+    length
+        Characteristic length [m]: the recorded reactions are, of all that give the same motion, those of the least
+        sum over joints of ``|force|^2 + (torque / length)^2``.
+    """
+
+    redundancy: str
+    joints: Sequence[str]
+    length: float
+
+
 class ArchiveWriter:
     """One archive in the making: append rows, flush now and then, finish.
 
@@ -80,6 +100,8 @@ class ArchiveWriter:
         Paths of optional arrays that the method brings, such as ``constraints/method_multiplier``.
     overwrite
         Whether an existing file is replaced, when the archive is finished.
+    shared
+        For a mechanism with redundant joints: which of their forces are not unique.
 
     Raises
     ------
@@ -98,6 +120,7 @@ class ArchiveWriter:
         quantities: frozenset[str] = layout.QUANTITIES,
         extra_datasets: Iterable[str] = (),
         overwrite: bool = False,
+        shared: SharedForces | None = None,
     ):
         arrays = layout.recorded(quantities, frozenset(extra_datasets))
         sizes = {
@@ -110,6 +133,7 @@ class ArchiveWriter:
         growing = [array for array in arrays if array.grows]
         self._rows = Table([array for array in growing if array.dims[0] == "time"], sizes, self._write_more)
         self._steps = Table([array for array in growing if array.dims[0] == "interval"], sizes, self._write_more)
+        self._shared = shared
         self._lines: list[str] = []
         self._flushed: float | None = None
         self._kept = False
@@ -258,6 +282,9 @@ class ArchiveWriter:
                 set_text(target, name, entry)
             else:
                 target.attrs[name] = _number(entry)
+        if self._shared is not None:
+            set_text(self._file["joints"], "redundancy", self._shared.redundancy)
+            self._file["joints"].attrs["characteristic_length"] = np.float64(self._shared.length)
 
     def _write_names(self, arrays: Sequence[Array], names: ArchiveNames) -> None:
         units = names.constraint_units
@@ -292,6 +319,10 @@ class ArchiveWriter:
         joints.attrs["misalignment_max"] = misalignment_max
         if "misalignment" in joints:
             joints["misalignment"].attrs["misalignment_max"] = misalignment_max
+        if self._shared is not None:
+            for path in layout.SHARED:
+                if path in self._file:
+                    set_text(self._file[path], "not_unique", ", ".join(self._shared.joints))
         grown = (series.line() for table in (self._rows, self._steps) for series in table.series)
         self._file.attrs.modify("data_sha256", digest_lines([*self._lines, *filter(None, grown)]))
         self._file.attrs.modify("status_reason", reason)

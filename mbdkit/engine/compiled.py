@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -30,6 +31,7 @@ from mbdkit.mechanism.elements import (
 from mbdkit.mechanism.expression import Expression, Program
 from mbdkit.mechanism.law_element import Coordinate, Law, Pathway, RelativeAngle, TwoPoints
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.text import counted, listed
 
 Numbers = tuple[float, ...]
 
@@ -48,6 +50,36 @@ class Row:
 
 
 @dataclass(frozen=True)
+class Redundancy:
+    """What a mechanism has more of than it needs: nothing, to begin with.
+
+    Attributes
+    ----------
+    rows
+        Number of redundant constraint rows, which are not solved for.
+    joints
+        Joints that they belong to, drivers included, in the order of the mechanism.
+    not_unique
+        Joints whose reactions are not determined by the motion.
+    """
+
+    rows: int = 0
+    joints: tuple[str, ...] = ()
+    not_unique: tuple[str, ...] = ()
+
+    def describe(self, drivers: Collection[str] = ()) -> str:
+        """Return it in words, such as ``1 redundant row: joint D``; empty where there is none."""
+        if not self.rows:
+            return ""
+        kinds = (
+            ("joint", [name for name in self.joints if name not in drivers]),
+            ("driver", [name for name in self.joints if name in drivers]),
+        )
+        named = [f"{kind}{'s' * (len(names) > 1)} {listed(names, 'and')}" for kind, names in kinds if names]
+        return f"{counted(self.rows, 'redundant row')}: {listed(named, 'and')}"
+
+
+@dataclass(frozen=True)
 class CompiledMechanism:
     """A mechanism as the kernels see it; immutable, shared by any number of runs.
 
@@ -60,9 +92,16 @@ class CompiledMechanism:
     joint_bodies
         (J,) names of the first and the second body of each joint.
     rows
-        Constraint rows in the order of the mechanism's joints; row i is unknown ``3 B + i`` of a pivoted system.
+        Constraint rows in the order of the mechanism's joints, redundant ones included.
     joint_pairs
         (J,) the pairs of rows that make up each joint.
+    drivers
+        Names of the joints that are drivers.
+    coordinates
+        Number of coordinates that mean something: 3 for each body, 2 for each point mass.
+    length
+        The largest distance of two joint points on one body, or of a joint point from its body's centre of mass [m];
+        1 where there is none.
     motions
         What each motion was written as.
     laws
@@ -71,6 +110,8 @@ class CompiledMechanism:
         Order of elimination of the pairs and the fill that goes with it.
     well_scaled
         Whether the Schur complement may serve.
+    redundancy
+        What is not solved for because it follows from the rest.
     """
 
     topology: Topology
@@ -79,11 +120,26 @@ class CompiledMechanism:
     joint_bodies: tuple[tuple[str, str], ...]
     rows: tuple[Row, ...]
     joint_pairs: tuple[tuple[int, ...], ...]
+    drivers: frozenset[str]
+    coordinates: int
+    length: float
     motions: tuple[Motion, ...]
     laws: tuple[tuple[str, CompiledLaw], ...]
     order: tuple[int, ...]
     below: tuple[frozenset[int], ...]
     well_scaled: bool
+    redundancy: Redundancy = Redundancy()
+
+    def freedoms(self) -> str:
+        """Return in words the degrees of freedom by rank, as in ``1 degree of freedom, 10 joints, 1 driver``."""
+        number = self.coordinates - int(np.sum(self.topology.rows))
+        parts = [
+            counted(number, "degree of freedom", "degrees of freedom"),
+            counted(len(self.joints) - len(self.drivers), "joint"),
+            counted(len(self.drivers), "driver") if self.drivers else "",
+            self.redundancy.describe(self.drivers),
+        ]
+        return ", ".join(part for part in parts if part)
 
     @property
     def size(self) -> int:
@@ -91,12 +147,22 @@ class CompiledMechanism:
         return 3 * (len(self.bodies) + 1)
 
     @property
+    def unknowns(self) -> int:
+        """Number of accelerations and of multipliers that are solved for."""
+        return 3 * len(self.bodies) + int(np.sum(self.topology.rows))
+
+    @property
     def row_index(self) -> np.ndarray:
-        """(P, 2) unknown of each multiplier in a pivoted system, -1 for an empty row."""
+        """(P, 2) unknown of each multiplier in a pivoted system, -1 for a row that is not solved for."""
         index = np.full((len(self.topology.pairs), 2), -1, dtype=np.int64)
-        for i, row in enumerate(self.rows):
+        for i, row in enumerate(self._solved_rows):
             index[row.pair, row.place] = 3 * len(self.bodies) + i
         return index
+
+    @property
+    def _solved_rows(self) -> list[Row]:
+        """The rows of a pivoted system: of a pair with a redundant direction, the place is not its own row's."""
+        return [row for row in self.rows if row.place < self.topology.rows[row.pair]]
 
     @property
     def natural_order(self) -> np.ndarray:
@@ -108,8 +174,8 @@ class CompiledMechanism:
         """Return in words which body or joint an unknown of a pivoted system belongs to."""
         if 0 <= index < 3 * len(self.bodies):
             return f"body {self.bodies[index // 3]!r}{self._joints_on(index // 3)}"
-        if index >= 0 and index - 3 * len(self.bodies) < len(self.rows):
-            return f"joint {self.rows[index - 3 * len(self.bodies)].label.split('.')[0]!r}"
+        if index >= 0 and index < self.unknowns:
+            return f"joint {self._solved_rows[index - 3 * len(self.bodies)].label.split('.')[0]!r}"
         return "the mechanism"
 
     def _joints_on(self, body: int) -> str:
@@ -217,6 +283,8 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         ).reshape(-1, 4),
         rows=np.array([pairs[k].rows for k in order], dtype=np.int64),
         pair_parameters=np.array([pairs[k].parameters for k in order], dtype=float).reshape(-1, 6),
+        spare=np.zeros((0, 2), dtype=np.int64),
+        spare_axes=np.zeros((0, 2)),
         springs=np.array(forces.springs, dtype=np.int64).reshape(-1, 4),
         spring_points=np.array(forces.spring_points, dtype=float).reshape(-1, 6),
         linear=np.array(forces.linear, dtype=float).reshape(-1, 3),
@@ -235,6 +303,9 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         joint_bodies=tuple(joint.bodies for joint in mechanism.joints.values()),
         rows=tuple(rows),
         joint_pairs=tuple(tuple(members) for members in joint_pairs),
+        drivers=frozenset(name for name, joint in joints if isinstance(joint, Driver)),
+        coordinates=sum(2 if body.inertia is None else 3 for body in mechanism.bodies.values()),
+        length=_length(mechanism),
         motions=tuple(motions.numbers),
         laws=tuple(forces.laws),
         order=tuple(order),
@@ -347,6 +418,21 @@ def pathway_kind(pathway: Pathway) -> tuple[str, tuple[str, str], Numbers]:
             return "relative_angle", pathway.bodies, (0.0,) * 4
         case Coordinate():
             return f"coordinate_{pathway.coordinate}", pathway.bodies, (0.0, 0.0, *pathway.point)
+
+
+def _length(mechanism: Mechanism) -> float:
+    """Return the largest distance on one body between joint points, its centre of mass included [m]; 1 if all are 0."""
+    points: dict[str, set[tuple[float, float]]] = {name: {(0.0, 0.0)} for name in mechanism.bodies}
+    for joint in mechanism.joints.values():
+        for _, name, point in joint.attachments():
+            if name in points:
+                points[name].add(point)
+    longest = 0.0
+    for held in points.values():
+        if len(held) > 1:
+            places = np.array(sorted(held))
+            longest = max(longest, *(float(np.max(np.hypot(*(places - place).T))) for place in places))
+    return longest or 1.0
 
 
 def _is_well_scaled(mechanism: Mechanism) -> bool:

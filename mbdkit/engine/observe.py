@@ -2,15 +2,39 @@
 
 from __future__ import annotations
 
-from mbdkit.engine.cache import kernel
-from mbdkit.engine.constraints import constraint_accelerations, constraint_positions, constraint_tangents
+from mbdkit.engine.cache import kernel, part
+from mbdkit.engine.constraints import constraint_positions, constraint_tangents
 from mbdkit.engine.forces import potential_energy
-from mbdkit.engine.system import OK, evaluate_powers, evaluate_tangents, prepare, solve_accelerations
+from mbdkit.engine.system import (
+    OK,
+    constraint_rows,
+    evaluate_powers,
+    evaluate_tangents,
+    prepare,
+    solve_accelerations,
+    spare_direction,
+    transferred,
+)
 from mbdkit.engine.vectors import copy
 
 
+@part
+def reactions_of(top, w, lam, out):
+    """Write force (x, y) and torque of every pair on its second body, at that body's joint point, into `out` (P, 3)."""
+    for k in range(len(top.pairs)):
+        b = top.pairs[k, 2]
+        for d in range(3):
+            out[k, d] = -(w.jac[k, 3 + d] * lam[k, 0] + w.jac[k, 9 + d] * lam[k, 1])
+        c, s = w.cs[b, 0], w.cs[b, 1]
+        px, py = top.pair_parameters[k, 2], top.pair_parameters[k, 3]
+        arm_x, arm_y = c * px - s * py, s * px + c * py
+        out[k, 2] -= arm_x * out[k, 1] - arm_y * out[k, 0]
+
+
 @kernel
-def observe(top, w, solver, times, q, v, acc, lam, phi, phi_rate, reactions, kinetic, potential):
+def observe(
+    top, w, solver, times, q, v, acc, lam, phi, phi_rate, reactions, kinetic, potential, self_stress, its_reactions
+):
     """Evaluate recorded states in a row.
 
     Parameters
@@ -29,6 +53,10 @@ def observe(top, w, solver, times, q, v, acc, lam, phi, phi_rate, reactions, kin
         Receives force (x, y) and torque that the first body exerts on the second, at the second's joint point.
     kinetic, potential : (T,) arrays
         Receive energies [J].
+    self_stress : (T, D, P, 2) array
+        Receives, for each redundant direction, the multipliers that go with 1 in it and do not move anything.
+    its_reactions : (T, D, P, 3) array
+        Receives their reactions.
 
     Returns
     -------
@@ -43,6 +71,16 @@ def observe(top, w, solver, times, q, v, acc, lam, phi, phi_rate, reactions, kin
         status = solve_accelerations(top, w, solver, q[r], v[r], acc[r], lam[r], True)
         if status != OK:
             return status, r
+        for i in range(len(top.spare)):
+            transferred(top, w, solver, i, self_stress[r, i])
+            dx, dy = spare_direction(top, w.cs, i)
+            for k in range(len(top.pairs)):
+                for row in range(2):
+                    self_stress[r, i, k, row] = -self_stress[r, i, k, row]
+            self_stress[r, i, top.spare[i, 0], 0] += dx
+            self_stress[r, i, top.spare[i, 0], 1] += dy
+        if len(top.spare) > 0:
+            constraint_rows(top, w, q[r], v[r])
         constraint_positions(top.pairs, top.pair_parameters, q[r], w.cs, w.u, w.phi, w.phi_t)
         for k in range(len(top.pairs)):
             a, b = top.pairs[k, 1], top.pairs[k, 2]
@@ -52,12 +90,9 @@ def observe(top, w, solver, times, q, v, acc, lam, phi, phi_rate, reactions, kin
                     rate += w.jac[k, 6 * i + d] * v[r, 3 * a + d] + w.jac[k, 6 * i + 3 + d] * v[r, 3 * b + d]
                 phi[r, k, i] = w.phi[k, i]
                 phi_rate[r, k, i] = rate
-            for d in range(3):
-                reactions[r, k, d] = -(w.jac[k, 3 + d] * lam[r, k, 0] + w.jac[k, 9 + d] * lam[r, k, 1])
-            c, s = w.cs[b, 0], w.cs[b, 1]
-            px, py = top.pair_parameters[k, 2], top.pair_parameters[k, 3]
-            arm_x, arm_y = c * px - s * py, s * px + c * py
-            reactions[r, k, 2] -= arm_x * reactions[r, k, 1] - arm_y * reactions[r, k, 0]
+        reactions_of(top, w, lam[r], reactions[r])
+        for i in range(len(top.spare)):
+            reactions_of(top, w, self_stress[r, i], its_reactions[r, i])
         energy = 0.0
         for b in range(bodies):
             for d in range(3):
@@ -102,7 +137,7 @@ def constraints_at(top, w, t, q, v):
     """Evaluate Phi, Phi_t, the Jacobian and gamma into ``w.phi``, ``w.phi_t``, ``w.jac`` and ``w.gamma``."""
     prepare(top, w, t, q)
     constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
-    constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
+    constraint_rows(top, w, q, v)
 
 
 @kernel

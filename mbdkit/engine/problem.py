@@ -93,7 +93,7 @@ class Problem:
     @property
     def unknowns(self) -> int:
         """Number of accelerations and multipliers, 3 B + m."""
-        return 3 * len(self.mechanism.bodies) + len(self.mechanism.rows)
+        return self.mechanism.unknowns
 
     def choose_pivots(self, rate: complex | None = None) -> tuple[Pattern, Factors, Scatter]:
         """Choose pivots for the numbers that stand in ``scratch.source`` now.
@@ -185,7 +185,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     views = {name: source[offsets[name] : offsets[name] + r * c].reshape(r, c) for name, (r, c) in shapes.items()}
     cs = np.zeros((len(mechanism.bodies) + 1, 2))
     cs[:, 0] = 1.0
-    unknowns = n3 + len(mechanism.rows)
+    unknowns = mechanism.unknowns
     scratch = Scratch(
         time=np.zeros(1),
         cs=cs,
@@ -202,6 +202,8 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
         tension=np.zeros((s + 1, 4)),
         faulty=np.array([-1]),
         source=source,
+        loose=np.zeros((len(top.spare), 6)),
+        push=np.zeros(mechanism.size),
         right=np.zeros(unknowns),
         solution=np.zeros(unknowns),
         correction=np.zeros(unknowns),
@@ -231,10 +233,14 @@ def _stage_terms(mechanism: CompiledMechanism, offsets: dict[str, int]) -> Terms
     for kind, code in KINDS.items():
         members = np.flatnonzero(top.pairs[:, 0] == code)
         bodies = top.pairs[members, 1:3]
-        for entry in e.JACOBIAN_ENTRIES[kind]:
-            source = offsets["jac"] + 12 * members + entry
-            add(source, multiplier(members, entry // 6), coordinate(bodies, entry % 6), 0)
-            add(source, coordinate(bodies, entry % 6), multiplier(members, entry // 6), 0)
+        reduced = np.isin(members, top.spare[:, 0])
+        for entry in range(12):
+            # two rows folded into one fill it; a pair without rows that are solved for has no multiplier
+            taken = np.where(reduced, (entry < 6) & (top.rows[members] == 1), entry in e.JACOBIAN_ENTRIES[kind])
+            some, ends = members[taken], bodies[taken]
+            source = offsets["jac"] + 12 * some + entry
+            add(source, multiplier(some, entry // 6), coordinate(ends, entry % 6), 0)
+            add(source, coordinate(ends, entry % 6), multiplier(some, entry // 6), 0)
         for entry in e.STIFFNESS_ENTRIES[kind]:
             add(
                 offsets["stiff"] + 36 * members + entry,
@@ -242,20 +248,15 @@ def _stage_terms(mechanism: CompiledMechanism, offsets: dict[str, int]) -> Terms
                 coordinate(bodies, entry % 6),
                 3,
             )
-        for entry in e.GAMMA_V_ENTRIES[kind]:
-            add(
-                offsets["gamma_v"] + 12 * members + entry,
-                multiplier(members, entry // 6),
-                coordinate(bodies, entry % 6),
-                2,
-            )
-        for entry in e.RESIDUAL_Q_ENTRIES[kind]:
-            add(
-                offsets["res_q"] + 12 * members + entry,
-                multiplier(members, entry // 6),
-                coordinate(bodies, entry % 6),
-                3,
-            )
+        for name, written, level in (("gamma_v", e.GAMMA_V_ENTRIES, 2), ("res_q", e.RESIDUAL_Q_ENTRIES, 3)):
+            for entry in written[kind]:
+                held = row_index[members, entry // 6] >= 0
+                add(
+                    offsets[name] + 12 * members[held] + entry,
+                    multiplier(members[held], entry // 6),
+                    coordinate(bodies[held], entry % 6),
+                    level,
+                )
     for path, code in PATHWAYS.items():
         members = np.flatnonzero(top.springs[:, 0] == code)
         bodies = top.springs[members, 1:3]

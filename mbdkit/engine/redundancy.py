@@ -1,71 +1,261 @@
-"""Which joints are to blame where the equations have no unique solution at the start."""
+"""Redundant joints: which rows follow from the others not only at the start but wherever the mechanism can go.
+
+The Jacobian of the constraints is looked at where the mechanism stands and at consistent positions around: small moves
+along its freedoms, and the positions of its drivers a little later. Rows that depend on others everywhere are
+redundant; where they do so at the start alone, the start is a singular position, and accelerations are undefined.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbdkit.engine.analysis import SingularSystemError
+from mbdkit.engine.compiled import CompiledMechanism, Redundancy
+from mbdkit.engine.independent import choose_spare, direction_frames
+from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.observe import constraints_at, tangents_at
 from mbdkit.engine.problem import Problem
+from mbdkit.engine.self_stress import SMALL, looped_rows, scaled_matrix, self_stresses
 from mbdkit.engine.system import OK
 from mbdkit.errors import SpecError
+from mbdkit.text import listed
 
-MOST_ROWS = 3000
-"""Constraint rows up to which the dependent ones are looked for; it takes a dense factorization."""
+MOVES = (1e-4, 1e-2, 0.1)
+"""Sizes of the moves, relative to the characteristic length and to 1 rad."""
 
-RANK_TOLERANCE = 1e-10
-"""Pivots below this, relative to the largest, count as zero."""
+SMALL_MOVE = 1e-2
+"""Moves up to this size can be made from every position that is not singular."""
+
+LATER = ((1e-3, 1e-3), (1e-2, 1e-2), (0.1, 0.1))
+"""Times after the start at which drivers are looked at: no more than so much [s], nor than this part of the run."""
+
+CLOSED = 1e-11
+"""Largest gap of a position that counts as consistent, relative to the largest coordinate."""
+
+CONTRADICTION = 1e-7
+"""Disagreement of rows on the accelerations, relative to their terms, from which on they contradict each other."""
+
+INVOLVED = 1e-6
+"""Part in a self-stress from which on a joint's reaction is not unique."""
 
 
-def dependent_joints(problem: Problem) -> list[str]:
-    """Return the joints whose rows of the constraint Jacobian follow from those of the joints before them.
+@dataclass(frozen=True)
+class _Place:
+    """A consistent position: its coordinates (n,), factors (m',) that bring the rows to a size of about 1, which
+    are equal for the rows of a pair, and the self-stresses (m', r) of the rows so scaled.
+    """
+
+    q: np.ndarray
+    scale: np.ndarray
+    stresses: np.ndarray
+
+
+def without_redundancy(
+    compiled: CompiledMechanism, t0: float, q0: np.ndarray, v0: np.ndarray, end: float
+) -> CompiledMechanism:
+    """Return the mechanism with an independent set of rows to be solved for; the others are still watched.
+
+    Rows of joints that come earlier stay; drivers stay before all others.
 
     Parameters
     ----------
-    problem
-        The mechanism at its start.
+    compiled
+        The mechanism, every row solved for.
+    t0, end
+        Start and end of the run [s].
+    q0, v0
+        (3 B,) consistent start.
 
-    Returns
-    -------
-    list of str
-        Names in the order of the mechanism; empty where all rows are independent, or too many to tell.
+    Raises
+    ------
+    SpecError
+        Where redundant joints contradict each other, or the start is a singular position; joints are named.
     """
-    mechanism = problem.mechanism
-    rows = mechanism.rows
-    if not 0 < len(rows) <= MOST_ROWS:
-        return []
-    top, scratch = mechanism.topology, problem.scratch
-    constraints_at(top, scratch, problem.t0, problem.q0, problem.v0)
-    jacobian = np.zeros((len(rows), mechanism.size))
-    for i, row in enumerate(rows):
-        block = scratch.jac[row.pair, 6 * row.place : 6 * row.place + 6]
-        for side in range(2):
-            first = 3 * int(top.pairs[row.pair, 1 + side])
-            jacobian[i, first : first + 3] += block[3 * side : 3 * side + 3]
-    jacobian = jacobian[:, : mechanism.size - 3] * np.sqrt(top.weight[:-1].ravel())
-    independent: list[np.ndarray] = []
-    found: list[str] = []
-    for i, row in enumerate(rows):
-        rest = jacobian[i].copy()
-        size = float(np.linalg.norm(rest))
-        for _ in range(2):  # Gram-Schmidt, once more for orthogonality
-            for direction in independent:
-                rest -= (direction @ rest) * direction
-        left = float(np.linalg.norm(rest))
-        if left > RANK_TOLERANCE * size:
-            independent.append(rest / left)
-        elif (name := row.label.rsplit(".", 1)[0]) not in found:
-            found.append(name)
-    return found
+    rows = looped_rows(compiled)
+    if len(rows) == 0:
+        return compiled
+    return _Analysis(compiled, rows, t0, end).run(q0, v0)
+
+
+class _Analysis:
+    def __init__(self, compiled: CompiledMechanism, rows: np.ndarray, t0: float, end: float):
+        self.compiled, self.rows, self.t0, self.end = compiled, rows, t0, end
+        self.n = 3 * len(compiled.bodies)
+        self.search = self.at(t0)
+        self.joint_of_pair = {pair: j for j, pairs in enumerate(compiled.joint_pairs) for pair in pairs}
+        self.involved = np.arange(len(rows))
+        """Rows among `rows` that self-stresses were found in; elsewhere they are looked for last."""
+        self.pair = np.array([compiled.rows[i].pair for i in rows], dtype=np.int64)
+        self.place = np.array([compiled.rows[i].place for i in rows], dtype=np.int64)
+        self.unit = np.tile([1.0, 1.0, compiled.length], len(compiled.bodies))
+        """(n,) metres that a coordinate's change of 1 moves a point, about."""
+
+    def at(self, t: float) -> LeastChange:
+        """Return the search for consistent positions at a time."""
+        return LeastChange(self.compiled, t, np.zeros(self.n, dtype=bool))
+
+    def run(self, q0: np.ndarray, v0: np.ndarray) -> CompiledMechanism:
+        q = q0 if self.gap(self.search, q0) <= CLOSED else self.closed(self.search, q0)
+        start = self.place_at(self.search, q)
+        spare = start.stresses.shape[1]
+        if spare == 0:
+            return self.compiled
+        self.involved = np.flatnonzero(np.linalg.norm(start.stresses, axis=1) > SMALL)
+        self.check_accelerations(start, v0)
+        around = self.moved(start) + self.later(start, v0)
+        if any(place.stresses.shape[1] < spare for place in around):
+            raise self.singular(start)
+        places = [start] + [place for place in around if place.stresses.shape[1] == spare]
+        return self.reduced(places)
+
+    # ---- consistent positions ------------------------------------------------------------------------------------
+
+    def gap(self, search: LeastChange, q: np.ndarray) -> float:
+        """Return the largest gap at `q`, relative to the largest coordinate (1 at least)."""
+        return float(np.max(np.abs(search.evaluate(q)[0]), initial=0.0)) / max(1.0, float(np.max(np.abs(q))))
+
+    def closed(self, search: LeastChange, q: np.ndarray) -> np.ndarray:
+        return search.closed(q, 1e-14 * max(1.0, float(np.max(np.abs(q)))))
+
+    def place_at(self, search: LeastChange, q: np.ndarray, spare: int = 0) -> _Place:
+        """Return what there is at `q`, where `spare` self-stresses are expected."""
+        _, (row, column, value), _ = search.evaluate(q)
+        local = np.full(len(self.compiled.rows), -1)
+        local[self.rows] = np.arange(len(self.rows))
+        here = local[row] >= 0
+        row, column, value = local[row[here]], column[here], value[here] / self.unit[column[here]]
+        size = np.bincount(self.pair[row], value**2, minlength=len(self.compiled.topology.pairs))[self.pair]
+        scale = 1 / np.sqrt(np.where(size > 0, size, 1.0))
+        jacobian = scaled_matrix(len(self.rows), row, column, value * scale[row])
+        stresses = self_stresses(jacobian[self.involved], spare)
+        if stresses.shape[1] < spare:
+            stresses = self_stresses(jacobian, spare)
+        else:
+            everywhere = np.zeros((len(self.rows), stresses.shape[1]))
+            everywhere[self.involved] = stresses
+            stresses = everywhere
+        return _Place(q, scale, stresses)
+
+    def moved(self, start: _Place) -> list[_Place]:
+        """Return positions around the start; raises SpecError where moves that the joints allow cannot be made."""
+        _, jacobian, _ = self.search.evaluate(start.q)
+        touched = np.zeros(self.n, dtype=bool)
+        touched[jacobian[1][np.isin(jacobian[0], self.rows)]] = True
+        spare = start.stresses.shape[1]
+        if np.count_nonzero(touched) == len(self.rows) - spare:
+            return []  # nothing can move
+        solve = self.search.kkt(jacobian)
+        step = np.where(touched, np.random.default_rng(0).normal(size=self.n), 0.0) / self.unit
+        for _ in range(3):  # what is almost a freedom dies out
+            step, _ = solve(-self.search.mass * step, np.zeros(len(self.compiled.rows)))
+        step *= self.compiled.length / float(np.max(np.abs(step * self.unit)[touched]))
+        places: list[_Place] = []
+        small = 0
+        for part in MOVES:
+            q = self.closed(self.search, start.q + part * step)
+            came = self.search.mass @ (step * (q - start.q)) / (self.search.mass @ step**2)
+            if self.gap(self.search, q) <= CLOSED and came >= 0.5 * part:
+                places.append(self.place_at(self.search, q, spare))
+                small += part <= SMALL_MOVE
+        if not small:
+            raise self.singular(start)
+        return places
+
+    def later(self, start: _Place, v0: np.ndarray) -> list[_Place]:
+        """Return positions where the drivers are a little later; raises SpecError where they contradict each other."""
+        spare = start.stresses.shape[1]
+        places: list[_Place] = []
+        if not self.compiled.drivers:
+            return places
+        for latest, part in LATER:
+            t = self.t0 + min(latest, part * (self.end - self.t0))
+            search = self.at(t)
+            q = self.closed(search, start.q + (t - self.t0) * v0)
+            if self.gap(search, q) <= CLOSED:
+                places.append(self.place_at(search, q, spare))
+            elif latest <= SMALL_MOVE:
+                phi = search.evaluate(q)[0][self.rows] * start.scale
+                raise self.contradiction(start, phi, f"at t = {t:g} s they cannot meet any more")
+        return places
+
+    # ---- refusals ------------------------------------------------------------------------------------------------
+
+    def check_accelerations(self, start: _Place, v0: np.ndarray) -> None:
+        """Raise SpecError where redundant rows ask for different accelerations."""
+        search, top = self.search, self.compiled.topology
+        constraints_at(top, search.scratch, self.t0, search.padded(start.q), search.padded(v0))
+        gamma = search.scratch.gamma[self.pair, self.place] * start.scale
+        size = max(1.0, float(np.max(np.abs(gamma))))
+        if float(np.max(np.abs(start.stresses.T @ gamma))) > CONTRADICTION * size:
+            raise self.contradiction(start, gamma, "they ask for different accelerations at the start")
+
+    def contradiction(self, start: _Place, residual: np.ndarray, what: str) -> SpecError:
+        """Return the error that names the joints of the self-stress which does not agree with a scaled residual."""
+        part = start.stresses @ (start.stresses.T @ residual)
+        names = self.joints_of(np.abs(part) > 0.1 * np.max(np.abs(part)))
+        driven = [name for name in names if name in self.compiled.drivers]
+        names = driven if len(driven) > 1 else names
+        return SpecError(
+            f"{_named(names)} hold the same thing and contradict each other: {what}; leave one of them out",
+            key="model.joints",
+        )
+
+    def singular(self, start: _Place) -> SpecError:
+        """Return the error that names the joints which are dependent at the start alone."""
+        names = self.joints_of(np.linalg.norm(start.stresses, axis=1) > 0.1 * np.max(np.abs(start.stresses)))
+        return SpecError(
+            "the mechanism stands in a singular position at the start, where its accelerations have no unique "
+            f"solution: {_named(names)} block each other there, but not nearby; start from another position",
+            key="model.joints",
+        )
+
+    def joints_of(self, involved: np.ndarray) -> list[str]:
+        """Return the names of the joints of the rows for which `involved` (m',) holds, in order."""
+        numbers = {self.joint_of_pair[pair] for pair in self.pair[involved].tolist()}
+        return [self.compiled.joints[j] for j in sorted(numbers)]
+
+    # ---- the independent set -------------------------------------------------------------------------------------
+
+    def reduced(self, places: list[_Place]) -> CompiledMechanism:
+        compiled, top = self.compiled, self.compiled.topology
+        driven = np.array([compiled.joints[self.joint_of_pair[p]] in compiled.drivers for p in self.pair.tolist()])
+        chosen = choose_spare([place.stresses for place in places], self.pair, self.place, driven)
+        angles = np.array([[*place.q[2::3], 0.0] for place in places])
+        spares = direction_frames(chosen, top.rows, top.pairs, angles)
+        rows = top.rows.copy()
+        for one in spares:
+            rows[one.pair] -= 1
+        stresses = np.max([np.linalg.norm(place.stresses, axis=1) for place in places], axis=0)
+        held = sorted({self.joint_of_pair[one.pair] for one in spares})
+        return replace(
+            compiled,
+            topology=top._replace(
+                rows=rows,
+                spare=np.array([(one.pair, one.frame) for one in spares], dtype=np.int64),
+                spare_axes=np.array([one.axis for one in spares]),
+            ),
+            redundancy=Redundancy(
+                rows=len(spares),
+                joints=tuple(compiled.joints[j] for j in held),
+                not_unique=tuple(self.joints_of(stresses > INVOLVED)),
+            ),
+        )
+
+
+def _named(names: list[str]) -> str:
+    shown = [*names[:6], "..."] if len(names) > 6 else names
+    return f"joint{'s' * (len(names) > 1)} {listed(shown, 'and')}"
 
 
 def require_unique_start(problem: Problem) -> None:
-    """Raise SpecError where the start has no unique accelerations, with the joints named that are to blame.
+    """Raise SpecError where the start has no unique accelerations, or none that double precision can hold.
 
     Parameters
     ----------
     problem
-        The mechanism at its start; its solver is left ready for use.
+        The mechanism at its start, with independent rows; its solver is left ready for use.
     """
     mechanism = problem.mechanism
     acc, lam = np.zeros(mechanism.size), np.zeros((len(mechanism.topology.pairs), 2))
@@ -79,20 +269,13 @@ def require_unique_start(problem: Problem) -> None:
             problem.use_pivots()
         else:
             raise SingularSystemError
-    except SingularSystemError:
-        raise SpecError(_blame(problem), key="model.joints") from None
+    except SingularSystemError as error:
+        raise SpecError(
+            "the mechanism is too close to a singular position at the start: its accelerations have no unique "
+            f"solution in double precision, near {mechanism.unknown_name(error.index)}",
+            key="model.joints",
+        ) from None
     if force := problem.unusable_law():
         raise SpecError("its law gives no finite number at the start", key=f"model.forces.{force}")
     if not (np.all(np.isfinite(acc)) and np.all(np.isfinite(lam))):
         raise SpecError("the forces of the start are too large to be held in double precision", key="model")
-
-
-def _blame(problem: Problem) -> str:
-    names = dependent_joints(problem)
-    if not names:
-        return "the equations have no unique solution at the start: the mechanism stands in a singular position"
-    joints = ("joint " if len(names) == 1 else "joints ") + ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
-    return (
-        f"the equations have no unique solution at the start: what {joints} would hold is held by others already; "
-        "constraints must be independent"
-    )

@@ -41,7 +41,7 @@ class Schur(NamedTuple):
 def factor(pairs, rows, jac, weight, start, row, update, coupling, diagonal, whole, below, scaled):
     """Assemble and factorize S; return the pair at which a pivot lost its digits, or -1.
 
-    `rows` (P,) tells how many rows of a pair are real, `weight` (B + 1, 3) is the inverse mass matrix's diagonal.
+    `rows` (P,) tells how many rows of a pair are solved for, `weight` (B + 1, 3) is the inverse mass matrix's diagonal.
     """
     n = len(pairs)
     for k in range(n):
@@ -52,8 +52,10 @@ def factor(pairs, rows, jac, weight, start, row, update, coupling, diagonal, who
             d00 += wa * jac[k, i] * jac[k, i] + wb * jac[k, 3 + i] * jac[k, 3 + i]
             d01 += wa * jac[k, i] * jac[k, 6 + i] + wb * jac[k, 3 + i] * jac[k, 9 + i]
             d11 += wa * jac[k, 6 + i] * jac[k, 6 + i] + wb * jac[k, 9 + i] * jac[k, 9 + i]
-        if rows[k] == 1:
+        if rows[k] < 2:  # a row that is not solved for holds zeros
             d11 = 1.0
+            if rows[k] == 0:
+                d00 = 1.0
         diagonal[k, 0], diagonal[k, 1], diagonal[k, 2] = d00, d01, d11
         whole[k, 0], whole[k, 1] = d00, d11
     for e in range(len(row)):

@@ -42,8 +42,12 @@ class Topology(NamedTuple):
     pairs: np.ndarray
     """(P, 4) kind, first body, second body, motion (-1: none)."""
     rows: np.ndarray
-    """(P,) number of real rows, 1 or 2."""
+    """(P,) number of rows that are solved for, 0, 1 or 2."""
     pair_parameters: np.ndarray
+    spare: np.ndarray
+    """(D, 2) each redundant direction, which is not solved for: its pair, and the body whose frame it is fixed in."""
+    spare_axes: np.ndarray
+    """(D, 2) the direction among the two rows of the pair, a unit vector in that frame; (1, 0) of a single row."""
     springs: np.ndarray
     """(S, 4) pathway, first body, second body, row of `laws` (-1: linear)."""
     spring_points: np.ndarray
@@ -89,6 +93,10 @@ class Scratch(NamedTuple):
     spring_stiff: np.ndarray
     spring_damp: np.ndarray
     load_stiff: np.ndarray
+    loose: np.ndarray
+    """(D, 6) Jacobian of the redundant directions."""
+    push: np.ndarray
+    """(3 (B + 1),) accelerations by a single multiplier."""
     right: np.ndarray
     """(n,) right side of the pivoted system."""
     solution: np.ndarray
@@ -148,6 +156,64 @@ def evaluate_powers(top, w, q, v, lam):
         top.springs, top.linear, top.laws, top.law_parameters, top.loads, top.load_points, top.pairs,
         v, w.cs, w.u, w.time, w.s, w.grad, w.tension, w.phi_t, lam,
     )  # fmt: skip
+
+
+@inlined
+def constraint_rows(top, w, q, v):
+    """Evaluate the Jacobian and gamma of every row, redundant ones included; needs `prepare`."""
+    for i in range(len(top.spare)):
+        for c in range(12):  # elements never write the entries that are zero for them
+            w.jac[top.spare[i, 0], c] = 0.0
+    constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
+
+
+@inlined
+def spare_direction(top, cs, i):
+    """Return redundant direction `i` among the rows of its pair, (x, y)."""
+    c, s = cs[top.spare[i, 1], 0], cs[top.spare[i, 1], 1]
+    x, y = top.spare_axes[i, 0], top.spare_axes[i, 1]
+    return c * x - s * y, s * x + c * y
+
+
+@part
+def fold(top, cs, x):
+    """Reduce the two rows of six columns of every pair, `x` (P, 12), to those that are solved for.
+
+    Of a pair with one redundant direction the row across it is left, in the first place.
+    """
+    for i in range(len(top.spare)):
+        k = top.spare[i, 0]
+        dx, dy = spare_direction(top, cs, i)
+        for c in range(6):
+            x[k, c] = dx * x[k, 6 + c] - dy * x[k, c] if top.rows[k] == 1 else 0.0
+            x[k, 6 + c] = 0.0
+
+
+@part
+def independent_rows(top, cs, jac, gamma, loose):
+    """Reduce the Jacobian and gamma to the rows that are solved for; the Jacobian of the others goes to `loose`."""
+    for i in range(len(top.spare)):
+        k = top.spare[i, 0]
+        dx, dy = spare_direction(top, cs, i)
+        for c in range(6):
+            loose[i, c] = dx * jac[k, c] + dy * jac[k, 6 + c]
+    fold(top, cs, jac)
+    for i in range(len(top.spare)):
+        k = top.spare[i, 0]
+        dx, dy = spare_direction(top, cs, i)
+        gamma[k, 0] = dx * gamma[k, 1] - dy * gamma[k, 0] if top.rows[k] == 1 else 0.0
+        gamma[k, 1] = 0.0
+
+
+@part
+def unfold_multipliers(top, cs, lam):
+    """Turn the multipliers of the rows that are solved for into those of the pairs' own rows."""
+    for i in range(len(top.spare)):
+        k = top.spare[i, 0]
+        dx, dy = spare_direction(top, cs, i)
+        across = lam[k, 0] if top.rows[k] == 1 else 0.0
+        lam[k, 0] = -dy * across
+        lam[k, 1] = dx * across
 
 
 @part
@@ -251,7 +317,8 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
     has_forces = len(top.springs) + len(top.loads) > 0
     if has_forces:
         applied(top, w, q, v)
-    constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
+    constraint_rows(top, w, q, v)
+    independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
     if solver.pivoted[0] != 0:
         status = pivoted_accelerations(top, w, solver, has_forces, acc, lam)
     else:
@@ -275,15 +342,60 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
                 for k in range(len(lam)):
                     lam[k, 0] += w.refinement[k, 0]
                     lam[k, 1] += w.refinement[k, 1]
+    unfold_multipliers(top, w.cs, lam)
     return status
+
+
+@inlined
+def transferred(top, w, solver, i, lam):
+    """Write into `lam` (P, 2) how the rows that are solved for take over a unit force of redundant direction `i`.
+
+    Call it right after `solve_accelerations`, whose factors it uses; ``w.gamma`` is lost.
+    """
+    n3 = 3 * (len(top.mass) - 1)
+    a, b = top.pairs[top.spare[i, 0], 1], top.pairs[top.spare[i, 0], 2]
+    lam[:, :] = 0.0
+    if solver.pivoted[0] != 0:
+        right, solution, correction = w.right, w.solution, w.correction
+        right[:] = 0.0
+        for d in range(3):
+            if 3 * a < n3:
+                right[3 * a + d] = w.loose[i, d]
+            if 3 * b < n3:
+                right[3 * b + d] = w.loose[i, 3 + d]
+        substitute(solver.pattern, solver.factors, right, solution)
+        residual(solver.pattern, solver.factors, right, solution, correction)
+        substitute(solver.pattern, solver.factors, correction, correction)
+        for k in range(len(top.pairs)):
+            for r in range(top.rows[k]):
+                at = solver.row_index[k, r]
+                lam[k, r] = solution[at] + correction[at]
+    else:
+        s = solver.schur
+        w.push[:] = 0.0
+        w.gamma[:, :] = 0.0
+        for d in range(3):
+            w.push[3 * a + d] = top.weight[a, d] * w.loose[i, d]
+            w.push[3 * b + d] = top.weight[b, d] * w.loose[i, 3 + d]
+        for _ in range(2):  # once more for round-off
+            joint_right_side(top.pairs, top.rows, w.jac, w.gamma, w.push, w.refinement)
+            schur_solve(s.start, s.row, s.diagonal, s.below, w.refinement)
+            apply_multipliers(top.pairs, w.jac, top.weight, w.refinement, w.push)
+            for k in range(len(lam)):
+                lam[k, 0] += w.refinement[k, 0]
+                lam[k, 1] += w.refinement[k, 1]
+    unfold_multipliers(top, w.cs, lam)
 
 
 @inlined
 def evaluate_tangents(top, w, t, q, v, acc, lam):
     """Evaluate every term of the stage matrix into ``w.source`` (the masses stand there from the start)."""
     prepare(top, w, t, q)
-    constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
+    constraint_rows(top, w, q, v)
+    independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
     constraint_tangents(top.pairs, top.pair_parameters, q, v, acc, w.cs, w.u, lam, w.stiff, w.gamma_v, w.res_q)
+    fold(top, w.cs, w.gamma_v)
+    fold(top, w.cs, w.res_q)
     force_tangents(
         top.springs, top.spring_points, top.linear, top.laws, top.law_parameters, top.loads, top.load_points,
         q, v, w.cs, w.u, w.time, w.s, w.grad, w.hess, w.tension, w.faulty, w.spring_stiff, w.spring_damp, w.load_stiff,

@@ -91,5 +91,5 @@ def _run_everything(check: Callable[[], None]) -> None:
         observe(
             compiled.topology, problem.scratch, problem.solver, stretch.time, stretch.q, stretch.v,
             np.zeros_like(stretch.q), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros((rows, pairs, 3)),
-            np.zeros(rows), np.zeros(rows),
+            np.zeros(rows), np.zeros(rows), np.zeros((rows, 0, pairs, 2)), np.zeros((rows, 0, pairs, 3)),
         )  # fmt: skip

@@ -28,6 +28,7 @@ from mbdkit.mechanism.elements import (
     Weld,
 )
 from mbdkit.mechanism.law_element import Law
+from mbdkit.text import counted
 
 if TYPE_CHECKING:
     from mbdkit.symbolic.system import SymbolicSystem
@@ -473,14 +474,12 @@ class Mechanism:
         ]
 
     def description(self) -> str:
-        """Return what it is made of in a line: numbers of elements, of constraint rows, and freedoms by count."""
+        """Return what it is made of in a line: numbers of elements and of constraint rows."""
         drivers = sum(isinstance(joint, Driver) for joint in self.joints.values())
         rows = sum(len(joint.rows) for joint in self.joints.values())
-        freedoms = sum(2 if body.inertia is None else 3 for body in self.bodies.values()) - rows
         return (
-            f"{_count(len(self.bodies), 'body', 'bodies')}, {_count(len(self.joints) - drivers, 'joint')}, "
-            f"{_count(drivers, 'driver')}, {_count(len(self.forces), 'force')}; {_count(rows, 'constraint row')}; "
-            f"{_count(freedoms, 'degree of freedom', 'degrees of freedom')} by count"
+            f"{counted(len(self.bodies), 'body', 'bodies')}, {counted(len(self.joints) - drivers, 'joint')}, "
+            f"{counted(drivers, 'driver')}, {counted(len(self.forces), 'force')}; {counted(rows, 'constraint row')}"
         )
 
     def validate(self) -> None:
@@ -625,7 +624,3 @@ def _point(value: Any, key: str) -> tuple[float, float]:
 
 def _plain(element: Element) -> dict[str, Any]:
     return element.model_dump(mode="json", exclude_defaults=True)
-
-
-def _count(number: int, one: str, many: str = "") -> str:
-    return f"{number} {one if number == 1 else many or one + 's'}"

@@ -85,7 +85,7 @@ def test_validate_says_what_the_mechanism_is_and_that_its_start_is_consistent(mb
     (in_tmp_path / "spec.yaml").write_text(small)
     result = mbdkit("validate", "spec.yaml")
     assert result.exit_code == 0, result.stderr
-    assert "2 degrees of freedom by count" in result.stdout
+    assert "freedom      2 degrees of freedom, 2 joints\n" in result.stdout
     assert "untouched" in result.stdout
     assert os.listdir() == ["spec.yaml"]
 
@@ -101,6 +101,56 @@ model:
   joints:
     A: {type: revolute, bodies: [ground, crank], points: [[0, 0], [-0.5, 0]]}
 """
+
+
+SPARE = """\
+mbdkit: 1
+integrator: {name: gauss}
+time: {end: 0.1, step: 0.01}
+model:
+  name: mechanism
+  bodies:
+    left: {mass: 1, inertia: 0.1, position: [0.3, -0.4], angle: -0.9272952180016122}
+    right: {mass: 1, inertia: 0.1, position: [2.3, -0.4], angle: -0.9272952180016122}
+    spare: {mass: 1, inertia: 0.1, position: [1.3, -0.4], angle: -0.9272952180016122}
+    coupler: {mass: 1, inertia: 1, position: [1.6, -0.8]}
+  joints:
+    A: {type: revolute, bodies: [ground, left], points: [[0, 0], [-0.5, 0]]}
+    B: {type: revolute, bodies: [left, coupler], points: [[0.5, 0], [-1, 0]]}
+    C: {type: revolute, bodies: [ground, right], points: [[2, 0], [-0.5, 0]]}
+    E: {type: revolute, bodies: [right, coupler], points: [[0.5, 0], [1, 0]]}
+    F: {type: revolute, bodies: [ground, spare], points: [[1, 0], [-0.5, 0]]}
+    D: {type: revolute, bodies: [spare, coupler], points: [[0.5, 0], [0, 0]]}
+"""
+
+
+def test_redundant_joints_are_named_by_validate_run_and_info(mbdkit, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(SPARE)
+    result = mbdkit("validate", "spec.yaml")
+    assert result.exit_code == 0, result.stderr
+    assert "freedom      1 degree of freedom, 6 joints, 1 redundant row: joint D\n" in result.stdout
+    result = mbdkit("run", "spec.yaml")
+    assert result.exit_code == 0, result.stderr
+    assert "redundancy    1 redundant row: joint D; reactions are not unique, the least are recorded\n" in result.stdout
+    result = mbdkit("archive", "info", "spec.h5")
+    assert "redundancy        1 redundant row: joint D\n" in result.stdout
+    assert result.stdout.count(", not unique\n") == 3
+    assert mbdkit("archive", "check", "spec.h5").exit_code == 0
+    with load("spec.h5") as run:
+        assert run.redundancy == "1 redundant row: joint D"
+        for path in ("joints/reaction_force", "joints/reaction_torque", "constraints/multiplier"):
+            assert run.file[path].attrs["not_unique"] == "A, B, C, E, F, D"
+
+
+@pytest.mark.parametrize("command", ["run", "validate"])
+def test_joints_that_contradict_each_other_are_refused_with_their_line(mbdkit, in_tmp_path, command):
+    driver = '{{type: driver, bodies: [ground, left], coordinate: angle, motion: "-0.9272952180016122{}"}}'
+    twice = f"    M: {driver.format('')}\n    N: {driver.format(' + t**2')}\n"
+    (in_tmp_path / "spec.yaml").write_text(SPARE + twice)
+    result = mbdkit(command, "spec.yaml")
+    assert result.exit_code == 2
+    assert "spec.yaml:11: model.joints: joints M and N hold the same thing and contradict each other" in result.stderr
+    assert os.listdir() == ["spec.yaml"]
 
 
 def test_validate_says_what_assembly_moves(mbdkit, in_tmp_path):

@@ -73,7 +73,9 @@ class Compiled:
         acc, lam = np.zeros((1, len(self.q))), np.zeros((1, pairs, 2))
         phi, rate, reactions = np.zeros((1, pairs, 2)), np.zeros((1, pairs, 2)), np.zeros((1, pairs, 3))
         kinetic, potential = np.zeros((2, 1))
-        arguments = (acc, lam, phi, rate, reactions, kinetic, potential)
+        spare = len(self.top.spare)
+        stresses = np.zeros((1, spare, pairs, 2)), np.zeros((1, spare, pairs, 3))
+        arguments = (acc, lam, phi, rate, reactions, kinetic, potential, *stresses)
         for _ in range(2):
             status, _ = observe(
                 self.top, self.scratch, self.problem.solver, np.array([self.t]), self.q[None], self.v[None], *arguments

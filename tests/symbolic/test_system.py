@@ -93,7 +93,8 @@ def engine(m: Mechanism, t: float, q: np.ndarray, v: np.ndarray) -> dict[str, np
     problem.use_pivots()
     acc, lam = np.zeros((1, n + 3)), np.zeros((1, pairs, 2))
     others = np.zeros((1, pairs, 2)), np.zeros((1, pairs, 2)), np.zeros((1, pairs, 3)), np.zeros(1), np.zeros(1)
-    status, _ = observe(top, w, problem.solver, np.array([t]), q[None], v[None], acc, lam, *others)
+    none = np.zeros((1, 0, pairs, 2)), np.zeros((1, 0, pairs, 3))
+    status, _ = observe(top, w, problem.solver, np.array([t]), q[None], v[None], acc, lam, *others, *none)
     assert status == 0
     rows = [(row.pair, row.place) for row in compiled.rows]
     jacobian = np.zeros((len(rows), n + 3))

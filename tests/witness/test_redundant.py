@@ -1,0 +1,246 @@
+"""Redundant joints: the motion is that of the mechanism without them, and the reactions are the least that make it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.engine.compiled import compile_mechanism
+
+from .parallelogram import Parallelogram
+from .running import gauss, run
+
+LINKAGE = Parallelogram()
+PHI, RATE, END = -2.3, 0.4, 2.0
+TIMES = np.linspace(0.0, END, 21)
+METHODS: dict[str, tuple[dict[str, Any], float | None]] = {
+    "rk4": ({"name": "rk4"}, 0.0002),
+    "gauss": (gauss(4), 0.005),
+    "radau-iia": ({"name": "radau-iia", "stages": 5}, 0.005),
+    "scipy-dop853": ({"name": "scipy-dop853", "rtol": 1e-13, "atol": 1e-14}, None),
+}
+
+
+def largest_error(result: mbdkit.Run, linkage: Parallelogram, times: np.ndarray, solution: np.ndarray) -> float:
+    """Return the largest distance of a body's centre from where it should be [m], or of its angle [rad]."""
+    worst = 0.0
+    at = np.searchsorted(result.time, times - 1e-9)
+    np.testing.assert_allclose(result.time[at], times, rtol=0, atol=1e-12)
+    for name, centre in linkage.centres(solution[:, 0]).items():
+        seen = np.asarray(result[name].position) @ [1, 1j]
+        worst = max(worst, float(np.max(np.abs(seen[at] - centre))))
+        angle = 0.0 if name == "coupler" else solution[:, 0]
+        worst = max(worst, float(np.max(np.abs(result[name].angle[at] - angle))))
+    return worst
+
+
+def test_the_motion_keeps_clear_of_the_flat_position_and_its_rods_pass_the_vertical() -> None:
+    # expected: what the tests below need; neither row of a pin could be left out all the way
+    phi = LINKAGE.solve(PHI, RATE, TIMES)[:, 0]
+    assert np.max(np.abs(np.cos(phi))) < 0.95
+    assert np.min(phi) < -np.pi / 2 - 0.5
+    assert np.max(phi) > -np.pi / 2 + 0.5
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_parallelogram_with_a_spare_rod_moves_as_in_its_one_angle_to_1e_9(name: str) -> None:
+    # expected: Lagrange's equation in the cranks' angle by DOP853 at rtol 1e-13
+    integrator, step = METHODS[name]
+    spec: dict[str, Any] = {"mbdkit": 1, "model": LINKAGE.model(PHI, RATE), "integrator": integrator}
+    if step is None:
+        spec |= {"time": {"end": END}, "output": {"interval": 0.1}}
+    else:
+        spec |= {"time": {"end": END, "step": step}, "output": {"every": round(0.1 / step)}}
+    result = mbdkit.run(spec).check()
+    assert result.redundancy == "1 redundant row: joint top2"
+    assert largest_error(result, LINKAGE, TIMES, LINKAGE.solve(PHI, RATE, TIMES)) < 1e-9
+    assert np.abs(result.energy.balance).max() < 1e-8
+
+
+@pytest.mark.parametrize("bases", [(0.0, 2.0, 0.7), (0.0, 2.0, 0.7, 1.3, 2.5)])
+def test_pin_forces_are_the_least_that_balance_every_body(bases: tuple[float, ...]) -> None:
+    # expected: Newton's and Euler's equations of the single bodies, solved by least squares of least norm
+    linkage = Parallelogram(bases=bases, masses=(1.0, 1.5, 0.8, 0.6, 1.1)[: len(bases)])
+    result = run(linkage.model(PHI, RATE), gauss(4), end=END, step=0.005, every=20)
+    assert result.redundancy.startswith(f"{len(bases) - 2} redundant row")
+    for row, (time, (phi, rate)) in enumerate(zip(TIMES, linkage.solve(PHI, RATE, TIMES), strict=True)):
+        for name, force in linkage.pin_forces(time, phi, rate).items():
+            np.testing.assert_allclose(result.joints[name].reaction_force[row], force, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(result.array("joints/reaction_torque"), 0.0, rtol=0, atol=1e-8)
+
+
+def test_multipliers_go_with_the_reactions_of_their_pins() -> None:
+    # expected: Phi = p_b - p_a, so that the force on the second body is -lambda
+    result = run(LINKAGE.model(PHI, RATE), gauss(2), end=0.1, step=0.01)
+    force = result.array("joints/reaction_force").reshape(len(result.time), -1)
+    np.testing.assert_allclose(result.array("constraints/multiplier"), -force, rtol=0, atol=1e-11)
+
+
+def test_the_order_of_the_joints_changes_names_and_not_the_motion() -> None:
+    model = LINKAGE.model(PHI, RATE)
+    expected = run(model, gauss(4), end=1.0, step=0.01, every=10)
+    joints = list(model["joints"].items())
+    for order in itertools.islice(itertools.permutations(joints), 7, None, 90):
+        result = run({**model, "joints": dict(order)}, gauss(4), end=1.0, step=0.01, every=10)
+        assert result.redundancy == f"1 redundant row: joint {order[-1][0]}"
+        for name in result.bodies:
+            np.testing.assert_allclose(result[name].position, expected[name].position, rtol=0, atol=1e-11)
+        for name in result.joints:
+            np.testing.assert_allclose(
+                result.joints[name].reaction_force, expected.joints[name].reaction_force, rtol=0, atol=1e-9
+            )
+
+
+@pytest.mark.parametrize("integrator", [{"name": "rk4"}, gauss(2), {"name": "scipy-radau"}], ids=lambda x: x["name"])
+def test_the_pivoted_system_gives_motion_and_reactions_of_the_schur_complement(integrator: dict[str, Any]) -> None:
+    # expected: the same linkage without a free crumb, whose mass makes the engine take the pivoted system
+    model = LINKAGE.model(PHI, RATE)
+    expected = run(model, integrator, end=0.5, step=0.01, every=10)
+    bodies = {**model["bodies"], "crumb": {"mass": 1e-7}}
+    assert not compile_mechanism(mbdkit.Mechanism.from_spec({**model, "bodies": bodies})).well_scaled
+    result = run({**model, "bodies": bodies}, integrator, end=0.5, step=0.01, every=10)
+    assert result.redundancy == expected.redundancy
+    bound = 1e-6 if integrator["name"] == "scipy-radau" else 1e-11  # its steps are chosen with the crumb in view
+    for name in expected.bodies:
+        np.testing.assert_allclose(result[name].position[-1], expected[name].position[-1], rtol=0, atol=bound)
+    for name in expected.joints:
+        seen, wanted = (x.joints[name].reaction_force[0] for x in (result, expected))
+        np.testing.assert_allclose(seen, wanted, rtol=0, atol=1e-11)
+
+
+def pinned_arm() -> mbdkit.Mechanism:
+    """Return an arm on a pin, with a plate to be fixed to it."""
+    m = mbdkit.Mechanism()
+    m.body("arm", mass=2.0, inertia=0.5, position=(0.6, 0.0))
+    m.body("plate", mass=1.0, inertia=0.2, position=(1.1, 0.3), angle=0.4)
+    m.revolute("pin", m.ground, "arm", at=(0.0, 0.0))
+    return m
+
+
+def test_a_pin_and_a_weld_share_the_load_by_the_least_sum_of_squares() -> None:
+    # expected: a rigid body on a pin, phi'' = M / J; the force and moment that the plate then needs, split by lstsq
+    m = pinned_arm()
+    pin, weld = np.array([1.0, 0.1]), np.array([1.2, 0.2])
+    m.revolute("bolt", "arm", "plate", at=pin)
+    m.weld("seam", "arm", "plate", at=weld)
+    result = mbdkit.run(m, integrator=gauss(2), time={"end": 0.01, "step": 0.01}).check()
+    assert result.redundancy == "2 redundant rows: joint seam"
+    arm, plate = np.array([0.6, 0.0]), np.array([1.1, 0.3])
+    inertia = 0.5 + 2.0 * arm @ arm + 0.2 + 1.0 * plate @ plate
+    angular = -9.81 * (2.0 * arm[0] + 1.0 * plate[0]) / inertia
+    force = 1.0 * (angular * np.array([-plate[1], plate[0]]) + [0.0, 9.81])
+    moment = 0.2 * angular
+    # largest distance of joint points, centres included, on one body: the arm's pin at -0.6 and the seam
+    length = math.hypot(1.2, 0.2)
+    assert result.file["joints"].attrs["characteristic_length"] == pytest.approx(length, rel=1e-14)
+    (bx, by), (wx, wy) = pin - plate, weld - plate
+    balance = np.array(
+        [[1, 0, 1, 0, 0], [0, 1, 0, 1, 0], [-by, bx, -wy, wx, length]]
+    )  # moment at the seam: over length
+    shares = np.linalg.lstsq(balance, np.array([*force, moment]), rcond=None)[0]
+    np.testing.assert_allclose(result.joints["bolt"].reaction_force[0], shares[:2], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(result.joints["seam"].reaction_force[0], shares[2:4], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(result.joints["seam"].reaction_torque[0], length * shares[4], rtol=0, atol=1e-12)
+
+
+def test_a_weld_on_top_of_a_pin_moves_as_the_weld_alone() -> None:
+    # expected: the same two bodies with the weld only
+    runs = []
+    for joints in (("seam",), ("bolt", "seam"), ("seam", "bolt")):
+        m = pinned_arm()
+        for name in joints:
+            if name == "bolt":
+                m.revolute("bolt", "arm", "plate", at=(1.0, 0.1))
+            else:
+                m.weld("seam", "arm", "plate", at=(1.0, 0.1))
+        runs.append(mbdkit.run(m, integrator=gauss(3), time={"end": 1.0, "step": 0.01}).check())
+    assert [r.redundancy for r in runs] == ["", "2 redundant rows: joint seam", "2 redundant rows: joint bolt"]
+    for other in runs[1:]:
+        for name in other.bodies:
+            np.testing.assert_allclose(other[name].position, runs[0][name].position, rtol=0, atol=1e-11)
+            np.testing.assert_allclose(other[name].angle, runs[0][name].angle, rtol=0, atol=1e-11)
+
+
+def test_two_equal_drivers_share_the_torque_and_the_work_is_that_of_one() -> None:
+    # expected: the run with one driver; each of two gives half its torque
+    runs = []
+    for count in (1, 2):
+        m = pinned_arm()
+        del m.bodies["plate"]
+        for i in range(count):
+            m.driver(f"D{i}", m.ground, "arm", coordinate="angle", motion="0.5*sin(2*t)")
+        runs.append(mbdkit.run(m, integrator=gauss(3), time={"end": 1.0, "step": 0.01}).check())
+    one, two = runs
+    assert two.redundancy == "1 redundant row: driver D1"
+    np.testing.assert_allclose(two["arm"].angle, one["arm"].angle, rtol=0, atol=1e-12)
+    for name in ("D0", "D1"):
+        half = one.joints["D0"].reaction_torque / 2
+        np.testing.assert_allclose(two.joints[name].reaction_torque, half, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(two.energy.work, one.energy.work, rtol=0, atol=1e-12)
+    assert np.abs(two.energy.work).max() > 1.0
+    assert two.joints["D1"].angle_misalignment.max() < 1e-12
+
+
+def truss(bays: int) -> tuple[mbdkit.Mechanism, dict[str, tuple[str, str]], dict[str, np.ndarray]]:
+    """Return a cantilever of point masses and bars with two diagonals a bay; its bars and where its nodes are."""
+    m = mbdkit.Mechanism()
+    nodes = {f"{level}{i}": np.array([float(i), float(j)]) for i in range(bays + 1) for j, level in enumerate("ab")}
+    bars: dict[str, tuple[str, str]] = {}
+    for i in range(1, bays + 1):
+        for level in "ab":
+            m.body(f"{level}{i}", mass=1.0 + 0.3 * i, position=nodes[f"{level}{i}"])
+        ends = (("a", -1, "a", 0), ("b", -1, "b", 0), ("a", 0, "b", 0), ("a", -1, "b", 0), ("b", -1, "a", 0))
+        for first, back, second, here in ends:
+            one, two = f"{first}{i + back}", f"{second}{i + here}"
+            bars[f"{one}-{two}"] = (one, two)
+    for name, (one, two) in bars.items():
+        held = [end if end in m.bodies else m.ground for end in (one, two)]
+        m.distance(name, *held, from_=nodes[one], to=nodes[two])
+    return m, bars, nodes
+
+
+@pytest.mark.parametrize("bays", [1, 4])
+def test_a_truss_stays_at_rest_and_its_bars_carry_the_least_forces(bays: int) -> None:
+    # expected: equilibrium of the nodes under their weight, solved by least squares of least norm
+    m, bars, nodes = truss(bays)
+    result = mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.1}).check()
+    assert result.redundancy.startswith(f"{bays} redundant row{'s' * (bays > 1)}: joint")
+    matrix, right = np.zeros((2 * len(m.bodies), len(bars))), np.zeros(2 * len(m.bodies))
+    for i, (name, body) in enumerate(m.bodies.items()):
+        right[2 * i + 1] = body.mass * 9.81
+        for k, (one, two) in enumerate(bars.values()):
+            if name in (one, two):
+                along = nodes[two] - nodes[one]
+                matrix[2 * i : 2 * i + 2, k] = along / np.linalg.norm(along) * (1 if name == two else -1)
+    forces = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    for k, name in enumerate(bars):
+        one, two = bars[name]
+        along = (nodes[two] - nodes[one]) / np.linalg.norm(nodes[two] - nodes[one])
+        np.testing.assert_allclose(result.joints[name].reaction_force[-1], forces[k] * along, rtol=0, atol=1e-10)
+    for name in m.bodies:
+        np.testing.assert_allclose(result[name].position[-1], nodes[name], rtol=0, atol=1e-13)
+
+
+def test_a_body_that_nothing_holds_falls_beside_a_redundant_linkage() -> None:
+    # expected: free fall, x0 + v t and y0 - g t^2 / 2
+    model = LINKAGE.model(PHI, RATE)
+    model["bodies"]["stone"] = {"mass": 0.3, "inertia": 0.1, "velocity": [1.0, 2.0], "angular_velocity": 3.0}
+    stone = run(model, gauss(2), end=1.0, step=0.01)["stone"]
+    np.testing.assert_allclose(stone.position[-1], [1.0, 2.0 - 9.81 / 2], rtol=0, atol=1e-12)
+    assert stone.angle[-1] == pytest.approx(3.0, abs=1e-12)
+
+
+def test_drivers_that_part_later_show_as_misalignment_of_the_one_that_is_not_solved_for() -> None:
+    # expected: the difference of the two motions at the end, 0.3^4 rad
+    m = pinned_arm()
+    del m.bodies["plate"]
+    m.driver("D0", m.ground, "arm", coordinate="angle", motion="0*t")
+    m.driver("D1", m.ground, "arm", coordinate="angle", motion="max(0, t - 0.2)**4")
+    result = mbdkit.run(m, integrator=gauss(2), time={"end": 0.5, "step": 0.01}).check()
+    assert result.joints["D1"].angle_misalignment[-1] == pytest.approx(0.3**4, abs=1e-12)
+    assert result.joints["D0"].angle_misalignment.max() < 1e-12
