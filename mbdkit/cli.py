@@ -347,6 +347,40 @@ def animate(
         print(target)
 
 
+@app.command()
+def report(
+    path: Annotated[Path, typer.Argument(metavar="PATH", help="A run archive, or the folder of a study.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE.html",
+            help="The page; by default NAME-report.html, or report.html in a study.",
+        ),
+    ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(
+            "--figures", metavar="DIR", help="Write the figures as PNG and SVG too; a study's go to its figures/."
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Report on a run or a study: one page that works offline.
+
+    A verdict in plain words, figures to zoom, the motion with its gaps magnified,
+    tables, methods with references, and the spec.
+    """
+    from mbdkit.report.report import report as write
+
+    target = write(path, output, figures=figures, overwrite=overwrite)
+    if not quiet:
+        print(target)
+
+
 @archive_app.command("info")
 def archive_info(archives: Archives, as_json: AsJson = False, debug: Debug = False) -> None:
     """Describe run archives.

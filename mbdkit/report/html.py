@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from functools import cache
+from collections.abc import Callable, Mapping
 from importlib.resources import files
 from typing import Any
 
@@ -12,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 
-def render(template: str, values: Mapping[str, Any]) -> str:
+def render(template: str, values: Mapping[str, Any], filters: Mapping[str, Callable[..., Any]] | None = None) -> str:
     """Return a page.
 
     Parameters
@@ -21,8 +20,12 @@ def render(template: str, values: Mapping[str, Any]) -> str:
         Name of the template.
     values
         What it shows; texts are escaped.
+    filters
+        Functions that the template applies to values.
     """
-    return _environment().get_template(template).render(values)
+    environment = _environment()
+    environment.filters.update(filters or {})
+    return environment.get_template(template).render(values)
 
 
 def script_json(value: Any) -> Markup:
@@ -36,7 +39,6 @@ def inline(name: str) -> Markup:
     return Markup(files("mbdkit.report").joinpath("templates", name).read_text(encoding="utf-8"))
 
 
-@cache
 def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("mbdkit.report", "templates"),

@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from mbdkit.archive.layout import QUANTITIES
 from mbdkit.archive.run import Run
 from mbdkit.archive.writer import ArchiveNames, ArchiveWriter
+from mbdkit.cli import app
 
 MakeRun = Callable[..., Run]
 
@@ -99,3 +101,9 @@ def make_run() -> Iterator[MakeRun]:
     yield make
     for run in opened:
         run.close()
+
+
+@pytest.fixture
+def mbdkit_command() -> Callable[..., Any]:
+    """Run a command in this process; the result has exit_code, stdout and stderr."""
+    return lambda *arguments: CliRunner().invoke(app, list(arguments), prog_name="mbdkit")
