@@ -172,6 +172,9 @@ def study(
     executor: Annotated[
         Literal["local"], typer.Option("--executor", help="Where the processes are: on this machine.")
     ] = "local",
+    with_report: Annotated[
+        bool, typer.Option("--report", help="Write report.html and figures/ as well, anew.")
+    ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -190,10 +193,17 @@ def study(
     notify = silence if quiet else say
     with count_bar(path.name, quiet) as progress:
         result = carry_out(spec, out=path, workers=workers or _cores(), shard=part, progress=progress, notify=notify)
+    page = None
+    if with_report:
+        from mbdkit.report.report import report as write
+
+        page = write(path, overwrite=True)
     if as_json:
-        print(json.dumps(outcome(result)))
+        print(json.dumps(outcome(result) | ({} if page is None else {"report": str(page)})))
     elif not quiet:
         print(summary(result))
+        if page is not None:
+            print(f"report     {page}")
 
 
 def _cores() -> int:

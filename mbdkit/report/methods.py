@@ -43,23 +43,23 @@ def methods(specs: Iterable[Mapping[str, Any]]) -> Methods:
     paragraphs = [_EQUATIONS, _stabilization(specs)]
     references = [_own_reference()]
     for kind in ("model", "integrator"):
-        for options in _distinct(specs, kind):
-            item = _find(kind, options["name"])
+        for name, options in _used(specs, kind).items():
+            item = _find(kind, name)
             if item is None:
-                paragraphs.append(f"The {kind} {options['name']} is not installed here, so its references are missing.")
+                paragraphs.append(f"The {kind} {name} is not installed here, so its references are missing.")
                 continue
-            paragraphs.append(_sentence(item, options))
+            paragraphs.append(_paragraph(item, options))
             references += item.plugin.references
-    return Methods(tuple(dict.fromkeys(paragraphs)), tuple(dict.fromkeys(entry.strip() for entry in references)))
+    return Methods(tuple(paragraphs), tuple(dict.fromkeys(entry.strip() for entry in references)))
 
 
-def _distinct(specs: Iterable[Mapping[str, Any]], kind: str) -> list[dict[str, Any]]:
-    """Return the different sections of a kind: of models by name alone, of integrators with all their options."""
-    found: dict[str, dict[str, Any]] = {}
+def _used(specs: Iterable[Mapping[str, Any]], kind: str) -> dict[str, list[dict[str, Any]]]:
+    """Return the names that occur in a section of the specs, each with the different options it occurs with."""
+    found: dict[str, dict[str, dict[str, Any]]] = {}
     for spec in specs:
-        section = dict(spec[kind]) if kind == "integrator" else {"name": spec[kind]["name"]}
-        found.setdefault(json.dumps(section, sort_keys=True), section)
-    return list(found.values())
+        options = {key: value for key, value in spec[kind].items() if key != "name"} if kind == "integrator" else {}
+        found.setdefault(str(spec[kind]["name"]), {}).setdefault(json.dumps(options, sort_keys=True), options)
+    return {name: list(options.values()) for name, options in found.items()}
 
 
 def _find(kind: Kind, name: str) -> Registered | None:
@@ -69,31 +69,41 @@ def _find(kind: Kind, name: str) -> Registered | None:
         return None
 
 
-def _sentence(item: Registered, options: Mapping[str, Any]) -> str:
+def _paragraph(item: Registered, used: list[dict[str, Any]]) -> str:
+    """Return what an item is and with which settings it was used: each setting once, with all its values."""
+    values: dict[str, dict[str, None]] = {}
+    for options in used:
+        for key, value in options.items():
+            if value is not None:
+                values.setdefault(key.replace("_", " "), {})[
+                    f"{value:g}" if isinstance(value, float) else str(value)
+                ] = None
+    settings = "; ".join(f"{key} {listed(given, 'and')}" for key, given in values.items())
     origin = f"{item.origin.distribution} {item.origin.version}"
-    given = [
-        f"{key.replace('_', ' ')} {value}" for key, value in options.items() if key != "name" and value is not None
+    parts = [
+        f"{item.kind.capitalize()} {item.name} ({origin}): {item.plugin.summary}",
+        f"Settings: {settings}." if settings else "",
     ]
-    settings = f" with {listed(given, 'and')}" if given else ""
-    text = f"{item.kind.capitalize()} {item.name} ({origin}){settings}. {item.plugin.summary}"
-    return f"{text} {_claims(item.plugin, options)}".strip() if isinstance(item.plugin, IntegratorPlugin) else text
+    if isinstance(item.plugin, IntegratorPlugin):
+        plugin = item.plugin
+        parts += dict.fromkeys(_claims(plugin, options, alone=len(used) == 1) for options in used)
+    return " ".join(filter(None, parts))
 
 
-def _claims(plugin: IntegratorPlugin, options: Mapping[str, Any]) -> str:
-    """Return what an integrator claims of itself with these options."""
+def _claims(plugin: IntegratorPlugin, options: Mapping[str, Any], *, alone: bool) -> str:
+    """Return what an integrator claims of itself with these options; its order only where they are `alone`."""
     try:
-        values = {key: value for key, value in options.items() if key != "name"}
-        claims = plugin.claims(plugin.options.model_validate_json(json.dumps(values)))
+        claims = plugin.claims(plugin.options.model_validate_json(json.dumps(options)))
     except Exception:  # a plugin of another version may refuse them, or fail in any way
         return ""
-    return _claim_words(claims) if isinstance(claims, Claims) else ""
+    return _claim_words(claims, alone) if isinstance(claims, Claims) else ""
 
 
-def _claim_words(claims: Claims) -> str:
-    told = [f"order {claims.order:g}"] if claims.order is not None else []
+def _claim_words(claims: Claims, alone: bool) -> str:
+    told = [f"order {claims.order:g}"] if alone and claims.order is not None else []
     told += [word for word, held in (("symmetric", claims.symmetric), ("symplectic", claims.symplectic)) if held]
-    text = f"Here: {listed(told, 'and')}." if told else ""
-    return f"{text} Drift: {claims.drift}." if claims.drift else text
+    text = f"As used here: {listed(told, 'and')}." if told else ""
+    return f"{text} Drift: {claims.drift}.".strip() if claims.drift else text
 
 
 def _stabilization(specs: Iterable[Mapping[str, Any]]) -> str:

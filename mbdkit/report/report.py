@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from mbdkit.archive.reader import load
 from mbdkit.errors import SpecError
+from mbdkit.report.document import Document
 from mbdkit.report.run_report import run_document
 from mbdkit.report.still import write_stills
 from mbdkit.report.style import check_suffix, replacing
@@ -56,14 +59,25 @@ def report(
     if not os.path.exists(source):
         raise SpecError("there is no run archive or study folder of this name", file=source)
     _check(target, folder, overwrite)
-    with load(source) as run:
-        document = run_document(run)
+    with _document(source, is_study) as document:
         page = document.html()
         with replacing(target) as temporary:
             temporary.write_text(page, encoding="utf-8")
         if folder is not None:
             write_stills(document.verdict.figures, folder)
     return target
+
+
+@contextmanager
+def _document(source: Path, is_study: bool) -> Iterator[Document]:
+    if is_study:
+        from mbdkit.report.study_report import study_document
+        from mbdkit.studies.study import load_study
+
+        yield study_document(load_study(source))
+    else:
+        with load(source) as run:
+            yield run_document(run)
 
 
 def _check(target: Path, folder: Path | None, overwrite: bool) -> None:

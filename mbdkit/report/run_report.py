@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
-
-from ruamel.yaml import YAML
 
 from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.report.caption import caption
@@ -15,6 +12,7 @@ from mbdkit.report.methods import methods
 from mbdkit.report.player import film_data
 from mbdkit.report.run_verdict import run_verdict
 from mbdkit.report.series import require_rows
+from mbdkit.spec.yaml import write_yaml
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -55,14 +53,8 @@ def environment(provenance: Mapping[str, Any], first: Mapping[str, str]) -> Tabl
 
 
 def yaml_text(spec: Mapping[str, Any]) -> str:
-    """Return a plain mapping as YAML, which reads as the same values."""
-    yaml = YAML(typ="safe", pure=True)
-    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    yaml.default_flow_style = None
-    yaml.width = 100
-    stream = io.StringIO()
-    yaml.dump({key: spec[key] for key in sorted(spec, key=_place)}, stream)
-    return stream.getvalue()
+    """Return a run spec as YAML, its keys in the usual order."""
+    return write_yaml({key: spec[key] for key in sorted(spec, key=_place)})
 
 
 _ORDER = ("mbdkit", "title", "model", "formulation", "stabilization", "integrator", "time", "output", "limits")

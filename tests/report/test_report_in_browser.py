@@ -8,6 +8,9 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 
 import mbdkit
+from mbdkit.report.caption import caption
+from mbdkit.report.html import render
+from mbdkit.report.player import film_data
 from mbdkit.report.report import report
 from mbdkit.report.run_report import run_document
 from tests.report.browser import executable, launched, opened, until
@@ -36,6 +39,14 @@ def page_path(tmp_path_factory):
     return report(archive)
 
 
+@pytest.fixture(scope="module", params=["run", "study"])
+def any_path(request, page_path, study_folder):
+    """The report of a run, and that of a study."""
+    return (
+        page_path if request.param == "run" else report(study_folder, page_path.with_name("study.html"), overwrite=True)
+    )
+
+
 @pytest.fixture
 def page(browser, page_path):
     watched = opened(browser, page_path)
@@ -47,10 +58,12 @@ def position(page):
     return int(page.locator("#scrub").input_value())
 
 
-def test_the_console_is_silent_and_no_request_leaves_the_page(page):
-    page.page.wait_for_timeout(500)
-    assert page.console == []
-    assert page.outside == []
+def test_the_console_is_silent_and_no_request_leaves_the_page(browser, any_path):
+    watched = opened(browser, any_path)
+    watched.page.wait_for_timeout(500)
+    assert watched.console == []
+    assert watched.outside == []
+    watched.page.context.close()
 
 
 def test_the_verdict_stands_on_top(page):
@@ -173,6 +186,18 @@ def test_the_keyboard_zooms_a_figure_and_shows_all_again(page):
     assert chart.evaluate(width) == pytest.approx(whole)
 
 
+def test_the_button_of_a_curve_hides_it_and_brings_it_back(page):
+    figure = page.page.locator("#figure-misalignment")
+    assert figure.locator(".scatterlayer .trace").count() == 2
+    button = figure.get_by_role("button", name="J1")
+    button.focus()
+    page.page.keyboard.press("Enter")
+    assert button.get_attribute("aria-pressed") == "false"
+    assert figure.locator(".scatterlayer .trace").count() == 1
+    page.page.keyboard.press("Enter")
+    assert figure.locator(".scatterlayer .trace").count() == 2
+
+
 def test_the_mouse_zooms_a_figure(page):
     tab = page.page
     chart = tab.locator('[data-figure="misalignment"]')
@@ -188,8 +213,8 @@ def test_the_mouse_zooms_a_figure(page):
     assert chart.evaluate(width) == pytest.approx(0.3 * whole, rel=0.05)
 
 
-def test_headings_are_in_order_and_everything_that_is_seen_has_a_name(page):
-    tab = page.page
+def test_headings_are_in_order_and_everything_that_is_seen_has_a_name(browser, any_path):
+    tab = opened(browser, any_path).page
     levels = tab.evaluate("[...document.querySelectorAll('h1,h2,h3,h4')].map(e => Number(e.tagName[1]))")
     assert levels[0] == 1
     assert levels.count(1) == 1
@@ -200,11 +225,12 @@ def test_headings_are_in_order_and_everything_that_is_seen_has_a_name(page):
             .map(e => e.outerHTML.slice(0, 80))"""
     )
     assert unnamed == []
+    tab.context.close()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_nothing_to_mend(browser, page_path, scheme):
-    watched = opened(browser, page_path, color_scheme=scheme)
+def test_axe_finds_nothing_to_mend(browser, any_path, scheme):
+    watched = opened(browser, any_path, color_scheme=scheme)
     watched.page.wait_for_timeout(300)
     found = Axe().run(watched.page, options=RULES)
     assert found.response["violations"] == [], found.generate_report()
@@ -212,8 +238,8 @@ def test_axe_finds_nothing_to_mend(browser, page_path, scheme):
 
 
 @pytest.mark.parametrize("width", [390, 1400])
-def test_nothing_sticks_out_to_the_side(browser, page_path, width):
-    watched = opened(browser, page_path, width=width)
+def test_nothing_sticks_out_to_the_side(browser, any_path, width):
+    watched = opened(browser, any_path, width=width)
     watched.page.wait_for_timeout(300)
     wide, window = watched.page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
     assert wide <= window == width
@@ -241,6 +267,21 @@ def test_who_asks_for_less_motion_gets_a_still_picture(browser, page_path):
     watched.page.context.close()
 
 
+def test_of_several_films_the_reader_chooses_one(browser, make_run, tmp_path):
+    runs = [make_run(), make_run(rods=3)]
+    films = [film_data(run, 10_000, label) for run, label in zip(runs, ("two rods", "three rods"), strict=True)]
+    path = tmp_path / "films.html"
+    path.write_text(render("animation.html", {"caption": caption(runs[0]), "films": films}), encoding="utf-8")
+    watched = opened(browser, path)
+    tab = watched.page
+    assert tab.locator("#legend li").count() == 2
+    tab.get_by_label("Run").select_option(label="three rods")
+    assert tab.locator("#legend li").count() == 3
+    assert tab.locator("#stage").get_attribute("aria-label") == "The mechanism in motion: three rods"
+    assert watched.console == []
+    tab.context.close()
+
+
 def test_text_from_a_spec_does_no_harm(browser, make_run, tmp_path):
     run = make_run(
         title=EVIL, bodies=[EVIL, "<b>"], joints=[f"A {EVIL}", "J<b>"], status="failed", reason=f"not-finite: {EVIL}",
@@ -254,7 +295,7 @@ def test_text_from_a_spec_does_no_harm(browser, make_run, tmp_path):
     assert tab.locator("h1").inner_text() == EVIL
     assert tab.locator("img, main b").count() == 0
     assert EVIL in tab.locator("p.verdict").inner_text()
-    assert f"A {EVIL}" in tab.locator("#figure-misalignment .legendtext").first.evaluate("e => e.textContent")
+    assert tab.locator("#figure-misalignment .key button").first.inner_text() == f"A {EVIL}"
     assert watched.console == []
     assert watched.outside == []
     tab.context.close()

@@ -12,11 +12,12 @@ function palette() {
 }
 
 function traces(figure, color) {
-  const several = figure.lines.length > 1;
-  return figure.lines.map(line => ({
-    type: "scatter", x: line.x, y: line.y, name: plain(line.label), showlegend: several && line.label !== "",
+  // Paths that coincide are told apart by their width.
+  const width = number => figure.equal && figure.lines.length < 5 ? 1.6 + 1.3 * (figure.lines.length - 1 - number) : 1.8;
+  return figure.lines.map((line, number) => ({
+    type: "scatter", visible: !line.hidden, x: line.x, y: line.y, name: plain(line.label),
     mode: { line: "lines", points: "markers", both: "lines+markers" }[line.x.length === 1 ? "points" : line.kind],
-    line: { color: color(`c${line.color}`), width: 1.8, dash: line.dash },
+    line: { color: color(`c${line.color}`), width: width(number), dash: line.dash },
     marker: { color: color(`c${line.color}`), size: 7, symbol: line.symbol },
     hovertemplate: `%{y:.4~g} ${plain(figure.y.unit)} at %{x:.5~g} ${plain(figure.x.unit)}<extra>%{fullData.name}</extra>`,
   }));
@@ -31,13 +32,11 @@ function axis(one, color, more) {
 }
 
 function layout(figure, color) {
-  const named = figure.lines.length > 1;
   return {
     paper_bgcolor: color("paper"), plot_bgcolor: color("paper"), margin: { ...MARGIN }, autosize: true,
     font: { family: "system-ui, sans-serif", size: 13, color: color("ink") },
     xaxis: axis(figure.x, color), yaxis: axis(figure.y, color, figure.equal ? { scaleanchor: "x", scaleratio: 1 } : {}),
-    legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", font: { size: 12 }, itemwidth: 30 },
-    showlegend: named, hovermode: "closest", dragmode: coarse.matches ? false : "zoom",
+    showlegend: false, hovermode: "closest", dragmode: coarse.matches ? false : "zoom",
     hoverlabel: { bgcolor: color("card"), bordercolor: color("edge"), font: { color: color("ink") } },
     modebar: { bgcolor: "rgba(0,0,0,0)", color: color("faint"), activecolor: color("c0") },
     shapes: figure.bands.map(band => ({
@@ -65,6 +64,45 @@ function drawAll() {
     }
     Plotly.react(chart, traces(figure, color), wanted, { ...OPTIONS, toImageButtonOptions: { filename: figure.name, scale: 2 } });
   }
+}
+
+// --- the key: a button for each curve, which hides and shows it ---
+const DASHES = { solid: "", dash: "6 4", dot: "2 3", dashdot: "6 3 2 3", longdash: "10 4" };
+const MARKS = {
+  circle: "M14 2.5a3.5 3.5 0 1 0 .01 0z", square: "M10.8 2.8h6.4v6.4h-6.4z", diamond: "M14 1.5l4.5 4.5-4.5 4.5-4.5-4.5z",
+  "triangle-up": "M14 1.8l4.4 7.4h-8.8z", cross: "M12.7 1.8h2.6v2.9h2.9v2.6h-2.9v2.9h-2.6v-2.9h-2.9v-2.6h2.9z",
+  x: "M10.6 4.4l1.8-1.8 1.6 1.6 1.6-1.6 1.8 1.8-1.6 1.6 1.6 1.6-1.8 1.8-1.6-1.6-1.6 1.6-1.8-1.8 1.6-1.6z",
+};
+
+function swatch(line) {
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  const add = (name, attributes) => {
+    const part = document.createElementNS(svg.namespaceURI, name);
+    for (const [key, value] of Object.entries(attributes)) part.setAttribute(key, value);
+    svg.append(part);
+  };
+  for (const [key, value] of Object.entries({ width: 28, height: 12, "aria-hidden": "true" })) svg.setAttribute(key, value);
+  const stroke = `var(--c${line.color})`;
+  if (line.kind !== "points") add("path", { d: "M0 6h28", style: `stroke:${stroke};stroke-width:2`, "stroke-dasharray": DASHES[line.dash] });
+  if (line.kind !== "line") add("path", { d: MARKS[line.symbol], style: `fill:${stroke}` });
+  return svg;
+}
+
+for (const chart of document.querySelectorAll(".chart")) {
+  const key = chart.parentElement.querySelector(".key");
+  if (key) figures[chart.dataset.figure].lines.forEach((line, number) => {
+    const item = document.createElement("li"), button = document.createElement("button");
+    button.type = "button";
+    button.setAttribute("aria-pressed", "true");
+    button.append(swatch(line), line.label);
+    button.addEventListener("click", () => {
+      line.hidden = !line.hidden;
+      button.setAttribute("aria-pressed", String(!line.hidden));
+      Plotly.restyle(chart, { visible: !line.hidden }, [number]);
+    });
+    item.append(button);
+    key.append(item);
+  });
 }
 
 // --- the keyboard does what the mouse does ---
