@@ -33,7 +33,7 @@ def run_document(run: Run) -> Document:
     return Document(
         title=head.title,
         settings=head.settings,
-        alarm=head.alarm,
+        alarm=head.alarm.partition(": ")[0],  # the verdict, just below, says why
         verdict=run_verdict(run),
         films=(film_data(run, _NUMBERS),),
         methods=methods([run.spec]),

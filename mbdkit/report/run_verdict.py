@@ -14,7 +14,7 @@ from mbdkit.report.geometry import draw_spec
 from mbdkit.report.run_figures import run_figures
 from mbdkit.report.run_tables import run_tables
 from mbdkit.report.series import bands, take
-from mbdkit.report.words import ROUND_OFF, count, duration, length
+from mbdkit.report.words import ROUND_OFF, count, duration, length, proportion
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -86,7 +86,7 @@ def _joints(run: Run) -> Claim:
     elif share <= ROUND_OFF:
         parts.append("which is no more than the round-off of double precision")
     elif math.isfinite(share):
-        parts.append(f"{share:.1g} of the mechanism's size")
+        parts.append(f"{proportion(share)} of the mechanism's size")
         parts += _growth_words(quantity, list(run.joint_names).index(worst.name))
     answer = Answer.OPEN if not math.isfinite(share) else Answer.NO if share > HOLDS else Answer.YES
     advice = " That is too much to trust the forces: take a smaller step or a method of higher order."
@@ -126,7 +126,7 @@ def _energy(run: Run) -> Claim:
         sentence = "The energy grew without bounds."
         return Claim("energy", "Energy is balanced", "", "not finite", Answer.NO, sentence)
     sentence = f"Energy is balanced to {off:.2g} J"
-    sentence += f", {share:.1g} of the largest kinetic energy." if math.isfinite(share) else "."
+    sentence += f", {proportion(share)} of the largest kinetic energy." if math.isfinite(share) else "."
     answer = Answer.OPEN if not math.isfinite(share) else Answer.NO if share > HOLDS else Answer.YES
     if answer is Answer.NO:
         sentence += " That is too much: take a smaller step or a method of higher order."

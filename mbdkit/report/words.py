@@ -1,4 +1,4 @@
-"""Numbers in words: lengths in the unit that suits them, factors, shares."""
+"""Numbers in words: lengths and times in the unit that suits them, proportions, counts."""
 
 from __future__ import annotations
 
@@ -20,11 +20,9 @@ def duration(value: float) -> str:
     return _in_units(value, _TIMES)
 
 
-def number(value: float) -> str:
-    """Return a number with three digits, as tables show it; a dash where there is none."""
-    if math.isnan(value):
-        return "-"
-    return f"{value:.0f}" if value == round(value) and abs(value) < 1e7 else f"{value:.3g}"
+def proportion(value: float) -> str:
+    """Return a part of a whole: in percent where that reads well."""
+    return f"{100 * value:.2g} %" if 1e-4 <= value < 10 else f"{value:.1g}"
 
 
 def count(many: int, one: str, more: str = "") -> str:

@@ -3,7 +3,9 @@
 const figures = JSON.parse(document.getElementById("figure-data").textContent);
 const dark = window.matchMedia("(prefers-color-scheme: dark)"), coarse = window.matchMedia("(pointer: coarse)");
 const MARGIN = { l: 62, r: 14, t: 8, b: 48 };
-// An own attribute of the text is taken as markup by plotly.js; names from specs are plain text.
+// Margins that follow the labels, and labels that follow the scale, would chase each other.
+const EQUAL = { scaleanchor: "x", scaleratio: 1, automargin: false };
+// plotly.js reads texts as markup; names from specs are plain text.
 const plain = text => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
 
 function palette() {
@@ -35,7 +37,7 @@ function layout(figure, color) {
   return {
     paper_bgcolor: color("paper"), plot_bgcolor: color("paper"), margin: { ...MARGIN }, autosize: true,
     font: { family: "system-ui, sans-serif", size: 13, color: color("ink") },
-    xaxis: axis(figure.x, color), yaxis: axis(figure.y, color, figure.equal ? { scaleanchor: "x", scaleratio: 1 } : {}),
+    xaxis: axis(figure.x, color), yaxis: axis(figure.y, color, figure.equal ? EQUAL : {}),
     showlegend: false, hovermode: "closest", dragmode: coarse.matches ? false : "zoom",
     hoverlabel: { bgcolor: color("card"), bordercolor: color("edge"), font: { color: color("ink") } },
     modebar: { bgcolor: "rgba(0,0,0,0)", color: color("faint"), activecolor: color("c0") },
