@@ -75,7 +75,7 @@ def _completion(run: Run) -> Claim:
 def _joints(run: Run) -> Claim:
     quantity = joint_quantity(run, "misalignment", "joints/misalignment", "m")
     worst = max(run.joints.values(), key=lambda joint: np.nan_to_num(joint.misalignment_max, nan=math.inf))
-    most, size = worst.misalignment_max, _size(run)
+    most, size = worst.misalignment_max, mechanism_size(run)
     if not math.isfinite(most):
         sentence = f"Joint {worst.name} came apart without bounds."
         return Claim("misalignment", "The joints stay together", "", "not finite", Answer.NO, sentence)
@@ -133,7 +133,7 @@ def _energy(run: Run) -> Claim:
     return Claim("energy", "Energy is balanced", "", f"{off:.3g} J", answer, sentence)
 
 
-def _size(run: Run) -> float:
+def mechanism_size(run: Run) -> float:
     """Return the size of the mechanism at the start [m]."""
     drawing = draw_spec(run.spec, tuple(run.bodies))
     pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))

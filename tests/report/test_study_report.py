@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
+from mbdkit.report.document import cell_text
 from mbdkit.report.report import report
 from mbdkit.report.study_report import study_document
 from mbdkit.studies.execute import Shard
@@ -52,10 +53,11 @@ def test_methods_name_both_integrators_and_the_reference_with_its_stages(documen
     ]
 
 
-def test_the_film_is_of_the_run_whose_joints_come_apart_the_most(document):
+def test_the_film_is_of_the_run_that_comes_apart_the_most_and_still_holds(document):
     (film,) = document.films
-    rows = [row for row in document.verdict.table("runs").rows if row[3] is not None]
-    assert film["label"] == max(rows, key=lambda row: row[3])[1]
+    size = 2 * 20.0 * np.cos(0.698)  # m: two rods of 20 m, let go 40 degrees below the horizontal
+    holding = [row for row in document.verdict.table("runs").rows if row[3] is not None and row[3] <= 1e-3 * size]
+    assert film["label"] == max(holding, key=lambda row: row[3])[1]
 
 
 def test_runs_that_are_missing_are_said_on_top(tmp_path):
@@ -98,3 +100,9 @@ def test_a_folder_that_is_no_study_is_refused_in_a_sentence(tmp_path, mbdkit_com
     assert result.exit_code == 2
     assert "there is no study here: no study.yaml" in result.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_numbers_in_tables_read_well():
+    assert [cell_text(value) for value in (10_370.0, 12_000, 1.2e-5, 0.0, float("nan"), None, True, "x")] == [
+        "10,370", "12,000", "1.2e-05", "0", "-", "", "yes", "x",
+    ]  # fmt: skip
