@@ -173,6 +173,9 @@ def study(
     executor: Annotated[
         Literal["local"], typer.Option("--executor", help="Where the processes are: on this machine.")
     ] = "local",
+    with_report: Annotated[
+        bool, typer.Option("--report", help="Write report.html and figures/ as well, anew.")
+    ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -191,10 +194,17 @@ def study(
     notify = silence if quiet else say
     with count_bar(path.name, quiet) as progress:
         result = carry_out(spec, out=path, workers=workers or _cores(), shard=part, progress=progress, notify=notify)
+    page = None
+    if with_report:
+        from mbdkit.report.report import report as write
+
+        page = write(path, overwrite=True)
     if as_json:
-        print(json.dumps(outcome(result)))
+        print(json.dumps(outcome(result) | ({} if page is None else {"report": str(page)})))
     elif not quiet:
         print(summary(result))
+        if page is not None:
+            print(f"report     {page}")
 
 
 def _cores() -> int:
@@ -344,6 +354,40 @@ def animate(
 
     with load(archive) as loaded:
         target = draw(loaded, output or archive.with_suffix(".gif"))
+    if not quiet:
+        print(target)
+
+
+@app.command()
+def report(
+    path: Annotated[Path, typer.Argument(metavar="PATH", help="A run archive, or the folder of a study.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE.html",
+            help="The page; by default NAME-report.html, or report.html in a study.",
+        ),
+    ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(
+            "--figures", metavar="DIR", help="Write the figures as PNG and SVG too; a study's go to its figures/."
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Report on a run or a study: one page that works offline.
+
+    A verdict in plain words, figures to zoom, the motion with its gaps magnified,
+    tables, methods with references, and the spec.
+    """
+    from mbdkit.report.report import report as write
+
+    target = write(path, output, figures=figures, overwrite=overwrite)
     if not quiet:
         print(target)
 

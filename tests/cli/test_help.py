@@ -16,6 +16,7 @@ COMMANDS = [
     ("validate",),
     ("plot",),
     ("animate",),
+    ("report",),
     ("rerun",),
     ("schema",),
     ("schema", "run"),

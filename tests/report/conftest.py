@@ -5,14 +5,18 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from mbdkit.archive.layout import QUANTITIES
 from mbdkit.archive.run import Run
 from mbdkit.archive.writer import ArchiveNames, ArchiveWriter
+from mbdkit.cli import app
+from mbdkit.studies.study import study as run_study
 
 MakeRun = Callable[..., Run]
 
@@ -99,3 +103,30 @@ def make_run() -> Iterator[MakeRun]:
     yield make
     for run in opened:
         run.close()
+
+
+STUDY = {
+    "mbdkit_study": 1,
+    "title": "Two methods, three steps",
+    "base": "double-pendulum",
+    "overrides": {"time": {"end": 2.0, "step": 0.1}, "limits": {"max_steps": 30}},
+    "axes": [
+        {"integrator": [{"label": "RK4", "value": {"name": "rk4"}}, {"label": "Gauss 2", "value": {"name": "gauss"}}]},
+        {"time.step": [0.2, 0.1, 0.05]},  # the last takes 40 steps, ten more than there may be
+    ],
+    "reference": {"integrator": {"name": "gauss", "stages": 3}, "time.step": 0.08},
+}
+
+
+@pytest.fixture(scope="session")
+def study_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A study of six runs, two of which fail, without a report."""
+    folder = tmp_path_factory.mktemp("study") / "two-methods"
+    run_study(STUDY, out=folder, notify=lambda text: None)
+    return folder
+
+
+@pytest.fixture
+def mbdkit_command() -> Callable[..., Any]:
+    """Run a command in this process; the result has exit_code, stdout and stderr."""
+    return lambda *arguments: CliRunner().invoke(app, list(arguments), prog_name="mbdkit")

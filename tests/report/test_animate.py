@@ -44,7 +44,8 @@ class Outline(HTMLParser):
 
 
 def data_of(text: str) -> dict:
-    return json.loads(Outline(text).scripts[0])
+    (film,) = json.loads(Outline(text).scripts[0])
+    return film
 
 
 def test_a_gif_plays_in_real_time_and_repeats(make_run, tmp_path):
@@ -135,7 +136,7 @@ def test_text_from_a_spec_can_do_no_harm_in_a_page(make_run):
     assert "img" not in outline.tags
     assert "b" not in outline.tags
     assert outline.title == EVIL
-    assert json.loads(outline.scripts[0])["bodies"] == [EVIL, "b"]
+    assert data_of(text)["bodies"] == [EVIL, "b"]
 
 
 def test_the_poses_in_a_page_are_those_of_the_run(make_run):

@@ -1,0 +1,51 @@
+"""HTML pages from the templates of this room: every text escaped, every file they need written into them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from importlib.resources import files
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+
+def render(template: str, values: Mapping[str, Any], filters: Mapping[str, Callable[..., Any]] | None = None) -> str:
+    """Return a page.
+
+    Parameters
+    ----------
+    template
+        Name of the template.
+    values
+        What it shows; texts are escaped.
+    filters
+        Functions that the template applies to values.
+    """
+    environment = _environment()
+    environment.filters.update(filters or {})
+    return environment.get_template(template).render(values)
+
+
+def script_json(value: Any) -> Markup:
+    """Return compact JSON that may stand inside a script element: nothing in it can end the element."""
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
+
+
+def inline(name: str) -> Markup:
+    """Return one of our own style sheets or scripts, to be written into a page as it is."""
+    return Markup(files("mbdkit.report").joinpath("templates", name).read_text(encoding="utf-8"))
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("mbdkit.report", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.globals.update(inline=inline, script_json=script_json)
+    return environment

@@ -1,0 +1,105 @@
+"""`report`: a run archive or a study folder as one self-contained page, and its figures as pictures."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from mbdkit.archive.reader import load
+from mbdkit.errors import SpecError
+from mbdkit.report.document import Document
+from mbdkit.report.run_report import run_document
+from mbdkit.report.still import write_stills
+from mbdkit.report.style import check_suffix, replacing
+
+SUFFIXES = (".html", ".htm")
+
+
+def report(
+    path: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None = None,
+    *,
+    figures: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Write the report of a run or of a study.
+
+    Parameters
+    ----------
+    path
+        A run archive or a study folder.
+    output
+        The page, ending in .html; left out, ``NAME-report.html`` beside the archive, or ``report.html`` in the folder.
+    figures
+        Folder for the figures as PNG and SVG. Left out, a run's are not written, and those of a study go to ``figures``
+        in its folder if its page goes there too.
+    overwrite
+        Whether files that exist may be replaced.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    SpecError
+        There is nothing at `path` to report on, or the page or a figure cannot be written; nothing is written then.
+    """
+    source = Path(path)
+    is_study = os.path.isdir(source)
+    if output is None:
+        target = source / "report.html" if is_study else source.with_name(f"{source.stem}-report.html")
+        figures = source / "figures" if is_study and figures is None else figures
+    else:
+        target = Path(output)
+    folder = None if figures is None else Path(figures)
+    if not os.path.exists(source):
+        raise SpecError("there is no run archive or study folder of this name", file=source)
+    _check(target, folder, overwrite)
+    with _document(source, is_study) as document:
+        page = document.html()
+        with replacing(target) as temporary:
+            temporary.write_text(page, encoding="utf-8")
+        if folder is not None:
+            write_stills(document.verdict.figures, folder)
+    return target
+
+
+@contextmanager
+def _document(source: Path, is_study: bool) -> Iterator[Document]:
+    if is_study:
+        from mbdkit.report.study_report import study_document
+        from mbdkit.studies.study import load_study
+
+        yield study_document(load_study(source))
+    else:
+        with load(source) as run:
+            yield run_document(run)
+
+
+def _check(target: Path, folder: Path | None, overwrite: bool) -> None:
+    """Refuse what cannot be written, before any work."""
+    check_suffix(target, SUFFIXES, "a report")
+    if os.path.isdir(target):
+        raise SpecError("this is a folder; name a file with -o", file=target)
+    if not os.path.isdir(target.parent):
+        raise SpecError(f"the folder {target.parent} does not exist; create it first", file=target)
+    if os.path.lexists(target) and not overwrite:
+        raise SpecError("this file exists; choose another name with -o, or replace it with --overwrite", file=target)
+    if folder is None:
+        return
+    if not os.path.lexists(folder):
+        if not os.path.isdir(folder.parent):
+            raise SpecError(f"the folder {folder.parent} does not exist; create it first", file=folder)
+        return
+    if not os.path.isdir(folder):
+        raise SpecError("this is not a folder; name one for the figures with --figures", file=folder)
+    if any(folder.iterdir()) and not overwrite:
+        raise SpecError(
+            "this folder is not empty; choose another with --figures, or replace the figures of the same names with "
+            "--overwrite",
+            file=folder,
+        )

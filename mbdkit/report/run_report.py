@@ -1,0 +1,64 @@
+"""The report of one run: its verdict, motion, figures and tables, and how to get it again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from mbdkit.analysis.verdict import Cell, Column, Table
+from mbdkit.report.caption import caption
+from mbdkit.report.document import Document
+from mbdkit.report.methods import methods
+from mbdkit.report.player import film_data
+from mbdkit.report.run_verdict import run_verdict
+from mbdkit.report.series import require_rows
+from mbdkit.spec.yaml import write_yaml
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+_NUMBERS = 240_000  # of poses, about a megabyte and a half
+
+
+def run_document(run: Run) -> Document:
+    """Return the report of a run.
+
+    Raises
+    ------
+    SpecError
+        The run has no rows.
+    """
+    require_rows(run)
+    head = caption(run)
+    return Document(
+        title=head.title,
+        settings=head.settings,
+        alarm=head.alarm.partition(": ")[0],  # the verdict, just below, says why
+        verdict=run_verdict(run),
+        films=(film_data(run, _NUMBERS),),
+        methods=methods([run.spec]),
+        environment=environment(run.provenance, {"run": run.run_id, "made (UTC)": run.created_utc}),
+        reproduce="Save the spec below as run.yaml. With the versions above on one machine the arrays are the same to "
+        f"the bit; their SHA-256 is {run.data_sha256 or 'unknown, for the run did not end'}.",
+        commands=f"mbdkit run run.yaml\nmbdkit rerun {run.path.name if run.path else 'run.h5'}",
+        spec=yaml_text(run.spec),
+    )
+
+
+def environment(provenance: Mapping[str, Any], first: Mapping[str, str]) -> Table:
+    """Return the table of what is known of where a run was made, `first` things first."""
+    rows: list[tuple[Cell, ...]] = [(name, str(value)) for name, value in first.items()]
+    rows += [(name.replace("_", " "), str(value)) for name, value in sorted(provenance.items())]
+    return Table("environment", "Environment", (Column("what"), Column("value")), tuple(rows))
+
+
+def yaml_text(spec: Mapping[str, Any]) -> str:
+    """Return a run spec as YAML, its keys in the usual order."""
+    return write_yaml({key: spec[key] for key in sorted(spec, key=_place)})
+
+
+_ORDER = ("mbdkit", "title", "model", "formulation", "stabilization", "integrator", "time", "output", "limits")
+
+
+def _place(key: str) -> int:
+    return _ORDER.index(key) if key in _ORDER else len(_ORDER)

@@ -1,0 +1,61 @@
+"""The tables of a run's report: its joints, and what it cost."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.analysis.verdict import Cell, Column, Table
+from mbdkit.archive.layout import COUNTERS, TIMINGS
+from mbdkit.report.curves import joint_quantity
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+JOINTS = 50
+"""So many joints are listed, those that came apart the most."""
+_QUANTITIES = (
+    ("velocity misalignment", "joints/velocity_misalignment", "m/s"),
+    ("reaction force", "joints/reaction_force", "N"),
+)
+
+
+def run_tables(run: Run) -> tuple[Table, ...]:
+    """Return the tables of a run."""
+    tables = [_joints(run)] if run.joint_names else []
+    return (*tables, _cost(run))
+
+
+def _joints(run: Run) -> Table:
+    columns = [Column("joint"), Column("between"), Column("largest misalignment", "m")]
+    found = []
+    for name, path, unit in _QUANTITIES:
+        if run.records(path):
+            columns.append(Column(f"largest {name}", unit))
+            found.append(joint_quantity(run, name, path, unit, _magnitude).data.peaks)
+    order = sorted(
+        enumerate(run.joints.values()), key=lambda item: -np.nan_to_num(item[1].misalignment_max, nan=np.inf)
+    )[:JOINTS]
+    rows: list[tuple[Cell, ...]] = [
+        (joint.name, " - ".join(joint.bodies), joint.misalignment_max, *(float(peaks[column]) for peaks in found))
+        for column, joint in sorted(order)
+    ]
+    left = len(run.joint_names) - len(rows)
+    note = f"Those {JOINTS} of {len(run.joint_names)} joints that came apart the most." if left else ""
+    return Table("joints", "Joints", tuple(columns), tuple(rows), note)
+
+
+def _magnitude(part: np.ndarray) -> np.ndarray:
+    """Return the magnitudes of vectors (R, J, 2); numbers (R, J) are left as they are."""
+    return part if part.ndim == 2 else np.hypot(part[..., 0], part[..., 1])
+
+
+def _cost(run: Run) -> Table:
+    rows: list[tuple[Cell, ...]] = [
+        (name.replace("_", " ").replace("rhs", "right-side"), int(run.stats[name]))
+        for name in COUNTERS
+        if name in run.stats
+    ]
+    rows += [(f"{name.removesuffix('_s')} time [s]", float(run.stats[name])) for name in TIMINGS if name in run.stats]
+    return Table("cost", "Cost", (Column("what"), Column("how much")), tuple(rows))

@@ -1,0 +1,140 @@
+"""The verdict on one run in plain words: whether it completed, whether its joints and its energy hold."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.analysis.growth import Growth, growth_law
+from mbdkit.analysis.verdict import Answer, Claim, Verdict
+from mbdkit.report.curves import Quantity, joint_quantity
+from mbdkit.report.geometry import draw_spec
+from mbdkit.report.run_figures import run_figures
+from mbdkit.report.run_tables import run_tables
+from mbdkit.report.series import bands, take
+from mbdkit.report.words import ROUND_OFF, count, duration, length, proportion
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+HOLDS = 1e-3
+"""Misalignment as a share of the mechanism's size, and energy error as a share of the largest kinetic energy, above
+which a result is not to be trusted: it could be seen with the naked eye."""
+
+_LAWS = {
+    "bounded": "it does not grow",
+    "linear": "it grows in proportion to time",
+    "quadratic": "it grows with the square of time",
+    "exponential": "it grows exponentially",
+}
+
+
+def run_verdict(run: Run) -> Verdict:
+    """Return what a run says, with its figures and tables.
+
+    Parameters
+    ----------
+    run
+        A run that has rows.
+    """
+    claims = [_completion(run)]
+    if run.records("joints/misalignment") and run.joint_names:
+        claims.append(_joints(run))
+        claims += _angles(run)
+    if run.records("energy/balance"):
+        claims.append(_energy(run))
+    return Verdict(
+        name="run",
+        title="Verdict",
+        sentence=" ".join(claim.sentence for claim in claims),
+        claims=tuple(claims),
+        tables=run_tables(run),
+        figures=run_figures(run),
+    )
+
+
+def _completion(run: Run) -> Claim:
+    start, end, steps = float(run.time[0]), float(run.time[-1]), run.stats.get("steps")
+    motion = f"{end - start:.4g} s of motion"
+    taken = f" in {count(int(steps), 'step')}" if steps else ""
+    cost = f" and {duration(float(run.stats['wall_s']))} of computing" if "wall_s" in run.stats else ""
+    if run.status == "complete":
+        sentence = f"The run completed: {motion}{taken}{cost}."
+    elif run.status == "running":
+        sentence = f"The run did not end: it crashed, or is still under way, after {motion}."
+    else:
+        reason = run.status_reason.removeprefix("interrupted: ").rstrip(".")
+        word = "failed" if run.status == "failed" else "was interrupted"
+        sentence = f"The run {word} at t = {end:.6g} s, after {motion}{taken}: {reason}."
+    answer = Answer.YES if run.status == "complete" else Answer.NO
+    return Claim("completion", "The run came to its end", "", f"{end:.6g} s", answer, sentence)
+
+
+def _joints(run: Run) -> Claim:
+    quantity = joint_quantity(run, "misalignment", "joints/misalignment", "m")
+    worst = max(run.joints.values(), key=lambda joint: np.nan_to_num(joint.misalignment_max, nan=math.inf))
+    most, size = worst.misalignment_max, mechanism_size(run)
+    if not math.isfinite(most):
+        sentence = f"Joint {worst.name} came apart without bounds."
+        return Claim("misalignment", "The joints stay together", "", "not finite", Answer.NO, sentence)
+    share = most / size if size > 0 else math.nan
+    parts = [f"The worst joint, {worst.name}, comes apart by {length(most)} at most"]
+    if most == 0.0:
+        parts = ["No joint comes apart at all"]
+    elif share <= ROUND_OFF:
+        parts.append("which is no more than the round-off of double precision")
+    elif math.isfinite(share):
+        parts.append(f"{proportion(share)} of the mechanism's size")
+        parts += _growth_words(quantity, list(run.joint_names).index(worst.name))
+    answer = Answer.OPEN if not math.isfinite(share) else Answer.NO if share > HOLDS else Answer.YES
+    advice = " That is too much to trust the forces: take a smaller step or a method of higher order."
+    sentence = ", ".join(parts) + "." + (advice if answer is Answer.NO else "")
+    return Claim("misalignment", "The joints stay together", "", f"{most:.3g} m ({worst.name})", answer, sentence)
+
+
+def _growth_words(quantity: Quantity, column: int) -> list[str]:
+    values = quantity.data.high[:, column]
+    try:
+        growth: Growth = growth_law(quantity.data.time, values)
+    except ValueError:  # too few rows, or not finite
+        return []
+    laws = [_LAWS[law] for law in growth.candidates if law in _LAWS]
+    if not laws:
+        return []
+    return ["and " + " or ".join([laws[0], *(law.removeprefix("it ") for law in laws[1:])])]
+
+
+def _angles(run: Run) -> list[Claim]:
+    quantity = joint_quantity(run, "angle misalignment", "joints/angle_misalignment", "rad")
+    if quantity.zero:
+        return []
+    column, most = quantity.largest
+    name = quantity.joints[column]
+    sentence = f"The held or driven angle that is off most, {name}, is off by {most:.2g} rad."
+    answer = Answer.NO if most > HOLDS else Answer.YES
+    return [Claim("angles", "Held and driven angles hold", "", f"{most:.3g} rad ({name})", answer, sentence)]
+
+
+def _energy(run: Run) -> Claim:
+    balance = bands(run.time, run.dataset("energy/balance")[:][:, None])
+    kinetic = bands(run.time, run.dataset("energy/kinetic")[:][:, None])
+    off, most = float(balance.peaks[0]), float(kinetic.peaks[0])
+    share = off / most if most > 0 else math.nan
+    if not math.isfinite(off) or not np.all(np.isfinite(balance.high)):
+        sentence = "The energy grew without bounds."
+        return Claim("energy", "Energy is balanced", "", "not finite", Answer.NO, sentence)
+    sentence = f"Energy is balanced to {off:.2g} J"
+    sentence += f", {proportion(share)} of the largest kinetic energy." if math.isfinite(share) else "."
+    answer = Answer.OPEN if not math.isfinite(share) else Answer.NO if share > HOLDS else Answer.YES
+    if answer is Answer.NO:
+        sentence += " That is too much: take a smaller step or a method of higher order."
+    return Claim("energy", "Energy is balanced", "", f"{off:.3g} J", answer, sentence)
+
+
+def mechanism_size(run: Run) -> float:
+    """Return the size of the mechanism at the start [m]."""
+    drawing = draw_spec(run.spec, tuple(run.bodies))
+    pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))
+    return float(np.max(np.ptp(drawing.world(pose)[0], axis=0), initial=0.0))

@@ -1,0 +1,138 @@
+"""The report of a study: the verdict on it, with its runs, those that failed, and how to get it again."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mbdkit.analysis.verdict import Cell, Column, Table, Verdict
+from mbdkit.analysis.verdicts import judge
+from mbdkit.analysis.verdicts.points import value
+from mbdkit.report.document import NO_FAILURES, Document
+from mbdkit.report.methods import methods
+from mbdkit.report.player import film_data
+from mbdkit.report.run_report import environment
+from mbdkit.report.run_verdict import HOLDS, mechanism_size
+from mbdkit.report.study_figures import study_figures
+from mbdkit.report.words import count
+from mbdkit.text import listed
+
+if TYPE_CHECKING:
+    from mbdkit.studies.study import Study, StudyPoint
+
+_FILMS = 6
+_NUMBERS = 40_000  # of poses in each film
+_COLUMNS = (
+    (Column("largest misalignment", "m"), "misalignment_max"),
+    (Column("energy balance", "J"), "energy_balance_max"),
+    (Column("error at the end", "m"), "end_error"),
+    (Column("right-side evaluations"), "rhs_evaluations"),
+    (Column("wall time", "s"), "wall_s"),
+)
+_OF_A_RUN = ("command", "assembly", "model", "integrator")
+"""Provenance that differs from run to run by its nature."""
+
+
+def study_document(study: Study) -> Document:
+    """Return the report of a study, complete or not.
+
+    Raises
+    ------
+    SpecError
+        The study names a verdict that there is none of.
+    """
+    states = Counter(point.status for point in study.points)
+    missing = states["missing"] + sum(point.status == "missing" for point in study.references)
+    return Document(
+        title=" ".join((study.spec.title or study.folder.resolve().name).split()),
+        settings=_settings(study, states),
+        alarm=f"{count(missing, 'run')} missing: `mbdkit study` computes them" if missing else "",
+        verdict=_verdict(study),
+        films=tuple(_films(study)),
+        failures=_failures(study),
+        methods=methods(_specs(study)),
+        environment=_environment(study),
+        reproduce="Save the spec below as study.yaml. Every run lies in the study's folder, with its own spec in it, "
+        "and `mbdkit rerun` repeats it.",
+        commands="mbdkit study study.yaml -o again\nmbdkit report again",
+        spec=(study.folder / "study.yaml").read_text(encoding="utf-8"),
+    )
+
+
+def _settings(study: Study, states: Mapping[str, int]) -> str:
+    parts = [count(len(study.points), "run")]
+    if len(study.families) > 1:
+        parts.append(count(len(study.families), "family", "families"))
+    return " \u00b7 ".join([*parts, *(f"{states[name]} {name}" for name in ("complete", "failed") if states[name])])
+
+
+def _verdict(study: Study) -> Verdict:
+    """Return the study's own verdict, with general figures where it brings none, and with the table of all runs."""
+    verdict = judge(study)
+    return replace(verdict, figures=verdict.figures or study_figures(study), tables=(*verdict.tables, _runs(study)))
+
+
+def _runs(study: Study) -> Table:
+    shown = [
+        (column, name) for column, name in _COLUMNS if any(not math.isnan(value(point, name)) for point in study.points)
+    ]
+    rows: list[tuple[Cell, ...]] = [
+        (point.number, point.family, point.label, point.status, *(_cell(point, name) for _, name in shown))
+        for point in study.points
+    ]
+    columns = (Column("run"), Column("family"), Column("axes"), Column("status"), *(column for column, _ in shown))
+    if len(study.families) == 1:
+        rows, columns = [(row[0], *row[2:]) for row in rows], (columns[0], *columns[2:])
+    return Table("runs", "All runs", columns, tuple(rows))
+
+
+def _cell(point: StudyPoint, name: str) -> Cell:
+    found = value(point, name)
+    if math.isnan(found):
+        return None
+    return int(found) if name == "rhs_evaluations" else found
+
+
+def _failures(study: Study) -> Table:
+    rows: list[tuple[Cell, ...]] = [
+        (point.number, ": ".join(filter(None, [point.family, point.label or "reference"])), point.reason)
+        for point in study.failures
+    ]
+    return replace(NO_FAILURES, columns=(Column("run"), Column("which"), Column("why")), rows=tuple(rows))
+
+
+def _films(study: Study) -> Iterable[dict[str, Any]]:
+    """Yield the film of one run of each family: of those whose joints hold, the one that comes apart the most."""
+    for name in list(study.families)[:_FILMS]:
+        ranked = [point for point in study.family(name) if value(point, "misalignment_max") >= 0 and point.path]
+        ranked.sort(key=lambda point: -value(point, "misalignment_max"))
+        for point in ranked:
+            run = study.run(point)
+            assert run is not None
+            with run:
+                if run.misalignment_max <= HOLDS * mechanism_size(run) or point is ranked[-1]:
+                    yield film_data(run, _NUMBERS, ": ".join(filter(None, [name, point.label])))
+                    break
+
+
+def _specs(study: Study) -> list[dict[str, Any]]:
+    return [json.loads(point.spec.canonical_json()) for point in (*study.points, *study.references)]
+
+
+def _environment(study: Study) -> Table:
+    """Return what the runs say of where they were made; where they differ, all of it."""
+    said: dict[str, dict[str, None]] = {}
+    for point in (*study.points, *study.references):
+        run = study.run(point)
+        if run is None:
+            continue
+        with run:
+            for name, found in run.provenance.items():
+                if not name.startswith(_OF_A_RUN):
+                    said.setdefault(name, {})[str(found)] = None
+    return environment({name: listed(found) for name, found in said.items()}, {"study": Path(study.folder).name})

@@ -1,0 +1,151 @@
+"use strict";
+(() => {
+const figures = JSON.parse(document.getElementById("figure-data").textContent);
+const dark = window.matchMedia("(prefers-color-scheme: dark)"), coarse = window.matchMedia("(pointer: coarse)");
+const MARGIN = { l: 62, r: 14, t: 8, b: 48 };
+// Margins that follow the labels, and labels that follow the scale, would chase each other.
+const EQUAL = { scaleanchor: "x", scaleratio: 1, automargin: false };
+// plotly.js reads texts as markup; names from specs are plain text.
+const plain = text => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
+
+function palette() {
+  const style = getComputedStyle(document.documentElement);
+  return name => style.getPropertyValue(`--${name}`).trim();
+}
+
+function traces(figure, color) {
+  // Paths that coincide are told apart by their width.
+  const width = number => figure.equal && figure.lines.length < 5 ? 1.6 + 1.3 * (figure.lines.length - 1 - number) : 1.8;
+  return figure.lines.map((line, number) => ({
+    type: "scatter", visible: !line.hidden, x: line.x, y: line.y, name: plain(line.label),
+    mode: { line: "lines", points: "markers", both: "lines+markers" }[line.x.length === 1 ? "points" : line.kind],
+    line: { color: color(`c${line.color}`), width: width(number), dash: line.dash },
+    marker: { color: color(`c${line.color}`), size: 7, symbol: line.symbol },
+    hovertemplate: `%{y:.4~g} ${plain(figure.y.unit)} at %{x:.5~g} ${plain(figure.x.unit)}<extra>%{fullData.name}</extra>`,
+  }));
+}
+
+function axis(one, color, more) {
+  return {
+    title: { text: plain(one.title), standoff: 10, font: { size: 13 } }, type: one.log ? "log" : "linear",
+    exponentformat: "power", minexponent: 4, automargin: true, gridcolor: color("grid"), linecolor: color("edge"),
+    zeroline: false, ticks: "outside", tickcolor: color("edge"), tickfont: { size: 12 }, nticks: 8, ...more,
+  };
+}
+
+function layout(figure, color) {
+  return {
+    paper_bgcolor: color("paper"), plot_bgcolor: color("paper"), margin: { ...MARGIN }, autosize: true,
+    font: { family: "system-ui, sans-serif", size: 13, color: color("ink") },
+    xaxis: axis(figure.x, color), yaxis: axis(figure.y, color, figure.equal ? EQUAL : {}),
+    showlegend: false, hovermode: "closest", dragmode: coarse.matches ? false : "zoom",
+    hoverlabel: { bgcolor: color("card"), bordercolor: color("edge"), font: { color: color("ink") } },
+    modebar: { bgcolor: "rgba(0,0,0,0)", color: color("faint"), activecolor: color("c0") },
+    shapes: figure.bands.map(band => ({
+      type: "rect", xref: "paper", x0: 0, x1: 1, y0: band.low, y1: band.high, layer: "below",
+      fillcolor: color("faint"), opacity: 0.18, line: { width: 0 },
+    })),
+    annotations: figure.bands.map(band => ({
+      text: plain(band.label), xref: "paper", x: 0.01, xanchor: "left", showarrow: false, yanchor: "top",
+      y: figure.y.log ? Math.log10(band.high) : band.high, font: { size: 11, color: color("faint") },
+    })),
+  };
+}
+
+const OPTIONS = {
+  responsive: true, displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d"],
+};
+
+function drawAll() {
+  const color = palette();
+  for (const chart of document.querySelectorAll(".chart")) {
+    const figure = figures[chart.dataset.figure], kept = chart.layout;
+    const wanted = layout(figure, color);
+    if (kept) for (const name of ["xaxis", "yaxis"]) {       // keep what the reader zoomed into
+      if (kept[name].autorange === false) { wanted[name].range = kept[name].range; wanted[name].autorange = false; }
+    }
+    Plotly.react(chart, traces(figure, color), wanted, { ...OPTIONS, toImageButtonOptions: { filename: figure.name, scale: 2 } });
+  }
+}
+
+// --- the key: a button for each curve, which hides and shows it ---
+const DASHES = { solid: "", dash: "6 4", dot: "2 3", dashdot: "6 3 2 3", longdash: "10 4" };
+const MARKS = {
+  circle: "M14 2.5a3.5 3.5 0 1 0 .01 0z", square: "M10.8 2.8h6.4v6.4h-6.4z", diamond: "M14 1.5l4.5 4.5-4.5 4.5-4.5-4.5z",
+  "triangle-up": "M14 1.8l4.4 7.4h-8.8z", cross: "M12.7 1.8h2.6v2.9h2.9v2.6h-2.9v2.9h-2.6v-2.9h-2.9v-2.6h2.9z",
+  x: "M10.6 4.4l1.8-1.8 1.6 1.6 1.6-1.6 1.8 1.8-1.6 1.6 1.6 1.6-1.8 1.8-1.6-1.6-1.6 1.6-1.8-1.8 1.6-1.6z",
+};
+
+function swatch(line) {
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  const add = (name, attributes) => {
+    const part = document.createElementNS(svg.namespaceURI, name);
+    for (const [key, value] of Object.entries(attributes)) part.setAttribute(key, value);
+    svg.append(part);
+  };
+  for (const [key, value] of Object.entries({ width: 28, height: 12, "aria-hidden": "true" })) svg.setAttribute(key, value);
+  const stroke = `var(--c${line.color})`;
+  if (line.kind !== "points") add("path", { d: "M0 6h28", style: `stroke:${stroke};stroke-width:2`, "stroke-dasharray": DASHES[line.dash] });
+  if (line.kind !== "line") add("path", { d: MARKS[line.symbol], style: `fill:${stroke}` });
+  return svg;
+}
+
+for (const chart of document.querySelectorAll(".chart")) {
+  const key = chart.parentElement.querySelector(".key");
+  if (key) figures[chart.dataset.figure].lines.forEach((line, number) => {
+    const item = document.createElement("li"), button = document.createElement("button");
+    button.type = "button";
+    button.setAttribute("aria-pressed", "true");
+    button.append(swatch(line), line.label);
+    button.addEventListener("click", () => {
+      line.hidden = !line.hidden;
+      button.setAttribute("aria-pressed", String(!line.hidden));
+      Plotly.restyle(chart, { visible: !line.hidden }, [number]);
+    });
+    item.append(button);
+    key.append(item);
+  });
+}
+
+// --- the keyboard does what the mouse does ---
+function ranges(chart, change) {
+  const update = {};
+  for (const name of ["xaxis", "yaxis"]) {
+    const [low, high] = chart._fullLayout[name].range, [from, to] = change(name, low, high);
+    update[`${name}.range`] = [from, to];
+    update[`${name}.autorange`] = false;
+  }
+  Plotly.relayout(chart, update);
+}
+
+function zoom(chart, factor) {
+  ranges(chart, (name, low, high) => {
+    const middle = (low + high) / 2, half = (high - low) / 2 * factor;
+    return [middle - half, middle + half];
+  });
+}
+
+function move(chart, dx, dy) {
+  ranges(chart, (name, low, high) => {
+    const shift = (high - low) * 0.15 * (name === "xaxis" ? dx : dy);
+    return [low + shift, high + shift];
+  });
+}
+
+const KEYS = {
+  "+": chart => zoom(chart, 0.7), "=": chart => zoom(chart, 0.7), "-": chart => zoom(chart, 1 / 0.7),
+  "0": chart => Plotly.relayout(chart, { "xaxis.autorange": true, "yaxis.autorange": true }),
+  ArrowLeft: chart => move(chart, -1, 0), ArrowRight: chart => move(chart, 1, 0),
+  ArrowDown: chart => move(chart, 0, -1), ArrowUp: chart => move(chart, 0, 1),
+};
+
+for (const chart of document.querySelectorAll(".chart")) chart.addEventListener("keydown", event => {
+  const action = KEYS[event.key];
+  if (!action || event.ctrlKey || event.metaKey || event.altKey) return;
+  action(chart);
+  event.preventDefault();
+});
+
+drawAll();
+dark.addEventListener("change", drawAll);
+})();

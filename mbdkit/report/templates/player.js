@@ -1,0 +1,138 @@
+"use strict";
+(() => {
+const films = JSON.parse(document.getElementById("films").textContent);
+const shortcuts = "shortcuts" in document.getElementById("player").dataset;
+const [canvas, scrub, play, back, next, choice, speed, whole, clock, magnify, gap, legend] =
+  ["stage", "scrub", "play", "back", "next", "film", "speed", "whole", "clock", "magnify", "gap", "legend"]
+    .map(id => document.getElementById(id));
+const stage = new Stage(canvas);
+const REST = 0.8;            // seconds for which the last frame stays before the film starts again
+const WIDEST = 0.12;         // of the picture: the largest gap at the slider's end
+const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
+let run, frames, start, end, time, frame = 0, playing = false, rested = 0, before = 0, pending = 0, visible = true;
+
+// --- numbers for people ---
+const power = value => value === 0 ? "0" : value >= 0.01 && value < 1000
+  ? String(Number(value.toPrecision(3))) : value.toExponential(1).replace("e+", "e");
+const magnification = () => 10 ** Number(magnify.value);
+
+function largestGap() {
+  let largest = 0;
+  for (let joint = 0; joint < run.gaps.joints.length; joint++) {
+    const size = Math.hypot(...stage.gap(frame, joint));
+    if (size > largest) largest = size;
+  }
+  return largest;
+}
+
+// --- one frame ---
+function draw() {
+  stage.draw(frame, whole.checked, magnification());
+  clock.textContent = `t = ${run.time[frame].toFixed(3)} s`;
+  scrub.value = frame;
+  scrub.setAttribute("aria-valuetext", `${run.time[frame].toFixed(3)} s of ${end.toFixed(3)} s`);
+  if (magnify.disabled) return;
+  const now = largestGap(), factor = magnification();
+  gap.textContent = factor === 1
+    ? `as they are: the largest gap is ${power(now)} m now, ${power(run.gaps.largest)} m at most`
+    : `${power(factor)} times: the largest gap, ${power(now)} m now, is drawn as ${power(now * factor)} m`;
+}
+
+function show(number) {
+  frame = Math.min(frames - 1, Math.max(0, number));
+  time = run.time[frame];
+  rested = 0;
+  draw();
+}
+
+function magnified() {
+  const factor = magnification();
+  magnify.setAttribute("aria-valuetext", factor === 1 ? "as they are" : `${power(factor)} times`);
+  draw();
+}
+
+// --- playback ---
+function tick(now) {
+  if (!playing || !visible) return;
+  const passed = Math.min(0.1, Math.max(0, (now - before) / 1000));   // the first stamp may lie before `before`
+  before = now;
+  time = Math.min(end, time + passed * Number(speed.value));
+  if (time >= end && (rested += passed) > REST) { time = start; rested = 0; }
+  frame = Math.round((time - start) / (end - start) * (frames - 1));
+  draw();
+  pending = requestAnimationFrame(tick);
+}
+
+function roll() {
+  cancelAnimationFrame(pending);
+  before = performance.now();
+  pending = requestAnimationFrame(tick);
+}
+
+function go(on) {
+  playing = on && frames > 1;
+  if (playing && frame === frames - 1) show(0);
+  play.textContent = playing ? "Pause" : "Play";
+  roll();
+}
+
+// --- a film ---
+function load(number) {
+  run = films[number];
+  frames = run.time.length;
+  start = run.time[0];
+  end = run.time[frames - 1];
+  stage.show(run);
+  canvas.setAttribute("aria-label", `The mechanism in motion${run.label ? `: ${run.label}` : ""}`);
+  const few = run.bodies.length <= 6;
+  legend.replaceChildren(...(few ? run.bodies : []).map((name, body) => {
+    const item = document.createElement("li"), swatch = document.createElement("span");
+    swatch.style.background = `var(--c${run.colors[body]})`;
+    item.append(swatch, name);
+    return item;
+  }));
+  legend.hidden = !few;
+  const chosen = speed.selectedIndex;
+  speed.replaceChildren(...[0.1, 0.25, 0.5, 1, 2, 4].map(factor => {
+    const value = factor * run.speed;
+    return new Option(value === 1 ? "real time" : `${Number(value.toPrecision(3))} \u00d7`, value);
+  }));
+  speed.selectedIndex = chosen < 0 ? 3 : chosen;
+  scrub.max = frames - 1;
+  for (const control of [scrub, play, back, next, speed]) control.disabled = frames < 2;
+  const most = run.gaps.largest > 0 ? Math.log10(WIDEST * stage.size / run.gaps.largest) : 0;
+  magnify.disabled = most <= 0;
+  magnify.max = Math.max(0, most);
+  if (magnify.disabled) {
+    gap.textContent = run.gaps.largest > 0 ? "The gaps are wide enough to be seen as they are." : "There is no gap to magnify.";
+  }
+  magnified();
+  show(Math.min(frame, frames - 1));
+}
+
+// --- controls ---
+play.addEventListener("click", () => go(!playing));
+back.addEventListener("click", () => { go(false); show(frame - 1); });
+next.addEventListener("click", () => { go(false); show(frame + 1); });
+scrub.addEventListener("input", () => { go(false); show(Number(scrub.value)); });
+whole.addEventListener("change", draw);
+magnify.addEventListener("input", magnified);
+if (choice) {
+  films.forEach((film, number) => choice.add(new Option(film.label, number)));
+  choice.addEventListener("change", () => load(Number(choice.value)));
+}
+if (shortcuts) document.addEventListener("keydown", event => {
+  if (event.target !== document.body || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key === " ") go(!playing);
+  else if (event.key === "ArrowLeft") { go(false); show(frame - 1); }
+  else if (event.key === "ArrowRight") { go(false); show(frame + 1); }
+  else return;
+  event.preventDefault();
+});
+window.addEventListener("resize", () => { stage.fit(); draw(); });
+window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { stage.tint(); draw(); });
+new IntersectionObserver(([entry]) => { visible = entry.isIntersecting; roll(); }).observe(canvas);
+
+load(0);
+if (!calm.matches) go(true);
+})();

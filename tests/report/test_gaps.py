@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.report.gaps import gaps
+from mbdkit.report.geometry import draw_spec
+from mbdkit.report.player import film_data
+
+ROUND_OFF = 1e-14  # m, of lengths of some metres
+
+
+@pytest.mark.parametrize("example", ["knee", "double-pendulum", "slider-crank", "watt-six-bar", "car-axis"])
+def test_the_length_of_a_gap_is_the_recorded_misalignment(example):
+    with mbdkit.run(example, integrator={"name": "rk4"}) as run:
+        drawing, poses = draw_spec(run.spec, tuple(run.bodies)), run.array("trajectory/position")
+        found = gaps(run.spec, drawing, poses)
+        assert found.joints
+        for column, name in enumerate(found.joints):
+            length = np.hypot(*found.vectors[:, column].T)
+            np.testing.assert_allclose(length, run.joints[name].misalignment, rtol=1e-9, atol=ROUND_OFF)
+
+
+def test_the_ends_of_a_gap_are_the_joints_points(make_run):
+    run = make_run(rods=3)
+    drawing, poses = draw_spec(run.spec, tuple(run.bodies)), run.array("trajectory/position")
+    found = gaps(run.spec, drawing, poses)
+    world = drawing.world(poses)
+    for (a, b), vector in zip(found.ends, np.moveaxis(found.vectors, 1, 0), strict=True):
+        np.testing.assert_allclose(world[:, b] - world[:, a], vector, rtol=0, atol=ROUND_OFF)
+
+
+def test_of_many_joints_those_that_come_apart_the_most_are_magnified(make_run):
+    def pull(data):
+        data["trajectory/position"][:, 50:, 0] += 1e-3
+
+    data = film_data(make_run(rods=80, rows=40, change=pull), numbers=10_000)
+    assert len(data["gaps"]["joints"]) == 40
+    assert "J51" in data["gaps"]["joints"]
+    assert data["gaps"]["largest"] == pytest.approx(1e-3, rel=1e-9)
+
+
+def test_a_model_that_is_not_installed_has_no_gaps(make_run):
+    data = film_data(make_run(model={"name": "acme:crane"}), numbers=10_000)
+    assert data["gaps"] == {"joints": [], "ends": [], "largest": 0.0, "vectors": []}

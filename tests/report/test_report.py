@@ -1,0 +1,206 @@
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.analysis.verdict import Answer
+from mbdkit.errors import SpecError
+from mbdkit.report.methods import methods
+from mbdkit.report.report import report
+from mbdkit.report.run_report import run_document, yaml_text
+from mbdkit.report.run_verdict import run_verdict
+from mbdkit.spec import example_names, load_spec
+from mbdkit.spec.yaml import read_yaml
+
+EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""
+
+
+class Elements(HTMLParser):
+    """What a page is made of: tags, ids, and every attribute that names an address."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.ids, self.links = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.ids += [value for name, value in attrs if name == "id"]
+        self.links += [value for name, value in attrs if name in ("src", "href", "action", "srcset")]
+
+
+def test_a_page_is_whole_and_names_no_address_outside_of_itself(make_run):
+    elements = Elements(run_document(make_run()).html())
+    assert [link for link in elements.links if not link.startswith(("#", "data:"))] == []
+    assert {link[1:] for link in elements.links if link.startswith("#")} <= set(elements.ids)
+    assert len(set(elements.ids)) == len(elements.ids)
+    assert {"link", "img", "iframe"} & set(elements.tags) <= {"link"}
+
+
+def test_a_page_says_what_the_browser_may_do():
+    with mbdkit.run("pendulum") as run:
+        text = run_document(run).html()
+    assert "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:" in text
+    assert len(text) < 4_000_000
+
+
+def test_hostile_text_adds_no_element(make_run):
+    tame, evil = (
+        run_document(
+            make_run(
+                title=text, bodies=[text, "b"], joints=[text, "J2"], model={"name": "acme:crane"},
+                status="failed", reason=f"singular: {text}",
+            )
+        ).html()
+        for text in ("tame", EVIL)
+    )  # fmt: skip
+    assert Elements(tame).tags == Elements(evil).tags
+
+
+def test_the_spec_of_a_report_is_the_spec_of_the_run():
+    for name in example_names():
+        spec = load_spec(name)
+        text = yaml_text(json.loads(spec.canonical_json()))
+        assert load_spec(read_yaml(text)[0]).canonical_json() == spec.canonical_json()
+
+
+def test_the_references_are_those_of_the_methods_used_and_of_no_others():
+    gauss = methods([load_spec("knee").model_dump(mode="json")])
+    keys = {re.match(r"@\w+\{([^,]+),", entry)[1] for entry in gauss.bibtex}
+    assert keys == {"mbdkit", "butcher1964", "group3exoskeleton", "winter2009", "gaitanalysistoolkit", "gait2d"}
+    assert any("order 6, symmetric and symplectic" in paragraph for paragraph in gauss.paragraphs)
+
+
+def test_several_specs_give_each_method_once():
+    specs = [
+        {"model": {"name": "double-pendulum"}, "integrator": {"name": "gauss", "stages": stages}}
+        for stages in (2, 3, 2)
+    ]
+    found = methods(specs)
+    (gauss,) = [paragraph for paragraph in found.paragraphs if "Gauss" in paragraph]
+    assert "Settings: stages 2 and 3." in gauss
+    assert sum("butcher1964" in entry for entry in found.bibtex) == 1
+
+
+def test_a_method_that_is_not_installed_is_named_as_missing():
+    found = methods([{"model": {"name": "acme:crane"}, "integrator": {"name": "rk4"}}])
+    assert any("acme:crane is not installed here" in paragraph for paragraph in found.paragraphs)
+
+
+def test_the_verdict_names_the_worst_joint_and_the_size_of_its_gap(make_run):
+    def pull(data):
+        data["joints/misalignment"][:, 1] = 2.5e-6 * data["time"] / data["time"][-1]
+
+    verdict = run_verdict(make_run(change=pull))
+    assert "The worst joint, J2, comes apart by 2.5 \u00b5m at most" in verdict.sentence
+    assert "it grows in proportion to time" in verdict.sentence
+    assert [claim.answer for claim in verdict.claims] == [Answer.YES] * 3
+
+
+@pytest.mark.parametrize(
+    ("path", "values", "name", "words"),
+    [
+        ("joints/misalignment", 0.05, "misalignment", "too much to trust the forces"),
+        ("joints/misalignment", np.inf, "misalignment", "came apart without bounds"),
+        ("energy/balance", 0.2, "energy", "That is too much"),
+        ("energy/balance", np.nan, "energy", "grew without bounds"),
+    ],
+)
+def test_what_cannot_be_trusted_is_called_so(make_run, path, values, name, words):
+    def spoil(data):
+        data[path][-1] = values
+
+    verdict = run_verdict(make_run(change=spoil))
+    assert verdict.claim(name).answer is Answer.NO
+    assert words in verdict.sentence
+
+
+def test_a_run_that_failed_says_when_and_why(make_run):
+    verdict = run_verdict(make_run(status="failed", reason="singular: the mechanism is at a dead centre"))
+    assert verdict.claims[0].answer is Answer.NO
+    assert "failed at t = 3 s" in verdict.sentence
+    assert "singular: the mechanism is at a dead centre." in verdict.sentence
+
+
+def test_what_was_not_recorded_is_left_out(make_run):
+    document = run_document(make_run(quantities=frozenset()))
+    assert [figure.name for figure in document.verdict.figures] == ["trajectory"]
+    assert document.html()
+
+
+@pytest.mark.parametrize("rods", [1, 60])
+def test_mechanisms_small_and_large_can_be_reported(make_run, rods):
+    document = run_document(make_run(rods=rods))
+    assert len(document.verdict.table("joints").rows) == min(rods, 50)
+    assert all(len(figure.lines) <= 6 for figure in document.verdict.figures)
+    assert len(document.html()) < 4_000_000
+
+
+def test_a_run_that_flew_apart_can_be_reported(make_run):
+    def spoil(data):
+        for values in data.values():
+            if values is not data["time"]:
+                values[-3:] = np.array([1e300, np.inf, np.nan]).reshape(3, *[1] * (values.ndim - 1))
+
+    text = run_document(make_run(change=spoil, status="failed", reason="not-finite: the state is not finite")).html()
+    assert "NaN" not in text.split('id="figure-data">')[1].split("</script>")[0]
+
+
+def test_a_run_without_rows_is_refused(make_run):
+    with pytest.raises(SpecError, match="no rows"):
+        run_document(make_run(rows=0, status="interrupted"))
+
+
+@pytest.fixture
+def archive(tmp_path):
+    path = tmp_path / "swing.h5"
+    mbdkit.run("pendulum", archive=path).close()
+    return path
+
+
+def test_the_page_goes_beside_the_archive_and_the_figures_where_they_are_wanted(archive):
+    target = report(archive, figures=archive.parent / "pictures")
+    assert target == archive.with_name("swing-report.html")
+    names = {path.name for path in (archive.parent / "pictures").iterdir()}
+    assert {"misalignment.png", "misalignment.svg", "energy.png", "trajectory.svg"} <= names
+    assert len(names) % 2 == 0
+
+
+def test_the_command_writes_a_page_and_replaces_it_only_when_told(archive, mbdkit_command):
+    assert mbdkit_command("report", str(archive)).stdout == f"{archive.with_name('swing-report.html')}\n"
+    again = mbdkit_command("report", str(archive))
+    assert (again.exit_code, again.stdout) == (2, "")
+    assert "this file exists; choose another name with -o, or replace it with --overwrite" in again.stderr
+    assert mbdkit_command("report", str(archive), "--overwrite", "--quiet").stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["missing.h5"], "missing.h5: there is no run archive or study folder of this name"),
+        (["text.h5"], "text.h5: this is not an HDF5 file"),
+        (["cut.h5"], "cut.h5: this archive is truncated"),
+        (["swing.h5", "-o", "page.pdf"], "its name must end in .html or .htm"),
+        (["swing.h5", "-o", "nowhere/page.html"], "nowhere does not exist; create it first"),
+        (["swing.h5", "-o", "folder.html"], "this is a folder; name a file"),
+        (["swing.h5", "--figures", "text.h5"], "this is not a folder"),
+        (["swing.h5", "--figures", "."], "this folder is not empty"),
+        (["swing.h5", "--figures", "a/b"], "a/b: the folder a does not exist; create it first"),
+    ],
+)
+def test_wrong_input_is_a_sentence_and_leaves_nothing(archive, arguments, words, mbdkit_command, monkeypatch):
+    monkeypatch.chdir(archive.parent)
+    archive.with_name("text.h5").write_text("no archive")
+    archive.with_name("cut.h5").write_bytes(archive.read_bytes()[:-1000])
+    archive.with_name("folder.html").mkdir()
+    before = sorted(archive.parent.iterdir())
+    result = mbdkit_command("report", *arguments)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert words in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert sorted(archive.parent.iterdir()) == before

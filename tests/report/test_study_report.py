@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from mbdkit.report.document import cell_text
+from mbdkit.report.report import report
+from mbdkit.report.study_report import study_document
+from mbdkit.studies.execute import Shard
+from mbdkit.studies.study import load_study
+from mbdkit.studies.study import study as run_study
+from tests.report.conftest import STUDY
+
+
+@pytest.fixture
+def document(study_folder):
+    return study_document(load_study(study_folder))
+
+
+def test_every_run_is_in_the_table_and_every_failure_has_its_reason(document):
+    rows = document.verdict.table("runs").rows
+    assert [row[0] for row in rows] == [1, 2, 3, 4, 5, 6]
+    assert [row[2] for row in rows].count("failed") == 2
+    assert {row[0] for row in document.failures.rows} == {3, 6}
+    assert all("max-steps" in row[2] for row in document.failures.rows)
+    assert document.settings == "6 runs \u00b7 4 complete \u00b7 2 failed"
+
+
+def test_a_study_without_figures_of_its_own_gets_misalignment_error_and_cost_over_its_axes(document, study_folder):
+    names = [figure.name for figure in document.verdict.figures]
+    assert names == [
+        "misalignment-over-time-step", "misalignment-over-cost", "error-over-time-step", "error-over-cost",
+        "cost-over-time-step",
+    ]  # fmt: skip
+    figure = document.verdict.figure("misalignment-over-time-step")
+    assert [line.label for line in figure.lines] == ["RK4", "Gauss 2"]
+    with load_study(study_folder).run(load_study(study_folder).points[1]) as run:
+        assert figure.lines[0].x.tolist() == [0.05, 0.1, 0.2]
+        assert figure.lines[0].y[1] == run.misalignment_max
+    assert np.isnan(figure.lines[0].y[0])  # that run failed
+
+
+def test_methods_name_both_integrators_and_the_reference_with_its_stages(document):
+    text = " ".join(document.methods.paragraphs)
+    assert "Integrator rk4" in text
+    assert "stages 2 and 3" in text
+    assert [entry.split("{")[1].split(",")[0] for entry in document.methods.bibtex] == [
+        "mbdkit",
+        "kutta1901",
+        "butcher1964",
+    ]
+
+
+def test_the_film_is_of_the_run_that_comes_apart_the_most_and_still_holds(document):
+    (film,) = document.films
+    size = 2 * 20.0 * np.cos(0.698)  # m: two rods of 20 m, let go 40 degrees below the horizontal
+    holding = [row for row in document.verdict.table("runs").rows if row[3] is not None and row[3] <= 1e-3 * size]
+    assert film["label"] == max(holding, key=lambda row: row[3])[1]
+
+
+def test_runs_that_are_missing_are_said_on_top(tmp_path):
+    folder = tmp_path / "half"
+    document = study_document(run_study(STUDY, out=folder, shard=Shard.parse("1/2"), notify=lambda text: None))
+    assert document.alarm.endswith("missing: `mbdkit study` computes them")
+    assert document.html()
+
+
+def test_the_page_and_the_figures_go_into_the_folder_once(study_folder, tmp_path, mbdkit_command):
+    folder = tmp_path / "copy"
+    shutil.copytree(study_folder, folder)
+    assert mbdkit_command("report", str(folder)).stdout == f"{folder / 'report.html'}\n"
+    assert {path.suffix for path in (folder / "figures").iterdir()} == {".png", ".svg"}
+    assert len(list((folder / "figures").iterdir())) == 10
+    again = mbdkit_command("report", str(folder))
+    assert again.exit_code == 2
+    assert "this file exists" in again.stderr
+    assert mbdkit_command("report", str(folder), "--overwrite").exit_code == 0
+
+
+def test_with_a_name_of_its_own_the_page_leaves_the_folder_alone(study_folder, tmp_path):
+    before = sorted(study_folder.iterdir())
+    assert report(study_folder, tmp_path / "page.html").exists()
+    assert sorted(study_folder.iterdir()) == before
+
+
+def test_a_study_writes_its_report_when_asked(study_folder, tmp_path, mbdkit_command):
+    folder = tmp_path / "copy"
+    shutil.copytree(study_folder, folder)
+    for _ in range(2):  # anew each time
+        result = mbdkit_command("study", str(folder / "study.yaml"), "-o", str(folder), "--report")
+        assert result.exit_code == 0, result.stderr
+        assert f"report     {folder / 'report.html'}" in result.stdout
+    assert (folder / "report.html").stat().st_size < 4_000_000
+
+
+def test_a_folder_that_is_no_study_is_refused_in_a_sentence(tmp_path, mbdkit_command):
+    result = mbdkit_command("report", str(tmp_path))
+    assert result.exit_code == 2
+    assert "there is no study here: no study.yaml" in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_numbers_in_tables_read_well():
+    assert [cell_text(value) for value in (10_370.0, 12_000, 1.2e-5, 0.0, float("nan"), None, True, "x")] == [
+        "10,370", "12,000", "1.2e-05", "0", "-", "", "yes", "x",
+    ]  # fmt: skip
