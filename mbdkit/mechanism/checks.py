@@ -2,14 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping
+import math
+from collections.abc import Callable, Container, Iterable, Mapping
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import GROUND, Assembly, Body, Driver, Force, Joint, PointForce, Table, Torque
+from mbdkit.mechanism.elements import (
+    GROUND,
+    Assembly,
+    Body,
+    Driver,
+    Force,
+    Joint,
+    PointForce,
+    Revolute,
+    SpringDamper,
+    Table,
+    Torque,
+    Weld,
+)
 from mbdkit.text import did_you_mean
 
 ROUNDING = 1e-9
 """By how much of its length a run may leave a table: what adding up steps makes of its end."""
+
+COINCIDENT = 1e-12
+"""Distance of two points [m], or share of their coordinates, below which it is round-off."""
 
 
 def check_mechanism(
@@ -24,8 +41,14 @@ def check_mechanism(
     points = {name for name, body in bodies.items() if body.inertia is None}
     for name, joint in joints.items():
         _check_element(f"model.joints.{name}", joint, bodies, points)
+    pins = {_ends(joint): name for name, joint in joints.items() if isinstance(joint, Revolute | Weld)}
     for name, force in forces.items():
         _check_element(f"model.forces.{name}", force, bodies, points)
+        if isinstance(force, SpringDamper) and (pin := pins.get(_ends(force))) is not None:
+            raise SpecError(
+                f"joint '{pin}' holds these two points together, so that a spring between them can do nothing",
+                key=f"model.forces.{name}.points",
+            )
     for index, name in enumerate(assembly.fix):
         check_known(name, bodies, f"model.assembly.fix[{index}]")
 
@@ -53,6 +76,31 @@ def check_tables(joints: Mapping[str, Joint], forces: Mapping[str, Force], start
             )
 
 
+def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) -> None:
+    """Raise a SpecError for the first spring whose two ends are in one place, where it has no direction to push in.
+
+    Parameters
+    ----------
+    forces
+        The force elements by name.
+    placed
+        Returns the body of a name where the assembled start has it.
+    """
+    for name, force in forces.items():
+        if not isinstance(force, SpringDamper) or force.stiffness * force.free_length == 0:
+            continue
+        a, b = (
+            point if body == GROUND else placed(body).to_global(point)
+            for body, point in zip(force.bodies, force.points, strict=True)
+        )
+        if math.dist(a, b) <= COINCIDENT * max(1.0, *map(abs, (*a, *b))):
+            raise SpecError(
+                f"the two ends are in one place at the start, ({a[0]:.6g}, {a[1]:.6g}), so that the spring has no "
+                "direction to push in; move a point apart, or give it the free_length 0",
+                key=f"model.forces.{name}.points",
+            )
+
+
 def check_name(name: object, key: str) -> None:
     """Raise a SpecError unless `name` can name a body, a joint or a force in spec and archive."""
     if not isinstance(name, str):
@@ -72,6 +120,10 @@ def check_known(name: object, bodies: Iterable[str], key: str) -> None:
         raise SpecError(f"a body's name is wanted; got {name!r}", key=key)
     if name != GROUND and name not in bodies:
         raise SpecError(f"there is no body '{name}'{did_you_mean(name, [GROUND, *bodies])}", key=key)
+
+
+def _ends(element: Revolute | Weld | SpringDamper) -> frozenset[tuple[str, tuple[float, float]]]:
+    return frozenset(zip(element.bodies, element.points, strict=True))
 
 
 def _check_element(key: str, element: Joint | Force, bodies: Iterable[str], point_masses: Container[str]) -> None:
