@@ -20,7 +20,7 @@ from mbdkit.mechanism.elements import (
     Torque,
     Weld,
 )
-from mbdkit.text import did_you_mean
+from mbdkit.text import did_you_mean, listed
 
 ROUNDING = 1e-9
 """By how much of its length a run may leave a table: what adding up steps makes of its end."""
@@ -119,7 +119,9 @@ def check_known(name: object, bodies: Iterable[str], key: str) -> None:
     if not isinstance(name, str):
         raise SpecError(f"a body's name is wanted; got {name!r}", key=key)
     if name != GROUND and name not in bodies:
-        raise SpecError(f"there is no body '{name}'{did_you_mean(name, [GROUND, *bodies])}", key=key)
+        known = [GROUND, *bodies]
+        hint = did_you_mean(name, known) or f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}"
+        raise SpecError(f"there is no body '{name}'{hint}", key=key)
 
 
 def _ends(element: Revolute | Weld | SpringDamper) -> frozenset[tuple[str, tuple[float, float]]]:

@@ -157,7 +157,7 @@ WRONG = {
         joint("type: revolute, bodies: [A, rod], points: [[0, 0], [0, 0]]"),
         12,
         "model.joints.C.bodies[0]",
-        "there is no body 'A'",
+        "there is no body 'A'; there are ground, crank, rod",
     ),
     "joint without points": (
         joint("type: revolute, bodies: [ground, rod]"),
@@ -215,7 +215,7 @@ WRONG = {
         "model.forces.m.value",
         "__import__",
     ),
-    "an expression of x": (free("0.1*cos(t)", "0.1*cos(x)"), 13, "model.forces.m.value", "'x'"),
+    "an expression of x": (free("0.1*cos(t)", "0.1*cos(x)"), 13, "model.forces.m.value", "'x'; known are t, pi"),
     "a key of forces": (
         free("body: crank, value", "bdoy: crank, value"),
         13,
