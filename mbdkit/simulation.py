@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import platform
 import shlex
@@ -20,18 +21,22 @@ from typing import Any
 import numpy as np
 
 from mbdkit.archive.reader import load
+from mbdkit.archive.room import check_room, row_bytes
 from mbdkit.archive.run import Run
 from mbdkit.archive.target import check_target
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine.analysis import SingularSystemError
 from mbdkit.engine.assembly import AssembledState, assemble
-from mbdkit.engine.compiled import compile_mechanism
+from mbdkit.engine.compiled import CompiledMechanism, compile_mechanism
 from mbdkit.engine.problem import Problem
 from mbdkit.engine.redundancy import require_unique_start, without_redundancy
 from mbdkit.engine.warm import ensure_compiled, to_stderr
 from mbdkit.errors import MbdkitError, PluginError, SpecError
 from mbdkit.integrators.methods import Method
 from mbdkit.integrators.stepping import Counters, Failure, Stepper, Stretch, Timetable
+from mbdkit.mechanism.checks import check_springs
+from mbdkit.mechanism.elements import Body
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.recorder import Recorder, archive_names, shared_forces
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.text import one_line
@@ -97,6 +102,7 @@ def simulate(
         check_target(path, overwrite=overwrite)
     method = _method(spec)
     problem, start = build(spec, notify)
+    _check_room(spec, problem.mechanism, path)
     writer = ArchiveWriter(
         path,
         archive_names(problem.mechanism),
@@ -142,12 +148,34 @@ def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Pro
     try:
         compiled = compile_mechanism(mechanism)
         start = assemble(mechanism, spec.time.start, compiled)
+        check_springs(mechanism.forces, _placed(mechanism, start))
         compiled = without_redundancy(compiled, spec.time.start, start.q.ravel(), start.v.ravel(), spec.time.final)
         problem = Problem(compiled, spec.time.start, _padded(start.q), _padded(start.v))
         require_unique_start(problem)
     except SpecError as error:
         raise spec.placed(error) from error
     return problem, start
+
+
+def _check_room(spec: RunSpec, mechanism: CompiledMechanism, path: Path | None) -> None:
+    """Raise SpecError where the archive will not fit.
+
+    How many rows come cannot be foretold where an adaptive method records its steps, or the clock may end the run.
+    """
+    time, output = spec.time, spec.output
+    if spec.limits.wall_time is not None:
+        return
+    if output.interval is not None:
+        rows = math.ceil((time.final - time.start) / output.interval) + 1
+    elif time.count is not None and not spec.claims.adaptive:
+        rows = math.ceil(min(time.count, spec.limits.max_steps) / (output.every or 1)) + 1
+    else:
+        return
+    row = row_bytes(len(mechanism.bodies), len(mechanism.joints), len(mechanism.rows), output.recorded)
+    try:
+        check_room(path, rows, row, output.every)
+    except SpecError as error:
+        raise spec.placed(error) from None
 
 
 def _method(spec: RunSpec) -> Method:
@@ -264,6 +292,17 @@ class _Simulation:
             return Run(file)
         assert self.writer.path is not None
         return load(self.writer.path)
+
+
+def _placed(mechanism: Mechanism, start: AssembledState) -> Callable[[str], Body]:
+    """Return what tells a body by its name where assembly put it."""
+    poses = dict(zip(mechanism.bodies, start.q, strict=True))
+
+    def body(name: str) -> Body:
+        x, y, angle = map(float, poses[name])
+        return mechanism.bodies[name].model_copy(update={"position": (x, y), "angle": angle})
+
+    return body
 
 
 def _padded(x: np.ndarray) -> np.ndarray:

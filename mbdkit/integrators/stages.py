@@ -61,7 +61,10 @@ def stage_mean(x, out):
 
 @part
 def relative_change(acc, change, bodies):
-    """Return the largest change of an acceleration relative to the largest one, linear and angular apart."""
+    """Return the largest change of an acceleration relative to the largest one, linear and angular apart.
+
+    It is 1 at most: where forces cancel, a change may well take back all that there was of an acceleration.
+    """
     size_t = size_r = change_t = change_r = 0.0
     for i in range(len(acc)):
         for b in range(bodies):
@@ -73,8 +76,8 @@ def relative_change(acc, change, bodies):
                 return np.inf
             change_t = max(change_t, now_t)
             change_r = max(change_r, now_r)
-    relative_t = change_t / size_t if change_t > 0.0 else 0.0
-    relative_r = change_r / size_r if change_r > 0.0 else 0.0
+    relative_t = change_t / max(size_t, change_t) if change_t > 0.0 else 0.0
+    relative_r = change_r / max(size_r, change_r) if change_r > 0.0 else 0.0
     return max(relative_t, relative_r)
 
 

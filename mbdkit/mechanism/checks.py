@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping
+import math
+from collections.abc import Callable, Container, Iterable, Mapping
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.data import Assembly, Force, Joint
-from mbdkit.mechanism.elements import GROUND, Body, Driver, PointForce, Table, Torque
-from mbdkit.mechanism.law_element import Law
-from mbdkit.text import did_you_mean
+from mbdkit.mechanism.elements import GROUND, Body, Driver, PointForce, Revolute, SpringDamper, Table, Torque, Weld
+from mbdkit.mechanism.law_element import Law, TwoPoints
+from mbdkit.text import did_you_mean, listed
 
 ROUNDING = 1e-9
 """By how much of its length a run may leave a table: what adding up steps makes of its end."""
+
+COINCIDENT = 1e-12
+"""Distance of two points [m], or share of their coordinates, below which it is round-off."""
 
 
 def check_mechanism(
@@ -26,8 +30,14 @@ def check_mechanism(
     points = {name for name, body in bodies.items() if body.inertia is None}
     for name, joint in joints.items():
         _check_element(f"model.joints.{name}", joint, bodies, points)
+    pins = {_ends(joint): name for name, joint in joints.items() if isinstance(joint, Revolute | Weld)}
     for name, force in forces.items():
         _check_element(f"model.forces.{name}", force, bodies, points)
+        if (line := _line(force)) is not None and (pin := pins.get(_ends(line))) is not None:
+            raise SpecError(
+                f"joint '{pin}' holds these two points together, so that a spring between them can do nothing",
+                key=f"model.forces.{name}{_POINTS[type(line)]}",
+            )
     for index, name in enumerate(assembly.fix):
         check_known(name, bodies, f"model.assembly.fix[{index}]")
 
@@ -55,6 +65,32 @@ def check_tables(joints: Mapping[str, Joint], forces: Mapping[str, Force], start
             )
 
 
+def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) -> None:
+    """Raise a SpecError for the first spring whose two ends are in one place, where it has no direction to push in.
+
+    Parameters
+    ----------
+    forces
+        The force elements by name.
+    placed
+        Returns the body of a name where the assembled start has it.
+    """
+    for name, force in forces.items():
+        line = _line(force)
+        if line is None or (isinstance(force, SpringDamper) and force.stiffness * force.free_length == 0):
+            continue
+        a, b = (
+            point if body == GROUND else placed(body).to_global(point)
+            for body, point in zip(line.bodies, line.points, strict=True)
+        )
+        if math.dist(a, b) <= COINCIDENT * max(1.0, *map(abs, (*a, *b))):
+            raise SpecError(
+                f"the two ends are in one place at the start, ({a[0]:.6g}, {a[1]:.6g}), so that the spring has no "
+                "direction to push in; move a point apart, or take a spring-damper with the free_length 0",
+                key=f"model.forces.{name}{_POINTS[type(line)]}",
+            )
+
+
 def check_name(name: object, key: str) -> None:
     """Raise a SpecError unless `name` can name a body, a joint or a force in spec and archive."""
     if not isinstance(name, str):
@@ -73,7 +109,23 @@ def check_known(name: object, bodies: Iterable[str], key: str) -> None:
     if not isinstance(name, str):
         raise SpecError(f"a body's name is wanted; got {name!r}", key=key)
     if name != GROUND and name not in bodies:
-        raise SpecError(f"there is no body '{name}'{did_you_mean(name, [GROUND, *bodies])}", key=key)
+        known = [GROUND, *bodies]
+        hint = did_you_mean(name, known) or f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}"
+        raise SpecError(f"there is no body '{name}'{hint}", key=key)
+
+
+_POINTS: dict[type, str] = {SpringDamper: ".points", TwoPoints: ".pathway.points"}
+
+
+def _line(force: Force) -> SpringDamper | TwoPoints | None:
+    """Return the line between two points that a force element acts along, if it does."""
+    if isinstance(force, SpringDamper):
+        return force
+    return force.pathway if isinstance(force, Law) and isinstance(force.pathway, TwoPoints) else None
+
+
+def _ends(element: Revolute | Weld | SpringDamper | TwoPoints) -> frozenset[tuple[str, tuple[float, float]]]:
+    return frozenset(zip(element.bodies, element.points, strict=True))
 
 
 def _described(element: Joint | Force) -> str:

@@ -24,7 +24,7 @@ Attachment = tuple[str, str, tuple[float, float]]
 
 def _shown(value: Any) -> str:
     """Return what was given, as an error message shows it: not longer than a line."""
-    text = repr(value)
+    text = "nothing" if value is None else repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
@@ -42,6 +42,13 @@ def pair(wanted: str) -> Callable[[Any], Any]:
         return plain
 
     return check
+
+
+def _length(value: Any) -> Any:
+    """Let everything pass but a length of zero, which has a better name."""
+    if not isinstance(value, bool) and value == 0:
+        raise SpecError("two points at a distance of 0 have no direction between them: use a revolute joint")
+    return value
 
 
 def sequence(value: Any) -> Any:
@@ -223,7 +230,7 @@ class Distance(BetweenPoints):
     """A massless link: ``|p_b - p_a| - length = 0``."""
 
     type: Literal["distance"] = "distance"
-    length: Positive
+    length: Annotated[Positive, BeforeValidator(_length)]
     """Distance of the two points [m]; a length of zero is a revolute joint."""
     rows: ClassVar[tuple[str, ...]] = ("length",)
     units: ClassVar[tuple[str, ...]] = ("m",)

@@ -190,7 +190,9 @@ class _Compiler:
                 self.refuse(f"'{name}' is a function and needs its argument in parentheses", node)
             case ast.Name():
                 name = self.segment(node)
-                hint = TIME.get(name) or did_you_mean(name, ["t", "pi", *FUNCTIONS])
+                hint = (
+                    TIME.get(name) or did_you_mean(name, ["t", "pi", *FUNCTIONS]) or "; known are t, pi and functions"
+                )
                 self.refuse(f"unknown name '{name}'{hint}", node)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.compile(operand, nesting + 1)

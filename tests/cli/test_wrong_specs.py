@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+import mbdkit
+from mbdkit.errors import SpecError
+
 SMALL = """\
 mbdkit: 1
 model:
@@ -48,6 +51,14 @@ def free(old: str, new: str) -> str:
 def slide(rest: str) -> str:
     joint = f"    P: {{type: prismatic, bodies: [crank, rod], points: [[0, 0], [0, 0]], {rest}}}\n"
     return free("  forces:", joint + "  forces:")
+
+
+def joint(rest: str) -> str:
+    return free("  forces:", f"    C: {{{rest}}}\n  forces:")
+
+
+def spring(rest: str) -> str:
+    return free("  forces:\n", f"  forces:\n    s: {{type: spring-damper, {rest}}}\n")
 
 
 def table(columns: str) -> str:
@@ -112,6 +123,84 @@ WRONG = {
         "'crank'",
     ),
     "joint of one body": (free("[crank, rod]", "[crank, crank]"), 11, "model.joints.B.bodies[1]", "differ"),
+    "joint of the ground with itself": (
+        joint("type: weld, bodies: [ground, ground], points: [[0, 0], [0, 0]]"),
+        12,
+        "model.joints.C.bodies[1]",
+        "differ",
+    ),
+    "driver of a body against itself": (
+        joint("type: driver, bodies: [rod, rod], coordinate: angle, motion: 1"),
+        12,
+        "model.joints.C.bodies[1]",
+        "differ",
+    ),
+    "joint with a loose end": (
+        joint("type: revolute, bodies: [rod], points: [[0, 0], [0, 0]]"),
+        12,
+        "model.joints.C.bodies",
+        "should be two body names [first, second], not 1 item",
+    ),
+    "joint without bodies": (
+        joint("type: revolute, points: [[0, 0], [0, 0]]"),
+        12,
+        "model.joints.C.bodies",
+        "is missing: names of the two bodies",
+    ),
+    "joint of three bodies": (
+        joint("type: revolute, bodies: [ground, crank, rod], points: [[0, 0], [0, 0]]"),
+        12,
+        "model.joints.C.bodies",
+        "not 3 items",
+    ),
+    "joint on a joint": (
+        joint("type: revolute, bodies: [A, rod], points: [[0, 0], [0, 0]]"),
+        12,
+        "model.joints.C.bodies[0]",
+        "there is no body 'A'; there are ground, crank, rod",
+    ),
+    "joint without points": (
+        joint("type: revolute, bodies: [ground, rod]"),
+        12,
+        "model.joints.C.points",
+        "is missing: one point in each body's own frame",
+    ),
+    "distance of zero": (
+        joint("type: distance, bodies: [ground, rod], points: [[0, 0], [0, 0]], length: 0"),
+        12,
+        "model.joints.C.length",
+        "use a revolute joint",
+    ),
+    "negative distance": (
+        joint("type: distance, bodies: [ground, rod], points: [[0, 0], [0, 0]], length: -1"),
+        12,
+        "model.joints.C.length",
+        "should be greater than 0, not -1",
+    ),
+    "distance without length": (
+        joint("type: distance, bodies: [ground, rod], points: [[0, 0], [0, 0]]"),
+        12,
+        "model.joints.C.length",
+        "is missing",
+    ),
+    "spring of one body": (
+        spring("bodies: [rod, rod], points: [[0, 0], [0, 0.5]], stiffness: 1"),
+        13,
+        "model.forces.s.bodies[1]",
+        "differ",
+    ),
+    "spring between pinned points": (
+        spring("bodies: [rod, crank], points: [[-0.5, 0], [0.5, 0]], stiffness: 1"),
+        13,
+        "model.forces.s.points",
+        "joint 'B' holds these two points together",
+    ),
+    "spring without direction": (
+        spring("bodies: [ground, rod], points: [[1.5, 0], [0, 0]], stiffness: 1, free_length: 0.3"),
+        13,
+        "model.forces.s.points",
+        "in one place at the start, (1.5, 0)",
+    ),
     "body without mass": (free("rod: {mass: 1, ", "rod: {"), 8, "model.bodies.rod.mass", "is missing"),
     "a body called ground": (free("rod: {mass", "ground: {mass"), 8, "model.bodies.ground", "ground"),
     "a point of three": (
@@ -126,7 +215,7 @@ WRONG = {
         "model.forces.m.value",
         "__import__",
     ),
-    "an expression of x": (free("0.1*cos(t)", "0.1*cos(x)"), 13, "model.forces.m.value", "'x'"),
+    "an expression of x": (free("0.1*cos(t)", "0.1*cos(x)"), 13, "model.forces.m.value", "'x'; known are t, pi"),
     "a key of forces": (
         free("body: crank, value", "bdoy: crank, value"),
         13,
@@ -135,6 +224,8 @@ WRONG = {
     ),
     "a slide along nothing": (slide("axis: [0, 0]"), 12, "model.joints.P.axis", "has no direction"),
     "a slide without axis": (slide("angle: 0"), 12, "model.joints.P.axis", "is missing"),
+    "a slide along a word": (slide("axis: x"), 12, "model.joints.P.axis", "should be two numbers [x, y], not 'x'"),
+    "a slide along an empty axis": (slide("axis: "), 12, "model.joints.P.axis", "two numbers [x, y], not nothing"),
     "a slide of a point mass": (
         slide("axis: [1, 0]")
         .replace("rod: {mass: 1, inertia: 0.1,", "rod: {mass: 1,")
@@ -144,6 +235,13 @@ WRONG = {
         "has no angle for a prismatic",
     ),
     "a table that goes back": (table("[[0, 2, 1], [0, 1, 2]]"), 13, "model.forces.m.value.table[0][2]", "increase"),
+    "a table that stands still": (table("[[0, 1, 1], [0, 1, 2]]"), 13, "model.forces.m.value.table[0][2]", "increase"),
+    "a driver's table that goes back": (
+        joint("type: driver, bodies: [ground, rod], coordinate: angle, motion: {table: [[0, 2, 1], [0, 1, 2]]}"),
+        12,
+        "model.joints.C.motion.table[0][2]",
+        "times must increase: 1.0 comes after 2.0",
+    ),
     "a table with a hole": (table("[[0, 1], [0, .nan]]"), 13, "model.forces.m.value.table[1][1]", "finite"),
     "a table of one point": (table("[[0], [0]]"), 13, "model.forces.m.value.table", "two points or more"),
     "a table with a value too few": (table("[[0, 1], [0]]"), 13, "model.forces.m.value.table", "as many values"),
@@ -153,6 +251,18 @@ WRONG = {
         13,
         "model.forces.m.value.table[0]",
         "the table covers 0.0 s to 0.5 s, but the run goes from 0.0 s to 1.0 s",
+    ),
+    "more rods than memory": (
+        small("double-pendulum\n  masses: [1.0, 1.0]", "n-pendulum\n  n: 1000000000"),
+        4,
+        "model.n",
+        "1,000,000,000 rods need about 9,313 GiB of memory, but only ",
+    ),
+    "no rods": (
+        small("double-pendulum\n  masses: [1.0, 1.0]", "n-pendulum\n  n: 0"),
+        4,
+        "model.n",
+        "should be at least 1, not 0",
     ),
     "a number as a name": (free("rod: {mass", "5: {masss"), 8, "model.bodies.5.masss", "did you mean 'mass'?"),
 }
@@ -191,6 +301,47 @@ def test_joints_that_cannot_meet_are_named(command, mbdkit, in_tmp_path):
     (in_tmp_path / "spec.yaml").write_text(UNMEETABLE)
     message = check_refusal(mbdkit(command, "spec.yaml"), in_tmp_path, {"spec.yaml"})
     assert "C" in message
+
+
+MANY_ROWS = """\
+mbdkit: 1
+model: {name: n-pendulum, n: 300}
+integrator: {name: rk4}
+time: {start: 0, end: 1.0e9, step: 1.0e-6}
+limits: {max_steps: 1.0e15}
+output:
+  every: 2
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            MANY_ROWS,
+            "spec.yaml:7: output.every: 500,000,000,000,001 rows of 50,544 bytes take 23,536,384,105 GiB, but ",
+        ),
+        (MANY_ROWS.replace("output:\n  every: 2\n", ""), "spec.yaml: output.every: 1,000,000,000,000,001 rows of "),
+        (
+            MANY_ROWS.replace("every: 2", "interval: 1.0e-6").replace("rk4", "scipy-dop853"),
+            "spec.yaml:7: output.interval: 1,000,000,000,000,001 rows of ",
+        ),
+    ],
+    ids=["every other step", "every step", "interval"],
+)
+def test_an_archive_larger_than_the_disk_is_refused_before_the_run(text, words, mbdkit, in_tmp_path):
+    # expected: 300 x 9 numbers of bodies, 300 x 6 of joints, 600 x 3 of constraint rows, the time in four groups and on
+    # the clock, 6 energies, and 7 numbers of the steps, of 8 bytes each
+    (in_tmp_path / "spec.yaml").write_text(text)
+    message = check_refusal(mbdkit("run", "spec.yaml"), in_tmp_path, {"spec.yaml"})
+    assert message.startswith(words)
+    assert f"free in {in_tmp_path.resolve()}: record less often, such as " in message
+
+
+def test_a_run_larger_than_memory_is_refused_before_it(in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(MANY_ROWS)
+    with pytest.raises(SpecError, match=r"output\.every: 500,000,000,000,001 rows .* are available in memory: "):
+        mbdkit.run("spec.yaml")
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.mechanism.elements import Distance, Driver, Prismatic, Revolute, Weld
-from mbdkit.mechanism.expression import Expression
 from mbdkit.mechanism.mechanism import Mechanism
 
-from .compiled import Compiled, assert_close, gradient, place
+from .by_hand import ByHand, first_derivative
+from .compiled import Compiled, assert_close
 from .random_mechanisms import KINDS, add_rod
 
 T = 0.7
@@ -20,74 +19,19 @@ kinds = pytest.mark.parametrize("kind", KINDS)
 seeds = pytest.mark.parametrize("seed", range(3))
 
 
-def dense_phi(m: Mechanism, q: Any, t: Any) -> Any:
-    """Return Phi(q, t) of all joints, written by hand, for complex q and t."""
-    number = {name: i for i, name in enumerate(m.bodies)} | {"ground": len(m.bodies)}
-    rows: list[Any] = []
-    for joint in m.joints.values():
-        a, b = (number[name] for name in joint.bodies)
-        if isinstance(joint, Revolute):
-            rows += list(place(q, b, joint.points[1]) - place(q, a, joint.points[0]))
-        elif isinstance(joint, Prismatic):
-            gap = place(q, b, joint.points[1]) - place(q, a, joint.points[0])
-            c, s = np.cos(q[3 * a + 2]), np.sin(q[3 * a + 2])
-            x, y = np.array(joint.axis) / np.hypot(*joint.axis)
-            rows.append((c * x - s * y) * gap[1] - (s * x + c * y) * gap[0])
-            rows.append(q[3 * b + 2] - q[3 * a + 2] - held_angle(m, joint))
-        elif isinstance(joint, Weld):
-            rows += list(place(q, b, joint.points[1]) - place(q, a, joint.points[0]))
-            rows.append(q[3 * b + 2] - q[3 * a + 2] - held_angle(m, joint))
-        elif isinstance(joint, Distance):
-            gap = place(q, b, joint.points[1]) - place(q, a, joint.points[0])
-            rows.append(np.sqrt(gap[0] ** 2 + gap[1] ** 2) - joint.length)
-        else:
-            assert isinstance(joint, Driver)
-            u = motion(joint.motion, t)
-            if joint.coordinate == "angle":
-                rows.append(q[3 * b + 2] - q[3 * a + 2] - u)
-            else:
-                gap = place(q, b, joint.point) - q[3 * a : 3 * a + 2]
-                c, s = np.cos(q[3 * a + 2]), np.sin(q[3 * a + 2])
-                rows.append((c * gap[0] + s * gap[1] if joint.coordinate == "x" else c * gap[1] - s * gap[0]) - u)
-    return np.array(rows)
-
-
-def held_angle(m: Mechanism, joint: Prismatic | Weld) -> float:
-    if joint.angle is not None:
-        return joint.angle
-    first, second = (0.0 if name == "ground" else m.bodies[name].angle for name in joint.bodies)
-    return second - first
-
-
-def motion(value: Any, t: Any) -> Any:
-    if not isinstance(value, str):
-        return value
-    import sympy as sp
-
-    return sp.lambdify(sp.Symbol("t", real=True), Expression.parse(value).to_sympy(), "numpy")(t)
-
-
 def dense_solution(c: Compiled) -> tuple[np.ndarray, np.ndarray]:
     """Return accelerations and multipliers of the dense index-1 system; gamma by differences of Phi_q v + Phi_t."""
-    m, n = c.mechanism, c.n
-    padded = np.concatenate
-
-    def jacobian(q: np.ndarray, t: float) -> np.ndarray:
-        return gradient(lambda z: dense_phi(m, z, t), q)[:, :n]
+    hand, n = ByHand(c.mechanism), c.n
 
     def rate(x: float) -> np.ndarray:
         q, t = c.q + x * c.v, c.t + x
-        return jacobian(q, t) @ c.v[:n] + np.imag(dense_phi(m, q + 0j, t + 1e-200j)) / 1e-200
+        return hand.jacobian(q, t) @ c.v[:n] + hand.phi_t(q, t)
 
-    h = 1e-3  # central differences of order 6: error 1e-18 h-independent parts aside, round-off 1e-13
-    gamma = -(45 * (rate(h) - rate(-h)) - 9 * (rate(2 * h) - rate(-2 * h)) + rate(3 * h) - rate(-3 * h)) / (60 * h)
-    masses = np.array([(b.mass, b.mass, b.inertia or 1.0) for b in m.bodies.values()]).ravel()
-    c.tangents()  # the applied forces have tests of their own
-    force = c.scratch.force[:n].copy() if m.forces else np.zeros(n)
-    force += masses * np.array([(*m.gravity, 0.0) for _ in m.bodies]).ravel()
-    phi_q = jacobian(c.q, c.t)
-    kkt = np.block([[np.diag(masses), phi_q.T], [phi_q, np.zeros((len(phi_q),) * 2)]])
-    x = np.linalg.solve(kkt, padded([force, gamma]))
+    h = 1e-3  # central differences of order 8: round-off 1e-13
+    gamma = -first_derivative(rate, h)
+    phi_q = hand.jacobian(c.q, c.t)
+    kkt = np.block([[np.diag(hand.mass), phi_q.T], [phi_q, np.zeros((len(phi_q),) * 2)]])
+    x = np.linalg.solve(kkt, np.concatenate([hand.forces(c.q, c.v, c.t), gamma]))
     return x[:n], x[n:]
 
 
@@ -118,7 +62,7 @@ def test_the_schur_complement_and_the_pivoted_system_agree(kind: str, seed: int)
 @seeds
 def test_residuals_and_rows_are_those_written_by_hand(kind: str, seed: int) -> None:
     c = Compiled(KINDS[kind](np.random.default_rng(seed)), T)
-    expected = dense_phi(c.mechanism, c.q, c.t)
+    expected = ByHand(c.mechanism).phi(c.q, c.t)
     assert_close(c.constraints(c.q)[0], expected, tolerance=1e-14, size=1.0)
     assert [row.label for row in c.compiled.rows] == [name for name, _ in c.mechanism.constraint_rows()]
 

@@ -154,3 +154,16 @@ def test_gauss_keeps_quadratic_invariants(stages: int) -> None:
         x, v = np.asarray(result[name].position), np.asarray(result[name].velocity)
         moment += mass * (x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0])
     np.testing.assert_allclose(moment, moment[0], rtol=0, atol=5e-14)
+
+
+@pytest.mark.parametrize("steps", [10, 20, 40])
+@pytest.mark.parametrize("angle", [0.0, 0.1, 0.2, 2.2])
+def test_accelerations_that_vanish_exactly_are_no_divergence(angle: float, steps: int) -> None:
+    # expected: a slide takes up what a spring would turn its body by, so the slider goes on along it as it began
+    m = Mechanism(gravity=(0.0, 0.0))
+    m.body("slider", mass=2.5, inertia=0.3, position=(0.0, 0.5), angle=angle, velocity=(0.2, -0.8))
+    m.prismatic("slide", m.ground, "slider", at=(0.2, 0.7), axis=(-0.5, -5.0))
+    m.torsion_spring("twist", m.ground, "slider", stiffness=3.4, free_angle=-0.5)
+    slider = run(m, {"name": "gauss", "stages": 2}, end=0.5, step=0.5 / steps)["slider"]
+    np.testing.assert_allclose(slider.position[-1] - slider.position[0], 0.5 * slider.velocity[0], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(slider.acceleration, 0.0, rtol=0, atol=1e-14)

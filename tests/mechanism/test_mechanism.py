@@ -239,7 +239,7 @@ CHANGES = {
         "model.forces.m.value",
         "should be {table: [[t, ...], [value, ...]]}",
     ),
-    "zero distance": ("joints.D.length", 0.0, "model.joints.D.length", "greater than 0"),
+    "zero distance": ("joints.D.length", 0.0, "model.joints.D.length", "use a revolute joint"),
     "unreadable motion": ("joints.E.motion", "sine(t)", "model.joints.E.motion", "did you mean 'sin'"),
     "unreadable force": ("forces.f.value", [1, "__import__('os')"], "model.forces.f.value[1]", "not a function"),
     "points on an angle": ("joints.E.points", [[0, 0], [0, 0]], "model.joints.E.points", "takes no points"),
@@ -299,7 +299,7 @@ def test_the_builder_answers_at_once():
         m.spring_damper("s", m.ground, rod, from_=(0, 0), stiffness=1)
     with pytest.raises(SpecError, match="'length' is missing"):
         m.distance("D", m.ground, rod, points=[(0, 0), (0, 0)])
-    with pytest.raises(SpecError, match="greater than 0"):
+    with pytest.raises(SpecError, match="use a revolute joint"):
         m.distance("D", m.ground, rod, from_=(1, 1), to=(1, 1))
     with pytest.raises(SpecError, match="not both"):
         m.force("f", rod, value=(1, 0), at=(0, 0), point=(0, 0))

@@ -1,0 +1,68 @@
+"""Whether an archive will fit where it is to be kept, told before the run."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from pathlib import Path
+
+from mbdkit.archive import layout
+from mbdkit.errors import SpecError
+from mbdkit.memory import available_memory, in_gib
+
+
+def row_bytes(bodies: int, joints: int, constraints: int, quantities: frozenset[str]) -> int:
+    """Return the size of one recorded row, with the interval that ends there [bytes].
+
+    Parameters
+    ----------
+    bodies, joints, constraints
+        Numbers of bodies, joints and constraint rows.
+    quantities
+        Which of ``joints``, ``constraints``, ``energy`` are recorded.
+    """
+    sizes = {
+        "body": bodies,
+        "coordinate": len(layout.COORDINATES),
+        "joint": joints,
+        "axis": len(layout.AXES),
+        "constraint": constraints,
+    }
+    return sum(
+        8 * math.prod(sizes[dim] for dim in array.dims[1:]) for array in layout.recorded(quantities) if array.grows
+    )
+
+
+def check_room(path: Path | None, rows: int, row: int, every: int | None) -> None:
+    """Raise SpecError where an archive is larger than what is free on its disk, or in memory.
+
+    Parameters
+    ----------
+    path
+        Where it will lie; None: in memory.
+    rows
+        Number of recorded rows.
+    row
+        Size of one [bytes].
+    every
+        The number of steps from one row to the next; None where rows come at an interval.
+    """
+    free = available_memory() if path is None else shutil.disk_usage(path.parent).free
+    needed = rows * row
+    if free is None or needed <= free:
+        return
+    place = "available in memory" if path is None else f"free in {path.parent.resolve()}"
+    setting = "interval" if every is None else "every"
+    times = 2 * needed // max(free, 1) + 1
+    less = f"`interval` {times:,} times as long" if every is None else f"`every: {_round_up(every * times)}`"
+    raise SpecError(
+        f"{rows:,} rows of {row:,} bytes take {in_gib(needed)}, but only {in_gib(free)} are {place}: "
+        f"record less often, such as {less}, or fewer `quantities`",
+        key=f"output.{setting}",
+    )
+
+
+def _round_up(number: int) -> int:
+    """Return the next number with one digit and zeros."""
+    ten: int = 10 ** (len(str(number)) - 1)
+    return -(-number // ten) * ten
