@@ -199,7 +199,8 @@ class _Representer(SafeRepresenter):
     """Puts a text in quotes wherever it would be read as something else."""
 
     def represent_str(self, data: str) -> ScalarNode:
-        style = None if isinstance(_Reader()._resolved(data, ScalarNode("", data), ()), str) else '"'
+        stays = isinstance(_Reader()._resolved(data, ScalarNode("", data), ()), str) and data[:1] not in (":", "?")
+        style = None if stays else '"'  # the two would be written bare, but read as marks
         return self.represent_scalar(f"{CORE}str", data, style=style)
 
 
