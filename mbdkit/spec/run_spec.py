@@ -46,8 +46,8 @@ class RunSpec(StrictSpec):
     """Free text."""
     model: Annotated[BaseModel, Choice("model")]
     """What moves: the name of a model and its parameters."""
-    formulation: Literal["index-1"] = "index-1"
-    """Formulation of the equations of motion."""
+    formulation: Literal["index-1", "index-2", "index-3", "ggl"] = "index-1"
+    """Formulation of the equations of motion: the constraints of accelerations, velocities, positions, or both last."""
     stabilization: Literal["none"] = "none"
     """What is done against the drift of constraints."""
     integrator: Annotated[BaseModel, Choice("integrator")]
