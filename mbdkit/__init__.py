@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
     from mbdkit.errors import MbdkitError, PluginError, RunError, SpecError
+    from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta
+    from mbdkit.integrators.step_method import StepError, StepMethod, StepState
+    from mbdkit.integrators.step_problem import StepProblem
     from mbdkit.integrators.tableau import ButcherTableau
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.registry.hookspecs import hookimpl
@@ -23,6 +26,8 @@ if TYPE_CHECKING:
 __all__ = [
     "ButcherTableau",
     "Claims",
+    "ExplicitRungeKutta",
+    "ImplicitRungeKutta",
     "IntegratorPlugin",
     "MbdkitError",
     "Mechanism",
@@ -32,6 +37,10 @@ __all__ = [
     "RunError",
     "RunSpec",
     "SpecError",
+    "StepError",
+    "StepMethod",
+    "StepProblem",
+    "StepState",
     "Study",
     "StudySpec",
     "__version__",
@@ -45,6 +54,8 @@ __all__ = [
 _HOME = {
     "ButcherTableau": "mbdkit.integrators.tableau",
     "Claims": "mbdkit.registry.items",
+    "ExplicitRungeKutta": "mbdkit.integrators.methods",
+    "ImplicitRungeKutta": "mbdkit.integrators.methods",
     "IntegratorPlugin": "mbdkit.registry.items",
     "MbdkitError": "mbdkit.errors",
     "Mechanism": "mbdkit.mechanism.mechanism",
@@ -54,6 +65,10 @@ _HOME = {
     "RunError": "mbdkit.errors",
     "RunSpec": "mbdkit.spec",
     "SpecError": "mbdkit.errors",
+    "StepError": "mbdkit.integrators.step_method",
+    "StepMethod": "mbdkit.integrators.step_method",
+    "StepProblem": "mbdkit.integrators.step_problem",
+    "StepState": "mbdkit.integrators.step_method",
     "Study": "mbdkit.studies.study",
     "StudySpec": "mbdkit.spec",
     "hookimpl": "mbdkit.registry.hookspecs",

@@ -237,6 +237,12 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
     if has_forces:
         applied(top, w, q, v)
     constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
+    return solve_system(top, w, solver, has_forces, acc, lam, refine)
+
+
+@inlined
+def solve_system(top, w, solver, has_forces, acc, lam, refine):
+    """Solve the index-1 system for the forces, Jacobian and right side that stand in `w`; return a status."""
     if solver.pivoted[0] != 0:
         status = pivoted_accelerations(top, w, solver, has_forces, acc, lam)
     else:
