@@ -12,9 +12,10 @@ import pytest
 import mbdkit
 from mbdkit import StepError, StepMethod, StepProblem, StepState
 from mbdkit.integrators import stepping
+from mbdkit.spec.run_spec import spec_type
 
 from .running import DOUBLE, driven_chain, spec_run
-from .step_methods import Failing, Remembering, RungeKutta, run_with
+from .step_methods import Failing, Remembering, RungeKutta, offering, run_with
 
 MODELS = pytest.mark.parametrize("model", [DOUBLE, driven_chain()], ids=["double pendulum", "driven chain"])
 
@@ -193,7 +194,10 @@ def test_a_class_without_a_step_cannot_be_made() -> None:
 
 def test_a_method_of_another_formulation_is_refused_by_name() -> None:
     spec: dict[str, Any] = {"mbdkit": 1, "model": DOUBLE, "time": {"steps": 3, "step": 0.01}}
-    with pytest.raises(mbdkit.SpecError, match="'rk4' cannot serve the formulation 'index-3', only index-1"):
-        mbdkit.run(spec | {"integrator": {"name": "rk4"}, "formulation": "index-3"})
+    with pytest.raises(mbdkit.SpecError, match="'rk4' cannot serve the formulation 'ggl', only index-1; no installed"):
+        mbdkit.run(spec | {"integrator": {"name": "rk4"}, "formulation": "ggl"})
+    wanted = "'mine' cannot serve the formulation 'index-1', only index-3; integrators that can: rk-gill, rk4, gauss"
+    with pytest.raises(mbdkit.SpecError, match=wanted):
+        spec_type(offering(RungeKutta(), formulations=("index-3",)))(**spec, integrator={"name": "mine"})
     run = run_with(Remembering(), DOUBLE, {"steps": 3, "step": 0.01}, formulation="index-3").check()
     assert run.spec["formulation"] == "index-3"
