@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
     from mbdkit.errors import MbdkitError, PluginError, RunError, SpecError
+    from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta
+    from mbdkit.integrators.step_method import StepError, StepMethod, StepState
+    from mbdkit.integrators.step_problem import StepProblem
     from mbdkit.integrators.tableau import ButcherTableau
     from mbdkit.mechanism.laws import ExpressionLaw, FunctionLaw
     from mbdkit.mechanism.mechanism import Mechanism
@@ -24,9 +27,11 @@ if TYPE_CHECKING:
 __all__ = [
     "ButcherTableau",
     "Claims",
+    "ExplicitRungeKutta",
     "ExpressionLaw",
     "ForceLawPlugin",
     "FunctionLaw",
+    "ImplicitRungeKutta",
     "IntegratorPlugin",
     "MbdkitError",
     "Mechanism",
@@ -36,6 +41,10 @@ __all__ = [
     "RunError",
     "RunSpec",
     "SpecError",
+    "StepError",
+    "StepMethod",
+    "StepProblem",
+    "StepState",
     "Study",
     "StudySpec",
     "__version__",
@@ -49,9 +58,11 @@ __all__ = [
 _HOME = {
     "ButcherTableau": "mbdkit.integrators.tableau",
     "Claims": "mbdkit.registry.items",
+    "ExplicitRungeKutta": "mbdkit.integrators.methods",
     "ExpressionLaw": "mbdkit.mechanism.laws",
     "ForceLawPlugin": "mbdkit.registry.items",
     "FunctionLaw": "mbdkit.mechanism.laws",
+    "ImplicitRungeKutta": "mbdkit.integrators.methods",
     "IntegratorPlugin": "mbdkit.registry.items",
     "MbdkitError": "mbdkit.errors",
     "Mechanism": "mbdkit.mechanism.mechanism",
@@ -61,6 +72,10 @@ _HOME = {
     "RunError": "mbdkit.errors",
     "RunSpec": "mbdkit.spec",
     "SpecError": "mbdkit.errors",
+    "StepError": "mbdkit.integrators.step_method",
+    "StepMethod": "mbdkit.integrators.step_method",
+    "StepProblem": "mbdkit.integrators.step_problem",
+    "StepState": "mbdkit.integrators.step_method",
     "Study": "mbdkit.studies.study",
     "StudySpec": "mbdkit.spec",
     "hookimpl": "mbdkit.registry.hookspecs",

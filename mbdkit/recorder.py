@@ -176,6 +176,7 @@ class Recorder:
                 "constraints/position_residual": residual,
                 "constraints/velocity_residual": residual_rate,
                 "constraints/multiplier": lam[part][:, self._pair, self._place],
+                **self._own_multipliers(stretch, part, lam),
                 "energy/kinetic": kinetic[part],
                 "energy/potential": potential[part],
                 "energy/total": total,
@@ -184,6 +185,14 @@ class Recorder:
                 "energy/balance": total + lost - work - self._start_total,
             }
         )
+
+    def _own_multipliers(self, stretch: Stretch, part: slice, lam: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the multipliers that the method itself carries; those of index 1 at the start."""
+        name = "constraints/method_multiplier"
+        if name not in self.writer.row_keys:
+            return {}
+        own = stretch.multipliers
+        return {name: own[part] if own is not None else lam[part][:, self._pair, self._place]}
 
     def _by_joint(self, rows: np.ndarray, joint: np.ndarray) -> np.ndarray:
         """Sum constraint rows (T, m) over each joint: (T, J)."""

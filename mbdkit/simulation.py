@@ -33,6 +33,7 @@ from mbdkit.engine.redundancy import require_unique_start, without_redundancy
 from mbdkit.engine.warm import ensure_compiled, to_stderr
 from mbdkit.errors import MbdkitError, PluginError, SpecError
 from mbdkit.integrators.methods import Method
+from mbdkit.integrators.step_method import StepMethod
 from mbdkit.integrators.stepping import Counters, Failure, Stepper, Stretch, Timetable
 from mbdkit.mechanism.checks import check_springs
 from mbdkit.mechanism.elements import Body
@@ -111,6 +112,7 @@ def simulate(
         spec.run_id(),
         {**_provenance(spec), "assembly": start.describe()},
         spec.output.recorded,
+        extra_datasets=_own_multipliers(method),
         overwrite=overwrite,
         shared=shared_forces(problem.mechanism),
     )
@@ -189,9 +191,15 @@ def _method(spec: RunSpec) -> Method:
     if not isinstance(method, Method):
         raise PluginError(
             f"integrator {spec.integrator_item.id} made {type(method).__name__}, not one of "
-            "ExplicitRungeKutta, ImplicitRungeKutta and SciPySolver"
+            "ExplicitRungeKutta, ImplicitRungeKutta and SciPySolver, nor of a class derived from StepMethod"
         )
     return method
+
+
+def _own_multipliers(method: Method) -> list[str]:
+    """Return the path of the multipliers that the method itself carries, if it does."""
+    carries = isinstance(method, StepMethod) and method.carries_multipliers
+    return ["constraints/method_multiplier"] if carries else []
 
 
 class _Simulation:
@@ -212,8 +220,7 @@ class _Simulation:
             setup = time.perf_counter() - self.begin
             wall, cpu = time.perf_counter(), time.process_time()
             if self.stepper is not None:
-                with self._blaming_the_plugin():
-                    self.advance(self.stepper, progress, wall)
+                self.advance(self.stepper, progress, wall)
             timings = {
                 "setup_s": setup,
                 "wall_s": time.perf_counter() - wall,
@@ -254,7 +261,10 @@ class _Simulation:
         elapsed = 0.0
         recorded = self.problem.t0
         while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
-            stretch = stepper.advance()
+            with self._blaming_the_plugin():
+                stretch = stepper.advance()
+            if self.failure is not None:
+                break
             now = time.perf_counter() - begin
             self.failure = self.recorder.record(stretch, (elapsed, now))
             if len(stretch.time):
@@ -266,7 +276,7 @@ class _Simulation:
                 self.failure = Failure(
                     "wall-time", f"stopped at t = {stepper.time:.6g} s after limits.wall_time = {limit:g} s."
                 )
-        unrecordable = self.failure is not None and self.failure.code != "wall-time"
+        unrecordable = self.failure is not None and self.failure.code not in ("wall-time", "plugin-error")
         self.failure = self.failure or stepper.failure
         if recorded < stepper.time and not stepper.finished and not unrecordable:
             self.recorder.record(stepper.last_state(), (elapsed, elapsed))

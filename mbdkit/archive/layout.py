@@ -194,7 +194,7 @@ LAYOUT: tuple[Array, ...] = (
         "constraints/method_multiplier",
         _TM,
         MIXED,
-        "Lagrange multiplier as the integrator carries it",
+        "Lagrange multiplier as the integrator carries it; index-1 at the start",
         row_units="multiplier_row_units",
         optional=True,
     ),

@@ -155,13 +155,13 @@ class CompiledMechanism:
     def row_index(self) -> np.ndarray:
         """(P, 2) unknown of each multiplier in a pivoted system, -1 for a row that is not solved for."""
         index = np.full((len(self.topology.pairs), 2), -1, dtype=np.int64)
-        for i, row in enumerate(self._solved_rows):
+        for i, row in enumerate(self.solved_rows):
             index[row.pair, row.place] = 3 * len(self.bodies) + i
         return index
 
     @property
-    def _solved_rows(self) -> list[Row]:
-        """The rows of a pivoted system: of a pair with a redundant direction, the place is not its own row's."""
+    def solved_rows(self) -> list[Row]:
+        """Rows of a pivoted system; in a pair with a redundant direction the place is not that of its own row."""
         return [row for row in self.rows if row.place < self.topology.rows[row.pair]]
 
     @property
@@ -175,7 +175,7 @@ class CompiledMechanism:
         if 0 <= index < 3 * len(self.bodies):
             return f"body {self.bodies[index // 3]!r}{self._joints_on(index // 3)}"
         if index >= 0 and index < self.unknowns:
-            return f"joint {self._solved_rows[index - 3 * len(self.bodies)].label.split('.')[0]!r}"
+            return f"joint {self.solved_rows[index - 3 * len(self.bodies)].label.split('.')[0]!r}"
         return "the mechanism"
 
     def _joints_on(self, body: int) -> str:

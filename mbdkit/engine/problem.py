@@ -38,7 +38,10 @@ class Terms:
 
     def chosen(self, *, tangents: bool) -> Terms:
         """Return all terms, or without `tangents` those of the bare KKT matrix."""
-        keep = np.ones(len(self.factor), dtype=bool) if tangents else self.factor == 0
+        return self if tangents else self.kept(self.factor == 0)
+
+    def kept(self, keep: np.ndarray) -> Terms:
+        """Return the terms for which `keep` (N,) is true."""
         return Terms(self.source[keep], self.row[keep], self.column[keep], self.factor[keep])
 
     def coefficients(self, rate: complex) -> np.ndarray:
@@ -113,21 +116,36 @@ class Problem:
         SingularSystemError
             Where the matrix is singular.
         """
-        self.pivotings += 1
         terms = self.terms.chosen(tangents=rate is not None)
+        pattern, position = self.pivots_of(terms, terms.coefficients(0.0 if rate is None else rate))
+        return pattern, new_factors(pattern, complex if isinstance(rate, complex) else float), _scatter(terms, position)
+
+    def pivots_of(self, terms: Terms, coefficients: np.ndarray) -> tuple[Pattern, np.ndarray]:
+        """Choose pivots for the sum of `terms` with their `coefficients`, by the numbers that stand in ``source`` now.
+
+        Returns
+        -------
+        Pattern
+            Patterns of the matrix and of its factors.
+        position : int array
+            Where each term goes among the values of the matrix.
+
+        Raises
+        ------
+        SingularSystemError
+            Where the matrix is singular.
+        """
+        self.pivotings += 1
         n = self.unknowns
         flat = terms.row * n + terms.column
         entries, which = np.unique(flat, return_inverse=True)
         row, column = entries // n, entries % n
-        values = np.zeros(len(entries), dtype=complex if isinstance(rate, complex) else float)
-        np.add.at(
-            values, which, terms.coefficients(rate if rate is not None else 0.0) * self.scratch.source[terms.source]
-        )
+        values = np.zeros(len(entries), dtype=coefficients.dtype)
+        np.add.at(values, which, coefficients * self.scratch.source[terms.source])
         scales = (np.ones(n), self._inertial_scale())
         choice = pivot_order(n, row, column, values, self.mechanism.natural_order, scales)
         pattern, position = symbolic_lu(n, row, column, choice)
-        scatter = _scatter(terms, position[which])
-        return pattern, new_factors(pattern, values.dtype.type), scatter
+        return pattern, position[which]
 
     def _inertial_scale(self) -> np.ndarray:
         """Return (n,) powers of two near M^-1/2 for coordinates and diag(Phi_q M^-1 Phi_q^T)^-1/2 for multipliers."""

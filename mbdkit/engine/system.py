@@ -190,6 +190,16 @@ def fold(top, cs, x):
 
 
 @part
+def fold_values(top, cs, x):
+    """Reduce the two values of every pair, `x` (P, 2), to those of the rows that are solved for, as `fold` does."""
+    for i in range(len(top.spare)):
+        k = top.spare[i, 0]
+        dx, dy = spare_direction(top, cs, i)
+        x[k, 0] = dx * x[k, 1] - dy * x[k, 0] if top.rows[k] == 1 else 0.0
+        x[k, 1] = 0.0
+
+
+@part
 def independent_rows(top, cs, jac, gamma, loose):
     """Reduce the Jacobian and gamma to the rows that are solved for; the Jacobian of the others goes to `loose`."""
     for i in range(len(top.spare)):
@@ -198,11 +208,7 @@ def independent_rows(top, cs, jac, gamma, loose):
         for c in range(6):
             loose[i, c] = dx * jac[k, c] + dy * jac[k, 6 + c]
     fold(top, cs, jac)
-    for i in range(len(top.spare)):
-        k = top.spare[i, 0]
-        dx, dy = spare_direction(top, cs, i)
-        gamma[k, 0] = dx * gamma[k, 1] - dy * gamma[k, 0] if top.rows[k] == 1 else 0.0
-        gamma[k, 1] = 0.0
+    fold_values(top, cs, gamma)
 
 
 @part
@@ -319,6 +325,14 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
         applied(top, w, q, v)
     constraint_rows(top, w, q, v)
     independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
+    status = solve_system(top, w, solver, has_forces, acc, lam, refine)
+    unfold_multipliers(top, w.cs, lam)
+    return status
+
+
+@inlined
+def solve_system(top, w, solver, has_forces, acc, lam, refine):
+    """Solve the index-1 system for the forces, independent rows and right side that stand in `w`; return a status."""
     if solver.pivoted[0] != 0:
         status = pivoted_accelerations(top, w, solver, has_forces, acc, lam)
     else:
@@ -342,7 +356,6 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
                 for k in range(len(lam)):
                     lam[k, 0] += w.refinement[k, 0]
                     lam[k, 1] += w.refinement[k, 1]
-    unfold_multipliers(top, w.cs, lam)
     return status
 
 

@@ -66,6 +66,7 @@ def _run_everything(check: Callable[[], None]) -> None:
     from mbdkit.engine.problem import Problem
     from mbdkit.integrators import gauss, rk4
     from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta, Method, SciPySolver
+    from mbdkit.integrators.step_problem import StepProblem, call_everything
     from mbdkit.integrators.stepping import Timetable
     from mbdkit.mechanism.mechanism import Mechanism
 
@@ -82,6 +83,7 @@ def _run_everything(check: Callable[[], None]) -> None:
         ImplicitRungeKutta(gauss.tableau(3)),
         SciPySolver("Radau", 1e-3, 1e-3, needs_jacobian=True),
     )
+    call_everything(StepProblem(Problem(compiled, 0.0, q0, v0)), check)
     for method in methods:
         check()
         problem = Problem(compiled, 0.0, q0, v0)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 import time
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -261,4 +262,6 @@ class FixedStepper(ABC):
 
     def _append_end(self, stretch: Stretch) -> Stretch:
         end = self.last_state()
-        return Stretch(*(np.concatenate([getattr(stretch, f), getattr(end, f)]) for f in Stretch.__dataclass_fields__))
+        pairs = ((name, getattr(stretch, name), getattr(end, name)) for name in Stretch.__dataclass_fields__)
+        joined: dict[str, Any] = {name: np.concatenate([x, y]) for name, x, y in pairs if x is not None}
+        return replace(stretch, **joined)

@@ -270,7 +270,7 @@ class ImplicitStepper(FixedStepper):
         elif len(eigen.mu_complex):
             rate = complex(h * eigen.mu_complex[0])
         else:
-            rate = float(h * eigen.mu_real[0])
+            rate = float(h * max(eigen.mu_real, key=abs))
         top, scratch = problem.mechanism.topology, problem.scratch
         for _ in range(2):
             status = tangents_at(top, scratch, problem.solver, self.time, state.q, state.v, self.f[0], self.lam[0])

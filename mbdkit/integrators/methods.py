@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from mbdkit.integrators.step_method import StepMethod
 from mbdkit.integrators.tableau import ButcherTableau, TableauError
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class ImplicitRungeKutta:
     Parameters
     ----------
     tableau
-        Its coefficients; ``a`` must be regular and diagonalisable.
+        Its coefficients; ``a`` must be diagonalisable.
     stage_solver
         Simplified Newton on accelerations and multipliers, or fixed-point iteration on accelerations.
     tolerance
@@ -57,8 +58,7 @@ class ImplicitRungeKutta:
     def __post_init__(self) -> None:
         if not self.tableau.is_diagonalisable:
             raise TableauError(
-                f"the matrix of {self.tableau.name} is singular or cannot be diagonalised, "
-                "which the transformed stage equations need"
+                f"the matrix of {self.tableau.name} cannot be diagonalised, which the transformed stage equations need"
             )
 
     def start(self, problem: Problem, timetable: Timetable) -> Stepper:
@@ -94,4 +94,4 @@ class SciPySolver:
         return SciPyStepper(self, problem, timetable)
 
 
-Method = ExplicitRungeKutta | ImplicitRungeKutta | SciPySolver
+Method = ExplicitRungeKutta | ImplicitRungeKutta | SciPySolver | StepMethod

@@ -60,6 +60,8 @@ class Stretch:
     dissipated: np.ndarray
     intervals: np.ndarray
     """(T, 6) float: time, steps, size, iterations, iterations_max, rejected of the interval that ends at each row."""
+    multipliers: np.ndarray | None = None
+    """(T, m) the multipliers that the method itself carries, if it does."""
 
 
 @dataclass(frozen=True)

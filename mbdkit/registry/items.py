@@ -21,6 +21,8 @@ class Claims:
     ----------
     order
         Order of convergence of positions and velocities; None where the method controls its own error.
+    multiplier_order
+        Order of convergence of the multipliers that the method itself carries; None where it carries none.
     symmetric
         A step back by -h undoes a step by h.
     symplectic
@@ -40,6 +42,7 @@ class Claims:
     """
 
     order: float | None = None
+    multiplier_order: float | None = None
     symmetric: bool = False
     symplectic: bool = False
     quadratic_invariants: bool = False

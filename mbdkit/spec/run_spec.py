@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
@@ -51,8 +52,8 @@ class RunSpec(StrictSpec):
     """Free text."""
     model: Annotated[BaseModel, Choice("model")]
     """What moves: the name of a model and its parameters."""
-    formulation: Literal["index-1"] = "index-1"
-    """Formulation of the equations of motion."""
+    formulation: Literal["index-1", "index-2", "index-3", "ggl"] = "index-1"
+    """Formulation of the equations of motion: the constraints of accelerations, velocities, positions, or both last."""
     stabilization: Literal["none"] = "none"
     """What is done against the drift of constraints."""
     integrator: Annotated[BaseModel, Choice("integrator")]
@@ -72,7 +73,7 @@ class RunSpec(StrictSpec):
         if self.formulation not in claims.formulations:
             raise SpecError(
                 f"integrator '{item.name}' cannot serve the formulation '{self.formulation}', "
-                f"only {listed(claims.formulations, 'and')}",
+                f"only {listed(claims.formulations, 'and')}; {self._serving()}",
                 key="formulation",
             )
         if self.time.step is None and not claims.adaptive:
@@ -89,6 +90,17 @@ class RunSpec(StrictSpec):
                 key="output.interval",
             )
         return self
+
+    def _serving(self) -> str:
+        """Return in words which of the installed integrators serve the formulation that is asked for."""
+        able = []
+        for item in choice_of(type(self), "integrator").registry.of_kind("integrator"):
+            with suppress(Exception):  # options without defaults, or a plugin that fails in any way
+                plugin = item.plugin
+                assert isinstance(plugin, IntegratorPlugin)
+                if self.formulation in plugin.claims(plugin.options()).formulations:
+                    able.append(item.name)
+        return f"integrators that can: {listed(able)}" if able else "no installed integrator can"
 
     @property
     def model_item(self) -> Registered:

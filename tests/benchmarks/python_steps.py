@@ -1,0 +1,98 @@
+"""What a method written in NumPy costs beside the compiled one, on the double pendulum."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from mbdkit import StepMethod, StepProblem, StepState
+from mbdkit.engine.assembly import assemble
+from mbdkit.engine.compiled import compile_mechanism
+from mbdkit.engine.problem import Problem
+from mbdkit.engine.warm import ensure_compiled
+from mbdkit.integrators import rk4
+from mbdkit.integrators.methods import ExplicitRungeKutta
+from mbdkit.integrators.stepping import Timetable
+from mbdkit.spec import load_spec
+
+from .timing import duration, take_turns
+
+REPEATS, STEPS = 7, 10_000
+
+
+class _Standing(StepMethod):
+    """Does nothing."""
+
+    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+        return StepState(state.q, state.v)
+
+
+class _RungeKutta(StepMethod):
+    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+        q, v = state.q, state.v
+        a1, _ = problem.accelerations(t, q, v)
+        v2 = v + h / 2 * a1
+        a2, _ = problem.accelerations(t + h / 2, q + h / 2 * v, v2)
+        v3 = v + h / 2 * a2
+        a3, _ = problem.accelerations(t + h / 2, q + h / 2 * v2, v3)
+        v4 = v + h * a3
+        a4, _ = problem.accelerations(t + h, q + h * v3, v4)
+        return state.moved(h / 6 * (v + 2 * v2 + 2 * v3 + v4), h / 6 * (a1 + 2 * a2 + 2 * a3 + a4))
+
+
+def python_steps(console: Console) -> None:
+    """Print the cost of a step in Python, and of each call to the equations."""
+    ensure_compiled()
+    mechanism = load_spec("double-pendulum").mechanism()
+    compiled = compile_mechanism(mechanism)
+    start = assemble(mechanism, 0.0, compiled)
+    q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
+
+    def stepped(method: Any) -> Callable[[], float]:
+        def run() -> float:
+            table = Timetable(0.0, STEPS * 1e-3, step=1e-3, steps=STEPS, every=100)
+            stepper = method.start(Problem(compiled, 0.0, q0, v0), table)
+            begin = time.perf_counter()
+            while not stepper.finished:
+                assert stepper.failure is None
+                stepper.advance()
+            return (time.perf_counter() - begin) / STEPS
+
+        return run
+
+    p = StepProblem(Problem(compiled, 0.0, q0, v0))
+    q, v = p.q0, p.v0
+    a, lam = p.accelerations(0.0, q, v)
+    matrix = p.iteration_matrix(0.0, q, v, a, lam, damping=1e-3, stiffness=1e-6)
+
+    def called(call: Callable[[], object]) -> Callable[[], float]:
+        def run() -> float:
+            begin = time.perf_counter()
+            for _ in range(STEPS):
+                call()
+            return (time.perf_counter() - begin) / STEPS
+
+        return run
+
+    contenders = {
+        "step: rk4 in compiled code": stepped(ExplicitRungeKutta(rk4.tableau())),
+        "step: a method in Python that does nothing": stepped(_Standing()),
+        "step: rk4 in NumPy, four evaluations": stepped(_RungeKutta()),
+        "call: accelerations": called(lambda: p.accelerations(0.0, q, v)),
+        "call: residual": called(lambda: p.residual(0.0, q, v, a, lam)),
+        "call: constraints": called(lambda: p.constraints(0.0, q)),
+        "call: iteration_matrix": called(lambda: p.iteration_matrix(0.0, q, v, a, lam, damping=1e-3, stiffness=1e-6)),
+        "call: solve with it": called(lambda: matrix.solve(a, lam)),
+        "call: project_positions": called(lambda: p.project_positions(0.0, q)),
+    }
+    table = Table(title=f"Methods written in NumPy: double pendulum, medians of {REPEATS}")
+    table.add_column("what")
+    table.add_column("time", justify="right")
+    for name, timing in take_turns(contenders, REPEATS).items():
+        table.add_row(name, duration(timing.median))
+    console.print(table)
