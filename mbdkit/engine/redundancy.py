@@ -3,6 +3,7 @@
 The Jacobian of the constraints is looked at where the mechanism stands and at consistent positions around: small moves
 along its freedoms, and the positions of its drivers a little later. Rows that depend on others everywhere are
 redundant; where they do so at the start alone, the start is a singular position, and accelerations are undefined.
+Which of them to leave out is decided from positions far off as well, so that the others stay independent on the way.
 """
 
 from __future__ import annotations
@@ -30,6 +31,12 @@ SMALL_MOVE = 1e-2
 
 LATER = ((1e-3, 1e-3), (1e-2, 1e-2), (0.1, 0.1))
 """Times after the start at which drivers are looked at: no more than so much [s], nor than this part of the run."""
+
+FAR, FAR_MOVE = 40, 0.2
+"""Number of positions far off, and the move from each to the next: a whole turn to either side."""
+
+FAR_COORDINATES = 12_000
+"""Coordinates of all positions far off together: with many bodies there are fewer."""
 
 CLOSED = 1e-11
 """Largest gap of a position that counts as consistent, relative to the largest coordinate."""
@@ -104,10 +111,16 @@ class _Analysis:
             return self.compiled
         self.involved = np.flatnonzero(np.linalg.norm(start.stresses, axis=1) > SMALL)
         self.check_accelerations(start, v0)
-        around = self.moved(start) + self.later(start, v0)
+        step = self.freedom(start)
+        around = ([] if step is None else self.moved(start, step)) + self.later(start, v0)
         if any(place.stresses.shape[1] < spare for place in around):
             raise self.singular(start)
         places = [start] + [place for place in around if place.stresses.shape[1] == spare]
+        number = min(FAR, FAR_COORDINATES // self.n)
+        if step is not None:
+            places += self.wandered(start, step, number // 2) + self.wandered(start, -step, number // 2)
+        if self.compiled.drivers:
+            places += self.driven(start, number)
         return self.reduced(places)
 
     # ---- consistent positions ------------------------------------------------------------------------------------
@@ -138,19 +151,26 @@ class _Analysis:
             stresses = everywhere
         return _Place(q, scale, stresses)
 
-    def moved(self, start: _Place) -> list[_Place]:
-        """Return positions around the start; raises SpecError where moves that the joints allow cannot be made."""
+    def freedom(self, start: _Place) -> np.ndarray | None:
+        """Return some move (n,) that the joints allow, of the size of the mechanism; None where nothing can move."""
         _, jacobian, _ = self.search.evaluate(start.q)
         touched = np.zeros(self.n, dtype=bool)
         touched[jacobian[1][np.isin(jacobian[0], self.rows)]] = True
-        spare = start.stresses.shape[1]
-        if np.count_nonzero(touched) == len(self.rows) - spare:
-            return []  # nothing can move
-        solve = self.search.kkt(jacobian)
+        if np.count_nonzero(touched) == len(self.rows) - start.stresses.shape[1]:
+            return None
         step = np.where(touched, np.random.default_rng(0).normal(size=self.n), 0.0) / self.unit
         for _ in range(3):  # what is almost a freedom dies out
-            step, _ = solve(-self.search.mass * step, np.zeros(len(self.compiled.rows)))
-        step *= self.compiled.length / float(np.max(np.abs(step * self.unit)[touched]))
+            step = self.allowed(start.q, step)
+        return step * (self.compiled.length / float(np.max(np.abs(step * self.unit)[touched])))
+
+    def allowed(self, q: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Return the move nearest to a given one that the joints allow at `q`."""
+        solve = self.search.kkt(self.search.evaluate(q)[1])
+        return solve(-self.search.mass * step, np.zeros(len(self.compiled.rows)))[0]
+
+    def moved(self, start: _Place, step: np.ndarray) -> list[_Place]:
+        """Return positions around the start; raises SpecError where moves that the joints allow cannot be made."""
+        spare = start.stresses.shape[1]
         places: list[_Place] = []
         small = 0
         for part in MOVES:
@@ -162,6 +182,43 @@ class _Analysis:
         if not small:
             raise self.singular(start)
         return places
+
+    def wandered(self, start: _Place, step: np.ndarray, number: int) -> list[_Place]:
+        """Return positions on a path from the start on, as far as the same rows are redundant along it."""
+        size = FAR_MOVE * float(np.max(np.abs(step * self.unit)))
+        q, step = start.q, FAR_MOVE * step
+        places: list[_Place] = []
+        for _ in range(number):
+            found = self.place_from(self.search, q + step, start)
+            if found is None:
+                break
+            places.append(found)
+            step = self.allowed(found.q, found.q - q)
+            largest = float(np.max(np.abs(step * self.unit)))
+            if not largest > 1e-3 * size:
+                break  # it has come to a dead end
+            q, step = found.q, step * (size / largest)
+        return places
+
+    def driven(self, start: _Place, number: int) -> list[_Place]:
+        """Return positions at times spread over the run, where the drivers can be followed there."""
+        q = start.q
+        places: list[_Place] = []
+        for k in range(1, number + 1):
+            found = self.place_from(self.at(self.t0 + (self.end - self.t0) * k / number), q, start)
+            if found is not None:
+                places.append(found)
+                q = found.q
+        return places
+
+    def place_from(self, search: LeastChange, q: np.ndarray, start: _Place) -> _Place | None:
+        """Return the consistent position near `q`; None where there is none with as many self-stresses as the start."""
+        q = self.closed(search, q)
+        if not self.gap(search, q) <= CLOSED:
+            return None
+        spare = start.stresses.shape[1]
+        place = self.place_at(search, q, spare)
+        return place if place.stresses.shape[1] == spare else None
 
     def later(self, start: _Place, v0: np.ndarray) -> list[_Place]:
         """Return positions where the drivers are a little later; raises SpecError where they contradict each other."""
@@ -270,12 +327,20 @@ def require_unique_start(problem: Problem) -> None:
         else:
             raise SingularSystemError
     except SingularSystemError as error:
+        refuse_law(problem)
+        where = f", near {mechanism.unknown_name(error.index)}" if error.index >= 0 else ""
         raise SpecError(
             "the mechanism is too close to a singular position at the start: its accelerations have no unique "
-            f"solution in double precision, near {mechanism.unknown_name(error.index)}",
+            f"solution in double precision{where}",
             key="model.joints",
         ) from None
+    if not (np.all(np.isfinite(acc)) and np.all(np.isfinite(lam))):
+        refuse_law(problem)
+        raise SpecError("the forces of the start are too large to be held in double precision", key="model")
+    problem.scratch.faulty[0] = -1  # a law whose slope is infinite here may still serve an explicit method
+
+
+def refuse_law(problem: Problem) -> None:
+    """Raise SpecError if a law has no finite force at the start."""
     if force := problem.unusable_law():
         raise SpecError("its law gives no finite number at the start", key=f"model.forces.{force}")
-    if not (np.all(np.isfinite(acc)) and np.all(np.isfinite(lam))):
-        raise SpecError("the forces of the start are too large to be held in double precision", key="model")
