@@ -115,11 +115,12 @@ class Recorder:
             except SingularSystemError as error:
                 name = self.problem.mechanism.unknown_name(error.index)
                 failure, count = Failure("singular", f"no unique solution near {name} at {_at(stretch, done)}."), done
-        finite = np.all(np.isfinite(acc[:count]), axis=1) & np.all(np.isfinite(lam[:count]), axis=(1, 2))
-        finite &= np.isfinite(kinetic[:count]) & np.isfinite(potential[:count])
+        moving = np.all(np.isfinite(acc[:count]), axis=1) & np.all(np.isfinite(lam[:count]), axis=(1, 2))
+        finite = moving & np.isfinite(kinetic[:count]) & np.isfinite(potential[:count])
         if not np.all(finite):
             count = int(np.argmin(finite))
-            failure = Failure("not-finite", f"accelerations are no finite numbers at {_at(stretch, count)}.")
+            what = "the energy is no finite number" if moving[count] else "accelerations are no finite numbers"
+            failure = Failure("not-finite", f"{what} at {_at(stretch, count)}.")
         part = slice(0, count)
         self._write_rows(stretch, part, elapsed, acc, lam, phi, rate, reactions, kinetic, potential)
         if not start:

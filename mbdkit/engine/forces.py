@@ -129,6 +129,8 @@ def force_tangents(
             k, springs, linear, laws, parameters, time, s[k, 0], path_rate(k, a, b, v, grad), tension, faulty
         )
         pull, stiffness, damping = tension[k, 0], tension[k, 1], tension[k, 2]
+        if not (abs(stiffness) < np.inf and abs(damping) < np.inf) and abs(pull) < np.inf:
+            faulty[0] = springs[k, 3]
         curved = True
         if springs[k, 0] == _TWO_POINTS:
             curved = s[k, 0] != 0.0

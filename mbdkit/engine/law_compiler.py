@@ -24,7 +24,7 @@ from mbdkit.engine.cache import FOLDER, cached_here
 from mbdkit.engine.forces import HAS_POTENTIAL, PASSIVE
 from mbdkit.engine.law_calls import compiled
 from mbdkit.errors import MbdkitError, PluginError
-from mbdkit.mechanism.laws import ExpressionLaw, ForceLaw, FunctionLaw
+from mbdkit.mechanism.laws import ARGUMENTS, ExpressionLaw, ForceLaw, FunctionLaw
 from mbdkit.text import one_line
 
 _HEAD = """from math import nan
@@ -94,6 +94,10 @@ def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, .
         raise
     except Exception as error:
         raise PluginError(f"force law {name} failed to make its parameters: {one_line(error)}") from error
+    if clash := sorted(set(names) & set(ARGUMENTS)):
+        raise PluginError(
+            f"force law {name}: its parameter '{clash[0]}' has the name of what every law is a function of"
+        )
     if not np.all(np.isfinite(values)):
         raise PluginError(f"force law {name} made parameters that are not finite")
     return names, values

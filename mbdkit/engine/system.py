@@ -84,7 +84,7 @@ class Scratch(NamedTuple):
     tension: np.ndarray
     """(S + 1, 4) force, derivatives by length and rate, potential of each spring; the last row is to spare."""
     faulty: np.ndarray
-    """(1,) row of the last law that gave a force that was not finite; -1 for none."""
+    """(1,) row of the last law that gave a force, or derivatives asked for, that were not finite; -1 for none."""
     source: np.ndarray
     jac: np.ndarray
     stiff: np.ndarray

@@ -123,6 +123,7 @@ class SciPyStepper:
         out = np.zeros((len(y), len(y)))
         out[:n3, n3 : 2 * n3] = np.eye(n3)
         out[n3 : 2 * n3, : 2 * n3] = np.linalg.solve(parts[0], right)[:n3]
+        self._finite = self._finite and bool(np.all(np.isfinite(out)))
         return out
 
     def advance(self) -> Stretch:
@@ -144,6 +145,7 @@ class SciPyStepper:
         solver, before = self.solver, self.solver.t
         self._times.clear()
         self._finite = True
+        self.problem.scratch.faulty[0] = -1  # where a step fails, what it tried counts, and not what others tried
         lu = solver.nlu
         try:
             with warnings.catch_warnings(), np.errstate(all="ignore"):

@@ -31,6 +31,10 @@ class Nothing(BaseModel):
     pass
 
 
+class Named(BaseModel):
+    length: float = 1.0
+
+
 class Weights(BaseModel):
     weights: list[float]
 
@@ -77,6 +81,14 @@ def not_finite(length: float, rate: float, time: float, p: Any) -> tuple[float, 
     return math.sqrt(0.5 - time), 0.0, 0.0, 0.0
 
 
+def no_slope(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
+    return length, math.sqrt(0.5 - time), 0.0, 0.0
+
+
+def no_potential(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
+    return length, 1.0, 0.0, math.sqrt(0.5 - time)
+
+
 def fail(options: Any) -> list[float]:
     raise ZeroDivisionError("no parameters today")
 
@@ -110,6 +122,15 @@ LAWS = [
     plugin("not-compilable", Nothing, FunctionLaw(not_compilable)),
     plugin("not-numbers", Nothing, FunctionLaw(not_numbers)),
     plugin("not-finite", Nothing, FunctionLaw(not_finite)),
+    plugin("no-slope", Nothing, FunctionLaw(no_slope)),
+    plugin("no-potential", Nothing, FunctionLaw(no_potential, potential=True)),
+    plugin(
+        "hertz",
+        Linear,
+        ExpressionLaw(stiffness * length ** sp.Rational(3, 2), stiffness * length ** sp.Rational(5, 2) * 2 / 5),
+    ),
+    plugin("bessel", Nothing, ExpressionLaw(sp.besselj(0, length))),
+    plugin("named-length", Named, ExpressionLaw(length)),
     plugin("not-smooth", Nothing, ExpressionLaw(sp.Function("f")(length))),
     plugin("not-an-expression", Nothing, ExpressionLaw(lambda: "length")),
     plugin("unknown-symbol", Linear, ExpressionLaw(sp.Symbol("stifness") * length)),

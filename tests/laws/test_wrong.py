@@ -167,6 +167,8 @@ def with_law(law: str, **options: Any) -> Mechanism:
         ("not-compilable", {}, "cannot be compiled: TypingError"),
         ("not-numbers", {}, "its function returns other things, not the four numbers"),
         ("not-smooth", {}, "SymPy cannot take the derivatives of its force f(length)"),
+        ("bessel", {}, "its force besselj(0, length) has functions that cannot be compiled"),
+        ("named-length", {}, "its parameter 'length' has the name of what every law is a function of"),
         ("not-an-expression", {}, "an object of type str is no SymPy expression"),
         ("unknown-symbol", {"stiffness": 1.0}, "the symbol 'stifness' of its force is none of"),
         ("wrong-potential", {"stiffness": 1.0}, "of its potential is not its force at rate zero"),
@@ -191,6 +193,35 @@ def test_a_law_that_gives_no_number_ends_the_run_as_not_finite(integrator: str) 
     assert run.status_reason.startswith("not-finite: ")
     assert 0.4 < run.time[-1] <= 0.5
     assert "the law of force 'p' gives no finite number" in run.status_reason
+
+
+@pytest.mark.parametrize("integrator", ["gauss", "radau-iia", "scipy-radau"])
+def test_a_law_that_gives_no_derivative_ends_the_run_of_a_method_that_asks_for_it(integrator: str) -> None:
+    # expected: the derivative is none from t = 0.5 s on; an adaptive method asks for it where it converges badly
+    options = {"rtol": 1e-10, "atol": 1e-10} if integrator == "scipy-radau" else {"stages": 2}
+    time = {"end": 9.0, "step": 0.01}
+    run = mbdkit.run(with_law("no-slope"), integrator={"name": integrator, **options}, time=time)
+    assert run.status == "failed"
+    assert run.status_reason.startswith("not-finite: the law of force 'p' gives no finite number")
+
+
+def test_a_law_without_a_finite_derivative_serves_an_explicit_method() -> None:
+    # expected: what it does not ask for cannot stop it
+    start = {"start": 0.7, "end": 1.0, "step": 0.01}
+    assert mbdkit.run(with_law("no-slope"), integrator={"name": "rk4"}, time=start).status == "complete"
+
+
+def test_a_law_whose_potential_is_no_number_ends_the_run_by_its_energy() -> None:
+    run = mbdkit.run(with_law("no-potential"), integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.01})
+    assert run.status_reason.startswith("not-finite: the energy is no finite number at the state")
+    assert 0.4 < run.time[-1] <= 0.5
+
+
+def test_a_potential_that_is_complex_at_negative_lengths_is_checked_at_the_others() -> None:
+    # expected: s^(3/2) has the potential 2/5 s^(5/2); the ball starts at s = 1 m and stays at positive lengths
+    time = {"end": 0.5, "step": 0.01}
+    run = mbdkit.run(with_law("hertz", stiffness=1.0), integrator={"name": "gauss", "stages": 3}, time=time)
+    assert run.check().energy.potential[0] == pytest.approx(0.4, rel=1e-14)
 
 
 def test_a_law_that_gives_no_number_at_the_start_is_refused() -> None:
