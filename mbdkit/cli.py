@@ -61,7 +61,7 @@ SpecName = Annotated[
 ]
 StudyName = Annotated[
     str,
-    typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged study: convergence."),
+    typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged study such as paper."),
 ]
 Archive = Annotated[Path, typer.Argument(metavar="FILE.h5", help="A run archive.")]
 Archives = Annotated[list[Path], typer.Argument(metavar="FILE.h5", help="Run archives.")]

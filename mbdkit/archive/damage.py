@@ -28,8 +28,8 @@ def cause(error: BaseException) -> str:
 
 
 @contextlib.contextmanager
-def reading(what: str, file: Path | None) -> Iterator[None]:
-    """Say in a sentence what of an archive cannot be read.
+def reading(what: str, file: Path | None, *, hint: str = "`mbdkit archive check` says more") -> Iterator[None]:
+    """Say in a sentence what of an archive, or of the index of a study, cannot be read.
 
     Parameters
     ----------
@@ -37,6 +37,8 @@ def reading(what: str, file: Path | None) -> Iterator[None]:
         What is read within the block, such as ``energy/total``.
     file
         The archive; None if it is in memory.
+    hint
+        What the user may do about it.
 
     Raises
     ------
@@ -48,5 +50,5 @@ def reading(what: str, file: Path | None) -> Iterator[None]:
     except MbdkitError:
         raise
     except DAMAGE as error:
-        message = f"this archive is damaged, {what} cannot be read ({cause(error)}); `mbdkit archive check` says more"
+        message = f"this file is damaged, {what} cannot be read ({cause(error)}); {hint}"
         raise SpecError(message, file=file) from error

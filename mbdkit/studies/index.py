@@ -197,7 +197,7 @@ def read(path: Path) -> Index:
     """
     if not path.exists():
         raise SpecError("there is no index.h5; `mbdkit study` writes it", file=path.parent)
-    with reading("the index", path), h5py.File(path, "r") as file:
+    with reading("the index", path, hint="`mbdkit study` writes it anew"), h5py.File(path, "r") as file:
         if file.attrs.get("format") != FORMAT:
             raise SpecError("this is not the index of a study", file=path)
         version = str(file.attrs["format_version"])

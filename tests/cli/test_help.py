@@ -42,6 +42,13 @@ def test_every_command_has_help_that_fits_a_terminal(command, mbdkit):
     assert "..." not in result.stdout.replace("{FILE.h5}...", "").replace("[ARGS]...", "")
 
 
+@pytest.mark.parametrize(("command", "list_of"), [("run", "examples"), ("study", "studies")])
+def test_what_the_help_names_as_packaged_is_packaged(command, list_of, mbdkit):
+    named = " ".join(mbdkit(command, "--help").stdout.split()).split("such as ")[1].split(".")[0]
+    refusal = mbdkit(command, "there-is-none").stderr
+    assert named in refusal.split(f"{list_of}: ")[1]
+
+
 @pytest.mark.parametrize(
     "arguments", [("rnu", "pendulum"), ("run",), ("run", "--stpe"), ("plot", "x.h5", "--kind", "pie"), ("schema", "x")]
 )

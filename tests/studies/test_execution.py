@@ -123,6 +123,12 @@ def test_a_lost_or_damaged_index_is_written_anew_from_the_runs(lost, copied, sma
     assert index_hash(copied) == index
 
 
+def test_who_opens_a_damaged_index_is_told_how_to_get_a_new_one(copied):
+    (copied / "index.h5").write_bytes((copied / "index.h5").read_bytes()[:5000])
+    with pytest.raises(SpecError, match=r"damaged, the index cannot be read .*`mbdkit study` writes it anew"):
+        mbdkit.load_study(copied)
+
+
 def test_a_folder_of_another_study_is_refused_and_left_as_it_is(copied, small):
     before, index = written(copied), (copied / "index.h5").read_bytes()
     with pytest.raises(SpecError, match="belongs to another study"):
