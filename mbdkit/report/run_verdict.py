@@ -52,7 +52,18 @@ def run_verdict(run: Run) -> Verdict:
         claims=tuple(claims),
         tables=run_tables(run),
         figures=run_figures(run),
+        notes=_notes(run),
     )
+
+
+def _notes(run: Run) -> tuple[str, ...]:
+    if not run.redundancy:
+        return ()
+    shared = ""
+    if run.records("joints/reaction_force"):
+        names = str(run.file["joints/reaction_force"].attrs.get("not_unique", ""))
+        shared = f" The reactions of {names} are not unique: of all that hold the mechanism alike, the least are shown."
+    return (f"The joints hold more than they need, with {run.redundancy}.{shared}",)
 
 
 def _completion(run: Run) -> Claim:

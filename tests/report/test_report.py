@@ -120,6 +120,19 @@ def test_what_cannot_be_trusted_is_called_so(make_run, path, values, name, words
     assert words in verdict.sentence
 
 
+def test_reactions_that_are_not_unique_are_called_so():
+    # expected: of a rod that hangs on two pins in one place, each pin may carry any part
+    m = mbdkit.Mechanism()
+    m.body("rod", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    for name in ("pin", "bolt"):
+        m.revolute(name, m.ground, "rod", at=(0.0, 0.0))
+    with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.01}) as run:
+        (note,) = run_verdict(run).notes
+        assert "2 redundant rows: joint bolt" in note
+        assert "The reactions of pin, bolt are not unique" in note
+        assert note in run_document(run).html()
+
+
 def test_a_run_that_failed_says_when_and_why(make_run):
     verdict = run_verdict(make_run(status="failed", reason="singular: the mechanism is at a dead centre"))
     assert verdict.claims[0].answer is Answer.NO
