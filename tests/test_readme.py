@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -10,11 +11,14 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from mbdkit import Mechanism
+from mbdkit import Mechanism, study
+from mbdkit.analysis.verdict import Answer
+from mbdkit.analysis.verdicts import judge
 from mbdkit.engine.law_compiler import bind_law
 from mbdkit.registry.manager import load_registry
 from mbdkit.registry.options import law_element
 from mbdkit.spec import load_spec
+from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.yaml import read_yaml
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -109,3 +113,27 @@ def test_every_packaged_example_that_the_readme_names_is_a_spec() -> None:
 def test_pictures_of_the_readme_exist() -> None:
     for path in re.findall(r"!\[.*?\]\((.*?)\)", README, flags=re.DOTALL):
         assert (ROOT / path).is_file(), path
+
+
+@pytest.mark.slow
+def test_the_verdict_of_the_readme_is_that_of_the_study(tmp_path: Path) -> None:
+    # expected: what the packaged study says; times, which are those of a machine, are left out
+    spec = json.loads(load_study_spec("paper").canonical_json())
+    told = ("published", "one-metre", "joints", "knee", "steps", "precision")
+    spec["families"] = {name: family for name, family in spec["families"].items() if name in told}
+    verdict = judge(study(spec, out=tmp_path / "paper", workers=2))
+    opening = " ".join(README.partition("\n## ")[0].split())
+    for misalignment in re.findall(r"[\d.e-]+(?= m \()", verdict.claim("magnitudes").computed):
+        assert misalignment in opening
+    for name, pattern in (
+        ("gill-worst", r"in \d+ of \d+ pairs of model and step"),
+        ("knee-both", r"[\d.]+ to [\d.]+ s"),
+        ("knee-gauss2", r"[\d.e-]+ mm"),
+        ("knee-gauss3", r"[\d.e-]+ mm"),
+        ("per-joint", r"[\d.]+ to [\d.]+(?= for the second)"),
+        ("per-joint", r"[\d.]+ to [\d.]+(?= for each)"),
+    ):
+        figures = re.search(pattern, verdict.claim(name).computed)
+        assert figures is not None
+        assert figures[0] in opening, (name, figures[0])
+    assert verdict.claim("magnitudes").answer is verdict.claim("gauss3-better").answer is Answer.YES
