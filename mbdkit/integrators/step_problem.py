@@ -180,17 +180,17 @@ class StepProblem:
         """Return Phi_q, a sparse (m, n) array; ``.toarray()`` makes it dense."""
         self._rows(t, q, self._no_force)
         terms, n = self._problem.terms, self.n
-        return self._sparse((terms.factor == 0) & (terms.row >= n), self.m)
+        return self._sparse((terms.factor == 0) & (terms.row >= n), below=True)
 
     def tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
         """Return all derivatives of the equations at a state with accelerations `a` (n,) and multipliers `lam` (m,)."""
         self._evaluate_tangents(t, q, v, a, lam)
         classes = self._classes
         return Tangents(
-            stiffness=self._sparse(classes == view.STIFFNESS, self.n),
-            damping=self._sparse(classes == view.DAMPING, self.n),
-            gamma_v=self._sparse(classes == view.GAMMA_V, self.m),
-            residual_q=self._sparse(classes == view.RESIDUAL_Q, self.m),
+            stiffness=self._sparse(classes == view.STIFFNESS),
+            damping=self._sparse(classes == view.DAMPING),
+            gamma_v=self._sparse(classes == view.GAMMA_V, below=True),
+            residual_q=self._sparse(classes == view.RESIDUAL_Q, below=True),
         )
 
     def iteration_matrix(
@@ -359,13 +359,13 @@ class StepProblem:
         if view.tangents_of(self.address, float(t), q, v, a, vector(lam, self.m)) != OK:
             raise self._not_finite()
 
-    def _sparse(self, keep: np.ndarray, rows: int) -> csr_array:
-        """Return the sum of some of the terms that were evaluated last: those of the upper or of the lower rows."""
+    def _sparse(self, keep: np.ndarray, *, below: bool = False) -> csr_array:
+        """Return the sum of some of the terms that were evaluated last: of upper rows, or of those `below`."""
         from scipy.sparse import csr_array
 
         terms = self._problem.terms.kept(keep)
         values = self._problem.scratch.source[terms.source]
-        row = terms.row if rows == self.n else terms.row - self.n
+        row, rows = (terms.row - self.n, self.m) if below else (terms.row, self.n)
         return csr_array((values, (row, terms.column)), shape=(rows, self.n))
 
     def _choose_at_start(self, key: tuple[bool, ...], coefficients: np.ndarray) -> None:

@@ -34,7 +34,14 @@ def slider_crank() -> mbdkit.Mechanism:
     return m
 
 
-MECHANISMS = {"driven chain": driven_chain, "slider-crank": slider_crank}
+def moved_slider_crank() -> mbdkit.Mechanism:
+    """Return the same without a freedom left: as many constraint rows as coordinates."""
+    m = slider_crank()
+    m.driver("motor", m.ground, "crank", coordinate="angle", motion="0.8 + 0.3*sin(2*t)")
+    return m
+
+
+MECHANISMS = {"driven chain": driven_chain, "slider-crank": slider_crank, "moved slider-crank": moved_slider_crank}
 both = pytest.mark.parametrize("name", MECHANISMS)
 
 
