@@ -1,0 +1,162 @@
+"""Mechanisms to try a method on, as models of a spec; each is there for what only it shows."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+Model = dict[str, Any]
+
+
+def _rod(length: float, mass: float, joint: tuple[float, float], angle: float, rate: float = 0.0) -> Model:
+    """Return a uniform rod whose left end is at `joint`, at rest there."""
+    c, s, r = math.cos(angle), math.sin(angle), length / 2
+    return {
+        "mass": mass,
+        "inertia": mass * length**2 / 12,
+        "position": [joint[0] + r * c, joint[1] + r * s],
+        "angle": angle,
+        "velocity": [-r * s * rate, r * c * rate],
+        "angular_velocity": rate,
+    }
+
+
+def _forces() -> Model:
+    springs = ((["ground", "rod1"], 3.0, 0.2, -1.2), (["rod1", "rod2"], 2.0, 0.1, 0.3))
+    forces: Model = {
+        f"spring{i + 1}": {"type": "torsion-spring", "bodies": pair, "stiffness": k, "damping": c, "free_angle": angle}
+        for i, (pair, k, c, angle) in enumerate(springs)
+    }
+    forces["torque"] = {"type": "torque", "body": "rod2", "reaction_body": "rod1", "value": "1.5*sin(4*t)"}
+    forces["push"] = {"type": "force", "body": "rod2", "point": [0.4, 0.0], "value": ["0.8*cos(3*t)", "0.5*sin(2*t)"]}
+    return forces
+
+
+def _two_rods(angles: tuple[float, float], first_rate: float = 0.0) -> Model:
+    elbow = (math.cos(angles[0]), math.sin(angles[0]))
+    second = _rod(0.8, 0.7, elbow, angles[1])
+    second["velocity"] = [-elbow[1] * first_rate, elbow[0] * first_rate]
+    return {
+        "name": "mechanism",
+        "bodies": {"rod1": _rod(1.0, 1.0, (0.0, 0.0), angles[0], first_rate), "rod2": second},
+        "joints": {
+            "J1": {"type": "revolute", "bodies": ["ground", "rod1"], "points": [[0.0, 0.0], [-0.5, 0.0]]},
+            "J2": {"type": "revolute", "bodies": ["rod1", "rod2"], "points": [[0.5, 0.0], [-0.4, 0.0]]},
+        },
+    }
+
+
+FORCED_PENDULUM: Model = {**_two_rods((-0.6, 0.1)), "forces": _forces()}
+"""Two rods with springs and dampers, a torque and a force that depend on time: nonlinear and not autonomous."""
+
+DRIVEN_PENDULUM: Model = {**_two_rods((-1.2, 0.1), 1.5), "forces": _forces()}
+"""The same with its first rod moved by a driver: constraints that depend on time."""
+DRIVEN_PENDULUM["joints"]["motor"] = {
+    "type": "driver",
+    "bodies": ["ground", "rod1"],
+    "coordinate": "angle",
+    "motion": "-1.2 + 0.6*sin(2.5*t)",
+}
+
+FOUR_BAR: Model = {
+    "name": "mechanism",
+    "bodies": {
+        "crank": _rod(0.4, 1.0, (0.0, 0.0), 1.2),
+        "coupler": _rod(1.0, 2.0, (0.4 * math.cos(1.2), 0.4 * math.sin(1.2)), 0.35),
+        "rocker": _rod(0.8, 1.5, (1.0, 0.0), 1.4),
+    },
+    "joints": {
+        "A": {"type": "revolute", "bodies": ["ground", "crank"], "points": [[0.0, 0.0], [-0.2, 0.0]]},
+        "B": {"type": "revolute", "bodies": ["crank", "coupler"], "points": [[0.2, 0.0], [-0.5, 0.0]]},
+        "C": {"type": "revolute", "bodies": ["coupler", "rocker"], "points": [[0.5, 0.0], [0.4, 0.0]]},
+        "D": {"type": "revolute", "bodies": ["ground", "rocker"], "points": [[1.0, 0.0], [-0.4, 0.0]]},
+    },
+    "forces": {
+        "motor": {"type": "torque", "body": "crank", "value": "2 + sin(5*t)"},
+        "slip": {"type": "torsion-spring", "bodies": ["ground", "crank"], "damping": 1.0},
+        "return": {
+            "type": "spring-damper",
+            "bodies": ["ground", "coupler"],
+            "points": [[0.5, 1.5], [0.1, 0.1]],
+            "stiffness": 30.0,
+            "damping": 1.0,
+            "free_length": 0.6,
+        },
+    },
+    "assembly": {"fix": ["crank"]},
+}
+"""A closed loop under a torque that depends on time, with a spring between a body and a point that is not a joint."""
+
+SWINGING: Model = _two_rods((-1.0, -1.9))
+"""A conservative double pendulum at swings that are large, but not chaotic within some seconds."""
+
+FREE_FOUR_BAR: Model = {**FOUR_BAR, "forces": {}, "gravity": [0.0, -2.0]}
+"""The four-bar without loads in weak gravity: conservative and closed."""
+
+ORBIT: Model = {
+    "name": "mechanism",
+    "gravity": [0.0, 0.0],
+    "bodies": {"mass": {"mass": 1.0, "position": [1.0, 0.0], "velocity": [0.0, 0.7]}},
+    "forces": {
+        "spring": {
+            "type": "spring-damper",
+            "bodies": ["ground", "mass"],
+            "points": [[0.0, 0.0], [0.0, 0.0]],
+            "stiffness": 2.0,
+            "free_length": 0.3,
+        }
+    },
+}
+"""A point mass on a spring that is fixed at the origin: no joints, nonlinear, conserves energy and angular momentum."""
+
+COASTING: Model = {**SWINGING, "gravity": [0.0, 0.0]}
+COASTING["bodies"] = {
+    "rod1": _rod(1.0, 1.0, (0.0, 0.0), -1.0, 1.0),
+    "rod2": {**_rod(0.8, 0.7, (math.cos(1.0), -math.sin(1.0)), -1.9), "velocity": [math.sin(1.0), math.cos(1.0)]},
+}
+"""Two rods that move without any force but those in their joints."""
+
+NO_NUMBER: Model = {
+    **SWINGING,
+    "forces": {"torque": {"type": "torque", "body": "rod1", "value": "sqrt(0.5 - t)"}},
+}
+"""A torque that is no number any more after half a second."""
+
+OUT_OF_REACH: Model = {
+    **_two_rods((-0.8, 0.8)),
+    "forces": {},
+}
+"""Two rods whose far end a driver pulls farther than they reach, which they notice within a second."""
+OUT_OF_REACH["joints"]["pull"] = {
+    "type": "driver",
+    "bodies": ["ground", "rod2"],
+    "coordinate": "x",
+    "points": [[0.0, 0.0], [0.4, 0.0]],
+    "motion": f"{math.cos(0.8) + 0.8 * math.cos(0.8):.15f} + t**2",
+}
+
+CANNOT_MEET: Model = {
+    **SWINGING,
+    "joints": {
+        **SWINGING["joints"],
+        "far": {"type": "revolute", "bodies": ["ground", "rod2"], "points": [[9.0, 0.0], [0.4, 0.0]]},
+    },
+}
+"""Two rods that are to reach a point five rods away."""
+
+
+def pushed(power: int) -> Model:
+    """Return a point mass of 1 kg under the force ``t**power`` along x: its motion is a polynomial."""
+    return {
+        "name": "mechanism",
+        "gravity": [0.0, 0.0],
+        "bodies": {"mass": {"mass": 1.0, "position": [0.0, 0.0]}},
+        "forces": {
+            "push": {
+                "type": "force",
+                "body": "mass",
+                "point": [0.0, 0.0],
+                "value": [f"t**{power}" if power else "1", "0"],
+            }
+        },
+    }
