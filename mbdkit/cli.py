@@ -29,7 +29,7 @@ BODIES_SHOWN = 20
 
 app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=False, **PLAIN)
 schema_app = typer.Typer(help="Print the JSON schema of a spec, for editors.", **PLAIN)
-plugins_app = typer.Typer(help="Show which models, integrators and force laws are installed.", **PLAIN)
+plugins_app = typer.Typer(help="Show and verify what is installed: models, integrators, laws.", **PLAIN)
 examples_app = typer.Typer(
     help="List the packaged examples, or copy one to edit it.",
     **{**PLAIN, "no_args_is_help": False},
@@ -86,8 +86,8 @@ def mbdkit(
 ) -> None:
     """Planar multibody dynamics: a spec goes in, a trustworthy HDF5 archive comes out.
 
-    Exit status: 0 done, 1 a rerun differs, 2 the input is wrong, 3 the integration stopped early, 4 a plugin failed,
-    130 interrupted.
+    Exit status: 0 done, 1 a rerun differs or a plugin is not verified, 2 the input is wrong, 3 the integration stopped
+    early, 4 a plugin failed, 130 interrupted.
     """
 
 
@@ -298,6 +298,59 @@ def plugins_show(
         print(json.dumps({"plugins": [describe.details(item) for item in items]}))
     else:
         print("\n\n".join(describe.page(item) for item in items))
+
+
+@plugins_app.command("verify")
+def plugins_verify(
+    name: Annotated[str, typer.Argument(metavar="ID", help="A name such as gauss, or an id such as mbdkit:gauss.")],
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Set one of its options, such as stages=3; may be repeated."),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Leave out the slow checks.")] = False,
+    as_json: AsJson = False,
+    as_html: Annotated[bool, typer.Option("--html", help="Write a page as well.")] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE.html", help="The page; by default ./NAME-verification.html."),
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Hold one to what it claims, by the checks of mbdkit.testing.
+
+    Exit status 1 if it is not verified: a check failed, or none of those that
+    matter most could be run. With --json, one object whose "reports" is a list:
+    a model and an integrator may share a name.
+    """
+    from mbdkit.registry import describe
+    from mbdkit.spec.reading import read_assignments
+
+    items = describe.find(name)
+    options = read_assignments(assignments or ())
+    from mbdkit.testing import verify
+    from mbdkit.testing.page import check_page, write_page
+
+    page = (output or Path(f"{name.replace(':', '-')}-verification.html")) if as_html or output is not None else None
+    if page is not None:
+        check_page(page, overwrite=overwrite)
+    reports = []
+    for item in items:
+        with count_bar(item.id, quiet) as bar:
+            watch = None if bar is None else lambda done, total, check, bar=bar: bar(done, total, 0)
+            notify = silence if quiet else say
+            reports.append(verify(item.kind, item.id, options, quick=quick, watch=watch, notify=notify))
+    if page is not None:
+        write_page(reports, page)
+    if as_json:
+        print(json.dumps({"reports": [report.to_dict() for report in reports]}))
+    elif not quiet:
+        print("\n\n".join(report.text() for report in reports))
+        if page is not None:
+            print(page)
+    if not all(report.verified for report in reports):
+        raise typer.Exit(terminal.NOT_VERIFIED)
 
 
 @plugins_app.command("doctor")

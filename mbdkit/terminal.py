@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 DONE, BUG, WRONG_INPUT, STOPPED_EARLY, PLUGIN_FAILED, INTERRUPTED = 0, 1, 2, 3, 4, 130
-DIFFERS = 1
+DIFFERS = NOT_VERIFIED = 1
 
 DEBUG = "mbdkit.debug"
 PATIENCE = 0.5  # seconds before a progress bar appears

@@ -7,7 +7,7 @@ import os
 import re
 import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -180,6 +180,14 @@ def set_value(document: Document, assignment: str) -> None:
     except SpecError as error:
         raise error.located(file=where) from None
     document.overridden[path] = assignment
+
+
+def read_assignments(assignments: Iterable[str]) -> dict[str, Any]:
+    """Return the plain data that assignments ``key.path=value`` from the command line make by themselves."""
+    document = Document({})
+    for assignment in assignments:
+        set_value(document, assignment)
+    return document.data
 
 
 def put(data: dict[str, Any], path: Path, value: Any) -> None:

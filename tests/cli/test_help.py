@@ -25,6 +25,7 @@ COMMANDS = [
     ("plugins",),
     ("plugins", "list"),
     ("plugins", "show"),
+    ("plugins", "verify"),
     ("plugins", "doctor"),
     ("examples",),
     ("examples", "copy"),
