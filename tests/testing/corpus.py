@@ -1,0 +1,329 @@
+"""Plugins that are each wrong in one way, and a registry that offers one of them beside what mbdkit ships.
+
+The right method behind most of them is the classical Runge-Kutta method or the implicit midpoint rule, written down as
+their textbooks have them; what is wrong with a copy is said in its one-line docstring.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import scipy.integrate
+from pydantic import BaseModel, ConfigDict
+
+import mbdkit
+from mbdkit import Claims, ExpressionLaw, FunctionLaw, Mechanism, StepError, StepMethod, StepProblem, StepState
+from mbdkit.integrators import gauss
+from mbdkit.integrators.methods import SciPySolver
+from mbdkit.registry.catalogue import Registry
+from mbdkit.registry.manager import load_registry
+
+GAUSS_3: dict[str, Any] = {
+    "order": 6,
+    "stages": 3,
+    "symmetric": True,
+    "symplectic": True,
+    "quadratic_invariants": True,
+    "needs": ("tangents",),
+}
+
+
+class NoOptions(BaseModel):
+    """Nothing to choose."""
+
+    model_config = ConfigDict(frozen=True)
+
+
+# --- methods ---------------------------------------------------------------------------------------------------------
+
+
+class RungeKutta(StepMethod):
+    """The classical method of order 4; nothing is wrong with it."""
+
+    weights = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
+    nodes = (0.0, 0.5, 0.5, 1.0)
+
+    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+        w, c, q, v = self.weights, self.nodes, state.q, state.v
+        a1, _ = self.rates(problem, t + c[0] * h, q, v)
+        v2 = v + h / 2 * a1
+        a2, _ = self.rates(problem, t + c[1] * h, q + h / 2 * v, v2)
+        v3 = v + h / 2 * a2
+        a3, _ = self.rates(problem, t + c[2] * h, q + h / 2 * v2, v3)
+        v4 = v + h * a3
+        a4, _ = self.rates(problem, t + c[3] * h, q + h * v3, v4)
+        dq = h * (w[0] * v + w[1] * v2 + w[2] * v3 + w[3] * v4)
+        return state.moved(dq, h * (w[0] * a1 + w[1] * a2 + w[2] * a3 + w[3] * a4))
+
+    def rates(self, problem: StepProblem, t: float, q: np.ndarray, v: np.ndarray) -> Any:
+        return problem.accelerations(t, q, v)
+
+
+class WrongCoefficient(RungeKutta):
+    """Two of its weights are swapped by a typing error."""
+
+    weights = (1 / 6, 1 / 6, 1 / 3, 1 / 3)
+
+
+class WrongStageTime(RungeKutta):
+    """Its third stage is at the time of the first: only problems that depend on time notice."""
+
+    nodes = (0.0, 0.5, 0.0, 1.0)
+
+
+class ChangesItsInput(RungeKutta):
+    """It moves the state that it was handed in place before it makes the new one."""
+
+    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+        new = super().step(problem, t, state, h)
+        state.q[:] = new.q
+        return new
+
+
+class LyingCounter(RungeKutta):
+    """It takes three of its four evaluations off the bill."""
+
+    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+        new = super().step(problem, t, state, h)
+        problem.counters.rhs_evaluations -= 3
+        return new
+
+
+class SwallowsNaN(RungeKutta):
+    """Where there are no accelerations it goes on with none."""
+
+    def rates(self, problem: StepProblem, t: float, q: np.ndarray, v: np.ndarray) -> Any:
+        try:
+            return problem.accelerations(t, q, v)
+        except StepError:
+            return np.zeros(problem.n), np.zeros(problem.m)
+
+
+class Forgetful(StepMethod):
+    """Adams-Bashforth of two steps whose memory is in the object, not in the state."""
+
+    def __init__(self) -> None:
+        self.before: np.ndarray | None = None
+
+    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+        a, _ = problem.accelerations(t, state.q, state.v)
+        now = np.concatenate([state.v, a])
+        slope = now if self.before is None else 1.5 * now - 0.5 * self.before
+        self.before = now
+        return state.moved(h * slope[: problem.n], h * slope[problem.n :])
+
+
+class Endless(RungeKutta):
+    """It tries again for ever where it meets no number."""
+
+    def rates(self, problem: StepProblem, t: float, q: np.ndarray, v: np.ndarray) -> Any:
+        while True:
+            try:
+                return problem.accelerations(t, q, v)
+            except StepError:
+                continue
+
+
+class Stabilized(RungeKutta):
+    """It projects after each step, which no spec asked for."""
+
+    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+        new = super().step(problem, t, state, h)
+        q = problem.project_positions(t + h, new.q)
+        return StepState(q, problem.project_velocities(t + h, q, new.v))
+
+
+class Midpoint(StepMethod):
+    """The implicit midpoint rule by Newton iteration to rounding; nothing is wrong with it."""
+
+    enough, tangent, lazy = 0.0, 1.0, 0.0
+
+    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+        q0, v0, middle = state.q, state.v, t + h / 2
+        a, lam = problem.accelerations(t, q0, v0)
+        c1, c2, before = h / 2, h * h / 4, math.inf
+        for _ in range(40):
+            q, v = q0 + c1 * (v0 + c1 * a), v0 + c1 * a
+            matrix = problem.iteration_matrix(
+                middle, q, v, a, lam,
+                damping=self.tangent * c1, stiffness=self.tangent * c2,
+                gamma_v=-self.tangent * c1, residual_q=self.tangent * c2,
+            )  # fmt: skip
+            rows = problem.constraint_jacobian(middle, q) @ a - problem.gamma(middle, q, v)
+            da, dlam = matrix.solve(-problem.residual(middle, q, v, a, lam), -rows)
+            change = problem.relative_change(q, c2 * da)
+            if change < self.lazy:
+                return state.moved(h * (v0 + c1 * a), h * a)
+            a, lam = a + da, lam + dlam
+            if change <= max(self.enough, 4e-16) or (change >= before / 2 and change < 1e-9):
+                return state.moved(h * (v0 + c1 * a), h * a)
+            before = change
+        raise StepError("newton-failed", "the iteration does not converge")
+
+
+class LooseNewton(Midpoint):
+    """It stops to iterate while a step still moves a body by a ten-thousandth of its place."""
+
+    enough = 1e-4
+
+
+class LazyNewton(Midpoint):
+    """It takes the accelerations of the last step for good where an iteration would move bodies by a millionth only."""
+
+    lazy = 1e-6
+
+
+class WrongJacobian(Midpoint):
+    """Its Newton matrix has the wrong sign at all tangents, and it takes one iteration for enough."""
+
+    tangent, enough = -1.0, 1.0
+
+
+class IterationOptions(BaseModel):
+    """What an author may let users choose."""
+
+    tolerance: float = 1e-4
+    """Change at which the iteration ends."""
+
+
+def loose_gauss(tolerance: float) -> Registry:
+    """Return the Gauss method with 3 stages, whose iteration ends early, and does not say so."""
+    return offer(lambda options: mbdkit.ImplicitRungeKutta(gauss.tableau(3), tolerance=tolerance), **GAUSS_3)
+
+
+def loose_by_default() -> Registry:
+    """Return the same with a tolerance as an option, whose default is too loose."""
+    return offer(
+        lambda options: mbdkit.ImplicitRungeKutta(gauss.tableau(3), tolerance=options.tolerance),
+        IterationOptions,
+        **GAUSS_3,
+    )
+
+
+class LyingSolver(scipy.integrate.RK45):
+    """A solver of SciPy that accepts every step, whatever its error."""
+
+    def __init__(self, fun: Any, t0: float, y0: Any, t_bound: float, **options: Any) -> None:
+        super().__init__(fun, t0, y0, t_bound, **(options | {"rtol": 1e-2, "atol": 1e-2}))
+
+
+class Tolerances(BaseModel):
+    """Those of SciPy."""
+
+    rtol: float = 1e-8
+    """Relative tolerance."""
+    atol: float = 1e-10
+    """Absolute tolerance."""
+
+
+def trapezoid(symmetric: bool) -> Any:
+    """Return Heun's method, which is explicit and so not symmetric."""
+    tableau = mbdkit.ButcherTableau("heun", [[], [1]], ["1/2", "1/2"], [0, 1], 2)
+    return offer(lambda options: mbdkit.ExplicitRungeKutta(tableau), order=2, stages=2, symmetric=symmetric)
+
+
+# --- models ----------------------------------------------------------------------------------------------------------
+
+
+def pendulum(motion: str = "", random: bool = False) -> Mechanism:
+    """Return a rod; with a motor at its joint if it has a motion, and of an unpredictable mass if `random`."""
+    m = Mechanism()
+    mass = 1.0 + (np.random.default_rng().random() if random else 0.0)
+    m.body("rod", mass=mass, inertia=1 / 12, position=(0.5, 0.0))
+    m.revolute("A", m.ground, "rod", at=(0.0, 0.0))
+    if motion:
+        m.driver("motor", m.ground, "rod", coordinate="angle", motion=motion)
+    return m
+
+
+# --- force laws ------------------------------------------------------------------------------------------------------
+
+
+def hardening(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
+    """A spring that hardens, with a damper; nothing is wrong with it."""
+    return 3 * length + 5 * length**3 + rate, 3 + 15 * length**2, 1.0, 1.5 * length**2 + 1.25 * length**4
+
+
+def wrong_slope(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
+    """Its derivative by length forgets a factor."""
+    return 3 * length + 5 * length**3 + rate, 3 + 5 * length**2, 1.0, 1.5 * length**2 + 1.25 * length**4
+
+
+def wrong_rate(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
+    """Its derivative by rate is missing."""
+    return 3 * length + 5 * length**3 + rate, 3 + 15 * length**2, 0.0, 1.5 * length**2 + 1.25 * length**4
+
+
+def wrong_potential(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
+    """Its potential has the wrong sign."""
+    return 3 * length + 5 * length**3 + rate, 3 + 15 * length**2, 1.0, -1.5 * length**2 - 1.25 * length**4
+
+
+def pushes(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
+    """It calls itself passive, and pushes where it should damp."""
+    return 3 * length - rate, 3.0, -1.0, 1.5 * length**2
+
+
+def no_number(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
+    """It is no number where it is short."""
+    return math.sqrt(length - 0.4), 0.5 / math.sqrt(length - 0.4), 0.0, 0.0
+
+
+# --- the registry ----------------------------------------------------------------------------------------------------
+
+
+def offer(create: Any, options: type[BaseModel] = NoOptions, **claims: Any) -> Registry:
+    """Return what mbdkit ships and one integrator more, ``acme:mine``."""
+    item = mbdkit.IntegratorPlugin(
+        name="mine",
+        summary="A method under test",
+        options=options,
+        create=create,
+        claims=lambda options: Claims(**{"drift": "of the method's order"} | claims),
+        references=("@misc{acme}",),
+    )
+    return _with(mbdkit_integrators=item)
+
+
+def offer_method(method: type[StepMethod], **claims: Any) -> Registry:
+    return offer(functools.partial(_made, method), **claims)
+
+
+def _made(method: type[StepMethod], options: Any) -> StepMethod:
+    return method()
+
+
+def offer_solver() -> Registry:
+    return offer(lambda o: SciPySolver(LyingSolver, o.rtol, o.atol), Tolerances, adaptive=True)
+
+
+def offer_model(**options: Any) -> Registry:
+    plugin = mbdkit.ModelPlugin("mine", "A rod", NoOptions, lambda chosen: pendulum(**options), ("@misc{acme}",))
+    return _with(mbdkit_models=plugin)
+
+
+def offer_law(function: Any, *, potential: bool = True, passive: bool = True) -> Registry:
+    law: Any = function
+    if not isinstance(function, ExpressionLaw):
+        law = FunctionLaw(function, potential=potential, passive=passive)
+    return _with(mbdkit_force_laws=mbdkit.ForceLawPlugin("mine", "A law", NoOptions, law, ("@misc{acme}",)))
+
+
+def _with(**hooks: Any) -> Registry:
+    def answering(name: str, item: Any) -> Any:
+        def hook() -> Any:
+            return [item]
+
+        hook.__name__ = name
+        return mbdkit.hookimpl(hook)
+
+    module = SimpleNamespace(**{name: answering(name, item) for name, item in hooks.items()})
+    ours = [ep for ep in importlib.metadata.entry_points(group="mbdkit") if ep.dist and ep.dist.name == "mbdkit"]
+    dist = SimpleNamespace(name="acme", version="1.0")
+    mine: Any = SimpleNamespace(name="mine", value="acme", dist=dist, load=lambda: module)
+    return load_registry([*ours, mine])
