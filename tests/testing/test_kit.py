@@ -1,0 +1,130 @@
+"""The kit from outside: what mbdkit ships is verified, reports count, tests are made, and the table is fresh."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mbdkit
+import mbdkit.testing
+from mbdkit.registry.manager import registry
+from mbdkit.testing import Report, Result, conformance
+from mbdkit.testing.kit import subject_of, verify
+from mbdkit.testing.page import html
+from mbdkit.testing.problems import DRIVEN_PENDULUM
+from mbdkit.testing.table import BEGIN, END, VARIANTS, title
+
+README = Path(mbdkit.testing.__file__).with_name("README.md")
+OPTIONS: dict[str, dict[str, Any]] = {
+    "linear": {"stiffness": 30.0, "damping": 1.0, "free_length": 0.5},
+    "one-sided": {"stiffness": 200.0, "damping": 1.0, "free_length": 0.5, "acts": "compression"},
+    "table": {"table": [[0.0, 0.5, 1.0, 1.5], [-20.0, 0.0, 30.0, 90.0]], "damping": 1.0},
+    "n-pendulum": {"n": 4, "angle": -1.0},
+    "mechanism": DRIVEN_PENDULUM,
+}
+FULL = [("gauss", {"stages": 3}), ("rk4", {}), ("scipy-dop853", {})]
+
+
+@pytest.mark.parametrize(("name", "options"), VARIANTS, ids=lambda x: str(x))
+def test_every_integrator_of_mbdkit_is_verified(name: str, options: dict[str, Any]) -> None:
+    report = verify("integrator", f"mbdkit:{name}", options, quick=True)
+    assert report.verified, report.text()
+    assert not report.of("warn"), report.text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "options"), FULL, ids=lambda x: str(x))
+def test_the_slow_checks_verify_it_too(name: str, options: dict[str, Any]) -> None:
+    report = mbdkit.testing.check_integrator(name, options)
+    assert report.verified, report.text()
+    assert report.seconds < 60
+
+
+@pytest.mark.parametrize("name", [item.name for item in registry().only("mbdkit").of_kind("model")])
+def test_every_model_of_mbdkit_is_verified(name: str) -> None:
+    options = {key: value for key, value in OPTIONS.get(name, {}).items() if key != "name"}
+    report = mbdkit.testing.check_model(f"mbdkit:{name}", options)
+    assert report.verified, report.text()
+
+
+@pytest.mark.parametrize("name", [item.name for item in registry().only("mbdkit").of_kind("force-law")])
+@pytest.mark.parametrize("by_example", [True, False], ids=["by example", "as given"])
+def test_every_force_law_of_mbdkit_is_verified(name: str, by_example: bool) -> None:
+    report = mbdkit.testing.check_force_law(f"mbdkit:{name}", {} if by_example else OPTIONS[name])
+    assert report.verified, report.text()
+    assert not report.of("warn"), report.text()
+
+
+@conformance(force_law="mbdkit:one-sided", options={"stiffness": 50.0, "acts": "tension"})
+def test_one_line_makes_every_check_a_test(case: Any) -> None:
+    assert case().outcome == "pass"
+
+
+def test_a_decorated_test_fails_where_the_check_does_and_skips_where_it_does() -> None:
+    from mbdkit.testing import ConformanceWarning, cases
+
+    by_name = {str(case): case for case in cases("integrator", "mbdkit:rk4")}
+    with pytest.raises(pytest.skip.Exception, match="it does not iterate"):
+        by_name["newton.order"]()
+    dishonest = next(case for case in by_name.values() if str(case) == "contract.method")
+    assert dishonest().outcome == "pass"
+    assert issubclass(ConformanceWarning, UserWarning)
+    with pytest.raises(TypeError, match="exactly one of integrator=, model= and force_law="):
+        conformance(integrator="rk4", model="single-pendulum")
+
+
+def result(name: str, outcome: Any) -> Result:
+    return Result(name, "It does.", outcome, "because" if outcome != "pass" else "", {"x": float("nan")}, 0.1)
+
+
+def report(*results: Result) -> Report:
+    return Report("acme:mine", "integrator", "1.0", {"k": 1}, {"order": 2}, results)
+
+
+def test_nothing_is_verified_without_a_check_of_its_geometry() -> None:
+    assert report(result("order.x", "pass"), result("geometry.x", "pass")).verified
+    bare = report(result("order.x", "pass"), result("geometry.x", "skip"))
+    assert not bare.verified
+    assert bare.verdict() == "not verified: no check of geometry could be carried out; 1 check run, 1 skipped"
+
+
+def test_a_warning_is_no_failure_and_a_failure_is_named() -> None:
+    assert report(result("order.x", "warn"), result("geometry.x", "pass")).verified
+    found = report(result("order.x", "fail"), result("geometry.x", "pass"), result("drift.x", "skip"))
+    assert found.verdict() == "not verified: 1 failed (order.x); 2 checks run, 1 skipped"
+
+
+def test_a_report_as_json_holds_no_number_that_json_has_not() -> None:
+    told = json.loads(json.dumps(report(result("geometry.x", "pass")).to_dict(), allow_nan=False))
+    assert told["checks"][0]["figures"] == {"x": None}
+    assert (told["verified"], told["run"], told["failed"], told["skipped"]) == (True, 1, 0, 0)
+
+
+def test_a_report_as_a_page_names_every_check_and_escapes_what_plugins_say() -> None:
+    page = html([report(Result("order.x", "It <b>does</b>.", "fail", "1 < 2", {}, 0.1))])
+    assert "order.x: It &lt;b&gt;does&lt;/b&gt;." in page
+    assert "1 &lt; 2." in page
+    assert "http" not in page.replace("http-equiv", "")
+
+
+@pytest.mark.parametrize("kind", ["integrator", "model", "force-law"])
+def test_every_check_has_a_name_of_its_own_in_a_room_and_says_what_it_does(kind: Any) -> None:
+    checks = list(mbdkit.testing.checks_of(kind))
+    assert len({check.name for check in checks}) == len(checks)
+    assert all(check.what.endswith(".") and len(check.what) > 30 for check in checks)
+    assert all(f"`{check.name.partition('.')[0]}`" in README.read_text(encoding="utf-8") for check in checks)
+
+
+def test_the_table_in_the_readme_has_every_integrator_with_what_it_claims_now() -> None:
+    lines = README.read_text(encoding="utf-8").partition(BEGIN)[2].partition(END)[0].strip().splitlines()[2:]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    expected = []
+    for name, options in VARIANTS:
+        order = subject_of("integrator", f"mbdkit:{name}", options).claims.order
+        expected.append([title(name, options), "adaptive" if order is None else f"{order:g}"])
+    assert [row[:2] for row in cells] == expected
+    assert {row[-1].rpartition(", ")[2] for row in cells} == {"0 failed"}
+    assert {item.name for item in registry().only("mbdkit").of_kind("integrator")} == {name for name, _ in VARIANTS}
