@@ -29,7 +29,7 @@ BODIES_SHOWN = 20
 
 app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=False, **PLAIN)
 schema_app = typer.Typer(help="Print the JSON schema of a spec, for editors.", **PLAIN)
-plugins_app = typer.Typer(help="Show and verify what is installed: models, integrators, laws.", **PLAIN)
+plugins_app = typer.Typer(help="List, verify, diagnose and begin plugins.", **PLAIN)
 examples_app = typer.Typer(
     help="List the packaged examples, or copy one to edit it.",
     **{**PLAIN, "no_args_is_help": False},
@@ -88,6 +88,10 @@ def mbdkit(
 
     Exit status: 0 done, 1 a rerun differs or a plugin is not verified, 2 the input is wrong, 3 the integration stopped
     early, 4 a plugin failed, 130 interrupted.
+
+    Environment: MBDKIT_PLUGINS=a,b loads plugins of these distributions alone, of none if it is empty;
+    MBDKIT_DISABLE_PLUGINS=a,b leaves these out; MBDKIT_STRICT_PLUGINS=1 refuses to work where a plugin cannot be
+    loaded; MBDKIT_CACHE_DIR is where compiled code is kept.
     """
 
 
@@ -276,8 +280,10 @@ def examples_copy(
 def plugins_list(as_json: AsJson = False, debug: Debug = False) -> None:
     """List what is installed, and what could not be loaded."""
     from mbdkit.registry import describe
+    from mbdkit.registry.manager import load_installed
 
-    print(json.dumps(describe.listing()) if as_json else describe.listing_text())
+    installed = load_installed()
+    print(json.dumps(describe.listing(installed)) if as_json else describe.listing_text(installed))
 
 
 @plugins_app.command("show")
@@ -360,10 +366,36 @@ def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
     Exit status 4 if one could not be loaded.
     """
     from mbdkit.registry import describe
+    from mbdkit.registry.manager import load_installed
 
-    print(json.dumps(describe.diagnosis()) if as_json else describe.diagnosis_text())
-    if not describe.is_sound():
+    installed = load_installed()
+    print(json.dumps(describe.diagnosis(installed)) if as_json else describe.diagnosis_text(installed))
+    if not describe.is_sound(installed):
         raise typer.Exit(terminal.PLUGIN_FAILED)
+
+
+@plugins_app.command("new")
+def plugins_new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the distribution, such as mbdkit-rocket.")],
+    kind: Annotated[
+        Literal["integrator", "tableau", "model", "force-law"], typer.Option("--kind", help="What it is to offer.")
+    ],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Make the project of a new plugin in ./NAME.
+
+    It installs as it is, its tests pass, and its README says what to change.
+    Nothing that exists is touched.
+    """
+    from mbdkit.scaffold.new import new_project
+
+    project = new_project(name, kind)
+    if as_json:
+        files = sorted(str(path) for path in project.rglob("*") if path.is_file())
+        print(json.dumps({"path": str(project), "kind": kind, "files": files}))
+    else:
+        print(f"{project}: pip install -e './{project}[test]', and then see {project / 'README.md'}")
 
 
 @app.command()
@@ -498,12 +530,14 @@ def rerun(
     if output is not None:
         _check_new(output, str(archive), overwrite)
     from mbdkit.archive.compare import compare
+    from mbdkit.archive.needed import check_plugins_of
     from mbdkit.archive.reader import load
     from mbdkit.errors import SpecError
     from mbdkit.simulation import simulate
     from mbdkit.spec import load_spec
 
     with load(archive) as before:
+        check_plugins_of(archive, before.provenance)
         try:
             checked = load_spec(before.spec)
         except SpecError as error:

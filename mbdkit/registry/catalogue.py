@@ -51,14 +51,15 @@ class Registered:
 class Report:
     """What became of one entry point or of one of its items, for ``mbdkit plugins list`` and ``doctor``.
 
-    `status` is ``ok``, ``clash`` (the short name is taken twice; the long id works) or ``error``.
+    `status` is ``ok``, ``clash`` (the short name is taken twice; the long id works), ``error``, or ``disabled`` (an
+    environment variable left it out, and it was not imported).
     `kind` is None for an entry point that handed over no items; `seconds` is its loading time.
     """
 
     id: str
     kind: Kind | None
     origin: Origin
-    status: Literal["ok", "clash", "error"]
+    status: Literal["ok", "clash", "error", "disabled"]
     error: str | None
     seconds: float
 
@@ -87,6 +88,11 @@ class Registry:
     def failures(self) -> tuple[Report, ...]:
         """Reports on everything that could not be loaded."""
         return tuple(report for report in self._reports if report.status == "error")
+
+    @property
+    def distributions(self) -> set[str]:
+        """Names of all distributions of which something was tried."""
+        return {report.origin.distribution for report in self._reports}
 
     def of_kind(self, kind: Kind) -> tuple[Registered, ...]:
         """Return the items of one kind."""
@@ -131,7 +137,18 @@ class Registry:
         if self.failures:
             broken = listed([f"'{report.id}'" for report in self.failures], "and")
             message += f"; not loaded: {broken} (see `mbdkit plugins doctor`)"
-        raise SpecError(message, key=key)
+        raise SpecError(message + self._whereabouts(name), key=key)
+
+    def _whereabouts(self, name: str) -> str:
+        """Return what a long id tells of the distribution that it would come from."""
+        distribution, colon, _ = name.partition(":")
+        here = [report for report in self._reports if report.origin.distribution == distribution]
+        if not colon or not distribution:
+            return ""
+        if not here:
+            return f"; '{name}' comes with the distribution {distribution}, which is not installed"
+        reasons = dict.fromkeys(report.error for report in here if report.status == "disabled" and report.error)
+        return f"; {distribution} is {listed(reasons, 'and')}" if reasons else ""
 
     def _namesakes(self, kind: Kind, name: str) -> list[Registered]:
         return [item for item in self.of_kind(kind) if item.name == name]

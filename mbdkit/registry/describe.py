@@ -14,6 +14,7 @@ from mbdkit.registry.catalogue import KINDS, Registered, Registry, Report
 from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.registry.options import named_options
+from mbdkit.registry.policy import API
 from mbdkit.text import did_you_mean, listed, table
 
 Schema = dict[str, Any]
@@ -21,14 +22,13 @@ WIDTH = 80
 DEEPEST = 6  # a plugin's options may contain themselves
 
 
-def listing(installed: Registry | None = None) -> dict[str, Any]:
+def listing(installed: Registry) -> dict[str, Any]:
     """Return ``{"plugins": [...]}`` with id, kind, distribution, version, status and error of each item and failure."""
-    return {"plugins": [_entry(report) for report in (installed or registry()).reports]}
+    return {"plugins": [_entry(report) for report in installed.reports]}
 
 
-def listing_text(installed: Registry | None = None) -> str:
+def listing_text(installed: Registry) -> str:
     """Return the listing as a table, with the summaries of the items and the errors of the failures."""
-    installed = installed or registry()
     summaries = {(item.kind, item.id): item.plugin.summary for item in installed.items}
     rows = [("ID", "KIND", "VERSION", "STATUS", "")]
     for report in installed.reports:
@@ -101,35 +101,37 @@ def page(item: Registered) -> str:
     return "\n".join(lines)
 
 
-def diagnosis(installed: Registry | None = None) -> dict[str, Any]:
+def diagnosis(installed: Registry) -> dict[str, Any]:
     """Return the listing with where each item came from and how long its entry point took to load [s]."""
-    reports = (installed or registry()).reports
+    reports = installed.reports
     return {
+        "plugin_api": API,
         "plugins": [
             {**_entry(report), "entry_point": report.origin.entry_point, "load_s": round(report.seconds, 6)}
             for report in reports
-        ]
+        ],
     }
 
 
-def diagnosis_text(installed: Registry | None = None) -> str:
+def diagnosis_text(installed: Registry) -> str:
     """Return the diagnosis as text: a line for each entry point, and one for each thing that is wrong."""
-    reports = (installed or registry()).reports
+    reports = installed.reports
     lines = []
     for origin in dict.fromkeys(report.origin for report in reports):
         here = [report for report in reports if report.origin == origin]
+        where = f"{origin.distribution} {origin.version} ({origin.entry_point})"
+        if here[0].status == "disabled":
+            lines.append(f"{where}: disabled: {here[0].error}")
+            continue
         fine = sum(report.status != "error" for report in here)
-        lines.append(
-            f"{origin.distribution} {origin.version} ({origin.entry_point}): {fine} of {len(here)} loaded "
-            f"in {1e3 * here[0].seconds:.0f} ms"
-        )
+        lines.append(f"{where}: {fine} of {len(here)} loaded in {1e3 * here[0].seconds:.0f} ms")
         lines += [f"  {report.id}: {report.status}: {report.error}" for report in here if report.status != "ok"]
     return "\n".join(lines) if lines else "no plugins are installed, not even those of mbdkit; install it again"
 
 
-def is_sound(installed: Registry | None = None) -> bool:
+def is_sound(installed: Registry) -> bool:
     """Tell whether everything could be loaded."""
-    return not (installed or registry()).failures
+    return not installed.failures
 
 
 def _entry(report: Report) -> dict[str, Any]:

@@ -9,6 +9,8 @@ and the module implements any of the hooks below, marked with ``mbdkit.hookimpl`
 
     import mbdkit
 
+    mbdkit_api = 1  # the plugin API it is written for, see `mbdkit.registry.policy`
+
     @mbdkit.hookimpl
     def mbdkit_models():
         return [mbdkit.ModelPlugin(name="swing", summary="A swing", options=SwingOptions, build=build_swing)]

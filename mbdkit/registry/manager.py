@@ -21,6 +21,7 @@ from mbdkit.registry import hookspecs
 from mbdkit.registry.catalogue import Kind, Origin, Registered, Registry, Report
 from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, ModelPlugin, Plugin
 from mbdkit.registry.options import check_law_options, law_element, named_options
+from mbdkit.registry.policy import STRICT, Policy, check_api
 from mbdkit.text import listed, one_line
 
 GROUP = hookspecs.PROJECT
@@ -60,8 +61,25 @@ class EntryPoint(Protocol):
 
 @functools.cache
 def registry() -> Registry:
-    """Return the registry of everything installed; loaded once in a process."""
-    return load_registry(importlib.metadata.entry_points(group=GROUP))
+    """Return the registry of everything installed; loaded once in a process.
+
+    Raises
+    ------
+    PluginError
+        If a plugin could not be loaded and the environment asks to be strict about it.
+    """
+    loaded, policy = load_installed(), Policy.of()
+    if policy.strict and loaded.failures:
+        first = loaded.failures[0]
+        raise PluginError(f"plugin '{first.id}' was not loaded: {first.error} ({STRICT} is set)")
+    if policy.strict and (sentence := policy.unknown(loaded.distributions)):
+        raise PluginError(f"{sentence} ({STRICT} is set)")
+    return loaded
+
+
+def load_installed() -> Registry:
+    """Return the registry of everything installed, loaded anew, whatever could not be loaded."""
+    return load_registry(importlib.metadata.entry_points(group=GROUP), Policy.of())
 
 
 def find_installed_law(name: str) -> type[Law]:
@@ -69,24 +87,35 @@ def find_installed_law(name: str) -> type[Law]:
     return law_element(registry().get("force-law", name))
 
 
-def load_registry(entry_points: Iterable[EntryPoint]) -> Registry:
+def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = None) -> Registry:
     """Load each entry point by itself; what fails is reported, warned of in one line, and left out.
 
     Parameters
     ----------
     entry_points
         Entry points of the group ``mbdkit``; mbdkit's own come first in the registry, the others by distribution.
+    policy
+        Which of them are loaded; None: all.
     """
+    policy = policy or Policy()
+    entry_points = sorted(entry_points, key=_order)
     items: list[Registered] = []
     reports: list[Report] = []
-    for entry_point in sorted(entry_points, key=_order):
+    if not policy.strict and (
+        sentence := policy.unknown({_origin(entry_point).distribution for entry_point in entry_points})
+    ):
+        log.warning("mbdkit: warning: %s", sentence)
+    for entry_point in entry_points:
         origin = _origin(entry_point)
+        if reason := policy.reason_against(origin.distribution):
+            reports.append(Report(f"{origin.distribution}:{entry_point.name}", None, origin, "disabled", reason, 0.0))
+            continue
         begin = time.perf_counter()
         found: list[Registered] = []
         problems: list[tuple[str, Kind | None, str]] = []
         try:
             with contextlib.redirect_stdout(sys.stderr):  # stdout belongs to --json
-                for kind, thing in _offered(entry_point):
+                for kind, thing in _offered(entry_point, origin):
                     _accept(kind, thing, origin, [*items, *found], found, problems)
         except KeyboardInterrupt:
             raise
@@ -101,8 +130,9 @@ def load_registry(entry_points: Iterable[EntryPoint]) -> Registry:
     return Registry(items, reports)
 
 
-def _offered(entry_point: EntryPoint) -> Iterator[tuple[Kind, object]]:
+def _offered(entry_point: EntryPoint, origin: Origin) -> Iterator[tuple[Kind, object]]:
     module = entry_point.load()
+    check_api(module, origin.distribution)
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
     manager.register(module, entry_point.name)

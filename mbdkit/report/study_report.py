@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 from mbdkit.analysis.verdict import Cell, Column, Table, Verdict
 from mbdkit.analysis.verdicts import judge
 from mbdkit.analysis.verdicts.points import value
+from mbdkit.archive.reader import load
+from mbdkit.errors import SpecError
 from mbdkit.report.document import NO_FAILURES, Document
 from mbdkit.report.methods import methods
 from mbdkit.report.player import film_data
@@ -121,7 +123,18 @@ def _films(study: Study) -> Iterable[dict[str, Any]]:
 
 
 def _specs(study: Study) -> list[dict[str, Any]]:
-    return [json.loads(point.spec.canonical_json()) for point in (*study.points, *study.references)]
+    return [_spec_of(point) for point in (*study.points, *study.references)]
+
+
+def _spec_of(point: StudyPoint) -> dict[str, Any]:
+    """Return the canonical spec of a run; its archive has it where a plugin that it needs is not installed."""
+    try:
+        return dict(json.loads(point.spec.canonical_json()))
+    except SpecError:
+        if point.path is None:
+            raise
+        with load(point.path) as run:
+            return dict(run.spec)
 
 
 def _environment(study: Study) -> Table:

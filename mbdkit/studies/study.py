@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mbdkit.archive.needed import advised
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.errors import MbdkitError, SpecError
@@ -340,6 +341,9 @@ def study(
         keep = tempfile.TemporaryDirectory(prefix="mbdkit-study-")
         out = keep.name
     folder = StudyFolder(Path(out))
-    execution = Execution(spec, folder, shard=shard, progress=progress, notify=notify)
-    execution.run(workers)
+    try:
+        execution = Execution(spec, folder, shard=shard, progress=progress, notify=notify)
+        execution.run(workers)
+    except SpecError as error:
+        raise advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
     return Study(folder.path, computed=execution.computed, keep=keep)

@@ -27,6 +27,7 @@ COMMANDS = [
     ("plugins", "show"),
     ("plugins", "verify"),
     ("plugins", "doctor"),
+    ("plugins", "new"),
     ("examples",),
     ("examples", "copy"),
     ("archive",),

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import sys
 from pathlib import Path
+
+import pytest
+
+from tests.installing import install_module, python
 
 GOOD = """
 import mbdkit
@@ -26,29 +28,13 @@ def mbdkit_models():
 """
 
 
-def install(site: Path, distribution: str, code: str) -> None:
-    module = distribution.replace("-", "_")
-    (site / f"{module}.py").write_text(code)
-    info = site / f"{module}-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[mbdkit]\nmain = {module}\n")
-
-
-def mbdkit(site: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "mbdkit", *arguments],
-        env=os.environ | {"PYTHONPATH": str(site)},
-        cwd=site,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def mbdkit(site: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return python("-m", "mbdkit", *arguments, path=(site,), cwd=site, **environment)
 
 
 def test_a_good_plugin_beside_a_broken_one(tmp_path):
-    install(tmp_path, "swing-kit", GOOD)
-    install(tmp_path, "bad-kit", "print('noise')\nimport sys\nsys.exit(7)\n")
+    install_module(tmp_path, "swing-kit", GOOD)
+    install_module(tmp_path, "bad-kit", "print('noise')\nimport sys\nsys.exit(7)\n")
     listed = mbdkit(tmp_path, "plugins", "list", "--json")
     assert listed.returncode == 0
     plugins = {entry["id"]: entry for entry in json.loads(listed.stdout)["plugins"]}
@@ -62,8 +48,50 @@ def test_a_good_plugin_beside_a_broken_one(tmp_path):
     assert mbdkit(tmp_path, "plugins", "doctor").returncode == 4
 
 
+WRONG = {
+    "a module that is not there": ("import nowhere_at_all", "ModuleNotFoundError: No module named 'nowhere_at_all'"),
+    "sys.exit": ("import sys; sys.exit('bye')", "SystemExit: bye"),
+    "a BaseException": ("class Boom(BaseException): ...\nraise Boom('loud')", "Boom: loud"),
+    "another API": (GOOD.replace("@mbdkit", "mbdkit_api = 99\n@mbdkit"), "plugin API 99"),
+    "a hook with an argument": (GOOD.replace("mbdkit_models()", "mbdkit_models(surprise)"), "surprise"),
+    "a hook that raises": (GOOD.replace("return [", "return [1 / 0, "), "ZeroDivisionError"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_whatever_a_plugin_does_the_commands_live_and_say_so_in_one_line(case, tmp_path):
+    code, words = WRONG[case]
+    install_module(tmp_path, "bad-kit", code)
+    done = mbdkit(tmp_path, "plugins", "list")
+    assert done.returncode == 0, done.stderr
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("mbdkit: warning: plugin 'bad-kit:main' was not loaded: ")
+    assert words in line
+    strict = mbdkit(tmp_path, "validate", "pendulum", MBDKIT_STRICT_PLUGINS="1")
+    assert strict.returncode == 4
+    assert strict.stderr.splitlines()[-1].startswith("error: plugin 'bad-kit:main' was not loaded: ")
+    left_out = mbdkit(tmp_path, "plugins", "doctor", MBDKIT_STRICT_PLUGINS="1", MBDKIT_DISABLE_PLUGINS="bad_kit")
+    assert (left_out.returncode, left_out.stderr) == (0, "")
+    assert "bad-kit 1.0 (main = bad_kit): disabled: left out by MBDKIT_DISABLE_PLUGINS" in left_out.stdout
+
+
+def test_two_plugins_of_one_name_are_told_apart_by_their_long_names(tmp_path):
+    for name in ("swing-kit", "other-kit"):
+        install_module(tmp_path, name, GOOD)
+    doctor = mbdkit(tmp_path, "plugins", "doctor")
+    assert doctor.returncode == 0
+    assert doctor.stdout.count("clash: the short name 'swing' is also claimed by") == 2
+    spec = {"mbdkit": 1, "integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.1}}
+    (tmp_path / "short.json").write_text(json.dumps(spec | {"model": {"name": "swing"}}))
+    refused = mbdkit(tmp_path, "validate", "short.json")
+    assert refused.returncode == 2
+    assert "claimed by other-kit 1.0 and swing-kit 1.0; write 'other-kit:swing' or 'swing-kit:swing'" in refused.stderr
+    (tmp_path / "long.json").write_text(json.dumps(spec | {"model": {"name": "swing-kit:swing"}}))
+    assert mbdkit(tmp_path, "validate", "long.json").returncode == 0
+
+
 def test_a_model_of_a_plugin_goes_into_specs_and_schema(tmp_path):
-    install(tmp_path, "swing-kit", GOOD)
+    install_module(tmp_path, "swing-kit", GOOD)
     spec = tmp_path / "spec.json"
     spec.write_text(
         json.dumps(
@@ -83,7 +111,7 @@ def test_a_model_of_a_plugin_goes_into_specs_and_schema(tmp_path):
 
 
 def test_a_model_that_fails_to_build_is_the_plugins_fault(tmp_path):
-    install(tmp_path, "swing-kit", GOOD.replace("return mechanism", "return 1 / 0"))
+    install_module(tmp_path, "swing-kit", GOOD.replace("return mechanism", "return 1 / 0"))
     spec = '{"mbdkit": 1, "model": {"name": "swing"}, "integrator": {"name": "rk4"}, "time": {"end": 1, "step": 0.1}}'
     (tmp_path / "spec.json").write_text(spec)
     failed = mbdkit(tmp_path, "run", "spec.json")
@@ -128,7 +156,7 @@ BOUNCE = {
 
 
 def test_a_force_law_of_a_plugin_runs_and_one_without_derivatives_is_the_plugins_fault(tmp_path):
-    install(tmp_path, "rubber-kit", LAW)
+    install_module(tmp_path, "rubber-kit", LAW)
     (tmp_path / "spec.json").write_text(json.dumps(BOUNCE))
     done = mbdkit(tmp_path, "run", "spec.json", "--json")
     assert done.returncode == 0, done.stderr

@@ -1,0 +1,84 @@
+"""Plugins that an archive was made with and that are not here: which distributions to install."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.registry.catalogue import Kind
+from mbdkit.registry.manager import registry
+
+
+@dataclass(frozen=True)
+class Needed:
+    """One plugin that an archive was made with.
+
+    Parameters
+    ----------
+    kind
+        What it is.
+    id
+        Its long name.
+    distribution, version
+        Where it came from.
+    """
+
+    kind: Kind
+    id: str
+    distribution: str
+    version: str
+
+    @property
+    def advice(self) -> str:
+        """What to install, as a part of a sentence."""
+        return f"install {self.distribution} {self.version} (pip install '{self.distribution}=={self.version}')"
+
+
+def missing_plugins(provenance: Mapping[str, object]) -> tuple[Needed, ...]:
+    """Return the plugins that a run's provenance names and that are not installed."""
+    installed = {(item.kind, item.id) for item in registry().items}
+    return tuple(needed for needed in _needed(provenance) if (needed.kind, needed.id) not in installed)
+
+
+def _needed(provenance: Mapping[str, object]) -> Iterator[Needed]:
+    kinds: tuple[tuple[Kind, str], ...] = (
+        ("model", "model"),
+        ("integrator", "integrator"),
+        ("force-law", "force_laws"),
+    )
+    for kind, key in kinds:
+        ids, origins, versions = (
+            str(provenance.get(name, "")).split(", ") for name in (key, f"{key}_distribution", f"{key}_version")
+        )
+        for item, origin, version in zip(ids, origins, versions, strict=False):
+            if item and origin:
+                yield Needed(kind, item, origin, version)
+
+
+def check_plugins_of(path: Path | None, provenance: Mapping[str, object]) -> None:
+    """Raise SpecError where an archive that is to be run again needs plugins that are not here."""
+    if missing := missing_plugins(provenance):
+        first = missing[0]
+        word = first.kind.replace("-", " ")
+        raise SpecError(f"the {word} '{first.id}' is not installed here; to run it again {first.advice}", file=path)
+
+
+def advised(error: SpecError, archives: Iterable[Path]) -> SpecError:
+    """Return an error about a plugin that is not installed with what to install, if one of the archives knows it."""
+    from mbdkit.archive.reader import load
+
+    if "there is no " not in error.message:
+        return error
+    for path in archives:
+        try:
+            with load(path) as run:
+                missing = missing_plugins(run.provenance)
+        except (MbdkitError, OSError):
+            continue
+        for needed in missing:
+            if any(f"'{name}'" in error.message for name in (needed.id, needed.id.partition(":")[2])):
+                hint = f"; {path.name} was made with it: {needed.advice}"
+                return SpecError(error.message + hint, key=error.key, file=error.file, line=error.line)
+    return error

@@ -1,0 +1,171 @@
+"""Makes the project of a new plugin from templates."""
+
+from __future__ import annotations
+
+import importlib.util
+import keyword
+import re
+import shutil
+import sys
+import tempfile
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Literal, get_args
+
+from mbdkit.errors import SpecError
+from mbdkit.registry.catalogue import Kind
+from mbdkit.registry.manager import load_installed
+from mbdkit.registry.policy import API
+
+NewKind = Literal["integrator", "tableau", "model", "force-law"]
+KINDS: tuple[NewKind, ...] = get_args(NewKind)
+
+_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+
+
+@dataclass(frozen=True)
+class _Flavour:
+    """What differs between the kinds."""
+
+    kind: Kind
+    what: str
+    dependencies: tuple[str, ...]
+    example: str
+    command: str
+    todo: tuple[str, ...]
+
+
+_STUDY = "study.yaml", "mbdkit study {name}/study.yaml   # beside the built-in methods"
+_RUN = "example.yaml", "mbdkit run {name}/example.yaml"
+_FLAVOURS: dict[NewKind, _Flavour] = {
+    "integrator": _Flavour(
+        "integrator",
+        "An integrator written in NumPy",
+        ("pydantic>=2.7",),
+        *_STUDY,
+        (
+            (
+                "`step`: what it needs of the past goes into `StepState.memory`; a step that cannot be taken raises "
+                "`mbdkit.StepError`;"
+            ),
+            'the claims, and with another formulation `formulations=("index-3",)`;',
+        ),
+    ),
+    "tableau": _Flavour(
+        "integrator",
+        "A Runge-Kutta method given by its tableau",
+        ("pydantic>=2.7",),
+        *_STUDY,
+        (
+            'the tableau: exact coefficients as numbers or text such as `"1/4 - sqrt(3)/6"`; mbdkit checks its order;',
+            "the claims; `mbdkit.ImplicitRungeKutta(tableau())` steps an implicit one;",
+        ),
+    ),
+    "model": _Flavour(
+        "model",
+        "A model",
+        ("pydantic>=2.7",),
+        *_RUN,
+        ("the options and `build`, which turns them into bodies, joints, drivers and forces;",),
+    ),
+    "force-law": _Flavour(
+        "force-law",
+        "A force law",
+        ("pydantic>=2.7", "sympy>=1.12"),
+        *_RUN,
+        (
+            (
+                "`law`: a SymPy expression of `length`, `rate`, `time` and the options, or an "
+                "`mbdkit.FunctionLaw` that Numba compiles;"
+            ),
+        ),
+    ),
+}
+
+
+def new_project(name: str, kind: NewKind, folder: Path | None = None) -> Path:
+    """Make the project of a new plugin.
+
+    Parameters
+    ----------
+    name
+        Name of the distribution and of its folder; the plugin in it goes without a leading ``mbdkit-``.
+    kind
+        What it offers.
+    folder
+        Where to make it; the working directory if left out.
+
+    Returns
+    -------
+    Path
+        The new folder.
+
+    Raises
+    ------
+    SpecError
+        If the name will not do, or there is anything of this name already.
+    """
+    target = (folder or Path()) / name
+    package, item = name.replace("-", "_"), name.removeprefix("mbdkit-")
+    if not (_NAME.fullmatch(name) and _NAME.fullmatch(item)):
+        raise SpecError(
+            f"'{name}' is no name for a new plugin: small letters, digits and single hyphens, a letter first, such as "
+            "mbdkit-rocket"
+        )
+    if target.exists() or target.is_symlink():
+        raise SpecError("this exists already; choose another name", file=target)
+    _check_free(name, package, item, _FLAVOURS[kind].kind)
+    with tempfile.TemporaryDirectory(prefix=f".{name}-", dir=target.parent) as work:
+        made = Path(work) / name
+        for path, text in _files(name, package, item, kind).items():
+            (made / path).parent.mkdir(parents=True, exist_ok=True)
+            (made / path).write_text(text, encoding="utf-8")
+        shutil.move(made, target)
+    return target
+
+
+def _check_free(name: str, package: str, item: str, kind: Kind) -> None:
+    """Raise SpecError where the name of the distribution, of its package or of its plugin is in use."""
+    if keyword.iskeyword(package) or package in sys.stdlib_module_names:
+        raise SpecError(f"'{name}' is no name for a new plugin: Python uses it itself; mbdkit-{name} would do")
+    try:
+        raise SpecError(f"the distribution {name} {version(name)} is installed already; choose another name")
+    except PackageNotFoundError:
+        pass
+    if importlib.util.find_spec(package) is not None:
+        raise SpecError(f"there is a Python package {package} already; choose another name")
+    for other in load_installed().of_kind(kind):
+        if other.name == item:
+            raise SpecError(f"'{item}' is taken by the {kind.replace('-', ' ')} {other.id}; choose another name")
+
+
+def _files(name: str, package: str, item: str, kind: NewKind) -> dict[str, str]:
+    """Return the text of each file by its path in the project."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    flavour = _FLAVOURS[kind]
+    environment = Environment(
+        loader=PackageLoader("mbdkit.scaffold"), undefined=StrictUndefined, keep_trailing_newline=True
+    )
+    words = {
+        "name": name,
+        "package": package,
+        "item": item,
+        "what": flavour.what,
+        "api": API,
+        "mbdkit_version": ".".join(version("mbdkit").split(".")[:2]),
+        "dependencies": flavour.dependencies,
+        "command": flavour.command.format(name=name),
+        "todo": "\n".join(f"* {line}" for line in flavour.todo),
+    }
+    example = "study.yaml" if flavour.example == "study.yaml" else f"{kind}.yaml"
+    templates = {
+        "pyproject.toml": "pyproject.toml",
+        "README.md": "README.md",
+        flavour.example: example,
+        f"src/{package}/__init__.py": f"{kind}.py",
+        f"tests/test_{package}.py": f"test_{kind}.py",
+    }
+    texts = {path: environment.get_template(f"{file}.jinja").render(words) for path, file in templates.items()}
+    return texts | {f"src/{package}/py.typed": ""}

@@ -1,0 +1,100 @@
+"""What a plugin made outlives it: archives open and report without it, and say what to install to run them again."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+from mbdkit.archive.reader import load
+from tests.installing import install_module, python
+
+METHOD = """
+import mbdkit
+from pydantic import BaseModel
+
+class Euler(mbdkit.StepMethod):
+    def step(self, problem, t, state, h):
+        a, _ = problem.accelerations(t, state.q, state.v)
+        return state.moved(h * (state.v + h * a), h * a)
+
+@mbdkit.hookimpl
+def mbdkit_integrators():
+    return [mbdkit.IntegratorPlugin("euler", "Euler", BaseModel, lambda options: Euler(),
+                                    lambda options: mbdkit.Claims(order=1))]
+"""
+SPEC = {
+    "mbdkit": 1,
+    "model": {"name": "single-pendulum"},
+    "integrator": {"name": "euler"},
+    "time": {"end": 0.2, "step": 0.01},
+}
+STUDY = {"mbdkit_study": 1, "base": SPEC, "axes": [{"time.step": [0.01, 0.02]}]}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Return a folder with a run and a study of a plugin that is installed no longer."""
+    here = tmp_path_factory.mktemp("made")
+    install_module(here / "site", "euler-kit", METHOD, version="2.3")
+    (here / "spec.json").write_text(json.dumps(SPEC))
+    (here / "study.json").write_text(json.dumps(STUDY))
+    for command in (("run", "spec.json"), ("study", "study.json", "-o", "study")):
+        done = python("-m", "mbdkit", *command, path=(here / "site",), cwd=here)
+        assert done.returncode == 0, done.stderr
+    shutil.rmtree(here / "site")
+    return here
+
+
+def mbdkit(here, *arguments):
+    return python("-m", "mbdkit", *arguments, path=(), cwd=here)
+
+
+def test_an_archive_names_what_made_it(made):
+    with load(made / "spec.h5") as run:
+        assert run.provenance["integrator"] == "euler-kit:euler"
+        assert run.provenance["integrator_distribution"] == "euler-kit"
+        assert run.provenance["integrator_version"] == "2.3"
+        assert run.provenance["integrator_entry_point"] == "main = euler_kit"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("archive", "info", "spec.h5"),
+        ("archive", "check", "spec.h5"),
+        ("plot", "spec.h5", "--kind", "drift"),
+        ("animate", "spec.h5", "-o", "spec.html"),
+        ("report", "spec.h5"),
+        ("report", "study"),
+    ],
+    ids=" ".join,
+)
+def test_what_is_there_is_read_without_the_plugin(command, made):
+    done = mbdkit(made, *command)
+    assert done.returncode == 0, done.stderr
+
+
+def test_running_it_again_says_what_to_install(made):
+    done = mbdkit(made, "rerun", "spec.h5")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == (
+        "error: spec.h5: the integrator 'euler-kit:euler' is not installed here; to run it again install euler-kit 2.3 "
+        "(pip install 'euler-kit==2.3')\n"
+    )
+
+
+def test_a_study_that_goes_on_says_what_to_install(made):
+    (made / "study" / "runs").mkdir(exist_ok=True)
+    done = mbdkit(made, "study", "study.json", "-o", "study")
+    assert done.returncode == 2
+    assert "there is no integrator 'euler'" in done.stderr
+    assert "was made with it: install euler-kit 2.3 (pip install 'euler-kit==2.3')" in done.stderr
+
+
+def test_a_spec_with_a_long_name_says_which_distribution_is_missing(made):
+    (made / "long.json").write_text(json.dumps(SPEC | {"integrator": {"name": "euler-kit:euler"}}))
+    done = mbdkit(made, "validate", "long.json")
+    assert done.returncode == 2
+    assert "'euler-kit:euler' comes with the distribution euler-kit, which is not installed" in done.stderr
