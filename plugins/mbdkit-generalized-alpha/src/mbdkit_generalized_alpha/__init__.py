@@ -23,6 +23,8 @@ import mbdkit
 if TYPE_CHECKING:
     import numpy as np
 
+mbdkit_api = 1
+
 REFERENCES = (
     """@article{arnold2007,
   author = {Arnold, Martin and Br{\\"u}ls, Olivier},

@@ -16,6 +16,8 @@ import mbdkit
 from mbdkit.integrators.options import ImplicitOptions
 from mbdkit.integrators.tableau import collocation
 
+mbdkit_api = 1
+
 REFERENCES = (
     """@book{hairer1996,
   author = {Hairer, Ernst and Wanner, Gerhard},
