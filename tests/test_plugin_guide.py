@@ -1,0 +1,86 @@
+"""The guide for authors of plugins says the truth: what it prints is as short as it says, loads and runs."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from mbdkit.registry.manager import registry
+
+from .installing import install_module, install_project, python
+
+ROOT = Path(__file__).resolve().parent.parent
+GUIDE = (ROOT / "plugins" / "README.md").read_text(encoding="utf-8")
+PENDULUM = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
+BALL = {
+    "name": "mechanism",
+    "bodies": {"ball": {"mass": 1.0, "position": [0.5, 0.0]}},
+    "forces": {
+        "spring": {
+            "type": "law",
+            "law": "duffing",
+            "pathway": {"type": "coordinate", "coordinate": "x", "bodies": ["ground", "ball"]},
+        }
+    },
+}
+RK4 = {"name": "rk4"}
+PLUGINS = {
+    "A tableau in ten lines": (10, PENDULUM, {"name": "heun"}),
+    "An integrator in thirty": (30, PENDULUM, {"name": "verlet"}),
+    "A model in twenty": (20, {"name": "swing"}, RK4),
+    "A force law in ten": (10, BALL, RK4),
+}
+
+
+def block(heading: str, language: str) -> str:
+    """Return the first fenced block of a language under a heading."""
+    section = GUIDE.split(f"# {heading}\n", 1)[1].split("\n#", 1)[0]
+    found = re.search(rf"^```{language}\n(.*?)^```", section, flags=re.MULTILINE | re.DOTALL)
+    assert found is not None
+    return found[1]
+
+
+@pytest.mark.parametrize("heading", PLUGINS)
+def test_a_plugin_runs_as_printed_and_is_no_longer_than_it_says(heading: str, tmp_path: Path) -> None:
+    lines, model, integrator = PLUGINS[heading]
+    code = block(heading, "python")
+    assert len([line for line in code.splitlines() if line.strip()]) <= lines
+    install_module(tmp_path, "guide-kit", code)
+    spec = {"mbdkit": 1, "model": model, "integrator": integrator, "time": {"end": 0.5, "step": 0.005}}
+    (tmp_path / "spec.json").write_text(json.dumps(spec))
+    done = python("-m", "mbdkit", "run", "spec.json", "--json", path=(tmp_path,), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "warning" not in done.stderr
+    assert json.loads(done.stdout)["misalignment_max"] < 1e-3
+
+
+def test_the_first_steps_work_as_printed(tmp_path: Path) -> None:
+    # the installation itself is done in continuous integration, with pip and in an environment of its own
+    lines = [line for line in block("From nothing to a verified integrator", "sh").splitlines() if line.strip()]
+    for line in lines:
+        if line.startswith("pip install -e "):
+            install_project(tmp_path / "site", tmp_path / line.rpartition(" ")[2])
+            continue
+        path = (tmp_path / "site", tmp_path / "mbdkit-rocket" / "src")
+        command = [*line.split(), *(["--quick"] if "verify" in line else [])]
+        done = python("-m", *command, path=path, cwd=tmp_path)
+        assert done.returncode == 0, f"{line}: {done.stdout}{done.stderr}"
+    assert (tmp_path / "rocket" / "report.html").is_file()
+
+
+def test_every_distribution_beside_the_guide_stands_in_its_table() -> None:
+    folders = {path.parent.name for path in (ROOT / "plugins").glob("*/pyproject.toml")}
+    assert folders == set(re.findall(r"^\| \[(.*?)\]", GUIDE, flags=re.MULTILINE))
+
+
+def test_the_line_for_tests_makes_a_test_of_each_check() -> None:
+    module = ModuleType("guide_tests")
+    code = block("Tests", "python").replace('"verlet"', '"gauss"')
+    exec(code, vars(module))
+    (mark,) = module.test_verlet_conforms.pytestmark
+    assert len(mark.args[1]) > 5
+    assert registry().get("integrator", "gauss")
