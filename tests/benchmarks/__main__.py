@@ -1,4 +1,4 @@
-"""`python -m tests.benchmarks [chain|implicit|memory|python|race|scale|startup ...]`: print tables, all by default."""
+"""`python -m tests.benchmarks [chain|implicit|memory|plugins|python|race|scale|startup ...]`: print tables."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from rich.console import Console
 from mbdkit.errors import SpecError
 from mbdkit.report.style import FORMATS, check_suffix
 
-from . import chain, python_steps, race, scale, startup
+from . import chain, plugins, python_steps, race, scale, startup
 
 SECTIONS: dict[str, Callable[[Console], None]] = {
     "chain": chain.explicit,
     "implicit": chain.implicit,
     "memory": chain.memory,
+    "plugins": plugins.plugins,
     "python": python_steps.python_steps,
     "race": race.race,
     "scale": scale.scale,
