@@ -91,6 +91,18 @@ def test_a_force_that_becomes_infinite_ends_the_run_with_a_sentence(method: dict
     assert found.time[-1] < 0.51
 
 
+@every_method
+def test_a_solver_that_gives_up_says_so_in_the_status_alone(
+    method: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    # a law that is not a number from a time on, met in steps that may not become small enough
+    model = DRIVEN | {"forces": {"f": {"type": "torque", "body": "a", "value": "sqrt(0.5 - t)"}}}
+    found = run(model, method)
+    assert found.status == "failed"
+    assert found.status_reason
+    assert capsys.readouterr().out == ""
+
+
 def test_bdf_takes_far_fewer_evaluations_of_a_stiff_damper_than_an_explicit_method() -> None:
     # expected: stability limits an explicit method to a few m/d = 1.4e-4 s; BDF follows the slow motion
     model = DRIVEN | {"forces": {"s": spring(stiffness=10.0, damping=5e3, free_length=0.5)}}

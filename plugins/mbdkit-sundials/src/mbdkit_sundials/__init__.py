@@ -7,7 +7,10 @@ c I - J. Steps are those that SUNDIALS chooses; between them its own interpolant
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
+from contextlib import redirect_stdout
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -73,13 +76,23 @@ class Interpolant(DenseOutput):  # type: ignore[misc]
 class SundialsSolver(OdeSolver):  # type: ignore[misc]
     """One step after the other of a solver of SUNDIALS; subclasses make the solver."""
 
-    family, max_order = "BDF", 5
     t: float
     y: np.ndarray
 
-    def __init__(self, fun: Rates, t0: float, y0: np.ndarray, t_bound: float, *, jac: Rates, **options: Any):
+    def __init__(
+        self,
+        fun: Rates,
+        t0: float,
+        y0: np.ndarray,
+        t_bound: float,
+        *,
+        jac: Rates,
+        family: str,
+        max_order: int,
+        **options: Any,
+    ):
         super().__init__(fun, t0, y0, t_bound, vectorized=False)
-        self.jac = jac
+        self.jac, self.family, self.max_order = jac, family, max_order
         self.solver = self.new_solver(options)
         self.start(y0)
 
@@ -92,7 +105,8 @@ class SundialsSolver(OdeSolver):  # type: ignore[misc]
         self.solver.init_step(self.t, y0)
 
     def _step_impl(self) -> tuple[bool, str | None]:
-        found = self.solver.step(self.t_bound, "onestep", self.t_bound)
+        with redirect_stdout(io.StringIO()):  # where scikit-sundae prints what its message says again
+            found = self.solver.step(self.t_bound, "onestep", self.t_bound)
         if not found.success:
             return False, str(found.message)
         if found.t - self.t < 10 * np.spacing(self.t):  # SUNDIALS would go on for ever
@@ -144,8 +158,8 @@ def _integrator(
     name: str, summary: str, options: type[SundialsOptions], solver: type[SundialsSolver]
 ) -> mbdkit.IntegratorPlugin:
     def create(chosen: SundialsOptions) -> SciPySolver:
-        settings = {"max_order": chosen.max_order, "family": getattr(chosen, "family", "BDF")}
-        configured = type(solver.__name__, (solver,), settings)
+        family = getattr(chosen, "family", "BDF")
+        configured: Any = partial(solver, family=family, max_order=chosen.max_order)
         return SciPySolver(configured, chosen.rtol, chosen.atol, needs_jacobian=True)
 
     return mbdkit.IntegratorPlugin(
