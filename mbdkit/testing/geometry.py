@@ -9,8 +9,8 @@ import numpy as np
 from mbdkit.analysis.energy import Trend, trend
 from mbdkit.engine.problem import Problem
 from mbdkit.testing.check import Check, Skip, check
-from mbdkit.testing.outcome import Finding, failed, passed, skipped, warned
-from mbdkit.testing.problems import FREE_FOUR_BAR, ORBIT, SWINGING, Model
+from mbdkit.testing.outcome import Figure, Finding, failed, passed, skipped, warned
+from mbdkit.testing.problems import FREE_FOUR_BAR, HARMONIC, ORBIT, SWINGING, Model
 from mbdkit.testing.subject import IntegratorSubject
 
 REVERSED = 1e-9
@@ -39,7 +39,7 @@ def _reversible(name: str, model: Model, duration: float) -> Check[IntegratorSub
         own = float(max(np.max(np.abs(q - finer[0])), np.max(np.abs(v - finer[1]))))
         if subject.claims.adaptive:
             return passed(defect=defect)
-        figures = {"defect": defect, "own_error": own}
+        figures = {"defect": defect, "own_error": own, "step_s": duration / steps}
         if subject.claims.symmetric:
             if defect > REVERSED:
                 return failed("it claims to be symmetric, but does not lead back to its start", **figures)
@@ -63,18 +63,28 @@ def _distance(state: tuple[np.ndarray, np.ndarray], problem: Problem) -> float:
 
 @check("geometry.quadratic-invariants")
 def quadratic_invariants(subject: IntegratorSubject) -> Finding:
-    """The angular momentum of a mass on a central spring stays what it was, over some orbits in large steps."""
+    """Angular momentum about a central spring, and energy on a linear one, stay what they were, in large steps."""
     step = 2 * telling_step(subject)
-    with subject.run(ORBIT, {"steps": 400, "step": step} if not subject.claims.adaptive else {"end": 40.0}) as run:
+    time = {"end": 40.0} if subject.claims.adaptive else {"steps": 400, "step": step}
+    with subject.run(ORBIT, time) as run:
         _require_complete(run.status, run.status_reason)
         x, u = run["mass"].position, run["mass"].velocity
         momentum = x[:, 0] * u[:, 1] - x[:, 1] * u[:, 0]
-    change = float(np.max(np.abs(momentum / momentum[0] - 1)))
-    if subject.claims.quadratic_invariants and change > CONSERVED:
-        return failed("it claims to conserve quadratic invariants, but angular momentum changes", change=change)
-    if change < CONSERVED and not subject.claims.quadratic_invariants:
-        return warned("it conserves angular momentum, which it does not claim", change=change)
-    return passed(change=change)
+    with subject.run(HARMONIC, time) as run:
+        _require_complete(run.status, run.status_reason)
+        energy = run.energy.total
+    figures: dict[str, Figure] = {
+        "momentum_change": float(np.max(np.abs(momentum / momentum[0] - 1))),
+        "energy_change": float(np.max(np.abs(energy / energy[0] - 1))),
+    }
+    lost = [
+        name.partition("_")[0] for name, change in figures.items() if isinstance(change, float) and change > CONSERVED
+    ]
+    if subject.claims.quadratic_invariants and lost:
+        return failed(f"it claims to conserve quadratic invariants, but {lost[0]} changes", **figures)
+    if not lost and not subject.claims.quadratic_invariants:
+        return warned("it conserves quadratic invariants, which it does not claim", **figures)
+    return passed(**figures)
 
 
 @check("geometry.symplectic-form")

@@ -109,6 +109,9 @@ ORBIT: Model = {
 }
 """A point mass on a spring that is fixed at the origin: no joints, nonlinear, conserves energy and angular momentum."""
 
+HARMONIC: Model = {**ORBIT, "forces": {"spring": {**ORBIT["forces"]["spring"], "free_length": 0.0}}}
+"""The same on a spring without a free length: linear, so that its energy is a quadratic invariant."""
+
 COASTING: Model = {**SWINGING, "gravity": [0.0, 0.0]}
 COASTING["bodies"] = {
     "rod1": _rod(1.0, 1.0, (0.0, 0.0), -1.0, 1.0),

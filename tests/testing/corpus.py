@@ -64,6 +64,14 @@ class RungeKutta(StepMethod):
         return problem.accelerations(t, q, v)
 
 
+class SymplecticEuler(StepMethod):
+    """Conserves angular momentum and the symplectic form, not every quadratic invariant; nothing is wrong with it."""
+
+    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+        a, _ = problem.accelerations(t, state.q, state.v)
+        return state.moved(h * (state.v + h * a), h * a)
+
+
 class WrongCoefficient(RungeKutta):
     """Two of its weights are swapped by a typing error."""
 

@@ -16,7 +16,10 @@ from . import corpus
 RK4 = {"order": 4, "needs": ("accelerations",)}
 MIDPOINT = {"order": 2, "needs": ("tangents",), "symmetric": True, "symplectic": True, "quadratic_invariants": True}
 
+EULER = {"order": 1, "needs": ("accelerations",), "symplectic": True}
+
 RIGHT = {
+    "symplectic Euler": ("integrator", corpus.offer_method(corpus.SymplecticEuler, **EULER)),
     "runge-kutta": ("integrator", corpus.offer_method(corpus.RungeKutta, **RK4)),
     "midpoint": ("integrator", corpus.offer_method(corpus.Midpoint, **MIDPOINT)),
     "pendulum": ("model", corpus.offer_model()),
@@ -58,6 +61,11 @@ WRONG: dict[str, tuple[Any, Registry, str]] = {
     "a claim of invariants": (
         "integrator",
         corpus.offer_method(corpus.RungeKutta, **RK4, quadratic_invariants=True),
+        "geometry.quadratic-invariants",
+    ),
+    "a claim of invariants by a method that keeps one of them": (
+        "integrator",
+        corpus.offer_method(corpus.SymplecticEuler, **EULER, quadratic_invariants=True),
         "geometry.quadratic-invariants",
     ),
     "an over-claim of order": (
