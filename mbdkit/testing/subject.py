@@ -108,8 +108,12 @@ class IntegratorSubject:
     def run(
         self, model: Mapping[str, Any], time: Mapping[str, Any], *, progress: Progress | None = None, **sections: Any
     ) -> Run:
-        """Run a model in memory, whatever the end."""
-        return simulate(self.spec(model, time, **sections), progress=progress, notify=_say_nothing)
+        """Run a model in memory, whatever the end; Ctrl-C is not its end, unless `progress` may have asked for it."""
+        run = simulate(self.spec(model, time, **sections), progress=progress, notify=_say_nothing)
+        if run.status == "interrupted" and progress is None:
+            run.close()
+            raise KeyboardInterrupt
+        return run
 
     def final_state(self, model: Mapping[str, Any], end: float, step: float, **sections: Any) -> np.ndarray:
         """Return positions and velocities at the end of a run, all of them in one vector; NaN where it failed."""
