@@ -52,7 +52,7 @@ def _level(level: str, model: Model) -> Check[IntegratorSubject]:
             return failed(f"on {subject.formulation} the joints should meet at {level} level", **figures)
         seen = observed_order(np.array(steps), sizes, floor=ROUNDING, fewest=FEWEST)
         if not seen.found:
-            return passed(drift="no clear power of the step", **figures)
+            return passed(drift="no clear power", **figures)
         figures = {"rate": round(seen.order, 3), **figures}
         if seen.order < order - BELOW:
             return failed(

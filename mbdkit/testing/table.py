@@ -38,6 +38,7 @@ HEADING = (
     "of velocities",
     "growth",
     "there and back",
+    "in steps of [s]",
     "energy: orbit [J/s]",
     "jointed [J/s]",
     "checks",
@@ -67,6 +68,7 @@ def row(name: str, report: Report) -> list[str]:
         *drifts,
         figure("drift.growth", "growth"),
         figure("geometry.reversibility-pendulum", "defect"),
+        figure("geometry.reversibility-pendulum", "step_s") or "its own",
         _trend(report, "geometry.energy"),
         _trend(report, "geometry.energy-jointed"),
         f"{report.run} run, {len(report.of('skip'))} skipped, {len(report.of('fail'))} failed",
@@ -90,7 +92,7 @@ def _trend(report: Report, check: str) -> str:
 
 def _shown(value: Figure) -> str:
     if isinstance(value, float):
-        return f"{value:.2f}" if 0.1 <= abs(value) < 100 else f"{value:.0e}"
+        return f"{value:.2f}" if 0.01 <= abs(value) < 100 else f"{value:.0e}"
     return str(value)
 
 
