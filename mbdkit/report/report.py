@@ -11,7 +11,7 @@ from mbdkit.archive.reader import load
 from mbdkit.errors import SpecError
 from mbdkit.report.document import Document
 from mbdkit.report.run_report import run_document
-from mbdkit.report.still import write_stills
+from mbdkit.report.still import still_files, write_stills
 from mbdkit.report.style import check_suffix, replacing
 
 SUFFIXES = (".html", ".htm")
@@ -61,10 +61,12 @@ def report(
     _check(target, folder, overwrite)
     with _document(source, is_study) as document:
         page = document.html()
+        stands = os.path.isfile(target) and target.read_bytes() == page.encode()
         with replacing(target) as temporary:
-            temporary.write_text(page, encoding="utf-8")
-        if folder is not None:
-            write_stills(document.verdict.figures, folder)
+            temporary.write_bytes(page.encode())
+        drawn = document.verdict.figures
+        if folder is not None and not (stands and all(file.exists() for file in still_files(drawn, folder))):
+            write_stills(drawn, folder)  # most of the time goes here: pictures of the very same page are kept
     return target
 
 

@@ -21,6 +21,11 @@ _MARKERS = ("o", "s", "D", "^", "P", "X")
 _FORMATS = (".png", ".svg")
 
 
+def still_files(figures: Iterable[Figure], folder: Path) -> list[Path]:
+    """Return the files that figures go to in a folder."""
+    return [folder / f"{figure.name}{suffix}" for figure in figures for suffix in _FORMATS]
+
+
 def write_stills(figures: Iterable[Figure], folder: Path) -> list[Path]:
     """Write figures into a folder, each as PNG and SVG, and return the files.
 
@@ -36,9 +41,9 @@ def write_stills(figures: Iterable[Figure], folder: Path) -> list[Path]:
     written = []
     for figure in figures:
         picture = still(figure)
-        for suffix in _FORMATS:
-            written.append(folder / f"{figure.name}{suffix}")
-            save(picture, written[-1])
+        for file in still_files([figure], folder):
+            save(picture, file)
+            written.append(file)
             picture.set_layout_engine("none")  # stays as it is laid out, which takes longer than to draw it
     return written
 

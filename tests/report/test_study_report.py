@@ -79,6 +79,23 @@ def test_the_page_and_the_figures_go_into_the_folder_once(study_folder, tmp_path
     assert mbdkit_command("report", str(folder), "--overwrite").exit_code == 0
 
 
+def test_pictures_of_an_unchanged_page_are_kept_and_any_that_is_missing_brings_all_anew(study_folder, tmp_path):
+    folder = shutil.copytree(study_folder, tmp_path / "study")
+    report(folder, overwrite=True)
+    pictures = sorted((folder / "figures").iterdir())
+    pictures[1].write_text("kept")
+    report(folder, overwrite=True)
+    assert pictures[1].read_text() == "kept"
+    pictures[0].unlink()
+    report(folder, overwrite=True)
+    assert pictures[0].exists()
+    assert pictures[1].read_bytes() != b"kept"
+    pictures[1].write_text("of another page")
+    (folder / "report.html").write_text("another page")
+    report(folder, overwrite=True)
+    assert pictures[1].read_bytes() != b"of another page"
+
+
 def test_with_a_name_of_its_own_the_page_leaves_the_folder_alone(study_folder, tmp_path):
     before = sorted(study_folder.iterdir())
     assert report(study_folder, tmp_path / "page.html").exists()
