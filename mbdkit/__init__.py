@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from mbdkit.integrators.step_method import StepError, StepMethod, StepState
     from mbdkit.integrators.step_problem import StepProblem
     from mbdkit.integrators.tableau import ButcherTableau
+    from mbdkit.mechanics.equilibrium import Equilibrium, equilibrium
+    from mbdkit.mechanics.kinematics import Kinematics, kinematics
+    from mbdkit.mechanics.modes import Linearization, Modes, linearize, modes
     from mbdkit.mechanism.laws import ExpressionLaw, FunctionLaw
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.registry.hookspecs import hookimpl
@@ -27,15 +30,19 @@ if TYPE_CHECKING:
 __all__ = [
     "ButcherTableau",
     "Claims",
+    "Equilibrium",
     "ExplicitRungeKutta",
     "ExpressionLaw",
     "ForceLawPlugin",
     "FunctionLaw",
     "ImplicitRungeKutta",
     "IntegratorPlugin",
+    "Kinematics",
+    "Linearization",
     "MbdkitError",
     "Mechanism",
     "ModelPlugin",
+    "Modes",
     "PluginError",
     "Run",
     "RunError",
@@ -48,9 +55,13 @@ __all__ = [
     "Study",
     "StudySpec",
     "__version__",
+    "equilibrium",
     "hookimpl",
+    "kinematics",
+    "linearize",
     "load",
     "load_study",
+    "modes",
     "run",
     "study",
 ]
@@ -58,15 +69,19 @@ __all__ = [
 _HOME = {
     "ButcherTableau": "mbdkit.integrators.tableau",
     "Claims": "mbdkit.registry.items",
+    "Equilibrium": "mbdkit.mechanics.equilibrium",
     "ExplicitRungeKutta": "mbdkit.integrators.methods",
     "ExpressionLaw": "mbdkit.mechanism.laws",
     "ForceLawPlugin": "mbdkit.registry.items",
     "FunctionLaw": "mbdkit.mechanism.laws",
     "ImplicitRungeKutta": "mbdkit.integrators.methods",
     "IntegratorPlugin": "mbdkit.registry.items",
+    "Kinematics": "mbdkit.mechanics.kinematics",
+    "Linearization": "mbdkit.mechanics.modes",
     "MbdkitError": "mbdkit.errors",
     "Mechanism": "mbdkit.mechanism.mechanism",
     "ModelPlugin": "mbdkit.registry.items",
+    "Modes": "mbdkit.mechanics.modes",
     "PluginError": "mbdkit.errors",
     "Run": "mbdkit.archive.run",
     "RunError": "mbdkit.errors",
@@ -78,9 +93,13 @@ _HOME = {
     "StepState": "mbdkit.integrators.step_method",
     "Study": "mbdkit.studies.study",
     "StudySpec": "mbdkit.spec",
+    "equilibrium": "mbdkit.mechanics.equilibrium",
     "hookimpl": "mbdkit.registry.hookspecs",
+    "kinematics": "mbdkit.mechanics.kinematics",
+    "linearize": "mbdkit.mechanics.modes",
     "load": "mbdkit.archive.reader",
     "load_study": "mbdkit.studies.study",
+    "modes": "mbdkit.mechanics.modes",
     "run": "mbdkit.simulation",
     "study": "mbdkit.studies.study",
 }

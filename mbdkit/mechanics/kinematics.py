@@ -1,0 +1,198 @@
+"""Kinematic analysis: the motion that the drivers alone prescribe, without forces and without integration."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbdkit.errors import RunError
+from mbdkit.integrators.step_method import StepError
+from mbdkit.mechanics.reduced import at_rest, reduce
+from mbdkit.mechanics.source import Placed
+from mbdkit.text import counted, listed
+
+ASIDE = 0.1
+"""Distance of a position from where the step before foretold it, relative to the step, from which a step is split."""
+
+SMALL = 1e-6
+"""Distance below which it does not matter, relative to the mechanism's size and to 1 rad."""
+
+FINEST = 2.0**-12
+"""Smallest part of a step that is tried."""
+
+STILL = 1e-6
+"""Part in a free motion below which a coordinate does not take part in it."""
+
+COLUMNS = ("x", "y", "angle", "vx", "vy", "rate", "ax", "ay", "angular_acceleration")
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """The motion of a mechanism that its drivers prescribe.
+
+    Attributes
+    ----------
+    time : (T,) array
+        Times [s].
+    bodies
+        Names of the bodies.
+    position, velocity, acceleration : (T, B, 3) arrays
+        x, y [m] and angle [rad] of each body, and their first and second derivatives. The angle of a point mass stays.
+    """
+
+    time: np.ndarray
+    bodies: tuple[str, ...]
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+
+    def __getitem__(self, body: str) -> BodyMotion:
+        """Return the motion of a body by its name."""
+        at = self.bodies.index(body)
+        return BodyMotion(self.position[:, at], self.velocity[:, at], self.acceleration[:, at])
+
+    def write_csv(self, path: Path) -> None:
+        """Write a table: the time, then for each body x, y, angle and their derivatives, one row a time."""
+        with path.open("w", newline="", encoding="utf-8") as file:
+            table = csv.writer(file)
+            table.writerow(["time", *(f"{body}.{column}" for body in self.bodies for column in COLUMNS)])
+            together = np.concatenate([self.position, self.velocity, self.acceleration], axis=2)
+            for t, row in zip(self.time.tolist(), together.reshape(len(self.time), -1).tolist(), strict=True):
+                table.writerow([repr(x) for x in (t, *row)])
+
+
+@dataclass(frozen=True)
+class BodyMotion:
+    """The motion of one body: position, velocity and acceleration, each (T, 3) for x, y [m] and angle [rad]."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+
+
+def kinematics(source: Any, **sections: Any) -> Kinematics:
+    """Compute the motion of a fully driven mechanism from its joints and drivers alone.
+
+    At each time the joints are closed by Newton's method and the linear equations of velocity and acceleration solved,
+    all to round-off; masses and forces do not matter. Steps on the way from one time to the next are halved where the
+    position is not near the one foretold, so that the mechanism stays assembled the same way.
+
+    Parameters
+    ----------
+    source
+        A file name, the name of a packaged example, a mapping, a RunSpec, or a Mechanism, which needs
+        ``time={"end": ..., "step": ...}`` beside it.
+    **sections
+        Sections of the spec that replace those of `source`; of them only `model` and `time` matter.
+
+    Returns
+    -------
+    Kinematics
+        Positions, velocities and accelerations at the start, after every step, and at the end.
+
+    Raises
+    ------
+    SpecError
+        Where the input is wrong, or the mechanism is not fully driven; the message says what is left free.
+    RunError
+        Where the mechanism cannot follow its drivers, or passes a singular position.
+    """
+    return kinematics_of(Placed.of(source, **sections))
+
+
+def kinematics_of(placed: Placed) -> Kinematics:
+    """Compute the motion of a fully driven mechanism that is built; see `kinematics`."""
+    _require_driven(placed)
+    time = placed.spec.time
+    if time.step is None or time.count is None:
+        raise placed.error("is missing: a kinematic analysis needs a step in seconds", key="time.step")
+    times = np.array([*(time.start + time.step * np.arange(time.count)), time.final])
+    path = _Path(placed)
+    rows = np.empty((len(times), 3, placed.equations.n))
+    for i, t in enumerate(times.tolist()):
+        path.go_to(t)
+        rows[i] = path.q, path.v, path.a
+    position, velocity, acceleration = (rows[:, k].reshape(len(times), -1, 3) for k in range(3))
+    return Kinematics(times, placed.equations.bodies, position, velocity, acceleration)
+
+
+class _Path:
+    """A mechanism on the way that its drivers prescribe."""
+
+    def __init__(self, placed: Placed):
+        self.placed, self.p = placed, placed.equations
+        self.size = np.tile([placed.extent, placed.extent, 1.0], len(self.p.bodies))
+        self.t = self.p.t0
+        try:
+            self.arrive(self.t, self.p.project_positions(self.t, self.p.q0))
+        except StepError as error:
+            raise self.stopped(error) from error
+
+    def go_to(self, t: float) -> None:
+        """Follow the drivers to a time."""
+        whole = t - self.t
+        step = whole
+        while self.t < t:
+            last = self.t + step >= t or step == whole
+            there = t if last else self.t + step
+            try:
+                if self.advance(there):
+                    step = min(2 * step, whole)
+                    continue
+                why: StepError | None = None
+            except StepError as error:
+                why = error
+            step = 0.5 * (there - self.t)
+            if step < FINEST * whole:
+                raise self.stopped(why)
+
+    def advance(self, t: float) -> bool:
+        """Move to a time; return whether the position there is near the one that was foretold."""
+        h = t - self.t
+        move = h * self.v + 0.5 * h * h * self.a
+        q = self.p.project_positions(t, self.q + move)
+        aside = float(np.max(np.abs(q - self.q - move) / self.size))
+        if aside > SMALL and aside > ASIDE * float(np.max(np.abs(move) / self.size)):
+            return False
+        self.arrive(t, q)
+        return True
+
+    def arrive(self, t: float, q: np.ndarray) -> None:
+        """Take a position where the joints meet, with its velocities and accelerations."""
+        p = self.p
+        v = p.project_velocities(t, q, np.zeros(p.n))
+        a, _ = p.solve(t, q, np.zeros(p.n), p.gamma(t, q, v))
+        self.t, self.q, self.v, self.a = t, q, v, a
+
+    def stopped(self, why: StepError | None) -> RunError:
+        reason = f": {why}" if why is not None else ", at least not in one piece"
+        return RunError(
+            f"the mechanism cannot follow its drivers beyond t = {self.t:.6g} s{reason}; "
+            "there it is near a dead centre, or out of reach"
+        )
+
+
+def _require_driven(placed: Placed) -> None:
+    """Raise SpecError where something is left free, by name."""
+    if placed.freedoms == 0:
+        return
+    p = placed.equations
+    with placed.blamed():
+        basis = reduce(placed, at_rest(placed, p.q0, np.zeros(p.m))).basis
+    moves = np.linalg.norm(basis * np.sqrt(p.mass)[:, None], axis=1).reshape(-1, 3)
+    free = [
+        f"{name} ({listed([word for word, x in zip(('x', 'y', 'angle'), part, strict=True) if x > STILL])})"
+        for name, part in zip(p.bodies, moves, strict=True)
+        if np.any(part > STILL)
+    ]
+    shown = listed(free[:6], "" if len(free) > 6 else "and") + (f" and {len(free) - 6} more" if len(free) > 6 else "")
+    raise placed.error(
+        f"a kinematic analysis needs a mechanism that is fully driven, and {counted(placed.freedoms, 'degree')} of "
+        f"freedom {'is' if placed.freedoms == 1 else 'are'} left in {shown}; add "
+        f"{counted(placed.freedoms, 'driver')}, or run it as dynamics with `mbdkit run`",
+        key="model.joints",
+    )

@@ -1,0 +1,157 @@
+"""The equations along the freedoms of a mechanism: what is left of stiffness and damping on the constraint manifold.
+
+A mechanism of up to `DENSE` coordinates is reduced to its freedoms with an orthogonal basis of the null space of the
+constraint Jacobian; a larger one stays sparse, and a few of its modes are found by inverse iteration (ARPACK).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.mechanics.source import Placed
+
+DENSE = 1500
+"""Most coordinates with which the equations are reduced to freedoms one by one."""
+
+PILOTS = 3
+"""Inverse iterations that estimate the lowest frequency."""
+
+
+@dataclass(frozen=True)
+class State:
+    """A state to linearise about: time [s], position, velocity, acceleration (n,) and multipliers (m,)."""
+
+    t: float
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    lam: np.ndarray
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """``y'' + damping y' + stiffness y = 0`` for the motion ``basis y`` about a state.
+
+    Attributes
+    ----------
+    basis : (n, f) array
+        Directions along the freedoms, of unit mass and orthogonal in the mass metric.
+    stiffness, damping : (f, f) arrays
+        In these directions [1/s^2, 1/s].
+    """
+
+    basis: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+
+
+def reduce(placed: Placed, at: State) -> Reduced:
+    """Linearise the equations about a state, along its freedoms.
+
+    A deviation ``Z(t) y`` stays tangent to the constraint manifold. Its basis is carried along the motion without
+    turning within the tangent space (``Z^T M Z' = 0``), so that ``Z' = P`` is the least solution, in the mass metric,
+    of ``Phi_q P = -d(Phi_q v + Phi_t)/dq Z``; the stiffness is ``Z^T (K Z + C P) - P^T M P``, the damping
+    ``Z^T C Z``, with ``K = d(Phi_q^T lam - Q)/dq`` and ``C = -dQ/dv``. Where the state rests, P is zero.
+    """
+    p, free = placed.equations, np.flatnonzero(~placed.held)
+    root = np.sqrt(p.mass[free])
+    scaled = p.constraint_jacobian(at.t, at.q).toarray()[:, free] / root
+    q, r = np.linalg.qr(scaled.T, mode="complete")
+    basis = q[:, p.m :] / root[:, None]
+    tangents = p.tangents(at.t, at.q, at.v, at.a, at.lam)
+    k, c = (x.toarray()[np.ix_(free, free)] for x in (tangents.stiffness, tangents.damping))
+    turning = 0.5 * tangents.gamma_v.toarray()[:, free] @ basis
+    normal = q[:, : p.m] @ np.linalg.solve(r[: p.m].T, turning)  # M^1/2 P
+    stiffness = basis.T @ (k @ basis + c @ (normal / root[:, None])) - normal.T @ normal
+    everywhere = np.zeros((p.n, basis.shape[1]))
+    everywhere[free] = basis
+    return Reduced(everywhere, stiffness, basis.T @ c @ basis)
+
+
+def at_rest(placed: Placed, q: np.ndarray, lam: np.ndarray) -> State:
+    """Return the state that rests at `q` under the multipliers `lam`."""
+    none = np.zeros(placed.equations.n)
+    return State(placed.equations.t0, q, none, none, lam)
+
+
+def least_stiffness(placed: Placed, at: State) -> float:
+    """Return the least eigenvalue of the stiffness along the freedoms at rest [1/s^2]."""
+    if placed.equations.n > DENSE:
+        return _least_by_inverse_iteration(placed, at)
+    return float(np.min(np.linalg.eigvals(reduce(placed, at).stiffness).real))
+
+
+def stiffness_scale(placed: Placed, at: State) -> float:
+    """Return the largest stiffness of a single coordinate, for unit mass [1/s^2]."""
+    p = placed.equations
+    diagonal = p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness.diagonal()
+    return float(np.max(np.abs(diagonal) / p.mass))
+
+
+def lowest(placed: Placed, at: State, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the eigenvalues [1/s] nearest to zero, and their shapes (n, k), of a large mechanism at rest.
+
+    Parameters
+    ----------
+    placed, at
+        The mechanism and the state.
+    count
+        How many; those in conjugate pairs count twice.
+    """
+    from scipy.sparse.linalg import LinearOperator, eigs
+
+    p, n = placed.equations, placed.equations.n
+    shift = 0.5 * np.sqrt(_pilot(placed, at)[0])
+    state = at.t, at.q, at.v, at.a, at.lam
+    tangents = p.tangents(*state)
+    matrix = p.iteration_matrix(*state, mass=shift**2, damping=shift, stiffness=1.0)
+    no_rows = np.zeros(p.m)
+
+    def inverse(x: np.ndarray) -> np.ndarray:
+        """Solve for (dq, dv) in ``dv - shift dq = f``, ``-K dq - C dv - shift M dv = M g`` along the freedoms."""
+        f, g = x[:n], x[n:]
+        right = -p.mass * (g + shift * f) - tangents.damping @ f
+        dq, _ = matrix.solve(right, no_rows)
+        return np.concatenate([dq, f + shift * dq])
+
+    first = np.concatenate([_pilot(placed, at)[1]] * 2)
+    inverted, vectors = eigs(
+        LinearOperator((2 * n, 2 * n), matvec=inverse, dtype=float), k=count, v0=inverse(first), tol=1e-13
+    )
+    return shift + 1 / inverted, vectors[:n]
+
+
+def _pilot(placed: Placed, at: State) -> tuple[float, np.ndarray]:
+    """Return about the square of the lowest frequency [1/s^2], and a motion (n,) of which it is."""
+    p = placed.equations
+    state, no_rows = (at.t, at.q, at.v, at.a, at.lam), np.zeros(p.m)
+    x = np.where(placed.held, 0.0, np.random.default_rng(0).standard_normal(p.n))
+    stiffness = p.tangents(*state).stiffness
+    x, _ = p.solve(at.t, at.q, p.mass * x, no_rows)
+    square = abs(float(x @ (stiffness @ x)) / float(x @ (p.mass * x)))
+    scale = square or 1.0
+    for _ in range(PILOTS):
+        x, _ = p.iteration_matrix(*state, mass=1e-9 * scale, stiffness=1.0).solve(p.mass * x, no_rows)
+        x = x / np.sqrt(float(x @ (p.mass * x)))
+        square = abs(float(x @ (stiffness @ x)))
+    return max(square, 1e-9 * scale), x
+
+
+def _least_by_inverse_iteration(placed: Placed, at: State) -> float:
+    """Return the least eigenvalue of a large mechanism: that next below or above a small negative one."""
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
+    p = placed.equations
+    square, first = _pilot(placed, at)
+    matrix = p.iteration_matrix(at.t, at.q, at.v, at.a, at.lam, mass=0.01 * square, stiffness=1.0)
+    root, no_rows = np.sqrt(p.mass), np.zeros(p.m)
+
+    def inverse(x: np.ndarray) -> np.ndarray:
+        solved: np.ndarray = root * matrix.solve(root * x, no_rows)[0]
+        return solved
+
+    operator = LinearOperator((p.n, p.n), matvec=inverse, dtype=float)
+    inverted = eigsh(operator, k=2, which="BE", v0=root * first, return_eigenvectors=False)
+    return float(np.min(1 / inverted[np.abs(inverted) > 1e-9 * np.max(np.abs(inverted))] - 0.01 * square))

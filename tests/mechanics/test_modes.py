@@ -1,0 +1,193 @@
+"""Small motions about a state: as textbooks, minimal coordinates and runs of small amplitude say."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+import mbdkit
+from mbdkit.mechanics.modes import oscillations
+from mbdkit.spec import load_spec
+
+from .chains import G, chain_stiffness_and_mass, hung_between, spec, weight_on_a_spring
+
+
+def test_the_hanging_double_pendulum_has_its_known_frequencies() -> None:
+    # expected: roots of det(K - w^2 M) for uniform rods of 1 m and 1 kg, M = [[4/3, 1/2], [1/2, 1/3]],
+    # K = 9.81 diag(3/2, 1/2), from a computation of their own in 30 digits
+    found = mbdkit.modes(spec({"name": "double-pendulum", "angles": [-1.0, -0.4]}))
+    np.testing.assert_allclose(found.natural_frequency, [2.68011401225338, 7.18867087028771], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(found.damping_ratio, 0.0)
+    np.testing.assert_allclose(found.frequency_hz, found.natural_frequency / (2 * math.pi))
+
+
+def test_a_pendulum_swings_at_its_textbook_frequency() -> None:
+    # expected: sqrt(m g l / J) about the pin
+    found = mbdkit.modes(spec({"name": "single-pendulum", "length": 0.7, "mass": 2.0, "inertia": 0.3}))
+    expected = math.sqrt(2.0 * G * 0.35 / (0.3 + 2.0 * 0.35**2))
+    assert found.natural_frequency[0] == pytest.approx(expected, rel=1e-14)
+    m = mbdkit.Mechanism()
+    bob = m.body("bob", mass=3.0, position=(0.4, -0.3))
+    m.distance("string", m.ground, bob, points=((0.0, 0.0), (0.0, 0.0)), length=0.5)
+    found = mbdkit.modes(m)
+    assert len(found.eigenvalues) == found.freedoms == 1
+    assert found.natural_frequency[0] == pytest.approx(math.sqrt(G / 0.5), rel=1e-13)
+    assert found.shapes[0, 0, 2] == 0
+
+
+def test_a_damped_weight_has_the_textbooks_damping_ratio() -> None:
+    # expected: c / (2 sqrt(k m)); beyond 1 the two roots of the characteristic equation
+    mass, stiffness, damping = 2.0, 800.0, 8.0
+    found = mbdkit.modes(weight_on_a_spring(stiffness, damping, mass))
+    assert found.natural_frequency[0] == pytest.approx(math.sqrt(stiffness / mass), rel=1e-14)
+    assert found.damping_ratio[0] == pytest.approx(damping / (2 * math.sqrt(stiffness * mass)), rel=1e-13)
+    assert found.damped_frequency[0] == pytest.approx(math.sqrt(400.0 - 4.0), rel=1e-13)
+    found = mbdkit.modes(weight_on_a_spring(stiffness, 200.0, mass))
+    np.testing.assert_allclose(found.eigenvalues, np.sort(np.roots([mass, 200.0, stiffness]))[::-1], rtol=1e-13)
+    np.testing.assert_allclose(found.damping_ratio, 1.0)
+
+
+@pytest.mark.parametrize("n", [3, 10, 40])
+def test_a_hanging_chain_swings_as_in_minimal_coordinates(n: int) -> None:
+    # expected: Lagrange's equations in the rods' tilts, by hand
+    rng = np.random.default_rng(n)
+    lengths, masses = rng.uniform(0.2, 1.0, n).tolist(), rng.uniform(0.5, 2.0, n).tolist()
+    stiffness, mass = chain_stiffness_and_mass(lengths, masses)
+    squares, tilts = eigh(stiffness, mass)
+    angles = [-1.5] * n
+    found = mbdkit.modes(spec({"name": "n-pendulum", "n": n, "lengths": lengths, "masses": masses, "angles": angles}))
+    np.testing.assert_allclose(found.natural_frequency, np.sqrt(squares), rtol=1e-11)
+    sign = np.sign(np.sum(tilts.T * found.shapes[:, :, 2].real, axis=1))
+    np.testing.assert_allclose(found.shapes[:, :, 2].real, sign[:, None] * tilts.T, rtol=0, atol=1e-8)
+
+
+def test_of_a_large_chain_the_slowest_modes_are_found() -> None:
+    # expected: minimal coordinates, as above
+    n = 1000
+    stiffness, mass = chain_stiffness_and_mass([1.0] * n, [1.0] * n)
+    squares = eigh(stiffness, mass, eigvals_only=True, subset_by_index=(0, 4))
+    found = mbdkit.modes(spec({"name": "n-pendulum", "n": n, "angle": -math.pi / 2}), count=5)
+    np.testing.assert_allclose(found.natural_frequency, np.sqrt(squares), rtol=1e-9)
+    with pytest.raises(mbdkit.SpecError, match="1000 bodies is too large"):
+        mbdkit.linearize(spec({"name": "n-pendulum", "n": n, "angle": -math.pi / 2}))
+
+
+def test_shapes_stay_on_the_constraints_and_are_of_unit_modal_mass() -> None:
+    for source in (hung_between(2.0, 8, 0.4), "double-wishbone", "car-axis"):
+        found = mbdkit.modes(source)
+        mechanism = source if isinstance(source, mbdkit.Mechanism) else load_spec(source).mechanism()
+        p = mbdkit.StepProblem.of(mechanism)
+        jacobian = p.constraint_jacobian(0.0, found.position.ravel())
+        shapes = found.shapes.reshape(len(found.shapes), -1)
+        np.testing.assert_allclose(jacobian @ shapes.T, 0.0, rtol=0, atol=1e-11 * np.abs(shapes).max())
+        np.testing.assert_allclose(np.abs(shapes) ** 2 @ p.mass, 1.0, rtol=1e-12)
+
+
+def test_an_inverted_pendulum_falls_at_its_rate() -> None:
+    # expected: theta'' = 3 g / (2 L) theta
+    found = mbdkit.modes(spec({"name": "single-pendulum", "angle": math.pi / 2}))
+    np.testing.assert_allclose(found.eigenvalues, np.sqrt(1.5 * G) * np.array([1, -1]), rtol=1e-13)
+    assert found.unstable.tolist() == [True, False]
+
+
+def test_free_bodies_have_modes_of_frequency_zero() -> None:
+    # expected: two bodies on a spring in space: k (1/m1 + 1/m2), and all else moves freely
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    m.body("a", mass=1.0, inertia=0.2)
+    m.body("b", mass=3.0, inertia=0.4, position=(1.0, 0.0))
+    for damping in (0.0, 0.3):
+        m.spring_damper(
+            f"spring{len(m.forces)}",
+            "a",
+            "b",
+            points=((0, 0), (0, 0)),
+            stiffness=15.0,
+            damping=damping,
+            free_length=1.0,
+        )
+        found = mbdkit.modes(m)
+        np.testing.assert_array_equal(found.eigenvalues[:5], 0.0)
+        assert len(found.eigenvalues) == 6
+        springs = 1.0 if damping == 0 else 2.0
+        assert found.natural_frequency[5] == pytest.approx(math.sqrt(springs * 15.0 * (1 + 1 / 3)), rel=1e-12)
+        assert found.damping_ratio[5] == pytest.approx(
+            damping * (1 + 1 / 3) / (2 * found.natural_frequency[5]), abs=1e-12
+        )
+
+
+def test_a_dragged_free_body_stops_and_stays() -> None:
+    # expected: m x'' + c x' = 0 has the roots 0 and -c/m
+    values, _ = oscillations(np.array([[0.0]]), np.array([[0.5]]))
+    np.testing.assert_allclose(np.sort(values.real), [-0.5, 0.0], atol=1e-15)
+    assert len(values) == 2
+
+
+def test_a_point_mass_on_a_turning_arm_swings_by_centrifugal_force() -> None:
+    # expected: in the frame of the arm, turning at W, a pendulum of length L pinned at radius R has W sqrt(R / L);
+    # written down by hand for a rod of mass m, half length l, inertia J: w^2 = W^2 m R l / (J + m l^2)
+    speed, radius, half, mass, inertia = 3.0, 0.8, 0.25, 2.0, 0.07
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    m.body("arm", mass=1.0, inertia=1.0, angular_velocity=speed)
+    m.body(
+        "rod", mass=mass, inertia=inertia, position=(radius + half, 0.0), velocity=(0.0, speed * (radius + half)),
+        angular_velocity=speed,
+    )  # fmt: skip
+    m.revolute("axle", m.ground, "arm", at=(0.0, 0.0))
+    m.driver("motor", m.ground, "arm", coordinate="angle", motion=f"{speed}*t")
+    m.revolute("pin", "arm", "rod", at=(radius, 0.0))
+    found = mbdkit.modes(m, at="start")
+    expected = speed * math.sqrt(mass * radius * half / (inertia + mass * half**2))
+    assert found.natural_frequency[0] == pytest.approx(expected, rel=1e-13)
+
+
+@pytest.mark.parametrize("name", ["knee", "hung chain"])
+def test_a_run_of_small_amplitude_shows_frequency_and_damping(name: str) -> None:
+    # expected: the run, by gauss of 3 stages, let go from 1e-5 rad beside the equilibrium along the mode's shape;
+    # its angle is compared with the mode's oscillation, whose error is the square of the amplitude
+    mechanism = load_spec(name).mechanism() if name == "knee" else hung_between(2.0, 8, 0.4)
+    found = mbdkit.modes(mechanism)
+    rest = mbdkit.equilibrium(mechanism)
+    shape, value = found.shapes[0], found.eigenvalues[0]
+    mover = int(np.argmax(np.abs(shape[:, 2])))
+    scale = 1e-5 / shape[mover, 2]
+    for body, q, u in zip(found.bodies, rest.position, shape * scale, strict=True):
+        place, rate = q + u.real, (value * u).real
+        mechanism.bodies[body] = mechanism.bodies[body].model_copy(
+            update={
+                "position": (place[0], place[1]), "angle": place[2],
+                "velocity": (rate[0], rate[1]), "angular_velocity": rate[2],
+            }
+        )  # fmt: skip
+    run = mbdkit.run(mechanism, integrator={"name": "gauss", "stages": 3}, time={"end": 3.0, "step": 0.005})
+    seen = run[found.bodies[mover]].angle - rest.position[mover, 2]
+    expected = (1e-5 * np.exp(value * run.time)).real
+    np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-9)
+
+
+def test_the_period_of_a_small_swing_is_that_of_the_mode() -> None:
+    # expected: a gauss run of the double pendulum in its first mode; zero crossings over ten periods
+    found = mbdkit.modes(spec({"name": "double-pendulum", "angles": [-1.5, -1.5]}))
+    amplitude = 1e-4 * found.shapes[0, :, 2].real
+    model = {"name": "double-pendulum", "angles": (-math.pi / 2 + amplitude).tolist()}
+    run = mbdkit.run(spec(model), integrator={"name": "gauss", "stages": 3}, time={"end": 24.0, "step": 0.01})
+    swing = run["rod1"].angle + math.pi / 2
+    before = np.flatnonzero(swing[:-1] * swing[1:] < 0)
+    crossings = run.time[before] + 0.01 * swing[before] / (swing[before] - swing[before + 1])
+    frequency = math.pi * (len(crossings) - 1) / (crossings[-1] - crossings[0])
+    assert frequency == pytest.approx(found.natural_frequency[0], rel=1e-6)
+
+
+def test_what_is_fully_driven_has_no_modes() -> None:
+    with pytest.raises(mbdkit.SpecError, match="no degrees of freedom"):
+        mbdkit.modes("slider-crank")
+
+
+def test_a_linearization_gives_the_modes_as_its_state_matrix() -> None:
+    # expected: eigenvalues of A of x' = A x, by NumPy
+    line, found = mbdkit.linearize("double-wishbone"), mbdkit.modes("double-wishbone")
+    values = np.linalg.eigvals(line.state_matrix())
+    np.testing.assert_allclose(np.sort_complex(values[values.imag > 0]), np.sort_complex(found.eigenvalues), rtol=1e-12)
+    assert np.abs(line.acceleration).max() == 0
