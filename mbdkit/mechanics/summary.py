@@ -1,0 +1,191 @@
+"""Equilibrium, modes and kinematics in words for people, and as plain data for programs."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mbdkit.mechanics.equilibrium import Equilibrium
+from mbdkit.mechanics.kinematics import Kinematics
+from mbdkit.mechanics.modes import Modes
+from mbdkit.text import counted, listed, table
+
+SHOWN = 20
+"""Most rows of a table."""
+
+AT_REST = 1e-9
+"""Largest velocity or acceleration of a state that counts as one of rest."""
+
+STABILITY = {
+    "stable": "stable",
+    "neutral": "neutral: something moves without resistance",
+    "unstable": "UNSTABLE: the slightest push and the mechanism leaves it",
+    "fixed": "fixed: joints and drivers let nothing move",
+}
+
+
+def equilibrium_text(found: Equilibrium) -> str:
+    """Return an equilibrium in words: how good it is, where the bodies are, what the joints carry."""
+    left = f"with accelerations of {found.imbalance:.1e} left and gaps of {found.residual:.1e}"
+    lines = [
+        f"equilibrium  {STABILITY[found.stability]}",
+        f"time         {found.time:g} s, at which drivers are held and loads taken",
+        f"found in     {counted(found.iterations, 'step')}, {left}",
+    ]
+    if found.stability != "fixed":
+        lines.append(f"stiffness    {found.stiffness:.6g} 1/s^2 at least along the freedoms, for unit mass")
+    places = [
+        (name, *(f"{x:.9g}" for x in _clean(place))) for name, place in zip(found.bodies, found.position, strict=True)
+    ]
+    lines += ["", table(_some([("BODY", "X [m]", "Y [m]", "ANGLE [rad]"), *places]))]
+    if found.joints:
+        force = found.reaction_force
+        largest = max(float(np.max(np.abs(force))), float(np.max(np.abs(found.reaction_torque))))
+        loads = [
+            (name, *(f"{0.0 if abs(x) < 1e-12 * largest else x:.6g}" for x in (*force[j], found.reaction_torque[j])))
+            for j, name in enumerate(found.joints)
+        ]
+        lines += ["", table(_some([("JOINT", "FORCE X [N]", "FORCE Y [N]", "TORQUE [N m]"), *loads]))]
+    if found.shared:
+        lines.append(f"not unique, because joints are redundant: the reactions of {listed(found.shared, 'and')}")
+    return "\n".join(lines)
+
+
+def equilibrium_data(found: Equilibrium) -> dict[str, Any]:
+    """Return an equilibrium as plain data."""
+    return {
+        "time": found.time,
+        "stability": found.stability,
+        "stiffness": _number(found.stiffness),
+        "imbalance": found.imbalance,
+        "residual": found.residual,
+        "iterations": found.iterations,
+        "bodies": _by_name(found.bodies, found.position),
+        "reactions": {
+            name: {"force": force, "torque": torque}
+            for name, force, torque in zip(
+                found.joints, found.reaction_force.tolist(), found.reaction_torque.tolist(), strict=True
+            )
+        },
+        "multipliers": dict(zip(found.constraints, found.multiplier.tolist(), strict=True)),
+        "not_unique": list(found.shared),
+    }
+
+
+def modes_text(found: Modes) -> str:
+    """Return modes in words: about which state, and one row a mode."""
+    speed, push = (float(np.max(np.abs(x), initial=0.0)) for x in (found.velocity, found.acceleration))
+    if speed > AT_REST or push > AT_REST:
+        what = " and ".join(
+            [f"moves at up to {speed:.3g}"] * (speed > AT_REST)
+            + [f"accelerates at up to {push:.3g}"] * (push > AT_REST)
+        )
+        state = f"the start, which is no rest: it {what} (in m, rad and s), so that the modes hold at this instant only"
+    else:
+        state = "at rest"
+    many = f", {len(found.eigenvalues)} modes of them" if len(found.eigenvalues) < found.freedoms else ""
+    lines = [
+        f"linearised   at t = {found.time:g} s, {state}",
+        f"freedoms     {counted(found.freedoms, 'degree of freedom', 'degrees of freedom')}{many}",
+    ]
+    rows: list[tuple[str, ...]] = [("MODE", "RAD/S", "HZ", "DAMPING RATIO", "MOVES MOST", "")]
+    for k, value in enumerate(found.eigenvalues.tolist()):
+        ratio = "" if value == 0 else f"{found.damping_ratio[k] + 0.0:.6g}"
+        frequency = (f"{found.natural_frequency[k]:.9g}", f"{found.frequency_hz[k]:.9g}") if value.imag else ("", "")
+        rows.append((str(k + 1), *frequency, ratio if value.imag else "", _moving(found, k), _remark(value)))
+    return "\n".join([*lines, "", table(_some(rows))])
+
+
+def modes_data(found: Modes) -> dict[str, Any]:
+    """Return modes as plain data; complex numbers as [real, imaginary]."""
+    return {
+        "time": found.time,
+        "freedoms": found.freedoms,
+        "state": {
+            "position": _by_name(found.bodies, found.position),
+            "velocity": _by_name(found.bodies, found.velocity),
+            "acceleration": _by_name(found.bodies, found.acceleration),
+        },
+        "modes": [
+            {
+                "eigenvalue": [value.real, value.imag],
+                "natural_frequency": abs(value),
+                "frequency_hz": abs(value) / (2 * math.pi),
+                "damping_ratio": _number(float(ratio)),
+                "shape": {
+                    name: np.column_stack([u.real, u.imag]).tolist()
+                    for name, u in zip(found.bodies, shape, strict=True)
+                },
+            }
+            for value, ratio, shape in zip(found.eigenvalues.tolist(), found.damping_ratio, found.shapes, strict=True)
+        ],
+    }
+
+
+def kinematics_text(found: Kinematics) -> str:
+    """Return in words over what range each body moves, and how fast at most."""
+    rows: list[tuple[str, ...]] = [
+        ("BODY", "X [m]", "Y [m]", "ANGLE [rad]", "SPEED [m/s]", "RATE [rad/s]", "ACCELERATION [m/s^2]")
+    ]
+    for name in found.bodies:
+        motion = found[name]
+        low, high = motion.position.min(axis=0), motion.position.max(axis=0)
+        ranges = [f"{a:.5g} to {b:.5g}" for a, b in zip(_clean(low), _clean(high), strict=True)]
+        speed, push = (np.hypot(x[:, 0], x[:, 1]).max() for x in (motion.velocity, motion.acceleration))
+        rows.append((name, *ranges, f"{speed:.5g}", f"{np.abs(motion.velocity[:, 2]).max():.5g}", f"{push:.5g}"))
+    first, last = found.time[[0, -1]]
+    return f"kinematics   {len(found.time)} times from {first:g} to {last:g} s; ranges, and largest values\n\n" + table(
+        _some(rows)
+    )
+
+
+def kinematics_data(found: Kinematics) -> dict[str, Any]:
+    """Return a motion as plain data."""
+    return {
+        "time": found.time.tolist(),
+        "bodies": {
+            name: {
+                "position": found[name].position.tolist(),
+                "velocity": found[name].velocity.tolist(),
+                "acceleration": found[name].acceleration.tolist(),
+            }
+            for name in found.bodies
+        },
+    }
+
+
+def _remark(value: complex) -> str:
+    """Return what there is to be said about a mode that is no decaying or steady oscillation."""
+    if value == 0:
+        return "free: moves without resistance"
+    if value.imag == 0:
+        verb = "UNSTABLE: grows" if value.real > 0 else "decays"
+        return f"{verb} without oscillation, e-fold in {1 / abs(value.real):.4g} s"
+    return f"UNSTABLE: grows e-fold in {1 / value.real:.4g} s" if value.real > 1e-9 * abs(value) else ""
+
+
+def _moving(found: Modes, k: int) -> str:
+    """Return the body whose coordinates change most in a mode."""
+    size = np.abs(found.shapes[k]).max(axis=1)
+    return found.bodies[int(np.argmax(size))]
+
+
+def _by_name(names: tuple[str, ...], rows: np.ndarray) -> dict[str, list[float]]:
+    return dict(zip(names, rows.tolist(), strict=True))
+
+
+def _some(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Return a heading with as many rows as one wants to read."""
+    more = len(rows) - 1 - SHOWN
+    return rows if more <= 0 else [*rows[: SHOWN + 1], (f"and {more} more", *[""] * (len(rows[0]) - 1))]
+
+
+def _clean(values: np.ndarray) -> list[float]:
+    """Return numbers without what is round-off beside 1."""
+    return [0.0 if abs(x) < 1e-12 else x for x in values.tolist()]
+
+
+def _number(x: float) -> float | None:
+    return None if math.isnan(x) else x
