@@ -191,3 +191,25 @@ def test_a_linearization_gives_the_modes_as_its_state_matrix() -> None:
     values = np.linalg.eigvals(line.state_matrix())
     np.testing.assert_allclose(np.sort_complex(values[values.imag > 0]), np.sort_complex(found.eigenvalues), rtol=1e-12)
     assert np.abs(line.acceleration).max() == 0
+
+
+def test_a_knee_in_motion_is_linearised_along_its_path() -> None:
+    # expected: with one freedom, the path's length s in the mass metric obeys s'' = f(s, s'); the derivatives of f by
+    # central differences of the accelerations at neighbouring flexions and speeds
+    flexion, speed, step = 0.6, 1.3, 1e-4
+
+    def along(flexion: float, speed: float) -> tuple[float, float]:
+        """Return f, and the length of path to a radian of flexion."""
+        knee = load_spec("knee", [f"model.flexion={flexion!r}", "model.flexion_rate=1.0"])
+        p = mbdkit.StepProblem.of(knee.mechanism())
+        metric = math.sqrt(float(p.v0 @ (p.mass * p.v0)))
+        v = p.v0 * speed / metric
+        return float(v @ (p.mass * p.accelerations(0.0, p.q0, v)[0])) / speed, metric
+
+    metric = along(flexion, speed)[1]
+    stiffness = -(along(flexion + step, speed)[0] - along(flexion - step, speed)[0]) / (2 * step * metric)
+    damping = -(along(flexion, speed + step)[0] - along(flexion, speed - step)[0]) / (2 * step)
+    knee = load_spec("knee", [f"model.flexion={flexion!r}", f"model.flexion_rate={speed / metric!r}"])
+    found = mbdkit.linearize(knee, at="start")
+    assert found.stiffness[0, 0] == pytest.approx(stiffness, rel=1e-6)
+    assert found.damping[0, 0] == pytest.approx(damping, rel=1e-6)
