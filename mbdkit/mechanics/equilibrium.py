@@ -72,7 +72,8 @@ class Equilibrium:
         Largest gap in the joints [m, rad].
     stiffness
         Least eigenvalue of the stiffness along the freedoms, for unit mass [1/s^2]: the square of the lowest natural
-        frequency where it is positive, none (nan) where nothing can move.
+        frequency where it is positive, none (nan) where nothing can move. Beyond 500 bodies, where some are negative,
+        one of these next to zero.
     stability
         ``stable``, ``neutral`` (something moves without resistance), ``unstable``, or ``fixed`` (nothing can move).
     iterations

@@ -6,6 +6,7 @@ constraint Jacobian; a larger one stays sparse, and a few of its modes are found
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,9 @@ from mbdkit.mechanics.source import Placed
 
 DENSE = 1500
 """Most coordinates with which the equations are reduced to freedoms one by one."""
+
+NEGATIVE = 1e-6
+"""Accuracy, relative to the softest motion, with which one is looked for that has a negative stiffness."""
 
 PILOTS = 3
 """Inverse iterations that estimate the lowest frequency."""
@@ -140,7 +144,11 @@ def _pilot(placed: Placed, at: State) -> tuple[float, np.ndarray]:
 
 
 def _least_by_inverse_iteration(placed: Placed, at: State) -> float:
-    """Return the least eigenvalue of a large mechanism: that next below or above a small negative one."""
+    """Return the least eigenvalue of a large mechanism, or a negative one, that next to zero.
+
+    Of the inverse, whose eigenvalues crowd at zero, the one of largest size is sought, and if that is positive the
+    least one: raised by that size, so that the crowd stands well away from zero and a part in a million tells it.
+    """
     from scipy.sparse.linalg import LinearOperator, eigsh
 
     p = placed.equations
@@ -152,6 +160,13 @@ def _least_by_inverse_iteration(placed: Placed, at: State) -> float:
         solved: np.ndarray = root * matrix.solve(root * x, no_rows)[0]
         return solved
 
-    operator = LinearOperator((p.n, p.n), matvec=inverse, dtype=float)
-    inverted = eigsh(operator, k=2, which="BE", v0=root * first, return_eigenvectors=False)
-    return float(np.min(1 / inverted[np.abs(inverted) > 1e-9 * np.max(np.abs(inverted))] - 0.01 * square))
+    def extreme(matvec: Callable[[np.ndarray], np.ndarray], which: str, start: np.ndarray, tolerance: float) -> float:
+        operator = LinearOperator((p.n, p.n), matvec=matvec, dtype=float)
+        return float(eigsh(operator, k=1, which=which, v0=start, tol=tolerance, return_eigenvectors=False)[0])
+
+    found = extreme(inverse, "LM", root * first, 1e-12)
+    if found > 0:
+        anything = np.random.default_rng(0).standard_normal(p.n)
+        least = extreme(lambda x: inverse(x) + found * x, "SA", anything, NEGATIVE) - found
+        found = least if least < -10 * NEGATIVE * found else found
+    return 1 / found - 0.01 * square

@@ -136,10 +136,11 @@ def test_long_chains_fall_from_a_tangle_into_a_stable_equilibrium(n: int) -> Non
     assert found.stability == "stable"
 
 
-def test_a_chain_too_large_for_dense_matrices_hangs_too() -> None:
+@pytest.mark.parametrize(("angle", "stability", "sign"), [(0.0, "stable", 1), (math.pi / 2, "unstable", -1)])
+def test_a_chain_too_large_for_dense_matrices_hangs_or_stands_too(angle: float, stability: str, sign: int) -> None:
     # expected: the lowest frequency of a heavy hanging cord, j0 / 2 sqrt(g / L), with j0 the first zero of J0;
-    # 600 rods come within 1e-5 of it
+    # 600 rods come within 1e-5 of it. Standing upright, gravity has the other sign
     n = 600
-    found = mbdkit.equilibrium(spec({"name": "n-pendulum", "n": n, "length": 1.0 / n, "mass": 1.0 / n}))
-    assert found.stability == "stable"
-    assert found.stiffness == pytest.approx((2.404825557695773 / 2) ** 2 * G, rel=1e-5)
+    found = mbdkit.equilibrium(spec({"name": "n-pendulum", "n": n, "length": 1.0 / n, "mass": 1.0 / n, "angle": angle}))
+    assert found.stability == stability
+    assert found.stiffness == pytest.approx(sign * (2.404825557695773 / 2) ** 2 * G, rel=1e-5)
