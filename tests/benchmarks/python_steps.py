@@ -19,6 +19,7 @@ from mbdkit.integrators import rk4
 from mbdkit.integrators.methods import ExplicitRungeKutta
 from mbdkit.integrators.stepping import Timetable
 from mbdkit.spec import load_spec
+from tests.integrators.step_methods import RungeKutta
 
 from .timing import duration, take_turns
 
@@ -30,19 +31,6 @@ class _Standing(StepMethod):
 
     def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
         return StepState(state.q, state.v)
-
-
-class _RungeKutta(StepMethod):
-    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
-        q, v = state.q, state.v
-        a1, _ = problem.accelerations(t, q, v)
-        v2 = v + h / 2 * a1
-        a2, _ = problem.accelerations(t + h / 2, q + h / 2 * v, v2)
-        v3 = v + h / 2 * a2
-        a3, _ = problem.accelerations(t + h / 2, q + h / 2 * v2, v3)
-        v4 = v + h * a3
-        a4, _ = problem.accelerations(t + h, q + h * v3, v4)
-        return state.moved(h / 6 * (v + 2 * v2 + 2 * v3 + v4), h / 6 * (a1 + 2 * a2 + 2 * a3 + a4))
 
 
 def python_steps(console: Console) -> None:
@@ -82,7 +70,7 @@ def python_steps(console: Console) -> None:
     contenders = {
         "step: rk4 in compiled code": stepped(ExplicitRungeKutta(rk4.tableau())),
         "step: a method in Python that does nothing": stepped(_Standing()),
-        "step: rk4 in NumPy, four evaluations": stepped(_RungeKutta()),
+        "step: rk4 in NumPy, four evaluations": stepped(RungeKutta()),
         "call: accelerations": called(lambda: p.accelerations(0.0, q, v)),
         "call: residual": called(lambda: p.residual(0.0, q, v, a, lam)),
         "call: constraints": called(lambda: p.constraints(0.0, q)),

@@ -8,6 +8,7 @@ c I - J. Steps are those that SUNDIALS chooses; between them its own interpolant
 from __future__ import annotations
 
 import io
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from functools import partial
@@ -73,7 +74,7 @@ class Interpolant(DenseOutput):  # type: ignore[misc]
         return np.stack(found, axis=-1) if np.ndim(t) else found[0]
 
 
-class SundialsSolver(OdeSolver):  # type: ignore[misc]
+class SundialsSolver(OdeSolver, ABC):  # type: ignore[misc]
     """One step after the other of a solver of SUNDIALS; subclasses make the solver."""
 
     t: float
@@ -96,9 +97,9 @@ class SundialsSolver(OdeSolver):  # type: ignore[misc]
         self.solver = self.new_solver(options)
         self.start(y0)
 
+    @abstractmethod
     def new_solver(self, options: dict[str, Any]) -> Any:
         """Return the solver for tolerances and first step."""
-        raise NotImplementedError
 
     def start(self, y0: np.ndarray) -> None:
         """Hand the initial values to the solver."""
