@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mbdkit.files import check_suffix, replacing
 from mbdkit.report.film import write_gif, write_mp4
 from mbdkit.report.page import write_html
 from mbdkit.report.series import require_rows
-from mbdkit.report.style import check_suffix, replacing
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from mbdkit.files import check_suffix
 from mbdkit.mechanics.modes import Modes
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.report.caption import Caption
 from mbdkit.report.geometry import draw_mechanism
 from mbdkit.report.pose import Pose, body_colors
 from mbdkit.report.shapes import view_box
-from mbdkit.report.style import FAINT, FORMATS, check_suffix, dress, new_figure, save
+from mbdkit.report.style import FAINT, FORMATS, dress, new_figure, save
 
 MOST = 6
 """Modes in one picture."""

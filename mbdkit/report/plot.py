@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 from matplotlib.figure import Figure
 
 from mbdkit.errors import SpecError
+from mbdkit.files import check_suffix
 from mbdkit.report.curves import drift_figure, energy_figure, reactions_figure
 from mbdkit.report.series import require_rows
-from mbdkit.report.style import FORMATS, check_suffix, save
+from mbdkit.report.style import FORMATS, save
 from mbdkit.report.trajectory import trajectory_figure
 
 if TYPE_CHECKING:

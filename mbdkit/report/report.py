@@ -9,10 +9,10 @@ from pathlib import Path
 
 from mbdkit.archive.reader import load
 from mbdkit.errors import SpecError
+from mbdkit.files import check_suffix, replacing
 from mbdkit.report.document import Document
 from mbdkit.report.run_report import run_document
 from mbdkit.report.still import still_files, write_stills
-from mbdkit.report.style import check_suffix, replacing
 
 SUFFIXES = (".html", ".htm")
 

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import secrets
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -16,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
-from mbdkit.errors import SpecError
+from mbdkit.files import replacing
 from mbdkit.report.caption import Caption
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9")
@@ -108,46 +105,6 @@ def legend(axes: Axes, handles: Sequence[Any], labels: Sequence[str], title: str
     )
     for text in box.get_texts():
         text.set_parse_math(False)
-
-
-def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str) -> Path:
-    """Return `path` as a Path.
-
-    Raises
-    ------
-    SpecError
-        The suffix is none of `allowed`.
-    """
-    target = Path(path)
-    if target.suffix.lower() not in allowed:
-        names = ", ".join(allowed[:-1]) + " or " + allowed[-1]
-        given = f"ends in {target.suffix!r}" if target.suffix else "has no suffix"
-        raise SpecError(f"{what} cannot be written to {str(target)!r}, which {given}; its name must end in {names}")
-    return target
-
-
-@contextmanager
-def replacing(target: Path) -> Iterator[Path]:
-    """Give a temporary name beside `target`; it takes the place of `target` only if the block succeeds.
-
-    Raises
-    ------
-    SpecError
-        The folder does not exist, or the file cannot be written.
-    """
-    if not target.parent.is_dir():
-        raise SpecError(f"cannot write {str(target)!r}: there is no folder {str(target.parent)!r}")
-    temporary = target.with_name(f".{target.stem[:40]}-{secrets.token_hex(4)}{target.suffix}")
-    try:
-        temporary.touch(exist_ok=False)
-        yield temporary
-        temporary.replace(target)
-    except OSError as error:
-        if not error.errno:  # not about this file: HDF5 could not read the run
-            raise
-        raise SpecError(f"cannot write {str(target)!r}: {error.strerror or error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def save(figure: Figure, target: Path) -> None:

@@ -11,8 +11,8 @@ from ruamel.yaml import YAML
 from ruamel.yaml.compat import StringIO
 
 from mbdkit.errors import SpecError
+from mbdkit.files import check_suffix, replacing
 from mbdkit.report.html import render
-from mbdkit.report.style import check_suffix, replacing
 from mbdkit.testing.outcome import Report, figures_text
 
 _TONES = {"pass": "yes", "fail": "no", "warn": "partly", "skip": "open"}

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from rich.console import Console
 
 from mbdkit.errors import SpecError
-from mbdkit.report.style import FORMATS, check_suffix
+from mbdkit.files import check_suffix
+from mbdkit.report.style import FORMATS
 
 from . import chain, plugins, python_steps, race, scale, startup
 

@@ -72,7 +72,7 @@ def test_kinematics_writes_a_table(mbdkit, in_tmp_path):
         (("modes", "pendulum", "-o", "modes.doc"), "its name must end in .png, .svg or .pdf"),
         (("equilibrium", "four-bar"), "no static equilibrium was found from this start"),
         (("equilibrium", "nothing.yaml"), "there is no such file"),
-        (("equilibrium", "knee", "--write", "nowhere/rest.yaml"), "there is no folder"),
+        (("equilibrium", "knee", "--write", "nowhere/rest.yaml"), "does not exist; create it first"),
         (("modes", "pendulum", "--set", "model.length=-1"), "length"),
     ],
 )

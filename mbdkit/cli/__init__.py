@@ -1,0 +1,66 @@
+"""The command ``mbdkit``: each command says what it does in its docstring; what it needs is imported when it runs."""
+
+from __future__ import annotations
+
+import io
+import sys
+from typing import Annotated
+
+import typer
+
+from mbdkit.cli.archives import archive_app
+from mbdkit.cli.mechanics import equilibrium, kinematics, modes
+from mbdkit.cli.options import PLAIN, Debug
+from mbdkit.cli.pictures import animate, plot, report
+from mbdkit.cli.plugins import plugins_app
+from mbdkit.cli.runs import rerun, run, validate
+from mbdkit.cli.specs import examples_app, schema_app
+from mbdkit.cli.studies import study
+from mbdkit.terminal import Commands
+
+app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=False, **PLAIN)
+
+
+def _print_version(value: bool) -> None:
+    if value:
+        from mbdkit import __version__
+
+        print(f"mbdkit {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def mbdkit(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+    debug: Debug = False,
+) -> None:
+    """Planar multibody dynamics: a spec goes in, a trustworthy HDF5 archive comes out.
+
+    Exit status: 0 done, 1 a rerun differs or a plugin is not verified, 2 the input is wrong, 3 the integration stopped
+    early, 4 a plugin failed, 130 interrupted.
+
+    Environment: MBDKIT_PLUGINS=a,b loads plugins of these distributions alone, of none if it is empty;
+    MBDKIT_DISABLE_PLUGINS=a,b leaves these out; MBDKIT_STRICT_PLUGINS=1 refuses to work where a plugin cannot be
+    loaded; MBDKIT_CACHE_DIR is where compiled code is kept.
+    """
+
+
+for command in (run, validate, equilibrium, modes, kinematics, study, plot, animate, report, rerun):
+    app.command()(command)
+for name, group in {
+    "schema": schema_app,
+    "plugins": plugins_app,
+    "examples": examples_app,
+    "archive": archive_app,
+}.items():
+    app.add_typer(group, name=name)
+
+
+def main() -> None:
+    """Run the command line."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a name that the terminal has no letters for
+    app(prog_name="mbdkit")

@@ -1,0 +1,48 @@
+"""Run archives, described and checked: `archive`."""
+
+from __future__ import annotations
+
+import json
+
+import typer
+
+from mbdkit import terminal
+from mbdkit.cli.options import PLAIN, Archives, AsJson, Debug, Quiet
+from mbdkit.terminal import say
+
+archive_app = typer.Typer(help="Describe and check run archives.", **PLAIN)
+
+
+@archive_app.command("info")
+def archive_info(archives: Archives, as_json: AsJson = False, debug: Debug = False) -> None:
+    """Describe run archives.
+
+    With --json, one object whose "archives" is a list.
+    """
+    from mbdkit.archive.info import describe, text
+
+    descriptions = [describe(archive) for archive in archives]
+    if as_json:
+        print(json.dumps({"archives": descriptions}))
+    else:
+        print("\n\n".join(text(description) for description in descriptions))
+
+
+@archive_app.command("check")
+def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False) -> None:
+    """Check run archives to the last array.
+
+    Exit status 2 if anything is wrong with one.
+    """
+    from mbdkit.archive.check import check
+
+    sound = True
+    for archive in archives:
+        problems = check(archive)
+        sound = sound and not problems
+        for problem in problems:
+            say(f"{archive}: {problem}")
+        if not problems and not quiet:
+            print(f"{archive}: sound")
+    if not sound:
+        raise typer.Exit(terminal.WRONG_INPUT)

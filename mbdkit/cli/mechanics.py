@@ -1,0 +1,115 @@
+"""A mechanism without a run: `equilibrium`, `modes`, `kinematics`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from mbdkit.cli.options import AsJson, Debug, Overwrite, Set, SpecName
+from mbdkit.cli.targets import check_free
+
+
+def equilibrium(
+    spec: SpecName,
+    assignments: Set = None,
+    write: Annotated[
+        Path | None,
+        typer.Option("--write", metavar="FILE.yaml", help="Write the spec anew, its mechanism at rest there."),
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Find where a mechanism rests: positions, reactions, stability.
+
+    The search goes downhill from the start, with drivers and loads held as they
+    are at the start time. Velocities do not count.
+    """
+    from mbdkit.mechanics import summary
+    from mbdkit.mechanics.equilibrium import equilibrium_of, spec_at
+    from mbdkit.mechanics.source import Placed
+
+    if write is not None:
+        check_free(write, spec, overwrite)
+    placed = Placed.of(spec, assignments or ())
+    found = equilibrium_of(placed)
+    if write is not None:
+        from mbdkit.files import replacing
+        from mbdkit.spec.yaml import write_yaml
+
+        with replacing(write) as temporary:
+            temporary.write_text(write_yaml(spec_at(placed, found)), encoding="utf-8")
+    print(json.dumps(summary.equilibrium_data(found)) if as_json else summary.equilibrium_text(found))
+
+
+def modes(
+    spec: SpecName,
+    assignments: Set = None,
+    at: Annotated[
+        Literal["equilibrium", "start"],
+        typer.Option("--at", help="At rest in the equilibrium near the start, or in the start as it is."),
+    ] = "equilibrium",
+    count: Annotated[
+        int | None, typer.Option("--count", min=1, metavar="N", help="How many modes, the slowest first.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE.png", help="Draw the modes: PNG, SVG or PDF by the suffix."),
+    ] = None,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Find natural frequencies, damping ratios and mode shapes.
+
+    Drivers are held to their motion. A picture of the same name is replaced.
+    """
+    from mbdkit.mechanics import summary
+    from mbdkit.mechanics.modes import modes_of
+    from mbdkit.mechanics.source import Placed
+
+    if output is not None:
+        from mbdkit.files import check_suffix
+        from mbdkit.report.style import FORMATS
+
+        check_suffix(output, FORMATS, "a plot")
+    placed = Placed.of(spec, assignments or ())
+    found = modes_of(placed, at, count)
+    if output is not None:
+        from mbdkit.report.mode_shapes import plot_modes
+
+        mechanism = placed.spec.mechanism()
+        plot_modes(found, mechanism, f"Modes: {placed.spec.title or mechanism.name}", output)
+    print(json.dumps(summary.modes_data(found)) if as_json else summary.modes_text(found))
+
+
+def kinematics(
+    spec: SpecName,
+    assignments: Set = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE.csv", help="Write positions, velocities, accelerations as CSV."),
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Compute the motion that drivers prescribe, without forces.
+
+    The mechanism must be fully driven; times are those of the spec, step by step.
+    """
+    from mbdkit.mechanics import summary
+    from mbdkit.mechanics.kinematics import kinematics_of
+    from mbdkit.mechanics.source import Placed
+
+    if output is not None:
+        check_free(output, spec, overwrite)
+    found = kinematics_of(Placed.of(spec, assignments or ()))
+    if output is not None:
+        from mbdkit.files import replacing
+
+        with replacing(output) as temporary:
+            found.write_csv(temporary)
+    print(json.dumps(summary.kinematics_data(found)) if as_json else summary.kinematics_text(found))

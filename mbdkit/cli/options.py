@@ -1,0 +1,41 @@
+"""What the commands share: their arguments and options, and how they are shown."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from mbdkit import terminal
+
+CONTEXT = {"help_option_names": ["-h", "--help"]}
+PLAIN: dict[str, Any] = {"context_settings": CONTEXT, "rich_markup_mode": None, "no_args_is_help": True}
+
+
+def _set_debug(context: typer.Context, value: bool) -> bool:
+    if value:
+        context.meta[terminal.DEBUG] = True
+    return value
+
+
+SpecName = Annotated[
+    str,
+    typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example such as knee."),
+]
+StudyName = Annotated[
+    str,
+    typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged study such as paper."),
+]
+Archive = Annotated[Path, typer.Argument(metavar="FILE.h5", help="A run archive.")]
+Archives = Annotated[list[Path], typer.Argument(metavar="FILE.h5", help="Run archives.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Set one key of the spec, such as time.step=0.005; may be repeated."
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file, once the new one is complete.")]
+Debug = Annotated[bool, typer.Option("--debug", callback=_set_debug, help="Show the traceback of an error.")]

@@ -1,0 +1,86 @@
+"""What runs look like: `plot`, `animate`, `report`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from mbdkit.cli.options import Archive, Debug, Overwrite, Quiet
+
+
+def plot(
+    archive: Archive,
+    kind: Annotated[
+        Literal["trajectory", "drift", "energy", "reactions"], typer.Option("--kind", help="What to plot.")
+    ] = "trajectory",
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="FILE.png", help="PNG, SVG or PDF by its suffix; by default FILE-KIND.png."
+        ),
+    ] = None,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Plot a run. A picture of the same name is replaced."""
+    from mbdkit.archive.reader import load
+    from mbdkit.report.plot import plot as draw
+
+    with load(archive) as loaded:
+        target = draw(loaded, kind, output or archive.with_name(f"{archive.stem}-{kind}.png"))
+    if not quiet:
+        print(target)
+
+
+def animate(
+    archive: Archive,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE.gif", help=".gif, .html or .mp4; by default FILE.gif."),
+    ] = None,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Animate a run. A film of the same name is replaced."""
+    from mbdkit.archive.reader import load
+    from mbdkit.report.animate import animate as draw
+
+    with load(archive) as loaded:
+        target = draw(loaded, output or archive.with_suffix(".gif"))
+    if not quiet:
+        print(target)
+
+
+def report(
+    path: Annotated[Path, typer.Argument(metavar="PATH", help="A run archive, or the folder of a study.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE.html",
+            help="The page; by default NAME-report.html, or report.html in a study.",
+        ),
+    ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(
+            "--figures", metavar="DIR", help="Write the figures as PNG and SVG too; a study's go to its figures/."
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Report on a run or a study: one page that works offline.
+
+    A verdict in plain words, figures to zoom, the motion with its gaps magnified,
+    tables, methods with references, and the spec.
+    """
+    from mbdkit.report.report import report as write
+
+    target = write(path, output, figures=figures, overwrite=overwrite)
+    if not quiet:
+        print(target)

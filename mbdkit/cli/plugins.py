@@ -1,0 +1,137 @@
+"""Plugins, listed, shown, verified, diagnosed and begun: `plugins`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from mbdkit import terminal
+from mbdkit.cli.options import PLAIN, AsJson, Debug, Overwrite, Quiet
+from mbdkit.terminal import count_bar, say, silence
+
+plugins_app = typer.Typer(help="List, verify, diagnose and begin plugins.", **PLAIN)
+
+
+@plugins_app.command("list")
+def plugins_list(as_json: AsJson = False, debug: Debug = False) -> None:
+    """List what is installed, and what could not be loaded."""
+    from mbdkit.registry import describe
+    from mbdkit.registry.manager import load_installed
+
+    installed = load_installed()
+    print(json.dumps(describe.listing(installed)) if as_json else describe.listing_text(installed))
+
+
+@plugins_app.command("show")
+def plugins_show(
+    name: Annotated[str, typer.Argument(metavar="ID", help="A name such as gauss, or an id such as mbdkit:gauss.")],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Show the options, claims and references of one.
+
+    With --json, one object whose "plugins" is a list: a model and an integrator
+    may share a name.
+    """
+    from mbdkit.registry import describe
+
+    items = describe.find(name)
+    if as_json:
+        print(json.dumps({"plugins": [describe.details(item) for item in items]}))
+    else:
+        print("\n\n".join(describe.page(item) for item in items))
+
+
+@plugins_app.command("verify")
+def plugins_verify(
+    name: Annotated[str, typer.Argument(metavar="ID", help="A name such as gauss, or an id such as mbdkit:gauss.")],
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Set one of its options, such as stages=3; may be repeated."),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Leave out the slow checks.")] = False,
+    as_json: AsJson = False,
+    as_html: Annotated[bool, typer.Option("--html", help="Write a page as well.")] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE.html", help="The page; by default ./NAME-verification.html."),
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Hold one to what it claims, by the checks of mbdkit.testing.
+
+    Exit status 1 if it is not verified: a check failed, or none of those that
+    matter most could be run. With --json, one object whose "reports" is a list:
+    a model and an integrator may share a name.
+    """
+    from mbdkit.registry import describe
+    from mbdkit.spec.reading import read_assignments
+
+    items = describe.find(name)
+    options = read_assignments(assignments or ())
+    from mbdkit.testing import verify
+    from mbdkit.testing.page import check_page, write_page
+
+    page = (output or Path(f"{name.replace(':', '-')}-verification.html")) if as_html or output is not None else None
+    if page is not None:
+        check_page(page, overwrite=overwrite)
+    reports = []
+    for item in items:
+        with count_bar(item.id, quiet) as bar:
+            watch = None if bar is None else lambda done, total, check, bar=bar: bar(done, total, 0)
+            notify = silence if quiet else say
+            reports.append(verify(item.kind, item.id, options, quick=quick, watch=watch, notify=notify))
+    if page is not None:
+        write_page(reports, page)
+    if as_json:
+        print(json.dumps({"reports": [report.to_dict() for report in reports]}))
+    elif not quiet:
+        print("\n\n".join(report.text() for report in reports))
+        if page is not None:
+            print(page)
+    if not all(report.verified for report in reports):
+        raise typer.Exit(terminal.NOT_VERIFIED)
+
+
+@plugins_app.command("doctor")
+def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
+    """Say how loading each plugin went.
+
+    Exit status 4 if one could not be loaded.
+    """
+    from mbdkit.registry import describe
+    from mbdkit.registry.manager import load_installed
+
+    installed = load_installed()
+    print(json.dumps(describe.diagnosis(installed)) if as_json else describe.diagnosis_text(installed))
+    if not describe.is_sound(installed):
+        raise typer.Exit(terminal.PLUGIN_FAILED)
+
+
+@plugins_app.command("new")
+def plugins_new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the distribution, such as mbdkit-rocket.")],
+    kind: Annotated[
+        Literal["integrator", "tableau", "model", "force-law"], typer.Option("--kind", help="What it is to offer.")
+    ],
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Make the project of a new plugin in ./NAME.
+
+    It installs as it is, its tests pass, and its README says what to change.
+    Nothing that exists is touched.
+    """
+    from mbdkit.scaffold.new import new_project
+
+    project = new_project(name, kind)
+    if as_json:
+        files = sorted(str(path) for path in project.rglob("*") if path.is_file())
+        print(json.dumps({"path": str(project), "kind": kind, "files": files}))
+    else:
+        print(f"{project}: pip install -e './{project}[test]', and then see {project / 'README.md'}")

@@ -1,0 +1,171 @@
+"""One run: `run`, `validate`, `rerun`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mbdkit import terminal
+from mbdkit.cli.options import Archive, AsJson, Debug, Overwrite, Quiet, Set, SpecName
+from mbdkit.cli.targets import check_new, stem
+from mbdkit.terminal import progress_bar, say, silence
+from mbdkit.text import table
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit.engine.assembly import AssembledState
+    from mbdkit.spec import RunSpec
+
+BODIES_SHOWN = 20
+
+
+def run(
+    spec: SpecName,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE.h5", help="The archive; by default ./SPEC.h5.")
+    ] = None,
+    assignments: Set = None,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Run a spec and write its archive."""
+    path = output if output is not None else Path(f"{stem(spec)}.h5")
+    check_new(path, spec, overwrite)
+    from mbdkit.spec import load_spec
+
+    checked = load_spec(spec, assignments or ())
+    from mbdkit.simulation import simulate  # compiled code: not needed to refuse a spec
+
+    with _placing(checked), progress_bar(path.name, quiet) as progress:
+        result = simulate(checked, path=path, overwrite=overwrite, progress=progress, notify=silence if quiet else say)
+    with result:
+        if as_json:
+            print(json.dumps(_outcome(result)))
+        elif not quiet:
+            print(result.summary())
+        _exit_with(result, told=not (as_json or quiet))
+
+
+def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> None:
+    """Check a spec without running it.
+
+    Its mechanism is built and its start made consistent; what that moves is said.
+    """
+    from mbdkit.spec import load_spec
+
+    checked = load_spec(spec, assignments or ())
+    from mbdkit.simulation import build
+
+    mechanism = checked.mechanism()
+    problem, start = build(checked)
+    print(f"{spec}: this spec is valid")
+    print(f"model        {checked.model_item.id}: {mechanism.description()}")
+    print(f"freedom      {problem.mechanism.freedoms()}")
+    print(f"integrator   {checked.integrator_item.id}")
+    if start.changed:
+        print(f"start        made consistent, with residuals {start.residual:.2g} and {start.velocity_residual:.2g}")
+        print(table([("BODY", "MOVED", "TURNED", "VELOCITY", "RATE"), *_moves(start)], indent="  "))
+    else:
+        print("start        consistent as it is, left untouched")
+
+
+def _moves(start: AssembledState) -> list[tuple[str, ...]]:
+    """Return a row for each body whose start was changed, the largest moves first."""
+    changes = {
+        name: (moved, start.moved_angle[name], start.changed_velocity[name], start.changed_rate[name])
+        for name, moved in start.moved_position.items()
+    }
+    named = sorted((item for item in changes.items() if any(item[1])), key=lambda item: -max(map(abs, item[1])))
+    rows = [
+        (name, *(f"{value:.3g} {unit}" for value, unit in zip(values, ("m", "rad", "m/s", "rad/s"), strict=True)))
+        for name, values in named[:BODIES_SHOWN]
+    ]
+    if len(named) > BODIES_SHOWN:
+        rows.append((f"and {len(named) - BODIES_SHOWN} more", "", "", "", ""))
+    return rows
+
+
+def rerun(
+    archive: Archive,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE.h5", help="Keep the new archive; by default it is not."),
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Run the spec in an archive again and compare.
+
+    Exit status 1 if the data differ; the largest relative difference is said.
+    """
+    if output is not None:
+        check_new(output, str(archive), overwrite)
+    from mbdkit.archive.compare import compare
+    from mbdkit.archive.needed import check_plugins_of
+    from mbdkit.archive.reader import load
+    from mbdkit.errors import SpecError
+    from mbdkit.simulation import simulate
+    from mbdkit.spec import load_spec
+
+    with load(archive) as before:
+        check_plugins_of(archive, before.provenance)
+        try:
+            checked = load_spec(before.spec)
+        except SpecError as error:
+            raise error.located(file=archive) from error
+        with progress_bar(archive.name, quiet) as progress:
+            result = simulate(
+                checked, path=output, overwrite=overwrite, progress=progress, notify=silence if quiet else say
+            )
+        with result as after:
+            if after.status == "interrupted":
+                _exit_with(after)
+            comparison = compare(before, after)
+            if not quiet:
+                if before.status in ("interrupted", "running"):
+                    print(f"{archive} was cut short ({before.status}), so it has fewer rows")
+                print(comparison)
+    if not comparison.same_data:
+        raise typer.Exit(terminal.DIFFERS)
+
+
+@contextmanager
+def _placing(spec: RunSpec) -> Iterator[None]:
+    """Give errors about this spec the file and line where it was written."""
+    from mbdkit.errors import SpecError
+
+    try:
+        yield
+    except SpecError as error:
+        raise spec.placed(error) from error
+
+
+def _outcome(result: Run) -> dict[str, Any]:
+    return {
+        "path": None if result.path is None else str(result.path),
+        "status": result.status,
+        "status_reason": result.status_reason,
+        "run_id": result.run_id,
+        "stats": dict(result.stats),
+        "misalignment_max": result.misalignment_max,
+    }
+
+
+def _exit_with(result: Run, *, told: bool = False) -> None:
+    """Leave with the exit status that the run's status asks for; say why, unless the summary has `told` already."""
+    if result.status == "complete":
+        return
+    if not told:
+        say(f"{result.status}: {result.status_reason.removeprefix('interrupted: ')}")
+    if result.status == "interrupted":
+        raise typer.Exit(terminal.INTERRUPTED)
+    failed_plugin = result.status_reason.startswith("plugin-error")
+    raise typer.Exit(terminal.PLUGIN_FAILED if failed_plugin else terminal.STOPPED_EARLY)

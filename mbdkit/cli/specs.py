@@ -1,0 +1,77 @@
+"""What specs are made of: `schema` and `examples`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mbdkit.cli.options import PLAIN, Debug
+from mbdkit.text import table
+
+schema_app = typer.Typer(help="Print the JSON schema of a spec, for editors.", **PLAIN)
+examples_app = typer.Typer(
+    help="List the packaged examples, or copy one to edit it.", **{**PLAIN, "no_args_is_help": False}
+)
+
+
+@schema_app.command("run")
+def schema_run(debug: Debug = False) -> None:
+    """Print the JSON schema of a run spec.
+
+    It has the options of every model, integrator and force law that is installed.
+    """
+    from mbdkit.spec.schema import run_schema
+
+    print(json.dumps(run_schema(), indent=2, ensure_ascii=False))
+
+
+@schema_app.command("study")
+def schema_study(debug: Debug = False) -> None:
+    """Print the JSON schema of a study spec.
+
+    It has the options of every model and integrator that is installed.
+    """
+    from mbdkit.spec.schema import study_schema
+
+    print(json.dumps(study_schema(), indent=2, ensure_ascii=False))
+
+
+@examples_app.callback(invoke_without_command=True)
+def examples(context: typer.Context, debug: Debug = False) -> None:
+    """List the packaged examples.
+
+    Run one by its name, or copy its spec to change it.
+    """
+    if context.invoked_subcommand is not None:
+        return
+    from mbdkit.spec import example_names, load_spec
+
+    print(table([("NAME", "WHAT"), *((name, load_spec(name).title) for name in example_names())]))
+
+
+@examples_app.command("copy")
+def examples_copy(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="An example, as listed.")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE.yaml", help="Where to; by default ./NAME.yaml.")
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Write the spec of an example, comments included.
+
+    An existing file is never replaced.
+    """
+    from mbdkit.errors import SpecError
+    from mbdkit.spec import example_text
+
+    text = example_text(name)
+    path = output if output is not None else Path(f"{name}.yaml")
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise SpecError("this file exists already; choose another name with -o", file=path) from None
+    print(path)
