@@ -27,7 +27,8 @@ from mbdkit.archive.target import check_target
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine.analysis import SingularSystemError
 from mbdkit.engine.assembly import AssembledState, assemble
-from mbdkit.engine.compiled import CompiledMechanism, compile_mechanism
+from mbdkit.engine.compiled import CompiledMechanism
+from mbdkit.engine.compiling import compile_mechanism
 from mbdkit.engine.problem import Problem
 from mbdkit.engine.redundancy import require_unique_start, without_redundancy
 from mbdkit.engine.warm import ensure_compiled, to_stderr

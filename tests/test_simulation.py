@@ -330,7 +330,7 @@ def scipy_counts(name: str, options: dict[str, Any]) -> dict[str, int]:
     import scipy.integrate
 
     from mbdkit.engine.assembly import assemble
-    from mbdkit.engine.compiled import compile_mechanism
+    from mbdkit.engine.compiling import compile_mechanism
     from mbdkit.engine.problem import Problem
     from mbdkit.integrators.methods import SciPySolver
     from mbdkit.integrators.stepping import Timetable

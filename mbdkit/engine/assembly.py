@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.engine.compiled import CompiledMechanism, compile_mechanism
+from mbdkit.engine.compiled import CompiledMechanism
+from mbdkit.engine.compiling import compile_mechanism
 from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.problem import finite_motions
 from mbdkit.errors import SpecError

@@ -82,7 +82,7 @@ def new_matrix(pattern: Pattern, factors: Factors, scatter: np.ndarray) -> Matri
 
 def example_problem() -> Problem:
     """Return a problem of a single free body; the types of its arrays are those of every problem."""
-    from mbdkit.engine.compiled import compile_mechanism
+    from mbdkit.engine.compiling import compile_mechanism
     from mbdkit.mechanism.mechanism import Mechanism
 
     m = Mechanism()

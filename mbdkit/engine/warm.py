@@ -61,7 +61,7 @@ def _run_everything(check: Callable[[], None]) -> None:
     import numpy as np
 
     from mbdkit.engine.assembly import assemble
-    from mbdkit.engine.compiled import compile_mechanism
+    from mbdkit.engine.compiling import compile_mechanism
     from mbdkit.engine.observe import observe
     from mbdkit.engine.problem import Problem
     from mbdkit.integrators import gauss, rk4

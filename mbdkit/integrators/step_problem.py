@@ -113,7 +113,7 @@ class StepProblem:
             Time of the start [s].
         """
         from mbdkit.engine.assembly import assemble
-        from mbdkit.engine.compiled import compile_mechanism
+        from mbdkit.engine.compiling import compile_mechanism
         from mbdkit.engine.redundancy import without_redundancy
         from mbdkit.engine.warm import ensure_compiled
 

@@ -17,7 +17,8 @@ import numpy as np
 import sympy as sp
 from sympy.core.function import UndefinedFunction
 
-from mbdkit.engine.compiled import CompiledMechanism, compile_mechanism, pathway_kind
+from mbdkit.engine.compiled import CompiledMechanism
+from mbdkit.engine.compiling import compile_mechanism, pathway_kind
 from mbdkit.engine.constraints import KINDS
 from mbdkit.engine.law_compiler import law_parameters
 from mbdkit.errors import SpecError

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from mbdkit import StepMethod, StepProblem, StepState
 from mbdkit.engine.assembly import assemble
-from mbdkit.engine.compiled import compile_mechanism
+from mbdkit.engine.compiling import compile_mechanism
 from mbdkit.engine.problem import Problem
 from mbdkit.engine.warm import ensure_compiled
 from mbdkit.integrators import rk4

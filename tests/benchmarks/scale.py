@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 import mbdkit
-from mbdkit.engine.compiled import compile_mechanism
+from mbdkit.engine.compiling import compile_mechanism
 from mbdkit.report.caption import Caption
 from mbdkit.report.style import FAINT, PALETTE, dress, legend, new_figure, save
 from mbdkit.spec import RunSpec, load_spec

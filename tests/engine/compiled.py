@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.engine.compiled import CompiledMechanism, compile_mechanism
+from mbdkit.engine.compiled import CompiledMechanism
+from mbdkit.engine.compiling import compile_mechanism
 from mbdkit.engine.observe import constraints_at, first_order_rates, observe, tangents_at
 from mbdkit.engine.problem import Problem
 from mbdkit.mechanism.mechanism import Mechanism

@@ -11,7 +11,7 @@ import mbdkit
 from mbdkit.engine import problem as problem_module
 from mbdkit.engine.analysis import PivotChoice, pivot_order
 from mbdkit.engine.assembly import assemble
-from mbdkit.engine.compiled import compile_mechanism
+from mbdkit.engine.compiling import compile_mechanism
 from mbdkit.engine.observe import constraints_at
 from mbdkit.engine.problem import Problem
 from mbdkit.integrators import gauss, rk4

@@ -22,7 +22,7 @@ from ruamel.yaml import YAML
 import mbdkit
 from mbdkit.archive.run import Run
 from mbdkit.engine.assembly import assemble
-from mbdkit.engine.compiled import compile_mechanism
+from mbdkit.engine.compiling import compile_mechanism
 from mbdkit.engine.observe import tangents_at
 from mbdkit.engine.problem import Problem
 from mbdkit.mechanism.elements import Revolute, Weld

@@ -9,7 +9,7 @@ import numpy as np
 
 import mbdkit
 from mbdkit.engine.assembly import assemble
-from mbdkit.engine.compiled import compile_mechanism
+from mbdkit.engine.compiling import compile_mechanism
 from mbdkit.engine.problem import Problem
 from mbdkit.mechanism.mechanism import Mechanism
 

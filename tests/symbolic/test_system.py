@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from mbdkit.engine.compiled import compile_mechanism
+from mbdkit.engine.compiling import compile_mechanism
 from mbdkit.engine.observe import constraints_at, observe
 from mbdkit.engine.problem import Problem
 from mbdkit.errors import SpecError
