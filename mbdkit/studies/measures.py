@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.analysis.reference import EVERY_ROW, LAST_ROW, offsets
+
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
@@ -55,63 +57,15 @@ def _error(part: slice, rows: slice) -> Callable[[Run, Run | None], float]:
     """Return the measure of the largest distance of any body from the reference, over `rows` of the run."""
 
     def take(run: Run, reference: Run | None) -> float:
-        if not _comparable(run, reference):
+        if reference is None or not run.status == reference.status == "complete":
             return math.nan
-        assert reference is not None
-        time, position = run.time[rows], run.array("trajectory/position")[rows]
-        difference = (position - interpolated(reference, time))[..., part]
+        difference = offsets(run, reference, rows)[..., part]
         return float(np.max(np.linalg.norm(difference, axis=-1), initial=0.0))
 
     return take
 
 
-def _comparable(run: Run, reference: Run | None) -> bool:
-    return (
-        reference is not None
-        and run.status == reference.status == "complete"
-        and tuple(run.bodies) == tuple(reference.bodies)
-    )
-
-
-def interpolated(run: Run, time: np.ndarray) -> np.ndarray:
-    """Return the positions of a run between its recorded rows.
-
-    A polynomial of degree five through position, velocity and acceleration at both ends of each interval: its error is
-    of the sixth power of the interval, and none at a recorded row.
-
-    Parameters
-    ----------
-    run
-        The run.
-    time
-        Times within its span, (N,), s.
-
-    Returns
-    -------
-    ndarray
-        Positions and angles of the bodies, (N, B, 3), m and rad.
-    """
-    rows = run.time
-    left = np.clip(np.searchsorted(rows, time, side="right") - 1, 0, len(rows) - 2)
-    span = rows[left + 1] - rows[left]
-    u = np.clip((time - rows[left]) / span, 0.0, 1.0)
-    u = np.where(np.abs(time - rows[left + 1]) <= 1e-9 * span, 1.0, u)
-    w = 1.0 - u
-    weights = (
-        (w**3 * (1 + 3 * u + 6 * u**2), w**3 * (u + 3 * u**2), w**3 * u**2 / 2),
-        (u**3 * (1 + 3 * w + 6 * w**2), -(u**3) * (w + 3 * w**2), u**3 * w**2 / 2),
-    )
-    motion = [run.array(f"trajectory/{name}") for name in ("position", "velocity", "acceleration")]
-    powers = (np.ones_like(span), span, span**2)
-    result = np.zeros((len(time), *motion[0].shape[1:]))
-    for end, of_end in enumerate(weights):
-        for values, weight, power in zip(motion, of_end, powers, strict=True):
-            result += (weight * power)[:, None, None] * values[left + end]
-    return result
-
-
 _XY, _THETA = slice(0, 2), slice(2, 3)
-_ALL, _END = slice(None), slice(-1, None)
 
 MEASURES: Mapping[str, Measure] = {
     "misalignment_max": Measure("m", "largest misalignment of any joint over every step", _misalignment),
@@ -126,13 +80,13 @@ MEASURES: Mapping[str, Measure] = {
     "energy_balance_max": Measure("J", "largest absolute energy balance", _largest("energy/balance")),
     "energy_balance_end": Measure("J", "energy balance at the end", _end_balance),
     "energy_scale": Measure("J", "largest kinetic energy", _largest("energy/kinetic")),
-    "end_error": Measure("m", "largest distance of a body from the reference at the end", _error(_XY, _END)),
-    "end_angle_error": Measure("rad", "largest angle of a body off the reference at the end", _error(_THETA, _END)),
+    "end_error": Measure("m", "largest distance of a body from the reference at the end", _error(_XY, LAST_ROW)),
+    "end_angle_error": Measure("rad", "largest angle of a body off the reference at the end", _error(_THETA, LAST_ROW)),
     "trajectory_error": Measure(
-        "m", "largest distance of a body from the reference in the recorded rows", _error(_XY, _ALL)
+        "m", "largest distance of a body from the reference in the recorded rows", _error(_XY, EVERY_ROW)
     ),
     "trajectory_angle_error": Measure(
-        "rad", "largest angle of a body off the reference in the recorded rows", _error(_THETA, _ALL)
+        "rad", "largest angle of a body off the reference in the recorded rows", _error(_THETA, EVERY_ROW)
     ),
 }
 

@@ -16,6 +16,7 @@ from mbdkit.spec.plain import Path, parse_path, path_text
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.study_spec import Family, StudySpec
 from mbdkit.spec.value_sets import Value, expand
+from mbdkit.text import listed
 
 #: More runs than this in one study are refused.
 LARGEST_STUDY = 10_000
@@ -149,6 +150,12 @@ class PlannedPoint:
                 "both should cover the same time"
             )
             raise self._placed(SpecError(message), self.grid.reference_place)
+        if made.model != self.spec.model:
+            bodies = [list(spec.mechanism().bodies) for spec in (self.spec, made)]
+            if bodies[0] != bodies[1]:
+                mine_listed, other_listed = (listed(names[:6]) + ", ..." * (len(names) > 6) for names in bodies)
+                message = f"{which} has the bodies {other_listed}, the run has {mine_listed}; both should have the same"
+                raise self._placed(SpecError(message), self.grid.reference_place)
         return made
 
     @cached_property

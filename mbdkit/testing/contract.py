@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import pickle
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -171,11 +170,6 @@ def formulations(subject: IntegratorSubject) -> Finding:
             if run.status != "complete":
                 return failed(f"on {name} a run did not complete: {run.status_reason}")
     return passed(formulations=counted(len(others) + 1, "formulation"))
-
-
-def claims_as_dict(subject: IntegratorSubject) -> dict[str, Any]:
-    """Return the claims as plain values."""
-    return asdict(subject.claims)
 
 
 CHECKS = (options, method, inputs, repeatable, picklable, end_time, formulations)

@@ -139,6 +139,12 @@ WRONG = {
         "reference",
         "the reference of run 1 goes from 0 s to 2 s, the run from 0 s to 1 s",
     ),
+    "a reference of other bodies": (
+        STUDY + "  model: {name: single-pendulum}\n",
+        12,
+        "reference",
+        "the reference of run 1 has the bodies rod1, the run has rod1, rod2; both should have the same",
+    ),
     "an unknown measure": (STUDY + "measures: [end_eror]\n", 14, "measures[0]", "did you mean 'end_error'?"),
     "an error without reference": (
         STUDY[: STUDY.index("reference:")] + "measures: [end_error]\n",

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mbdkit.studies.measures import interpolated
+from mbdkit.analysis.reference import interpolated
 
 
 def recorded(function, time):
