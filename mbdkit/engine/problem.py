@@ -46,7 +46,7 @@ class Terms:
 
     def coefficients(self, rate: complex) -> np.ndarray:
         """Return the factor of each term for ``rate = h mu``."""
-        return np.array([1.0, rate, -rate, rate * rate])[self.factor]
+        return np.array([1.0, rate, -rate, rate * rate, rate * rate])[self.factor]
 
 
 @dataclass
@@ -231,7 +231,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
 
 
 def _stage_terms(mechanism: CompiledMechanism, offsets: dict[str, int]) -> Terms:
-    """List every term of the stage matrix; factor classes 0..3 are 1, h mu, -h mu and h^2 mu^2."""
+    """List every term of the stage matrix; factor classes 0..4 are 1, h mu, -h mu, h^2 mu^2 above and h^2 mu^2 below."""
     top, row_index = mechanism.topology, mechanism.row_index
     n3 = 3 * len(mechanism.bodies)
     parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, int]] = []
@@ -266,7 +266,7 @@ def _stage_terms(mechanism: CompiledMechanism, offsets: dict[str, int]) -> Terms
                 coordinate(bodies, entry % 6),
                 3,
             )
-        for name, written, level in (("gamma_v", e.GAMMA_V_ENTRIES, 2), ("res_q", e.RESIDUAL_Q_ENTRIES, 3)):
+        for name, written, level in (("gamma_v", e.GAMMA_V_ENTRIES, 2), ("res_q", e.RESIDUAL_Q_ENTRIES, 4)):
             for entry in written[kind]:
                 held = row_index[members, entry // 6] >= 0
                 add(
@@ -299,4 +299,4 @@ def _scatter(terms: Terms, target: np.ndarray) -> Scatter:
     if len(target) == 0:
         target = np.zeros(len(terms.source), dtype=np.int64)
     both = np.column_stack([terms.source, target]).astype(np.int64)
-    return Scatter(*(np.ascontiguousarray(both[terms.factor == factor]) for factor in range(4)))
+    return Scatter(*(np.ascontiguousarray(both[terms.factor == factor]) for factor in range(5)))

@@ -113,7 +113,9 @@ class Scatter(NamedTuple):
     minus_rate: np.ndarray
     """(n3, 2) source, target: factor -h mu (gamma_v)."""
     level: np.ndarray
-    """(n4, 2) source, target: factor h^2 mu^2 (stiffness, residual_q)."""
+    """(n4, 2) source, target: factor h^2 mu^2 (stiffness)."""
+    row_level: np.ndarray
+    """(n5, 2) source, target: factor h^2 mu^2 (residual_q)."""
 
 
 class Solver(NamedTuple):
@@ -259,8 +261,12 @@ def apply_multipliers(pairs, jac, weight, lam, acc):
 
 
 @inlined
-def gather_values(source, scatter, rate, weight, values):
-    """Fill the scaled values of a sparse matrix from the element terms; `rate` is h mu, 0 for the bare KKT matrix."""
+def gather_values(source, scatter, rate, row_rate, row_level, weight, values):
+    """Fill the scaled values of a sparse matrix from the element terms.
+
+    `rate` is h mu, 0 for the bare KKT matrix; `row_rate` and `row_level` are the factors of -gamma_v and residual_q in the
+    lower rows, h mu and h^2 mu^2 unless constraints are stabilized.
+    """
     values[:] = 0.0
     for e in range(len(scatter.one)):
         values[scatter.one[e, 1]] += source[scatter.one[e, 0]]
@@ -269,9 +275,11 @@ def gather_values(source, scatter, rate, weight, values):
         for e in range(len(scatter.rate)):
             values[scatter.rate[e, 1]] += rate * source[scatter.rate[e, 0]]
         for e in range(len(scatter.minus_rate)):
-            values[scatter.minus_rate[e, 1]] -= rate * source[scatter.minus_rate[e, 0]]
+            values[scatter.minus_rate[e, 1]] -= row_rate * source[scatter.minus_rate[e, 0]]
         for e in range(len(scatter.level)):
             values[scatter.level[e, 1]] += level * source[scatter.level[e, 0]]
+        for e in range(len(scatter.row_level)):
+            values[scatter.row_level[e, 1]] += row_level * source[scatter.row_level[e, 0]]
     for x in range(len(values)):
         values[x] *= weight[x]
 
@@ -294,7 +302,7 @@ def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
     for k in range(len(top.pairs)):
         for r in range(top.rows[k]):
             right[row_index[k, r]] = w.gamma[k, r]
-    gather_values(w.source, solver.scatter, 0.0, pattern.weight, factors.a)
+    gather_values(w.source, solver.scatter, 0.0, 0.0, 0.0, pattern.weight, factors.a)
     solver.failed[0] = factorize(pattern, factors)
     if solver.failed[0] >= 0:
         return REPIVOT

@@ -79,6 +79,7 @@ class Common(NamedTuple):
     x: np.ndarray
     """Scratch of projections."""
     lam: np.ndarray
+    miss: np.ndarray
     before_q: np.ndarray
     """State at the beginning of the last step, kept where somebody looks inside steps."""
     before_v: np.ndarray
@@ -135,7 +136,7 @@ def new_common(problem: Problem, rows: int, *, has_power: bool, own_multipliers:
         est_q=vector(), est_v=vector(), second_q=vector(), second_v=vector(),
         point_q=vector(), point_v=vector(), point_gain=np.zeros(2), point_lam=by_pair(),
         new_q=vector(), new_v=vector(), shift_q=vector(), shift_v=vector(),
-        mu=by_pair(), nu=by_pair(), rest=vector(), x=vector(), lam=by_pair(),
+        mu=by_pair(), nu=by_pair(), rest=vector(), x=vector(), lam=by_pair(), miss=by_pair(),
         before_q=q.copy(), before_v=v.copy(),
         worst=np.zeros(pairs), counts=np.zeros(5, dtype=np.int64), report=np.zeros(3),
         clock=np.zeros(6), tally=np.zeros(9),

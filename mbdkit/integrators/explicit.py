@@ -1,21 +1,85 @@
-"""Explicit Runge-Kutta methods in fixed steps: one compiled loop for every tableau."""
+"""Explicit Runge-Kutta methods: one compiled step for every tableau, with error estimates and dense output.
+
+A tableau may have more rows than the step needs: those stages are evaluated where a state between two steps is asked
+for, and only there.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.cache import kernel, part
-from mbdkit.engine.constraints import constraint_positions
+from mbdkit.engine.cache import part
+from mbdkit.engine.hold import Hold, loader
 from mbdkit.engine.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
-from mbdkit.engine.vectors import add_compensated, copy, stays_finite
-from mbdkit.integrators.fixed_step import FixedStepper, State, book_energies, note_misalignment
+from mbdkit.engine.vectors import copy, stays_finite
+from mbdkit.integrators.common import ADVANCED, ALTERED, RHS, load_common
+from mbdkit.integrators.dense import dense_gains, weights_at
+from mbdkit.integrators.family import Family, Kind
 
 if TYPE_CHECKING:
     from mbdkit.engine.problem import Problem
     from mbdkit.integrators.methods import ExplicitRungeKutta
     from mbdkit.integrators.stepping import Timetable
+
+
+class Explicit(NamedTuple):
+    """An explicit method and its stages: S of them make the step, E with those of dense output."""
+
+    a: np.ndarray
+    """(E, E) coefficients."""
+    b: np.ndarray
+    """(S,) weights of the step."""
+    c: np.ndarray
+    """(E,) nodes."""
+    error: np.ndarray
+    """(0, 1 or 2, S) weights of the error estimates, the finer one first."""
+    dense: np.ndarray
+    """(E, degree) dense output: weight i at theta is ``sum_k dense[i, k] theta^(k + 1)``; no rows without it."""
+    rates: np.ndarray
+    """(E, 3 (B + 1)) velocities and accelerations of the stages."""
+    accelerations: np.ndarray
+    q_stage: np.ndarray
+    lam: np.ndarray
+    power: np.ndarray
+    """(E, 2) power of loads and drivers, and dissipated, at the stages."""
+    weights: np.ndarray
+    """(E,) scratch: weights of dense output."""
+    status: np.ndarray
+    """(2,) whether the last stage of a step is the first of the next; how many stages are known."""
+
+
+def new_explicit(method: ExplicitRungeKutta, size: int, pairs: int) -> Explicit:
+    """Return the bundle of a method for a mechanism."""
+    a, b, c = method.tableau.floats()
+    error, dense = np.zeros((0, len(b))), np.zeros((0, 1))
+    if method.pair is not None:
+        error, dense = method.pair.error, method.pair.dense
+        if len(method.pair.c) > len(c):
+            a, c = method.pair.a, method.pair.c
+    stages = len(c)
+    last_is_first = bool(len(b) > 1 and c[len(b) - 1] == 1.0 and np.array_equal(a[len(b) - 1, : len(b)], b))
+    return Explicit(
+        *(np.ascontiguousarray(x) for x in (a, b, c, error, dense)),
+        rates=np.zeros((stages, size)),
+        accelerations=np.zeros((stages, size)),
+        q_stage=np.zeros(size),
+        lam=np.zeros((pairs, 2)),
+        power=np.zeros((stages, 2)),
+        weights=np.zeros(stages),
+        status=np.array([int(last_is_first), 0]),
+    )
+
+
+def _example() -> Explicit:
+    from mbdkit.integrators import rk4
+    from mbdkit.integrators.methods import ExplicitRungeKutta
+
+    return new_explicit(ExplicitRungeKutta(rk4.tableau()), 6, 0)
+
+
+load_explicit = loader(_example)
 
 
 @part
@@ -38,84 +102,102 @@ def _increment(h, weights, slopes, out):
     out[:] = 0.0
     for j in range(len(weights)):
         w = h * weights[j]
-        k = slopes[j]
-        for d in range(len(out)):
-            out[d] += w * k[d]
+        if w != 0.0:
+            k = slopes[j]
+            for d in range(len(out)):
+                out[d] += w * k[d]
 
 
-@kernel
-def run_explicit(
-    top, w, solver, a, b, c, has_power, t0, h, first, last, every, q, q_low, v, v_low, energy, energy_low,
-    rates, accelerations, q_stage, v_change, lam, worst, row_q, row_v, row_energy, counts,
-):  # fmt: skip
-    """Take steps `first` to `last - 1` of size `h`; return (status, next step, rows written).
-
-    `counts` receives the evaluations of the right side; on a status other than OK the state stands before the step.
-    """
-    stages = len(b)
-    rows = 0
-    for k in range(first, last):
-        t = t0 + k * h
-        for i in range(stages):
-            if i == 0:
-                copy(v, rates[0])
-                copy(q, q_stage)
-            else:
-                _stage_state(q, h, a, rates, i, q_stage)
-                _stage_state(v, h, a, accelerations, i, rates[i])
-            prepare(top, w, t + c[i] * h, q_stage)
-            if i == 0:
-                constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
-                note_misalignment(w.phi, worst)
-            counts[0] += 1
-            status = solve_accelerations(top, w, solver, q_stage, rates[i], accelerations[i], lam, False)
-            if status != OK:
-                return status, k, rows
-            if has_power:
-                work, lost = evaluate_powers(top, w, q_stage, rates[i], lam)
-                energy[2 + 2 * i], energy[3 + 2 * i] = work, lost
-        _increment(h, b, rates, q_stage)
-        _increment(h, b, accelerations, v_change)
-        if not (stays_finite(q, q_stage) and stays_finite(v, v_change)):
-            return NOT_FINITE, k, rows
-        add_compensated(q, q_low, q_stage)
-        add_compensated(v, v_low, v_change)
-        if has_power:
-            book_energies(h, b, energy, energy_low)
-        if (k + 1) % every == 0:
-            copy(q, row_q[rows])
-            copy(v, row_v[rows])
-            row_energy[rows, 0], row_energy[rows, 1] = energy[0], energy[1]
-            rows += 1
-    return OK, last, rows
+@part
+def evaluate_stages(common, own, t, h, first, last):
+    """Evaluate stages `first` to `last - 1`; return a status."""
+    c, m = load_common(common), load_explicit(own)
+    for i in range(first, last):
+        if i == 0:
+            copy(c.from_v, m.rates[0])
+            copy(c.from_q, m.q_stage)
+        else:
+            _stage_state(c.from_q, h, m.a, m.rates, i, m.q_stage)
+            _stage_state(c.from_v, h, m.a, m.accelerations, i, m.rates[i])
+        prepare(c.top, c.w, t + m.c[i] * h, m.q_stage)
+        c.counts[RHS] += 1
+        status = solve_accelerations(
+            c.top, c.w, c.solver, m.q_stage, m.rates[i], m.accelerations[i], m.lam, False
+        )
+        if status != OK:
+            return status
+        if c.has_power[0] != 0:
+            m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage, m.rates[i], m.lam)
+    return OK
 
 
-class ExplicitStepper(FixedStepper):
-    """Runs an explicit tableau over a timetable."""
+@part
+def attempt(common, own, t, h, want_error):
+    """Try a step from the base state; see `mbdkit.integrators.driver`."""
+    c, m = load_common(common), load_explicit(own)
+    stages = len(m.b)
+    first = 0
+    if m.status[1] > 0 and c.moved[0] != ALTERED:
+        if c.moved[0] == ADVANCED:
+            if m.status[0] != 0 and m.status[1] >= stages:
+                copy(m.rates[stages - 1], m.rates[0])
+                copy(m.accelerations[stages - 1], m.accelerations[0])
+                m.power[0, 0], m.power[0, 1] = m.power[stages - 1, 0], m.power[stages - 1, 1]
+                first = 1
+        else:
+            first = 1
+    m.status[1] = 0
+    status = evaluate_stages(common, own, t, h, first, stages)
+    if status != OK:
+        return status
+    m.status[1] = stages
+    _increment(h, m.b, m.rates, c.dq)
+    _increment(h, m.b, m.accelerations, c.dv)
+    if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv)):
+        return NOT_FINITE
+    if c.has_power[0] != 0:
+        for k in range(2):
+            c.gain[k] = 0.0
+            for i in range(stages):
+                c.gain[k] += h * m.b[i] * m.power[i, k]
+    if want_error:
+        _increment(h, m.error[0], m.rates, c.est_q)
+        _increment(h, m.error[0], m.accelerations, c.est_v)
+        if len(m.error) > 1:
+            _increment(h, m.error[1], m.rates, c.second_q)
+            _increment(h, m.error[1], m.accelerations, c.second_v)
+    return OK
+
+
+@part
+def dense(common, own, t, h, theta):
+    """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.integrators.driver`."""
+    c, m = load_common(common), load_explicit(own)
+    stages = len(m.c)
+    if m.status[1] < stages:
+        status = evaluate_stages(common, own, t, h, len(m.b), stages)
+        if status != OK:
+            return status
+        m.status[1] = stages
+    weights_at(m.dense, theta, m.weights)
+    _increment(h, m.weights, m.rates, c.point_q)
+    _increment(h, m.weights, m.accelerations, c.point_v)
+    for d in range(len(c.point_q)):
+        c.point_q[d] += c.from_q[d]
+        c.point_v[d] += c.from_v[d]
+    dense_gains(h, m.weights, m.power, c.point_gain)
+    return OK
+
+
+class ExplicitFamily(Family):
+    """Explicit tableaus."""
+
+    kind = Kind.EXPLICIT
+    hint = "a smaller time.step or an implicit integrator may help"
 
     def __init__(self, method: ExplicitRungeKutta, problem: Problem, timetable: Timetable):
-        super().__init__(problem, timetable, hint="a smaller time.step or an implicit integrator may help")
-        self.a, self.b, self.c = method.tableau.floats()
-        stages, size = method.tableau.stages, problem.mechanism.size
-        self.rates = np.zeros((stages, size))
-        self.accelerations = np.zeros((stages, size))
-        self.q_stage, self.v_change = np.zeros((2, size))
-        self.lam = np.zeros((len(problem.mechanism.topology.pairs), 2))
-        self.energy = np.zeros(2 + 2 * stages)
-        self.counts = np.zeros(1, dtype=np.int64)
-        self.load_kernel()
-
-    def steps(self, h: float, t0: float, first: int, last: int, every: int, state: State) -> tuple[int, int, int]:
-        """Take steps in compiled code; see `FixedStepper.steps`."""
-        problem = self.problem
-        self.energy[:2] = state.energy
-        result = run_explicit(
-            problem.mechanism.topology, problem.scratch, problem.solver, self.a, self.b, self.c, self.has_power,
-            t0, h, first, last, every, state.q, state.q_low, state.v, state.v_low, self.energy, state.energy_low,
-            self.rates, self.accelerations, self.q_stage, self.v_change, self.lam, self.worst_pairs,
-            state.row_q, state.row_v, state.row_energy, self.counts,
-        )  # fmt: skip
-        state.energy[:] = self.energy[:2]
-        self.counters.rhs_evaluations = int(self.counts[0])
-        self.counters.factorizations = int(self.counts[0])
-        return result
+        super().__init__(problem)
+        self.own = new_explicit(method, problem.mechanism.size, len(problem.mechanism.topology.pairs))
+        self.hold = Hold(self.own)
+        self.memory = (self.own.rates, self.own.accelerations, self.own.power, self.own.status)
+        self.has_dense_output = len(self.own.dense) > 0

@@ -1,4 +1,4 @@
-"""Fully implicit Runge-Kutta methods in fixed steps: stages solved for accelerations, in compiled code.
+"""Fully implicit Runge-Kutta methods on the index-1 equations: stages solved for accelerations, in compiled code.
 
 Stage i, in second-order form, with A the tableau, the unknowns a_i and f the index-1 accelerations:
 
@@ -13,34 +13,57 @@ all terms of the tangents of M a + Phi_q^T lambda - Q and of Phi_q a - gamma,
 
 which is (1 - h mu f_v - h^2 mu^2 f_q) x = r without forming f_v and f_q. Because f is evaluated exactly at every
 stage, only its derivatives are frozen, and the contraction of the iteration is O(h^2).
+
+The local error is estimated by an embedded formula with one more node, at the beginning of the step: gamma0 h times the
+difference between the acceleration there and that of the collocation polynomial, filtered by one of the systems above
+with gamma0 its mu (Hairer and Wanner 1996, IV.8); it is of order s + 1 in h.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mbdkit.engine.analysis import new_factors
-from mbdkit.engine.cache import kernel
-from mbdkit.engine.constraints import constraint_positions
-from mbdkit.engine.lu import Factors
+from mbdkit.engine.cache import part
+from mbdkit.engine.hold import Hold, loader
+from mbdkit.engine.lu import Factors, Pattern
 from mbdkit.engine.observe import tangents_at
 from mbdkit.engine.system import (
     DIVERGED,
     NOT_FINITE,
     OK,
-    REPIVOT,
     REPIVOT_STAGES,
+    Scatter,
     evaluate_powers,
     evaluate_tangents,
     prepare,
     solve_accelerations,
 )
-from mbdkit.engine.vectors import add_compensated, copy, stays_finite
-from mbdkit.integrators.fixed_step import FixedStepper, State, book_energies, note_misalignment
-from mbdkit.integrators.newton import factorize_all, newton_changes
-from mbdkit.integrators.stages import STAGNANT, extrapolate, is_round_off, relative_change, stage_mean, stage_states
+from mbdkit.engine.vectors import copy, stays_finite
+from mbdkit.integrators.common import (
+    ADVANCED,
+    ALTERED,
+    FACTORIZATIONS,
+    ITERATIONS,
+    JACOBIANS,
+    RHS,
+    Common,
+    load_common,
+)
+from mbdkit.integrators.dense import collocation_polynomials, dense_gains, weights_at
+from mbdkit.integrators.family import Family, Kind
+from mbdkit.integrators.newton import factorize_all, filtered, newton_changes
+from mbdkit.integrators.stages import (
+    STAGNANT,
+    extrapolate,
+    extrapolation_weights,
+    is_round_off,
+    relative_change,
+    stage_mean,
+    stage_states,
+)
 
 if TYPE_CHECKING:
     from mbdkit.engine.problem import Problem
@@ -66,156 +89,282 @@ SLOW = 0.25
 """Contraction above which the tangent is taken anew within the step."""
 
 
-@kernel
-def run_implicit(
-    top, w, solver, a, a2, b, b2, c, weights, kind, tolerance, max_iterations, has_power, fresh,
-    t_real, t_real_inv, mu_real, t_complex, t_complex_inv, mu_complex, pattern, scatter, real, cplx,
-    t0, h, first, last, every, q, q_low, v, v_low, energy, energy_low,
-    acc, lam, f, q_stage, v_stage, change, mean, mean_lam, mean_jac,
-    z_real, z_complex, b_real, x_real, b_complex, x_complex,
-    worst, iterations, row_q, row_v, row_energy, row_iterations, counts, report,
-):  # fmt: skip
-    """Take steps `first` to `last - 1` of size `h`; return (status, next step, rows written).
+class Collocation(NamedTuple):
+    """An implicit method of s stages and its room."""
 
-    `counts`: evaluations of the right side, of tangents, factorizations, iterations. `report`: on divergence the
-    largest change of an acceleration, its coordinate, and the iterations. `fresh`: no stage values of a step before
-    stand in `acc`.
-    """
-    s = len(c)
+    a: np.ndarray
+    a2: np.ndarray
+    """(s, s) A and A A: weights of accelerations in velocities and positions of the stages."""
+    b: np.ndarray
+    b2: np.ndarray
+    """(s,) the same of the step."""
+    c: np.ndarray
+    dense_v: np.ndarray
+    """(s, s) and (s, s + 1) polynomials of dense output (`collocation_polynomials`)."""
+    dense_q: np.ndarray
+    choice: np.ndarray
+    """(2,) NEWTON or FIXED_POINT, and the most iterations in one step."""
+    tolerance: np.ndarray
+    """(1,) relative change of accelerations at which the iteration ends."""
+    t_real: np.ndarray
+    t_real_inv: np.ndarray
+    mu_real: np.ndarray
+    t_complex: np.ndarray
+    t_complex_inv: np.ndarray
+    mu_complex: np.ndarray
+    pattern: Pattern
+    scatter: Scatter
+    real: Factors
+    cplx: Factors
+    """Factors of the matrices of all eigenvalues, stacked."""
+    acc: np.ndarray
+    """(s, 3 (B + 1)) accelerations of the stages; `begun` tells when the step began that they belong to, and its size:
+    NaN where there are none."""
+    begun: np.ndarray
+    weights: np.ndarray
+    lam: np.ndarray
+    f: np.ndarray
+    change: np.ndarray
+    q_stage: np.ndarray
+    v_stage: np.ndarray
+    first: np.ndarray
+    """(3 (B + 1),) acceleration at the beginning of the step, and whether it is known."""
+    first_known: np.ndarray
+    first_lam: np.ndarray
+    mean: np.ndarray
+    mean_lam: np.ndarray
+    mean_jac: np.ndarray
+    z_real: np.ndarray
+    z_complex: np.ndarray
+    b_real: np.ndarray
+    x_real: np.ndarray
+    b_complex: np.ndarray
+    x_complex: np.ndarray
+    power: np.ndarray
+    """(s, 2) powers of the stages."""
+    point: np.ndarray
+    """(s,) scratch: weights of dense output."""
+
+
+def _example() -> Collocation:
+    from mbdkit.engine.view import example_problem
+    from mbdkit.integrators import gauss
+    from mbdkit.integrators.methods import ImplicitRungeKutta
+
+    return new_collocation(ImplicitRungeKutta(gauss.tableau(1)), example_problem())
+
+
+load_collocation = loader(_example)
+
+
+@part
+def _predict(m, t, h):
+    """Begin with the accelerations of the step before, carried on by their polynomial, or with free flight."""
+    size = m.begun[1]
+    if not abs(size) > 0.0:  # a stiff force may be far from constant over the step
+        m.acc[:, :] = 0.0
+        m.lam[:, :, :] = 0.0
+        return True
+    extrapolation_weights((t - m.begun[0]) / size, h / size, m.c, m.weights)
+    extrapolate(m.weights, m.acc, m.f)
+    return False
+
+
+@part
+def _take_tangents(c, m, t, h):
+    """Evaluate and factorize the matrices of all eigenvalues at the middle of the stages; return a status."""
+    top, w = c.top, c.w
+    stage_mean(m.q_stage, m.mean[0])
+    stage_mean(m.v_stage, m.mean[1])
+    stage_mean(m.acc, m.mean[2])
+    for r in range(2):
+        stage_mean(m.lam[:, :, r], m.mean_lam[:, r])
+    evaluate_tangents(top, w, t + 0.5 * h, m.mean[0], m.mean[1], m.mean[2], m.mean_lam)
+    for p in range(len(top.pairs)):
+        copy(w.jac[p], m.mean_jac[p])
+    c.counts[JACOBIANS] += 1
+    c.counts[FACTORIZATIONS] += len(m.mu_real) + len(m.mu_complex)
+    failed = factorize_all(w.source, m.scatter, m.pattern, m.real, m.cplx, m.mu_real, m.mu_complex, h, top.baumgarte)
+    if failed >= 0:
+        c.solver.failed[0] = failed
+        return REPIVOT_STAGES
+    return OK
+
+
+@part
+def _evaluate_stages(c, m, t, h, refine, with_powers):
+    """Evaluate the index-1 accelerations of every stage into ``m.f``; return a status."""
+    top, w = c.top, c.w
+    for i in range(len(m.c)):
+        prepare(top, w, t + m.c[i] * h, m.q_stage[i])
+        status = solve_accelerations(top, w, c.solver, m.q_stage[i], m.v_stage[i], m.f[i], m.lam[i], refine)
+        if status != OK:
+            return status
+        if with_powers:
+            m.power[i, 0], m.power[i, 1] = evaluate_powers(top, w, m.q_stage[i], m.v_stage[i], m.lam[i])
+    c.counts[RHS] += len(m.c)
+    c.counts[FACTORIZATIONS] += len(m.c)
+    return OK
+
+
+@part
+def _iterate(c, m, t, h):
+    """Solve the stage equations from the accelerations that stand in ``m.acc``; return a status."""
+    top, w = c.top, c.w
+    s = len(m.c)
     bodies = len(top.mass) - 1
     n3 = 3 * bodies
-    rows = 0
-    for k in range(first, last):
-        t = t0 + k * h
-        prepare(top, w, t, q)
-        constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
-        note_misalignment(w.phi, worst)
-        begun = fresh
-        if fresh:  # a stiff force may be far from constant over the step: begin with free flight
-            acc[:, :] = 0.0
-            lam[:, :, :] = 0.0
-            fresh = False
-        else:
-            extrapolate(weights, acc, f)
-        stage_states(h, a, a2, c, q, v, acc, q_stage, v_stage)
-        stale = True
-        taken_at = 0
-        before = np.inf
-        m = 0
-        idle = 0
-        settled = False
-        while True:
-            if kind == NEWTON and stale and not settled:
-                stage_mean(q_stage, mean[0])
-                stage_mean(v_stage, mean[1])
-                stage_mean(acc, mean[2])
-                for r in range(2):
-                    stage_mean(lam[:, :, r], mean_lam[:, r])
-                evaluate_tangents(top, w, t + 0.5 * h, mean[0], mean[1], mean[2], mean_lam)
-                for p in range(len(top.pairs)):
-                    copy(w.jac[p], mean_jac[p])
-                counts[1] += 1
-                counts[2] += len(mu_real) + len(mu_complex)
-                solver.failed[0] = factorize_all(w.source, scatter, pattern, real, cplx, mu_real, mu_complex, h)
-                if solver.failed[0] >= 0:
-                    return REPIVOT_STAGES, k, rows
-                stale = False
-                taken_at = m
-            for i in range(s):
-                prepare(top, w, t + c[i] * h, q_stage[i])
-                status = solve_accelerations(top, w, solver, q_stage[i], v_stage[i], f[i], lam[i], before < ROUGH)
-                if status != OK:
-                    return status, k, rows
-                if settled:
-                    work, lost = evaluate_powers(top, w, q_stage[i], v_stage[i], lam[i])
-                    energy[2 + 2 * i], energy[3 + 2 * i] = work, lost
-            counts[0] += s
-            counts[2] += s
-            if settled:
-                book_energies(h, b, energy, energy_low)
-                break
-            counts[3] += 1
-            iterations[0] += 1
-            m += 1
-            if kind == NEWTON:
-                for i in range(s):
-                    for d in range(n3):
-                        f[i, d] = acc[i, d] - f[i, d]
-                newton_changes(
-                    top, solver.row_index, mean_jac, pattern, real, cplx, t_real, t_real_inv, t_complex, t_complex_inv,
-                    f, z_real, z_complex, b_real, x_real, b_complex, x_complex, change,
-                )  # fmt: skip
-            else:
-                for i in range(s):
-                    for d in range(n3):
-                        change[i, d] = f[i, d] - acc[i, d]
+    kind, most, tolerance = m.choice[0], m.choice[1], m.tolerance[0]
+    fresh = _predict(m, t, h)
+    m.begun[0], m.begun[1] = t, np.nan
+    stage_states(h, m.a, m.a2, m.c, c.from_q, c.from_v, m.acc, m.q_stage, m.v_stage)
+    stale = True
+    taken_at = 0
+    before = np.inf
+    n = 0
+    idle = 0
+    while True:
+        if kind == NEWTON and stale:
+            status = _take_tangents(c, m, t, h)
+            if status != OK:
+                return status
+            stale = False
+            taken_at = n
+        status = _evaluate_stages(c, m, t, h, before < ROUGH, False)
+        if status != OK:
+            return status
+        c.counts[ITERATIONS] += 1
+        n += 1
+        if kind == NEWTON:
             for i in range(s):
                 for d in range(n3):
-                    acc[i, d] += change[i, d]
-            stage_states(h, a, a2, c, q, v, acc, q_stage, v_stage)
-            now = relative_change(acc, change, bodies)
-            ratio = now / before
-            settled = now == 0.0 or (m > 1 and ratio < 0.9 and ratio / (1.0 - ratio) * now <= tolerance)
-            if not settled and m > 1 and ratio > 0.5 and now < np.inf:  # shrinks no more: round-off, or divergence
-                idle += 1
-                settled = now <= STAGNANT or is_round_off(
-                    top, w, h, q, v_stage[s - 1], lam[s - 1], acc[s - 1], bodies, change, idle >= IDLE
-                )
-            if settled:
-                if has_power:
-                    continue  # once more through the stages, for their powers
-                break
-            if m >= max_iterations or (m > 4 and ratio > 4.0 and now > RUNAWAY) or not now < np.inf:
-                report[0], report[2] = 0.0, m
-                for i in range(s):
-                    for d in range(n3):
-                        if not abs(change[i, d]) <= report[0]:
-                            report[0], report[1] = abs(change[i, d]), d
-                return DIVERGED, k, rows
-            stale = (begun and m == 1) or (m - taken_at >= 3 and ratio > SLOW)
-            before = now
-        dq, dv = mean[0], mean[1]
-        dq[:] = 0.0
-        dv[:] = 0.0
+                    m.f[i, d] = m.acc[i, d] - m.f[i, d]
+            newton_changes(
+                top, c.solver.row_index, m.mean_jac, m.pattern, m.real, m.cplx,
+                m.t_real, m.t_real_inv, m.mu_real, m.t_complex, m.t_complex_inv, m.mu_complex, h,
+                m.f, m.z_real, m.z_complex, m.b_real, m.x_real, m.b_complex, m.x_complex, m.change,
+            )  # fmt: skip
+        else:
+            for i in range(s):
+                for d in range(n3):
+                    m.change[i, d] = m.f[i, d] - m.acc[i, d]
         for i in range(s):
-            w1, w2 = h * b[i], h * h * b2[i]
             for d in range(n3):
-                dv[d] += w1 * acc[i, d]
-                dq[d] += w2 * acc[i, d]
+                m.acc[i, d] += m.change[i, d]
+        stage_states(h, m.a, m.a2, m.c, c.from_q, c.from_v, m.acc, m.q_stage, m.v_stage)
+        now = relative_change(m.acc, m.change, bodies)
+        ratio = now / before
+        settled = now == 0.0 or (n > 1 and ratio < 0.9 and ratio / (1.0 - ratio) * now <= tolerance)
+        if not settled and n > 1 and ratio > 0.5 and now < np.inf:  # shrinks no more: round-off, or divergence
+            idle += 1
+            settled = now <= STAGNANT or is_round_off(
+                top, w, h, c.from_q, m.v_stage[s - 1], m.lam[s - 1], m.acc[s - 1], bodies, m.change, idle >= IDLE
+            )
+        if settled:
+            break
+        if n >= most or (n > 4 and ratio > 4.0 and now > RUNAWAY) or not now < np.inf:
+            c.report[0], c.report[2] = 0.0, n
+            for i in range(s):
+                for d in range(n3):
+                    if not abs(m.change[i, d]) <= c.report[0]:
+                        c.report[0], c.report[1] = abs(m.change[i, d]), d
+            return DIVERGED
+        stale = (fresh and n == 1) or (n - taken_at >= 3 and ratio > SLOW)
+        before = now
+    m.begun[1] = h
+    return OK
+
+
+@part
+def attempt(common, own, t, h, want_error):
+    """Try a step from the base state; see `mbdkit.integrators.driver`."""
+    c, m = load_common(common), load_collocation(own)
+    s = len(m.c)
+    if c.moved[0] == ADVANCED and m.first_known[0] != 0 and m.c[s - 1] == 1.0:
+        copy(m.acc[s - 1], m.first)  # the last stage of the step before is the beginning of this one
+    elif c.moved[0] == ALTERED or c.moved[0] == ADVANCED:
+        m.first_known[0] = 0
+    status = _iterate(c, m, t, h)
+    if status != OK:
+        return status
+    if c.has_power[0] != 0:
+        status = _evaluate_stages(c, m, t, h, True, True)
+        if status != OK:
+            return status
+        for k in range(2):
+            c.gain[k] = 0.0
+            for i in range(s):
+                c.gain[k] += h * m.b[i] * m.power[i, k]
+    c.dq[:] = 0.0
+    c.dv[:] = 0.0
+    n3 = len(c.q) - 3
+    for i in range(s):
+        w1, w2 = h * m.b[i], h * h * m.b2[i]
         for d in range(n3):
-            dq[d] += h * v[d] + h * v_low[d]
-        if not (stays_finite(q, dq) and stays_finite(v, dv)):
-            return NOT_FINITE, k, rows
-        add_compensated(q, q_low, dq)
-        add_compensated(v, v_low, dv)
-        iterations[1] = max(iterations[1], m)
-        if (k + 1) % every == 0:
-            copy(q, row_q[rows])
-            copy(v, row_v[rows])
-            row_energy[rows, 0], row_energy[rows, 1] = energy[0], energy[1]
-            row_iterations[rows, 0], row_iterations[rows, 1] = iterations[0], iterations[1]
-            iterations[:] = 0
-            rows += 1
-    return OK, last, rows
+            c.dv[d] += w1 * m.acc[i, d]
+            c.dq[d] += w2 * m.acc[i, d]
+    for d in range(n3):
+        c.dq[d] += h * c.from_v[d] + h * c.v_low[d]
+    if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv)):
+        return NOT_FINITE
+    if want_error:
+        if m.first_known[0] == 0:
+            prepare(c.top, c.w, t, c.from_q)
+            status = solve_accelerations(c.top, c.w, c.solver, c.from_q, c.from_v, m.first, m.first_lam, False)
+            if status != OK:
+                return status
+            c.counts[RHS] += 1
+            c.counts[FACTORIZATIONS] += 1
+            m.first_known[0] = 1
+        _estimate(c, m, h)
+    return OK
 
 
-def extrapolation_weights(c: np.ndarray, ratio: float) -> np.ndarray:
-    """Return the (s, s) weights that carry stage values of one step to the stages of the next.
+@part
+def _estimate(c, m, h):
+    """Write estimates of the local error of positions and velocities."""
+    s = len(m.c)
+    extrapolation_weights(0.0, 0.0, m.c, m.weights)  # every row: the polynomial at the beginning
+    if len(m.mu_real) > 0:
+        mu = m.mu_real[0]
+    else:
+        mu = abs(m.mu_complex[0])
+    for d in range(len(c.q) - 3):
+        gap = m.first[d]
+        for i in range(s):
+            gap -= m.weights[0, i] * m.acc[i, d]
+        c.est_v[d] = h * mu * gap
+    if m.choice[0] == NEWTON:
+        filtered(
+            c.top, c.solver.row_index, m.mean_jac, m.pattern, m.real, m.cplx, m.mu_real, m.mu_complex, h,
+            m.z_real, m.z_complex, m.b_real, m.x_real, m.b_complex, m.x_complex, c.est_v,
+        )  # fmt: skip
+    for d in range(len(c.q) - 3):
+        c.est_q[d] = h * mu * c.est_v[d]
 
-    Parameters
-    ----------
-    c
-        (s,) nodes.
-    ratio
-        Size of the next step over that of the last.
-    """
-    at = 1.0 + ratio * c
-    weights = np.ones((len(c), len(c)))
-    for j in range(len(c)):
-        for m in range(len(c)):
-            if m != j:
-                weights[:, j] *= (at - c[m]) / (c[j] - c[m])
-    return weights
+
+@part
+def dense(common, own, t, h, theta):
+    """Write the state at ``t + theta h`` within the last attempt, by its collocation polynomial."""
+    c, m = load_common(common), load_collocation(own)
+    weights_at(m.dense_q, theta, m.point)
+    for d in range(len(c.q)):
+        c.point_q[d] = 0.0
+        c.point_v[d] = 0.0
+    for i in range(len(m.c)):
+        w = h * h * m.point[i]
+        for d in range(len(c.q) - 3):
+            c.point_q[d] += w * m.acc[i, d]
+    weights_at(m.dense_v, theta, m.point)
+    for i in range(len(m.c)):
+        w = h * m.point[i]
+        for d in range(len(c.q) - 3):
+            c.point_v[d] += w * m.acc[i, d]
+    for d in range(len(c.q)):
+        c.point_q[d] += c.from_q[d] + theta * h * c.from_v[d]
+        c.point_v[d] += c.from_v[d]
+    dense_gains(h, m.point, m.power, c.point_gain)
+    return OK
 
 
 class Eigenvalues:
@@ -235,103 +384,100 @@ class Eigenvalues:
         self.t_complex_inv = np.ascontiguousarray(inverse[upper].astype(complex))
 
 
-class ImplicitStepper(FixedStepper):
-    """Runs a fully implicit tableau over a timetable."""
+def new_collocation(method: ImplicitRungeKutta, problem: Problem) -> Collocation:
+    """Return the bundle of a method for a mechanism, without pivots."""
+    from mbdkit.engine.analysis import empty_pattern
+
+    a, b, c = method.tableau.floats()
+    a2, b2 = method.tableau.second_order_floats()
+    e = Eigenvalues(method.tableau)
+    s, size, n = method.tableau.stages, problem.mechanism.size, problem.unknowns
+    pairs = len(problem.mechanism.topology.pairs)
+    distinct = len(set(c.tolist())) == s
+    dense_v, dense_q = collocation_polynomials(c) if distinct else (np.zeros((s, s)), np.zeros((s, s + 1)))
+    tolerance = method.tolerance if method.tolerance is not None else ROUND_OFF
+    if method.control is not None and method.tolerance is None:
+        tolerance = method.control.iteration_tolerance
+    pattern = empty_pattern()
+    stages = (np.zeros((s, size)) for _ in range(5))
+    acc, f, change, q_stage, v_stage = stages
+    return Collocation(
+        a=a, a2=a2, b=b, b2=b2, c=c, dense_v=dense_v, dense_q=dense_q,
+        choice=np.array([NEWTON if method.stage_solver == "newton" else FIXED_POINT, method.max_iterations]),
+        tolerance=np.array([tolerance]),
+        t_real=e.t_real, t_real_inv=e.t_real_inv, mu_real=e.mu_real,
+        t_complex=e.t_complex, t_complex_inv=e.t_complex_inv, mu_complex=e.mu_complex,
+        pattern=pattern, scatter=problem.solver.scatter,
+        real=_stack(pattern, len(e.mu_real), np.float64), cplx=_stack(pattern, len(e.mu_complex), np.complex128),
+        acc=acc, begun=np.array([0.0, np.nan]), weights=np.zeros((s, s)), lam=np.zeros((s, pairs, 2)),
+        f=f, change=change, q_stage=q_stage, v_stage=v_stage,
+        first=np.zeros(size), first_known=np.array([0]), first_lam=np.zeros((pairs, 2)),
+        mean=np.zeros((3, size)), mean_lam=np.zeros((pairs, 2)), mean_jac=np.zeros((pairs, 12)),
+        z_real=np.zeros(size), z_complex=np.zeros(size, dtype=complex),
+        b_real=np.zeros(n), x_real=np.zeros(n), b_complex=np.zeros(n, dtype=complex),
+        x_complex=np.zeros(n, dtype=complex), power=np.zeros((s, 2)), point=np.zeros(s),
+    )  # fmt: skip
+
+
+class CollocationFamily(Family):
+    """Fully implicit tableaus on the index-1 equations."""
+
+    kind = Kind.COLLOCATION
 
     def __init__(self, method: ImplicitRungeKutta, problem: Problem, timetable: Timetable):
-        super().__init__(problem, timetable, hint="a smaller time.step may help")
-        self.overflow = DIVERGED
+        super().__init__(problem)
         self.method = method
-        self.a, self.b, self.c = method.tableau.floats()
-        self.a2, self.b2 = method.tableau.second_order_floats()
-        self.eigen = Eigenvalues(method.tableau)
-        self.kind = NEWTON if method.stage_solver == "newton" else FIXED_POINT
-        self.tolerance = method.tolerance if method.tolerance is not None else ROUND_OFF
-        s, size, pairs, n = method.tableau.stages, problem.mechanism.size, len(self.worst_pairs), problem.unknowns
-        self.acc, self.f, self.change = np.zeros((3, s, size))
-        self.q_stage, self.v_stage = np.zeros((2, s, size))
-        self.lam = np.zeros((s, pairs, 2))
-        self.mean, self.mean_lam, self.mean_jac = np.zeros((3, size)), np.zeros((pairs, 2)), np.zeros((pairs, 12))
-        self.z_real, self.z_complex = np.zeros(size), np.zeros(size, dtype=complex)
-        self.b_real, self.x_real = np.zeros((2, n))
-        self.b_complex, self.x_complex = np.zeros((2, n), dtype=complex)
-        self.energy = np.zeros(2 + 2 * s)
-        self.counts, self.report = np.zeros(4, dtype=np.int64), np.zeros(3)
-        self.fresh, self.last_h = True, 0.0
-        self.weights = np.zeros((s, s))
-        self._pivot(timetable.step or 0.0)
-        self.load_kernel()
+        self.own = new_collocation(method, problem)
+        self.hold = Hold(self.own)
+        self.has_dense_output = method.tableau.is_collocation
+        own = self.own
+        self.memory = (own.acc, own.lam, own.begun, own.first, own.first_known, own.power)
 
-    def _pivot(self, h: float) -> None:
-        """Choose pivots for the stage matrix by its numbers where the step begins; make room for all eigenvalues."""
-        eigen, problem, state = self.eigen, self.problem, self.state
-        if self.kind == FIXED_POINT:
+    def start(self, common: Common, h: float) -> None:
+        """Choose pivots for the stage matrix by its numbers at the state in `common`; make room for all eigenvalues."""
+        self.renew(common, self.problem.t0, h)
+
+    def renew(self, common: Common, t: float, h: float) -> bool:
+        """Choose new pivots for the stage matrix, and start without stage values from before."""
+        own, problem = self.own, self.problem
+        own.begun[1] = np.nan
+        if own.choice[0] == FIXED_POINT:
             rate: complex | None = None
-        elif len(eigen.mu_complex):
-            rate = complex(h * eigen.mu_complex[0])
+        elif len(own.mu_complex):
+            rate = complex(h * own.mu_complex[0])
         else:
-            rate = float(h * max(eigen.mu_real, key=abs))
-        top, scratch = problem.mechanism.topology, problem.scratch
+            rate = float(h * max(own.mu_real, key=abs))
         for _ in range(2):
-            status = tangents_at(top, scratch, problem.solver, self.time, state.q, state.v, self.f[0], self.lam[0])
+            status = tangents_at(
+                common.top, problem.scratch, problem.solver, t, common.q, common.v, own.f[0], own.lam[0]
+            )
             if status == OK:
                 break
             problem.use_pivots()
-        self.pattern, _, self.scatter = problem.choose_pivots(rate)
-        self.real = _stack(self.pattern, len(eigen.mu_real), np.float64)
-        self.cplx = _stack(self.pattern, len(eigen.mu_complex), np.complex128)
-
-    def renew(self, status: int) -> bool:
-        """Choose new pivots for the system that failed, and start the step without stage values from before."""
-        self.fresh = True
-        if status == REPIVOT:
-            return super().renew(status)
-        if self.kind == NEWTON:
-            self._pivot(self.last_h)
+        own.lam[:] = 0.0
+        pattern, _, scatter = problem.choose_pivots(rate)
+        self.own = own._replace(
+            pattern=pattern,
+            scatter=scatter,
+            real=_stack(pattern, len(own.mu_real), np.float64),
+            cplx=_stack(pattern, len(own.mu_complex), np.complex128),
+        )
+        self.hold.replace(self.own)
         return True
 
-    def describe_divergence(self) -> str:
+    def describe_divergence(self, report: np.ndarray) -> str:
         """Return the largest residual and where it is."""
-        if not np.isfinite(self.report[0]):
+        if not np.isfinite(report[0]):
             return ": the stage iteration ran away"
-        name = self.problem.mechanism.unknown_name(int(self.report[1]))
-        unit = "rad/s^2" if int(self.report[1]) % 3 == 2 else "m/s^2"
+        name = self.problem.mechanism.unknown_name(int(report[1]))
+        unit = "rad/s^2" if int(report[1]) % 3 == 2 else "m/s^2"
         return (
-            f": the stage equations did not converge in {int(self.report[2])} iterations, "
-            f"the last one still changed an acceleration of {name} by {self.report[0]:.3g} {unit}"
+            f": the stage equations did not converge in {int(report[2])} iterations, "
+            f"the last one still changed an acceleration of {name} by {report[0]:.3g} {unit}"
         )
 
-    def steps(self, h: float, t0: float, first: int, last: int, every: int, state: State) -> tuple[int, int, int]:
-        """Take steps in compiled code; see `FixedStepper.steps`."""
-        if h != self.last_h:
-            self.weights = extrapolation_weights(self.c, h / self.last_h if self.last_h else 1.0)
-        problem, e = self.problem, self.eigen
-        self.energy[:2] = state.energy
-        result = run_implicit(
-            problem.mechanism.topology, problem.scratch, problem.solver, self.a, self.a2, self.b, self.b2, self.c,
-            self.weights, self.kind, self.tolerance, self.method.max_iterations, self.has_power, self.fresh,
-            e.t_real, e.t_real_inv, e.mu_real, e.t_complex, e.t_complex_inv, e.mu_complex,
-            self.pattern, self.scatter, self.real, self.cplx,
-            t0, h, first, last, every, state.q, state.q_low, state.v, state.v_low, self.energy, state.energy_low,
-            self.acc, self.lam, self.f, self.q_stage, self.v_stage, self.change,
-            self.mean, self.mean_lam, self.mean_jac, self.z_real, self.z_complex,
-            self.b_real, self.x_real, self.b_complex, self.x_complex,
-            self.worst_pairs, state.iterations, state.row_q, state.row_v, state.row_energy, state.row_iterations,
-            self.counts, self.report,
-        )  # fmt: skip
-        state.energy[:] = self.energy[:2]
-        if last > first:
-            self.fresh = result[0] != OK
-        if h != self.last_h:
-            self.last_h = h
-            self.weights = extrapolation_weights(self.c, 1.0)
-        counters = self.counters
-        counters.rhs_evaluations, counters.jacobian_evaluations = int(self.counts[0]), int(self.counts[1])
-        counters.factorizations, counters.newton_iterations = int(self.counts[2]), int(self.counts[3])
-        return result
 
-
-def _stack(pattern, count: int, dtype: type) -> Factors:
+def _stack(pattern: Pattern, count: int, dtype: type) -> Factors:
     """Return storage for the factors of `count` matrices of one pattern."""
     one = new_factors(pattern, dtype)
     return Factors(*(np.zeros((count, len(x)), x.dtype) for x in one))

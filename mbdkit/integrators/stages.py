@@ -36,6 +36,31 @@ def stage_states(h, a, a2, c, q, v, acc, q_stage, v_stage):
 
 
 @part
+def extrapolation_weights(offset, ratio, c, out):
+    """Write the (s, s) weights that carry stage values of one step to the stages of another.
+
+    Parameters
+    ----------
+    offset
+        Where the other step begins: its time from the beginning of the first, over the first one's size.
+    ratio
+        Size of the other step over that of the first.
+    c : (s,) array
+        Nodes.
+    out : (s, s) array
+        Receives the weights.
+    """
+    for i in range(len(c)):
+        at = offset + ratio * c[i]
+        for j in range(len(c)):
+            w = 1.0
+            for m in range(len(c)):
+                if m != j:
+                    w *= (at - c[m]) / (c[j] - c[m])
+            out[i, j] = w
+
+
+@part
 def extrapolate(weights, x, scratch):
     """Replace stage values, rows of `x`, by those of the collocation polynomial at the stages of the next step."""
     stages, size = x.shape

@@ -1,0 +1,247 @@
+"""The Python side of every compiled method: stretches, rows, new pivots, failures, and looks inside steps."""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.engine.analysis import SingularSystemError
+from mbdkit.engine.hold import Hold
+from mbdkit.engine.problem import Problem
+from mbdkit.engine.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
+from mbdkit.integrators import driver
+from mbdkit.integrators.common import ALTERED, FACTORIZATIONS, ITERATIONS, JACOBIANS, PROJECTIONS, RHS, new_common
+from mbdkit.integrators.control import FIXED_STEPS, Control, first_step
+from mbdkit.integrators.fixed_step import MOST_ROWS, ROW_BYTES, has_power
+from mbdkit.integrators.stepping import Counters, Failure, Pace, Stretch, Timetable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbdkit.integrators.family import Family
+
+FLOOR = 16 * float(np.finfo(float).eps)
+"""The least size of a step, relative to the largest time of the run."""
+
+
+class CompiledStepper:
+    """Runs a compiled method over a timetable; see `mbdkit.integrators.stepping.Stepper`.
+
+    Parameters
+    ----------
+    family
+        The method, of its family.
+    problem
+        The mechanism and its start, with formulation and stabilization.
+    timetable
+        When, and what is recorded.
+    control
+        How the size of steps is controlled; None: fixed steps.
+    """
+
+    def __init__(self, family: Family, problem: Problem, timetable: Timetable, control: Control | None = None):
+        self.family, self.problem, self.timetable = family, problem, timetable
+        self.controlled, self.control = control is not None, control or FIXED_STEPS
+        self.counters = Counters()
+        self.finished = False
+        self.failure: Failure | None = None
+        self.time = timetable.start
+        rows = max(2, min(MOST_ROWS, ROW_BYTES // (16 * problem.mechanism.size)))
+        self.common = new_common(
+            problem,
+            rows,
+            has_power=has_power(problem.mechanism.topology),
+            own_multipliers=family.carries_multipliers,
+        )
+        self.hold = Hold(self.common)
+        self.worst_pairs = self.common.worst
+        self.numbers = np.zeros(4, dtype=np.int64)
+        clock = self.common.clock
+        clock[driver.TIME], clock[driver.NEXT_ROW] = timetable.start, 1.0
+        self.pace = Pace(max(1, min(16, 100_000 // problem.mechanism.size)))
+        self._renewed: set[tuple[int, int]] = set()
+        span = timetable.end - timetable.start
+        self.floor = FLOOR * max(abs(timetable.start), abs(timetable.end), span)
+        size = timetable.step
+        if self.controlled:
+            size = min(span, size if size is not None else first_step(problem, self.common.top, span, self.control))
+        assert size is not None
+        clock[driver.SIZE] = size
+        family.start(self.common, size)
+        self.budget = 1 if timetable.single else None
+        self._drive(0)
+
+    def _drive(self, budget: int) -> tuple[int, int]:
+        """Take up to `budget` steps in compiled code; return (status, rows)."""
+        table, control, family, stab = self.timetable, self.control, self.family, self.problem.stabilization
+        mode = driver.NO_PROJECTION
+        if stab.kind == "projection":
+            mode = driver.SYMMETRIC if stab.symmetric else driver.PLAIN
+        step = table.step or 0.0
+        status, rows = driver.drive(
+            self.hold.address, family.hold.address, int(family.kind), self.numbers, budget, self.controlled,
+            table.start, step, table.end, table.steps, step if self.controlled else table.last_step,
+            0 if table.interval is not None else table.every, table.interval or 0.0,
+            control.inner_rtol, control.inner_atol, control.exponent, control.share, control.estimates, self.floor,
+            mode, stab.every, stab.bound or 0.0, stab.kind == "baumgarte", table.single,
+        )  # fmt: skip
+        return int(status), int(rows)
+
+    @property
+    def _allowed(self) -> int:
+        """How many more steps may be taken."""
+        most = self.timetable.max_steps
+        return most - int(self.numbers[driver.ACCEPTED])
+
+    def advance(self) -> Stretch:
+        """Go on for about `STRETCH` seconds; see `Stepper.advance`."""
+        begin = time.perf_counter()
+        before = int(self.numbers.sum())
+        budget = self.budget or self.pace.steps
+        if self._allowed > 0 or self.numbers[driver.PENDING]:
+            status, rows = self._drive(min(budget, max(self._allowed, 0)))
+        else:
+            status, rows = OK, 0
+        self.pace.timed(int(self.numbers[:2].sum()) - before, begin)
+        self._count()
+        stretch = self._collect(rows)
+        if status != OK:
+            self._handle(status)
+        elif self.time >= self.timetable.end and not self.numbers[driver.PENDING]:
+            self.finished, self.time = True, self.timetable.end
+        elif self._allowed <= 0 and not self.numbers[driver.PENDING]:
+            self.failure = Failure("max-steps", f"stopped after limits.max_steps = {self.timetable.max_steps} steps.")
+        return stretch
+
+    def _count(self) -> None:
+        counts, counters = self.common.counts, self.counters
+        counters.rhs_evaluations, counters.jacobian_evaluations = int(counts[RHS]), int(counts[JACOBIANS])
+        counters.factorizations, counters.newton_iterations = int(counts[FACTORIZATIONS]), int(counts[ITERATIONS])
+        counters.projections = int(counts[PROJECTIONS])
+        counters.accepted = int(self.numbers[driver.ACCEPTED])
+        counters.rejected = int(self.numbers[driver.ALL_REJECTED])
+        counters.steps = counters.accepted
+        self.time = float(self.common.clock[driver.TIME])
+
+    def _size_tried(self) -> float:
+        """Return the size of the step that is being tried."""
+        if self.controlled:
+            return float(self.common.clock[driver.SIZE])
+        table = self.timetable
+        assert table.step is not None
+        return table.step if self.numbers[driver.ACCEPTED] < table.steps - 1 else table.last_step
+
+    def _handle(self, status: int) -> None:
+        """Renew pivots once a step, try a smaller step where steps are controlled, or note why the run stops."""
+        done = int(self.numbers[driver.ACCEPTED])
+        where = f"in step {done + 1} from t = {self.time:.6g} s"
+        if not self.problem.motions_are_finite() and status != driver.TOO_SMALL:
+            self.failure = Failure("not-finite", f"a driver or load is not a finite number {where}.")
+            return
+        if (force := self.problem.unusable_law()) and status != driver.TOO_SMALL:
+            self.failure = Failure("not-finite", f"the law of force '{force}' gives no finite number {where}.")
+            return
+        if status in (REPIVOT, REPIVOT_STAGES) and not self.problem.is_finite():
+            status = DIVERGED if self.family.carries_stages else NOT_FINITE
+        singular: SingularSystemError | None = None
+        if status != NOT_FINITE and (done, status) not in self._renewed:
+            try:
+                if self._renew(status):
+                    self._renewed = {pair for pair in self._renewed if pair[0] == done} | {(done, status)}
+                    return
+            except SingularSystemError as error:
+                singular = error
+        if self.controlled and status != driver.TOO_SMALL and self._shrink():
+            return
+        self.failure = self._failure(status, singular, where)
+
+    def _renew(self, status: int) -> bool:
+        """Choose new pivots after `status`; return whether that can help. Raises SingularSystemError."""
+        if status == driver.TOO_SMALL:
+            return False
+        self.common.moved[0] = ALTERED
+        if status == REPIVOT:
+            self.problem.use_pivots()
+            self.family.forget()
+            self.common = self.common._replace(solver=self.problem.solver)
+            self.hold.replace(self.common)
+            return True
+        return self.family.renew(self.common, self.time, self._size_tried())
+
+    def _shrink(self) -> bool:
+        """Count the step that is being tried as rejected, and try a smaller one; return whether there is room."""
+        clock = self.common.clock
+        clock[driver.SIZE] *= driver.AFTER_FAILURE
+        self.numbers[driver.ALL_REJECTED] += 1
+        self.common.tally[driver.REJECTED] += 1
+        self.common.moved[0] = ALTERED
+        self._renewed.clear()
+        return bool(clock[driver.SIZE] > self.floor)
+
+    def _failure(self, status: int, singular: SingularSystemError | None, where: str) -> Failure:
+        """Return why the run stops."""
+        hint, problem = self.family.hint, self.problem
+        if status == driver.TOO_SMALL:
+            return Failure("step-too-small", f"the step fell below {self.floor:.2g} s {where}; looser tolerances may help.")
+        if singular is not None:
+            name = problem.mechanism.unknown_name(singular.index)
+            return Failure("singular", f"no independent equations are left at {name} {where}; {hint}.")
+        if status == NOT_FINITE:
+            return Failure("not-finite", f"numbers overflowed {where}; {hint}.")
+        if status == DIVERGED:
+            return Failure("newton-failed", f"{where}{self.family.describe_divergence(self.common.report)}; {hint}.")
+        index = int(problem.solver.failed[0])
+        column = problem.solver.pattern.column_of
+        name = problem.mechanism.unknown_name(int(column[index]) if 0 <= index < len(column) else -1)
+        return Failure("singular", f"the equations lost their last pivot at {name} {where}; {hint}.")
+
+    def _intervals(self, times: np.ndarray, tally: np.ndarray) -> np.ndarray:
+        """Return (T, 6) what each recorded interval took, from the driver's tallies (T, 9)."""
+        d = driver
+        return np.column_stack([times, tally[:, [d.STEPS, d.LAST_SIZE, d.SUM, d.MOST, d.REJECTED]]])
+
+    def _corrections(self, tally: np.ndarray) -> np.ndarray | None:
+        if self.problem.stabilization.kind == "none":
+            return None
+        d = driver
+        return tally[:, [d.CORRECTIONS, d.POSITION, d.VELOCITY, d.ACCELERATION]].copy()
+
+    def _own(self, lam: np.ndarray) -> np.ndarray | None:
+        """Return the multipliers of the method by constraint row, from those by pair (T, P, 2)."""
+        if not self.family.carries_multipliers:
+            return None
+        rows = self.problem.mechanism.rows
+        return np.ascontiguousarray(lam[:, [row.pair for row in rows], [row.place for row in rows]])
+
+    def _collect(self, rows: int) -> Stretch:
+        c = self.common
+        times, tally = c.row_time[:rows].copy(), c.row_tally[:rows]
+        return Stretch(
+            times,
+            c.row_q[:rows].copy(),
+            c.row_v[:rows].copy(),
+            c.row_energy[:rows, 0].copy(),
+            c.row_energy[:rows, 1].copy(),
+            self._intervals(times, tally),
+            multipliers=self._own(c.row_lam[:rows]),
+            corrections=self._corrections(tally),
+        )
+
+    def last_state(self) -> Stretch:
+        """Return the state reached as one row; see `Stepper.last_state`."""
+        c = self.common
+        times, tally = np.array([self.time]), c.tally[None].copy()
+        c.tally[:] = 0.0
+        return Stretch(
+            times,
+            c.q[None].copy(),
+            c.v[None].copy(),
+            c.energy[:1].copy(),
+            c.energy[1:].copy(),
+            self._intervals(times, tally),
+            multipliers=self._own(c.own_lam[None]),
+            corrections=self._corrections(tally),
+        )

@@ -1,0 +1,68 @@
+"""What a compiled family of methods is to the stepper that drives it."""
+
+from __future__ import annotations
+
+from abc import ABC
+from enum import IntEnum
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from mbdkit.engine.hold import Hold
+    from mbdkit.engine.problem import Problem
+    from mbdkit.integrators.common import Common
+
+
+class Kind(IntEnum):
+    """Which compiled step the driver takes."""
+
+    EXPLICIT = 0
+    COLLOCATION = 1
+
+
+class Family(ABC):
+    """One method of a family, ready to be stepped: its compiled bundle, and what Python has to do for it.
+
+    Attributes
+    ----------
+    kind
+        The compiled step.
+    hint
+        What a user may try when a step fails.
+    hold
+        The family's own bundle.
+    memory
+        The arrays that one step hands to the next.
+    has_dense_output
+        Whether states between steps can be had.
+    carries_multipliers
+        Whether the method carries multipliers of its own.
+    """
+
+    kind: ClassVar[Kind]
+    hint: ClassVar[str] = "a smaller time.step may help"
+    hold: Hold
+    memory: tuple[np.ndarray, ...]
+    has_dense_output: bool = False
+    carries_multipliers: bool = False
+
+    def __init__(self, problem: Problem):
+        self.problem = problem
+
+    def start(self, common: Common, h: float) -> None:
+        """Get ready for steps of about `h` from the state in `common`; raises SingularSystemError."""
+
+    def renew(self, common: Common, t: float, h: float) -> bool:
+        """Choose new pivots for the matrices of the method itself; return whether that can help.
+
+        Raises
+        ------
+        SingularSystemError
+            Where a matrix is singular.
+        """
+        return False
+
+    def describe_divergence(self, report: np.ndarray) -> str:
+        """Return where the equations of a step failed to converge, from a report (3,)."""
+        return ""
