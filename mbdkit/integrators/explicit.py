@@ -110,7 +110,7 @@ class ExplicitStepper(FixedStepper):
         problem = self.problem
         self.energy[:2] = state.energy
         result = run_explicit(
-            problem.mechanism.topology, problem.scratch, problem.solver, self.a, self.b, self.c, self.has_power,
+            problem.stepping_topology, problem.scratch, problem.solver, self.a, self.b, self.c, self.has_power,
             t0, h, first, last, every, state.q, state.q_low, state.v, state.v_low, self.energy, state.energy_low,
             self.rates, self.accelerations, self.q_stage, self.v_change, self.lam, self.worst_pairs,
             state.row_q, state.row_v, state.row_energy, self.counts,

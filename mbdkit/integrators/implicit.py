@@ -271,7 +271,7 @@ class ImplicitStepper(FixedStepper):
             rate = complex(h * eigen.mu_complex[0])
         else:
             rate = float(h * max(eigen.mu_real, key=abs))
-        top, scratch = problem.mechanism.topology, problem.scratch
+        top, scratch = problem.stepping_topology, problem.scratch
         for _ in range(2):
             status = tangents_at(top, scratch, problem.solver, self.time, state.q, state.v, self.f[0], self.lam[0])
             if status == OK:
@@ -308,7 +308,7 @@ class ImplicitStepper(FixedStepper):
         problem, e = self.problem, self.eigen
         self.energy[:2] = state.energy
         result = run_implicit(
-            problem.mechanism.topology, problem.scratch, problem.solver, self.a, self.a2, self.b, self.b2, self.c,
+            problem.stepping_topology, problem.scratch, problem.solver, self.a, self.a2, self.b, self.b2, self.c,
             self.weights, self.kind, self.tolerance, self.method.max_iterations, self.has_power, self.fresh,
             e.t_real, e.t_real_inv, e.mu_real, e.t_complex, e.t_complex_inv, e.mu_complex,
             self.pattern, self.scatter, self.real, self.cplx,

@@ -80,7 +80,7 @@ class SciPyStepper:
         for attempt in range(2):
             problem = self.problem
             status = first_order_rates(
-                problem.mechanism.topology, problem.scratch, problem.solver, self.has_power,
+                problem.stepping_topology, problem.scratch, problem.solver, self.has_power,
                 float(t), full, self._acc, self._lam, out,
             )  # fmt: skip
             if status == OK:
@@ -107,7 +107,7 @@ class SciPyStepper:
         q, v = np.zeros((2, problem.mechanism.size))
         q[:n3], v[:n3] = y[:n3], y[n3 : 2 * n3]
         status = tangents_at(
-            problem.mechanism.topology, problem.scratch, problem.solver, float(t), q, v, self._acc[2], self._lam
+            problem.stepping_topology, problem.scratch, problem.solver, float(t), q, v, self._acc[2], self._lam
         )
         if status != OK:  # new pivots, if they help
             if not np.all(np.isfinite(self.rates(t, y))):

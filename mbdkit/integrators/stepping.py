@@ -62,6 +62,9 @@ class Stretch:
     """(T, 6) float: time, steps, size, iterations, iterations_max, rejected of the interval that ends at each row."""
     multipliers: np.ndarray | None = None
     """(T, m) the multipliers that the method itself carries, if it does."""
+    corrections: np.ndarray | None = None
+    """(T, 4) of the interval that ends at each row, if the run is stabilized: projections made, largest correction of
+    positions [m] and of velocities [m/s] in the mass metric, largest of Baumgarte's terms [m/s^2, rad/s^2]."""
 
 
 @dataclass(frozen=True)
