@@ -153,7 +153,13 @@ def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Pro
         start = assemble(mechanism, spec.time.start, compiled)
         check_springs(mechanism.forces, _placed(mechanism, start))
         compiled = without_redundancy(compiled, spec.time.start, start.q.ravel(), start.v.ravel(), spec.time.final)
-        problem = Problem(compiled, spec.time.start, _padded(start.q), _padded(start.v))
+        problem = Problem(
+            compiled,
+            spec.time.start,
+            _padded(start.q),
+            _padded(start.v),
+            formulation=spec.formulation,
+        )
         require_unique_start(problem)
     except SpecError as error:
         raise spec.placed(error) from error

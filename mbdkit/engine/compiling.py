@@ -141,6 +141,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         motion_start=np.array(motions.start, dtype=np.int64),
         motion_ops=np.array(motions.ops, dtype=np.int64),
         motion_values=np.array(motions.values, dtype=float),
+        baumgarte=np.zeros(2),
     )
     return CompiledMechanism(
         topology=topology,

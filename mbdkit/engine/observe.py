@@ -113,6 +113,13 @@ def tangents_at(top, w, solver, t, q, v, acc, lam):
 
 
 @kernel
+def baumgarte_at(top, w, t, q, v):
+    """Return the largest of Baumgarte's terms at a state [m/s^2, rad/s^2]; 0 without them."""
+    prepare(top, w, t, q)
+    return constraint_rows(top, w, q, v)
+
+
+@kernel
 def first_order_rates(top, w, solver, has_power, t, y, acc, lam, rates):
     """Write the right side of the first-order form, y = (q, v, work, dissipated), into `rates`; return a status.
 

@@ -21,6 +21,7 @@ from mbdkit.engine.constraints import KINDS
 from mbdkit.engine.forces import BODY_FORCE, PATHWAYS, POINT_FORCE
 from mbdkit.engine.lu import Factors, Pattern
 from mbdkit.engine.motions import MAX_DEPTH
+from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.system import Scatter, Scratch, Solver, Topology
 
 MOST_COUPLINGS = 60
@@ -46,7 +47,7 @@ class Terms:
 
     def coefficients(self, rate: complex) -> np.ndarray:
         """Return the factor of each term for ``rate = h mu``."""
-        return np.array([1.0, rate, -rate, rate * rate, rate * rate])[self.factor]
+        return np.array([1.0, rate, -rate, rate * rate])[self.factor]
 
 
 @dataclass
@@ -61,12 +62,20 @@ class Problem:
         Start time [s].
     q0, v0
         (3 (B + 1),) consistent start: positions and velocities, ground last.
+    formulation
+        Of the equations that are stepped.
+    stabilization
+        What is done against the drift of constraints.
     """
 
     mechanism: CompiledMechanism
     t0: float
     q0: np.ndarray
     v0: np.ndarray
+    formulation: str = "index-1"
+    stabilization: Stabilization = NONE
+    stepping_topology: Topology = field(init=False)
+    """The mechanism as it is stepped: with Baumgarte's terms, if so stabilized. What is recorded is taken without."""
     scratch: Scratch = field(init=False)
     solver: Solver = field(init=False)
     terms: Terms = field(init=False)
@@ -75,8 +84,10 @@ class Problem:
 
     def __post_init__(self) -> None:
         self.scratch, offsets = new_scratch(self.mechanism)
-        self.terms = _stage_terms(self.mechanism, offsets)
         top = self.mechanism.topology
+        self.stepping_topology = top._replace(baumgarte=self.stabilization.coefficients)
+        stabilized = bool(np.any(self.stepping_topology.baumgarte))
+        self.terms = _stage_terms(self.mechanism, offsets, stabilized=stabilized)
         pairs = [(int(a), int(b)) for a, b in top.pairs[:, 1:3]]
         on_body = np.bincount(top.pairs[:, 1:3].ravel(), minlength=len(top.mass))[:-1]
         crowded = int(np.sum(on_body**2)) > MOST_COUPLINGS * max(len(pairs), 1)
@@ -230,8 +241,11 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     return scratch, offsets
 
 
-def _stage_terms(mechanism: CompiledMechanism, offsets: dict[str, int]) -> Terms:
-    """List every term of the stage matrix; factor classes 0..4 are 1, h mu, -h mu, h^2 mu^2 above and h^2 mu^2 below."""
+def _stage_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabilized: bool) -> Terms:
+    """List every term of the stage matrix; factor classes 0..3 are 1, h mu, -h mu and h^2 mu^2.
+
+    Where Baumgarte's terms stabilize it, the derivatives of gamma have entries wherever the Jacobian has.
+    """
     top, row_index = mechanism.topology, mechanism.row_index
     n3 = 3 * len(mechanism.bodies)
     parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, int]] = []
@@ -256,9 +270,12 @@ def _stage_terms(mechanism: CompiledMechanism, offsets: dict[str, int]) -> Terms
             # two rows folded into one fill it; a pair without rows that are solved for has no multiplier
             taken = np.where(reduced, (entry < 6) & (top.rows[members] == 1), entry in e.JACOBIAN_ENTRIES[kind])
             some, ends = members[taken], bodies[taken]
-            source = offsets["jac"] + 12 * some + entry
-            add(source, multiplier(some, entry // 6), coordinate(ends, entry % 6), 0)
-            add(source, coordinate(ends, entry % 6), multiplier(some, entry // 6), 0)
+            row, column = multiplier(some, entry // 6), coordinate(ends, entry % 6)
+            add(offsets["jac"] + 12 * some + entry, row, column, 0)
+            add(offsets["jac"] + 12 * some + entry, column, row, 0)
+            if stabilized:
+                add(offsets["gamma_v"] + 12 * some + entry, row, column, 2)
+                add(offsets["res_q"] + 12 * some + entry, row, column, 3)
         for entry in e.STIFFNESS_ENTRIES[kind]:
             add(
                 offsets["stiff"] + 36 * members + entry,
@@ -266,9 +283,12 @@ def _stage_terms(mechanism: CompiledMechanism, offsets: dict[str, int]) -> Terms
                 coordinate(bodies, entry % 6),
                 3,
             )
-        for name, written, level in (("gamma_v", e.GAMMA_V_ENTRIES, 2), ("res_q", e.RESIDUAL_Q_ENTRIES, 4)):
+        for name, written, level in (("gamma_v", e.GAMMA_V_ENTRIES, 2), ("res_q", e.RESIDUAL_Q_ENTRIES, 3)):
             for entry in written[kind]:
                 held = row_index[members, entry // 6] >= 0
+                if stabilized:  # what the Jacobian has is listed already
+                    listed = entry in e.JACOBIAN_ENTRIES[kind]
+                    held &= ~np.where(reduced, (entry < 6) & (top.rows[members] == 1), listed)
                 add(
                     offsets[name] + 12 * members[held] + entry,
                     multiplier(members[held], entry // 6),
@@ -299,4 +319,4 @@ def _scatter(terms: Terms, target: np.ndarray) -> Scatter:
     if len(target) == 0:
         target = np.zeros(len(terms.source), dtype=np.int64)
     both = np.column_stack([terms.source, target]).astype(np.int64)
-    return Scatter(*(np.ascontiguousarray(both[terms.factor == factor]) for factor in range(5)))
+    return Scatter(*(np.ascontiguousarray(both[terms.factor == factor]) for factor in range(4)))

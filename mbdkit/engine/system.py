@@ -63,6 +63,9 @@ class Topology(NamedTuple):
     motion_start: np.ndarray
     motion_ops: np.ndarray
     motion_values: np.ndarray
+    baumgarte: np.ndarray
+    """(2,) alpha, beta [1/s] of Baumgarte's stabilization, which takes the place of gamma; zeros for the equations
+    as they are."""
 
 
 class Scratch(NamedTuple):
@@ -113,9 +116,7 @@ class Scatter(NamedTuple):
     minus_rate: np.ndarray
     """(n3, 2) source, target: factor -h mu (gamma_v)."""
     level: np.ndarray
-    """(n4, 2) source, target: factor h^2 mu^2 (stiffness)."""
-    row_level: np.ndarray
-    """(n5, 2) source, target: factor h^2 mu^2 (residual_q)."""
+    """(n4, 2) source, target: factor h^2 mu^2 (stiffness, residual_q)."""
 
 
 class Solver(NamedTuple):
@@ -160,13 +161,39 @@ def evaluate_powers(top, w, q, v, lam):
     )  # fmt: skip
 
 
+@part
+def subtract_baumgarte(pairs, baumgarte, jac, v, phi, phi_t, gamma):
+    """Subtract ``2 alpha (Phi_q v + Phi_t) + beta^2 Phi`` from gamma; return the largest of these terms."""
+    rate_factor, factor = 2.0 * baumgarte[0], baumgarte[1] * baumgarte[1]
+    largest = 0.0
+    for k in range(len(pairs)):
+        a, b = 3 * pairs[k, 1], 3 * pairs[k, 2]
+        for r in range(2):
+            rate = phi_t[k, r]
+            for i in range(3):
+                rate += jac[k, 6 * r + i] * v[a + i] + jac[k, 6 * r + 3 + i] * v[b + i]
+            term = rate_factor * rate + factor * phi[k, r]
+            gamma[k, r] -= term
+            largest = max(largest, abs(term))
+    return largest
+
+
 @inlined
 def constraint_rows(top, w, q, v):
-    """Evaluate the Jacobian and gamma of every row, redundant ones included; needs `prepare`."""
+    """Evaluate the Jacobian and gamma of every row, redundant ones included; needs `prepare`.
+
+    Where the mechanism is stabilized after Baumgarte, gamma is the stabilized one, and ``w.phi`` and ``w.phi_t`` are
+    evaluated on the way; returns the largest of Baumgarte's terms.
+    """
     for i in range(len(top.spare)):
         for c in range(12):  # elements never write the entries that are zero for them
             w.jac[top.spare[i, 0], c] = 0.0
     constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
+    largest = 0.0
+    if top.baumgarte[0] != 0.0 or top.baumgarte[1] != 0.0:
+        constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
+        largest = subtract_baumgarte(top.pairs, top.baumgarte, w.jac, v, w.phi, w.phi_t, w.gamma)
+    return largest
 
 
 @inlined
@@ -261,12 +288,8 @@ def apply_multipliers(pairs, jac, weight, lam, acc):
 
 
 @inlined
-def gather_values(source, scatter, rate, row_rate, row_level, weight, values):
-    """Fill the scaled values of a sparse matrix from the element terms.
-
-    `rate` is h mu, 0 for the bare KKT matrix; `row_rate` and `row_level` are the factors of -gamma_v and residual_q in the
-    lower rows, h mu and h^2 mu^2 unless constraints are stabilized.
-    """
+def gather_values(source, scatter, rate, weight, values):
+    """Fill the scaled values of a sparse matrix from the element terms; `rate` is h mu, 0 for the bare KKT matrix."""
     values[:] = 0.0
     for e in range(len(scatter.one)):
         values[scatter.one[e, 1]] += source[scatter.one[e, 0]]
@@ -275,11 +298,9 @@ def gather_values(source, scatter, rate, row_rate, row_level, weight, values):
         for e in range(len(scatter.rate)):
             values[scatter.rate[e, 1]] += rate * source[scatter.rate[e, 0]]
         for e in range(len(scatter.minus_rate)):
-            values[scatter.minus_rate[e, 1]] -= row_rate * source[scatter.minus_rate[e, 0]]
+            values[scatter.minus_rate[e, 1]] -= rate * source[scatter.minus_rate[e, 0]]
         for e in range(len(scatter.level)):
             values[scatter.level[e, 1]] += level * source[scatter.level[e, 0]]
-        for e in range(len(scatter.row_level)):
-            values[scatter.row_level[e, 1]] += row_level * source[scatter.row_level[e, 0]]
     for x in range(len(values)):
         values[x] *= weight[x]
 
@@ -302,7 +323,7 @@ def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
     for k in range(len(top.pairs)):
         for r in range(top.rows[k]):
             right[row_index[k, r]] = w.gamma[k, r]
-    gather_values(w.source, solver.scatter, 0.0, 0.0, 0.0, pattern.weight, factors.a)
+    gather_values(w.source, solver.scatter, 0.0, pattern.weight, factors.a)
     solver.failed[0] = factorize(pattern, factors)
     if solver.failed[0] >= 0:
         return REPIVOT
@@ -408,15 +429,31 @@ def transferred(top, w, solver, i, lam):
     unfold_multipliers(top, w.cs, lam)
 
 
+@part
+def stabilize_tangents(baumgarte, jac, gamma_v, res_q):
+    """Turn the derivatives of gamma into those of the stabilized one; d(Phi_q v + Phi_t)/dq is -gamma_v / 2."""
+    alpha, factor = baumgarte[0], baumgarte[1] * baumgarte[1]
+    for k in range(len(jac)):
+        for c in range(12):
+            res_q[k, c] += factor * jac[k, c] - alpha * gamma_v[k, c]
+            gamma_v[k, c] -= 2.0 * alpha * jac[k, c]
+
+
 @inlined
 def evaluate_tangents(top, w, t, q, v, acc, lam):
     """Evaluate every term of the stage matrix into ``w.source`` (the masses stand there from the start)."""
     prepare(top, w, t, q)
     constraint_rows(top, w, q, v)
     independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
+    stabilized = top.baumgarte[0] != 0.0 or top.baumgarte[1] != 0.0
+    if stabilized:  # elements never write the entries that are zero for them
+        w.gamma_v[:, :] = 0.0
+        w.res_q[:, :] = 0.0
     constraint_tangents(top.pairs, top.pair_parameters, q, v, acc, w.cs, w.u, lam, w.stiff, w.gamma_v, w.res_q)
     fold(top, w.cs, w.gamma_v)
     fold(top, w.cs, w.res_q)
+    if stabilized:
+        stabilize_tangents(top.baumgarte, w.jac, w.gamma_v, w.res_q)
     force_tangents(
         top.springs, top.spring_points, top.linear, top.laws, top.law_parameters, top.loads, top.load_points,
         q, v, w.cs, w.u, w.time, w.s, w.grad, w.hess, w.tension, w.faulty, w.spring_stiff, w.spring_damp, w.load_stiff,

@@ -68,7 +68,7 @@ class Matrix(NamedTuple):
 
 def new_view(problem: Problem) -> View:
     """Return the view of a problem with the solver that is in use now."""
-    top, size = problem.mechanism.topology, problem.mechanism.size
+    top, size = problem.stepping_topology, problem.mechanism.size
     own, lam = top._replace(gravity=np.zeros(2)), np.zeros((len(top.pairs), 2))
     vectors = np.zeros(size), np.zeros(size), np.zeros(size)
     return View(own, top.gravity, problem.scratch, problem.solver, *vectors, lam)
@@ -144,11 +144,11 @@ def _take_rows(h, x, out):
 @inlined
 def _evaluate_constraints(h, t):
     prepare(h.top, h.w, t, h.q)
+    constraint_rows(h.top, h.w, h.q, h.v)
+    independent_rows(h.top, h.w.cs, h.w.jac, h.w.gamma, h.w.loose)
     constraint_positions(h.top.pairs, h.top.pair_parameters, h.q, h.w.cs, h.w.u, h.w.phi, h.w.phi_t)
     fold_values(h.top, h.w.cs, h.w.phi)
     fold_values(h.top, h.w.cs, h.w.phi_t)
-    constraint_rows(h.top, h.w, h.q, h.v)
-    independent_rows(h.top, h.w.cs, h.w.jac, h.w.gamma, h.w.loose)
 
 
 @kernel

@@ -62,7 +62,7 @@ def _run_everything(check: Callable[[], None]) -> None:
 
     from mbdkit.engine.assembly import assemble
     from mbdkit.engine.compiling import compile_mechanism
-    from mbdkit.engine.observe import observe
+    from mbdkit.engine.observe import baumgarte_at, observe
     from mbdkit.engine.problem import Problem
     from mbdkit.integrators import gauss, rk4
     from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta, Method, SciPySolver
@@ -87,6 +87,7 @@ def _run_everything(check: Callable[[], None]) -> None:
     for method in methods:
         check()
         problem = Problem(compiled, 0.0, q0, v0)
+        baumgarte_at(compiled.topology, problem.scratch, 0.0, q0, v0)
         stretch = method.start(problem, table).advance()
         rows, pairs = len(stretch.time), len(compiled.topology.pairs)
         shape = (rows, pairs, 2)

@@ -116,9 +116,9 @@ def new_common(problem: Problem, rows: int, *, has_power: bool, own_multipliers:
     own_multipliers
         Whether the method carries multipliers that are recorded.
     """
-    top = problem.mechanism.topology
+    top = problem.stepping_topology
     size, pairs = problem.mechanism.size, len(top.pairs)
-    still = top._replace(gravity=np.zeros(2))
+    still = problem.mechanism.topology._replace(gravity=np.zeros(2))
 
     def vector() -> np.ndarray:
         return np.zeros(size)

@@ -250,16 +250,8 @@ def _scaled_error(c, rtol, atol, estimates):
 @part
 def _baumgarte_term(c, t):
     """Return the largest ``|2 alpha (Phi_q v + Phi_t) + beta^2 Phi|`` at the state."""
-    alpha, beta = c.top.baumgarte[0], c.top.baumgarte[1]
-    position_rows(c.still, c.w, t, c.q)
-    constraint_rows(c.still, c.w, c.q, c.rest)
-    independent_rows(c.still, c.w.cs, c.w.jac, c.w.gamma, c.w.loose)
-    rate_rows(c.still, c.w.jac, c.w.phi_t, c.v, c.miss)
-    largest = 0.0
-    for k in range(len(c.w.phi)):
-        for r in range(c.still.rows[k]):
-            largest = max(largest, abs(2.0 * alpha * c.miss[k, r] + beta * beta * c.w.phi[k, r]))
-    return largest
+    prepare(c.top, c.w, t, c.q)
+    return constraint_rows(c.top, c.w, c.q, c.v)
 
 
 @part

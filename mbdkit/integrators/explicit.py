@@ -21,7 +21,6 @@ from mbdkit.integrators.family import Family, Kind
 if TYPE_CHECKING:
     from mbdkit.engine.problem import Problem
     from mbdkit.integrators.methods import ExplicitRungeKutta
-    from mbdkit.integrators.stepping import Timetable
 
 
 class Explicit(NamedTuple):
@@ -195,7 +194,7 @@ class ExplicitFamily(Family):
     kind = Kind.EXPLICIT
     hint = "a smaller time.step or an implicit integrator may help"
 
-    def __init__(self, method: ExplicitRungeKutta, problem: Problem, timetable: Timetable):
+    def __init__(self, method: ExplicitRungeKutta, problem: Problem):
         super().__init__(problem)
         self.own = new_explicit(method, problem.mechanism.size, len(problem.mechanism.topology.pairs))
         self.hold = Hold(self.own)

@@ -38,6 +38,8 @@ class Family(ABC):
         Whether states between steps can be had.
     carries_multipliers
         Whether the method carries multipliers of its own.
+    carries_stages
+        Whether a step solves equations by iteration, whose failure to converge is told apart from overflow.
     """
 
     kind: ClassVar[Kind]
@@ -46,6 +48,7 @@ class Family(ABC):
     memory: tuple[np.ndarray, ...]
     has_dense_output: bool = False
     carries_multipliers: bool = False
+    carries_stages: ClassVar[bool] = False
 
     def __init__(self, problem: Problem):
         self.problem = problem
@@ -62,6 +65,9 @@ class Family(ABC):
             Where a matrix is singular.
         """
         return False
+
+    def forget(self) -> None:
+        """Drop what the last step left for the next."""
 
     def describe_divergence(self, report: np.ndarray) -> str:
         """Return where the equations of a step failed to converge, from a report (3,)."""

@@ -67,8 +67,8 @@ from mbdkit.integrators.stages import (
 
 if TYPE_CHECKING:
     from mbdkit.engine.problem import Problem
+    from mbdkit.integrators.control import Control
     from mbdkit.integrators.methods import ImplicitRungeKutta
-    from mbdkit.integrators.stepping import Timetable
     from mbdkit.integrators.tableau import ButcherTableau
 
 NEWTON, FIXED_POINT = range(2)
@@ -151,7 +151,7 @@ def _example() -> Collocation:
     from mbdkit.integrators import gauss
     from mbdkit.integrators.methods import ImplicitRungeKutta
 
-    return new_collocation(ImplicitRungeKutta(gauss.tableau(1)), example_problem())
+    return new_collocation(ImplicitRungeKutta(gauss.tableau(1)), example_problem(), None)
 
 
 load_collocation = loader(_example)
@@ -184,7 +184,7 @@ def _take_tangents(c, m, t, h):
         copy(w.jac[p], m.mean_jac[p])
     c.counts[JACOBIANS] += 1
     c.counts[FACTORIZATIONS] += len(m.mu_real) + len(m.mu_complex)
-    failed = factorize_all(w.source, m.scatter, m.pattern, m.real, m.cplx, m.mu_real, m.mu_complex, h, top.baumgarte)
+    failed = factorize_all(w.source, m.scatter, m.pattern, m.real, m.cplx, m.mu_real, m.mu_complex, h)
     if failed >= 0:
         c.solver.failed[0] = failed
         return REPIVOT_STAGES
@@ -241,7 +241,7 @@ def _iterate(c, m, t, h):
                     m.f[i, d] = m.acc[i, d] - m.f[i, d]
             newton_changes(
                 top, c.solver.row_index, m.mean_jac, m.pattern, m.real, m.cplx,
-                m.t_real, m.t_real_inv, m.mu_real, m.t_complex, m.t_complex_inv, m.mu_complex, h,
+                m.t_real, m.t_real_inv, m.t_complex, m.t_complex_inv,
                 m.f, m.z_real, m.z_complex, m.b_real, m.x_real, m.b_complex, m.x_complex, m.change,
             )  # fmt: skip
         else:
@@ -336,7 +336,7 @@ def _estimate(c, m, h):
         c.est_v[d] = h * mu * gap
     if m.choice[0] == NEWTON:
         filtered(
-            c.top, c.solver.row_index, m.mean_jac, m.pattern, m.real, m.cplx, m.mu_real, m.mu_complex, h,
+            c.top, c.solver.row_index, m.mean_jac, m.pattern, m.real, m.cplx,
             m.z_real, m.z_complex, m.b_real, m.x_real, m.b_complex, m.x_complex, c.est_v,
         )  # fmt: skip
     for d in range(len(c.q) - 3):
@@ -384,7 +384,7 @@ class Eigenvalues:
         self.t_complex_inv = np.ascontiguousarray(inverse[upper].astype(complex))
 
 
-def new_collocation(method: ImplicitRungeKutta, problem: Problem) -> Collocation:
+def new_collocation(method: ImplicitRungeKutta, problem: Problem, control: Control | None) -> Collocation:
     """Return the bundle of a method for a mechanism, without pivots."""
     from mbdkit.engine.analysis import empty_pattern
 
@@ -395,9 +395,9 @@ def new_collocation(method: ImplicitRungeKutta, problem: Problem) -> Collocation
     pairs = len(problem.mechanism.topology.pairs)
     distinct = len(set(c.tolist())) == s
     dense_v, dense_q = collocation_polynomials(c) if distinct else (np.zeros((s, s)), np.zeros((s, s + 1)))
-    tolerance = method.tolerance if method.tolerance is not None else ROUND_OFF
-    if method.control is not None and method.tolerance is None:
-        tolerance = method.control.iteration_tolerance
+    tolerance = control.iteration_tolerance if control is not None else ROUND_OFF
+    if method.tolerance is not None:
+        tolerance = method.tolerance
     pattern = empty_pattern()
     stages = (np.zeros((s, size)) for _ in range(5))
     acc, f, change, q_stage, v_stage = stages
@@ -423,11 +423,11 @@ class CollocationFamily(Family):
     """Fully implicit tableaus on the index-1 equations."""
 
     kind = Kind.COLLOCATION
+    carries_stages = True
 
-    def __init__(self, method: ImplicitRungeKutta, problem: Problem, timetable: Timetable):
+    def __init__(self, method: ImplicitRungeKutta, problem: Problem, control: Control | None):
         super().__init__(problem)
-        self.method = method
-        self.own = new_collocation(method, problem)
+        self.own = new_collocation(method, problem, control)
         self.hold = Hold(self.own)
         self.has_dense_output = method.tableau.is_collocation
         own = self.own
@@ -464,6 +464,10 @@ class CollocationFamily(Family):
         )
         self.hold.replace(self.own)
         return True
+
+    def forget(self) -> None:
+        """Begin the next step without stage values from before."""
+        self.own.begun[1] = np.nan
 
     def describe_divergence(self, report: np.ndarray) -> str:
         """Return the largest residual and where it is."""

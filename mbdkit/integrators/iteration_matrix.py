@@ -48,7 +48,8 @@ def classes_of(problem: Problem) -> np.ndarray:
     """Return the class of each of a problem's terms: M, Phi_q, C, K, gamma_v or residual_q."""
     terms, n = problem.terms, 3 * len(problem.mechanism.bodies)
     plain = np.where(terms.source < n, MASS, JACOBIAN)
-    return np.where(terms.factor == 0, plain, np.array([MASS, DAMPING, GAMMA_V, STIFFNESS, RESIDUAL_Q])[terms.factor])
+    level = np.where(terms.row < n, STIFFNESS, RESIDUAL_Q)
+    return np.choose(terms.factor, [plain, np.full_like(plain, DAMPING), np.full_like(plain, GAMMA_V), level])
 
 
 @dataclass

@@ -14,29 +14,69 @@ from mbdkit.integrators.tableau import ButcherTableau, TableauError
 
 if TYPE_CHECKING:
     from mbdkit.engine.problem import Problem
+    from mbdkit.integrators.pair import EmbeddedPair
     from mbdkit.integrators.stepping import Stepper, Timetable
 
 
 @dataclass(frozen=True)
+class Tolerances:
+    """Error tolerances of a method that chooses its own steps.
+
+    Parameters
+    ----------
+    rtol, atol
+        Relative, and absolute [m, rad, m/s, rad/s].
+    """
+
+    rtol: float
+    atol: float
+
+
+@dataclass(frozen=True)
 class ExplicitRungeKutta:
-    """An explicit Runge-Kutta method in fixed steps, on the index-1 equations."""
+    """An explicit Runge-Kutta method on the index-1 equations, in fixed steps or in steps of its own choice.
+
+    Parameters
+    ----------
+    tableau
+        Its coefficients.
+    pair
+        Error estimates and dense output, if the method has them.
+    tolerances
+        For steps of its own choice, which need a `pair`; None: fixed steps.
+    """
 
     tableau: ButcherTableau
+    pair: EmbeddedPair | None = None
+    tolerances: Tolerances | None = None
 
     def __post_init__(self) -> None:
         if not self.tableau.is_explicit:
             raise TableauError(f"{self.tableau.name} is implicit: its stages need ImplicitRungeKutta")
+        if self.tolerances is not None and self.pair is None:
+            raise TableauError(f"{self.tableau.name} has no error estimate to choose its steps by")
 
     def start(self, problem: Problem, timetable: Timetable) -> Stepper:
         """Return a stepper for `problem` over `timetable`."""
-        from mbdkit.integrators.explicit import ExplicitStepper
+        from mbdkit.integrators.compiled_stepper import CompiledStepper
+        from mbdkit.integrators.control import Control
+        from mbdkit.integrators.explicit import ExplicitFamily
 
-        return ExplicitStepper(self, problem, timetable)
+        control = None
+        if self.tolerances is not None and self.pair is not None:
+            control = Control(
+                self.tolerances.rtol,
+                self.tolerances.atol,
+                order=self.tableau.order,
+                estimate_order=self.pair.estimate_order,
+                estimates=len(self.pair.error),
+            )
+        return CompiledStepper(ExplicitFamily(self, problem), problem, timetable, control)
 
 
 @dataclass(frozen=True)
 class ImplicitRungeKutta:
-    """A fully implicit Runge-Kutta method in fixed steps, stages solved in second-order form.
+    """A fully implicit Runge-Kutta method, stages solved in second-order form.
 
     Parameters
     ----------
@@ -45,27 +85,43 @@ class ImplicitRungeKutta:
     stage_solver
         Simplified Newton on accelerations and multipliers, or fixed-point iteration on accelerations.
     tolerance
-        Change of the stage accelerations, relative to their size, at which the iteration ends; None: at stagnation.
+        Change of the stage accelerations, relative to their size, at which the iteration ends; None: at stagnation, or
+        with `tolerances` where it is small against these.
     max_iterations
         Iterations in one step after which the stage equations count as unsolved.
+    tolerances
+        For steps of its own choice, which need a collocation method; None: fixed steps.
     """
 
     tableau: ButcherTableau
     stage_solver: Literal["newton", "fixed-point"] = "newton"
     tolerance: float | None = None
     max_iterations: int = 50
+    tolerances: Tolerances | None = None
 
     def __post_init__(self) -> None:
         if not self.tableau.is_diagonalisable:
             raise TableauError(
                 f"the matrix of {self.tableau.name} cannot be diagonalised, which the transformed stage equations need"
             )
+        if self.tolerances is not None and not self.tableau.is_collocation:
+            raise TableauError(f"{self.tableau.name} is no collocation method, whose error could be estimated")
 
     def start(self, problem: Problem, timetable: Timetable) -> Stepper:
         """Return a stepper for `problem` over `timetable`."""
-        from mbdkit.integrators.implicit import ImplicitStepper
+        from mbdkit.integrators.compiled_stepper import CompiledStepper
+        from mbdkit.integrators.control import Control
+        from mbdkit.integrators.implicit import CollocationFamily
 
-        return ImplicitStepper(self, problem, timetable)
+        control = None
+        if self.tolerances is not None:
+            control = Control(
+                self.tolerances.rtol,
+                self.tolerances.atol,
+                order=self.tableau.order,
+                estimate_order=self.tableau.stages + 1,
+            )
+        return CompiledStepper(CollocationFamily(self, problem, control), problem, timetable, control)
 
 
 @dataclass(frozen=True)

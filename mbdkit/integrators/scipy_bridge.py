@@ -80,7 +80,7 @@ class SciPyStepper:
         for attempt in range(2):
             problem = self.problem
             status = first_order_rates(
-                problem.mechanism.topology, problem.scratch, problem.solver, self.has_power,
+                problem.stepping_topology, problem.scratch, problem.solver, self.has_power,
                 float(t), full, self._acc, self._lam, out,
             )  # fmt: skip
             if status == OK:
@@ -107,7 +107,7 @@ class SciPyStepper:
         q, v = np.zeros((2, problem.mechanism.size))
         q[:n3], v[:n3] = y[:n3], y[n3 : 2 * n3]
         status = tangents_at(
-            problem.mechanism.topology, problem.scratch, problem.solver, float(t), q, v, self._acc[2], self._lam
+            problem.stepping_topology, problem.scratch, problem.solver, float(t), q, v, self._acc[2], self._lam
         )
         if status != OK:  # new pivots, if they help
             if not np.all(np.isfinite(self.rates(t, y))):
@@ -116,9 +116,9 @@ class SciPyStepper:
         self.counters.factorizations += 2  # the index-1 solve above, and the matrix of all its derivatives below
         n, terms = problem.unknowns, problem.terms
         values = problem.scratch.source[terms.source]
-        sign = np.array([1.0, 1.0, -1.0, 1.0, 1.0])[terms.factor]
+        sign = np.array([1.0, 1.0, -1.0, 1.0])[terms.factor]
         parts = np.zeros((3, n, n))  # KKT matrix, then derivatives of its residual by v and by q
-        np.add.at(parts, (np.array([0, 1, 1, 2, 2])[terms.factor], terms.row, terms.column), sign * values)
+        np.add.at(parts, (np.array([0, 1, 1, 2])[terms.factor], terms.row, terms.column), sign * values)
         right = -np.concatenate([parts[2][:, :n3], parts[1][:, :n3]], axis=1)
         out = np.zeros((len(y), len(y)))
         out[:n3, n3 : 2 * n3] = np.eye(n3)

@@ -79,6 +79,9 @@ class StepProblem:
         Time of the start [s].
     q0, v0 : (n,) arrays
         The consistent start.
+    formulation, stabilization
+        What the run asks for: the formulation of the equations by name, and what is done against drift. Baumgarte's
+        terms are part of gamma, of the accelerations and of the tangents already; projections are made around `step`.
     counters
         What was done so far.
     address
@@ -94,6 +97,7 @@ class StepProblem:
         self.n, self.m = 3 * len(mechanism.bodies), len(mechanism.solved_rows)
         self.bodies = mechanism.bodies
         self.constraint_names = tuple(row.label for row in mechanism.solved_rows)
+        self.formulation, self.stabilization = problem.formulation, problem.stabilization
         self.mass = mechanism.topology.mass[:-1].ravel()
         self.t0, self.q0, self.v0 = problem.t0, problem.q0[: self.n].copy(), problem.v0[: self.n].copy()
         self.counters = Counters()

@@ -30,6 +30,8 @@ class Timetable:
         Instead of `every`: record at these distances in time [s], by dense output.
     max_steps
         Steps after which the run stops.
+    single
+        Advance by one accepted step at a time, so that somebody can look inside each.
     """
 
     start: float
@@ -39,6 +41,7 @@ class Timetable:
     every: int = 1
     interval: float | None = None
     max_steps: int = 10_000_000
+    single: bool = False
 
     @property
     def last_step(self) -> float:
@@ -62,6 +65,9 @@ class Stretch:
     """(T, 6) float: time, steps, size, iterations, iterations_max, rejected of the interval that ends at each row."""
     multipliers: np.ndarray | None = None
     """(T, m) the multipliers that the method itself carries, if it does."""
+    corrections: np.ndarray | None = None
+    """(T, 4) of the interval that ends at each row, if the run is stabilized: projections made, largest correction of
+    positions [m] and of velocities [m/s] in the mass metric, largest of Baumgarte's terms [m/s^2, rad/s^2]."""
 
 
 @dataclass(frozen=True)

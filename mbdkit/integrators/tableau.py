@@ -199,6 +199,22 @@ class ButcherTableau:
         return bool(np.linalg.cond(vectors) < 1e8)
 
     @property
+    def is_collocation(self) -> bool:
+        """Whether stages are those of a polynomial through distinct nodes: ``sum_j a_ij c_j^(k-1) = c_i^k / k``, k <= s."""
+        a, b, c = self._numbers
+        s = range(self.stages)
+        with mpmath.workdps(_DIGITS):
+            if any(c[i] == c[j] for i in s for j in range(i)):
+                return False
+            weights = [(row, node) for row, node in zip([*a, b], [*c, mpmath.mpf(1)], strict=True)]
+            defects = [
+                abs(mpmath.fsum(row[j] * c[j] ** k for j in s) - node ** (k + 1) / (k + 1))
+                for row, node in weights
+                for k in s
+            ]
+            return bool(max(defects) < self._tolerance)
+
+    @property
     def is_symmetric(self) -> bool:
         """Whether a step by -h undoes a step by h: ``a[s-1-i][s-1-j] + a[i][j] = b[j]``."""
         a, b, _ = self._numbers

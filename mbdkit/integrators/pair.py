@@ -1,0 +1,54 @@
+"""What an explicit tableau needs to choose its own steps and to be evaluated between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class EmbeddedPair:
+    """Error estimates and dense output of an explicit tableau with S stages.
+
+    Parameters
+    ----------
+    error
+        (1 or 2, S) weights of the stages in the estimates of the local error over h, the finer one first.
+    estimate_order
+        Power of h with which the estimate falls; of two, with which their combination does.
+    a, c
+        (E, E) and (E,) coefficients and nodes with the further stages of dense output, E >= S.
+    dense
+        (E, degree) dense output: the weight of stage i at theta is ``sum_k dense[i, k] theta^(k + 1)``.
+    """
+
+    error: np.ndarray
+    estimate_order: int
+    a: np.ndarray
+    c: np.ndarray
+    dense: np.ndarray
+
+
+def nested_polynomials(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Return dense output written as ``theta (F_0 + (1 - theta) (F_1 + theta (F_2 + (1 - theta) (...))))``.
+
+    Parameters
+    ----------
+    parts
+        F_0, F_1, ...: each (E,) weights of the stages.
+
+    Returns
+    -------
+    (E, number of parts) array
+        Coefficients of theta, theta^2, ...
+    """
+    theta, rest = np.polynomial.Polynomial([0.0, 1.0]), np.polynomial.Polynomial([1.0, -1.0])
+    out = np.zeros((len(parts[0]), len(parts)))
+    for i in range(len(parts[0])):
+        value = np.polynomial.Polynomial([0.0])
+        for k in reversed(range(len(parts))):
+            value = (value + parts[k][i]) * (theta if k % 2 == 0 else rest)
+        out[i, : len(value.coef) - 1] = value.coef[1:]
+    return out
