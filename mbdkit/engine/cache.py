@@ -16,12 +16,15 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm
 import numba
-from numba import config, njit
+from llvmlite import ir
+from numba import cfunc, config, njit, types
+from numba.extending import intrinsic
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -82,6 +85,59 @@ def cached_here() -> Iterator[None]:
         yield
     finally:
         vars(config)["CACHE_DIR"] = before
+
+
+_PLAIN: dict[int, Callable[..., Any]] = {}
+"""Entries by their address, where nothing is compiled."""
+
+
+class Entry:
+    """A compiled function that kernels call by its address, so that they need not be compiled together with it.
+
+    Its arguments are two addresses (int) and three numbers (float); it returns a status (int).
+    """
+
+    def __init__(self, function: Callable[[int, int, float, float, float], int]):
+        self.function = function
+
+    @cached_property
+    def address(self) -> int:
+        """Where it is; compiled, or read from the cache, when it is first asked for."""
+        if vars(config)["DISABLE_JIT"]:
+            _PLAIN[id(self)] = self.function
+            return id(self)
+        make: Any = cfunc
+        with cached_here():
+            self._compiled = make(_ENTRY, cache=True, error_model="numpy", _nrt=False)(self.function)
+        return int(self._compiled.address)
+
+
+_ENTRY = types.int64(types.int64, types.int64, types.float64, types.float64, types.float64)
+
+
+def entry(function: Callable[..., Any]) -> Entry:
+    """Compile a function that kernels call by its address; see `Entry`."""
+    return Entry(function)
+
+
+def _call_plain(address, first, second, t, h, x):
+    return _PLAIN[address](first, second, t, h, x)
+
+
+@intrinsic
+def _call_compiled(typing_context, address, first, second, t, h, x):
+    """Call an `Entry` by its address."""
+
+    def generate(context, builder, signature, arguments):
+        word, real = ir.IntType(64), ir.DoubleType()
+        kind = ir.FunctionType(word, [word, word, real, real, real])
+        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
+
+    return types.int64(types.int64, types.int64, types.int64, types.float64, types.float64, types.float64), generate
+
+
+call_entry: Any = _call_plain if vars(config)["DISABLE_JIT"] else _call_compiled
+"""Calls the entry at an address with its five arguments."""
 
 
 def _jit(function: Callable[..., Any], **options: Any) -> Any:

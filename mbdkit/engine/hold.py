@@ -2,22 +2,69 @@
 
 Unpacking the arrays of a mechanism costs 4 to 8 us a call, ten times what the kernel does with a small mechanism. So a
 bundle is unpacked once, its compiled form is kept in a block of memory, and kernels read it back from there.
+
+In compiled code a bundle that was read back is a pointer to the block: it is handed on as one word, and of its arrays
+only those are read that somebody names.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
 from numba import config, typeof, types
-from numba.extending import intrinsic
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 
 from mbdkit.engine.cache import kernel
 
 _COMPILED = not vars(config)["DISABLE_JIT"]
 _PLAIN: dict[int, Any] = {}
 """Bundles by the address of their block, where nothing is compiled."""
+
+
+class _Pointer(types.Type):
+    """Points at the compiled form of a bundle."""
+
+    def __init__(self, bundle: Any):
+        self.bundle = bundle
+        # a name that is short, because it becomes part of the names of all functions that take it
+        digest = hashlib.sha256(str(bundle).encode()).hexdigest()[:8]
+        super().__init__(name=f"{bundle.instance_class.__name__}_{digest}")
+
+
+@register_model(_Pointer)
+class _PointerModel(models.OpaqueModel):
+    """A bare address."""
+
+
+@infer_getattr
+class _Attributes(AttributeTemplate):
+    key = _Pointer
+
+    def generic_resolve(self, value, name):
+        """Return the type of an attribute: an array, or a pointer to a bundle inside the bundle."""
+        if name not in value.bundle.fields:
+            return None
+        kind = value.bundle.types[value.bundle.fields.index(name)]
+        return _Pointer(kind) if isinstance(kind, types.BaseNamedTuple) else kind
+
+
+@lower_getattr_generic(_Pointer)
+def _read(context, builder, kind, value, name):
+    """Read one array of a bundle, which does not change while a kernel runs, or point at a bundle inside it."""
+    index = kind.bundle.fields.index(name)
+    word = ir.IntType(32)
+    whole = builder.bitcast(value, context.get_value_type(kind.bundle).as_pointer())
+    place = builder.gep(whole, [ir.Constant(word, 0), ir.Constant(word, index)], inbounds=True)
+    if isinstance(kind.bundle.types[index], types.BaseNamedTuple):
+        return builder.bitcast(place, value.type)
+    found = builder.load(place)
+    found.set_metadata("invariant.load", builder.module.add_metadata([]))
+    return found
 
 
 @intrinsic
@@ -58,10 +105,10 @@ def loader(example: Callable[[], tuple[Any, ...]]) -> Any:
 
     @intrinsic
     def load(typing_context, address):
-        kind = typeof(example())
+        kind = _Pointer(typeof(example()))
 
         def generate(context, builder, signature, arguments):
-            return builder.load(builder.inttoptr(arguments[0], context.get_value_type(kind).as_pointer()))
+            return builder.inttoptr(arguments[0], context.get_value_type(kind))
 
         return kind(types.intp), generate
 

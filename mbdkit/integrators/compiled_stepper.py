@@ -82,7 +82,7 @@ class CompiledStepper:
             mode = driver.SYMMETRIC if stab.symmetric else driver.PLAIN
         step = table.step or 0.0
         status, rows = driver.drive(
-            self.hold.address, family.hold.address, int(family.kind), self.numbers, budget, self.controlled,
+            self.hold.address, family.hold.address, family.attempt.address, family.dense.address, self.numbers, budget, self.controlled,
             table.start, step, table.end, table.steps, step if self.controlled else table.last_step,
             0 if table.interval is not None else table.every, table.interval or 0.0,
             control.inner_rtol, control.inner_atol, control.exponent, control.share, control.estimates, self.floor,

@@ -1,6 +1,6 @@
 """The compiled driver: takes the steps of every compiled family, in fixed or controlled sizes, projected or not.
 
-A family brings two functions, which find the run and their own bundle at the addresses `common` and `own`:
+A family brings two compiled functions (`mbdkit.engine.cache.entry`), which find the run and their own bundle at the addresses `common` and `own`:
 
 ``attempt(common, own, t, h, want_error)``
     Tries a step of size `h` from the base state ``from_q, from_v``, which it leaves alone; writes ``dq, dv``, where
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.cache import kernel, part
+from mbdkit.engine.cache import call_entry, kernel, part
 from mbdkit.engine.constraints import constraint_positions
 from mbdkit.engine.projection import (
     EPS,
@@ -41,11 +41,7 @@ from mbdkit.engine.system import (
     solve_system,
 )
 from mbdkit.engine.vectors import add_compensated, copy, stays_finite
-from mbdkit.integrators import explicit, implicit
 from mbdkit.integrators.common import ADVANCED, ALTERED, PROJECTIONS, SAME, load_common
-from mbdkit.integrators.family import Kind
-
-EXPLICIT, COLLOCATION = int(Kind.EXPLICIT), int(Kind.COLLOCATION)
 
 TIME, TIME_LOW, SIZE, LAST_ERROR, NEXT_ROW, TAKEN = range(6)
 """``clock``: time reached and its low part; size of the next step (controlled) and of the last one taken; scaled error of
@@ -66,22 +62,6 @@ TOO_SMALL = 5
 
 SAFETY, LEAST, LARGEST, AFTER_FAILURE = 0.9, 0.2, 6.0, 0.25
 """Control of the step: margin, bounds on its change, and its change where the equations could not be solved."""
-
-
-@part
-def attempt(common, own, kind, t, h, want_error):
-    """Try a step of the method; see the head of this file."""
-    if kind == EXPLICIT:
-        return explicit.attempt(common, own, t, h, want_error)
-    return implicit.attempt(common, own, t, h, want_error)
-
-
-@part
-def dense(common, own, kind, t, h, theta):
-    """Evaluate the method between steps; see the head of this file."""
-    if kind == EXPLICIT:
-        return explicit.dense(common, own, t, h, theta)
-    return implicit.dense(common, own, t, h, theta)
 
 
 @part
@@ -118,7 +98,7 @@ def _newton_on(c, residual, multipliers):
 
 
 @part
-def _symmetric_step(common, own, kind, t, h):
+def _symmetric_step(common, own, attempt, t, h):
     """Take a step with symmetric projection: the same multipliers push off the constraints before it and back after it.
 
     Leaves the end in ``new_q, new_v``, and both pushes together in ``shift_q, shift_v``. Hairer (2000): simplified Newton
@@ -132,7 +112,7 @@ def _symmetric_step(common, own, kind, t, h):
             c.from_q[d] = c.q[d] + c.shift_q[d]
             c.from_v[d] = c.v[d] + c.shift_v[d]
         c.moved[0] = ALTERED
-        status = attempt(common, own, kind, t, h, False)
+        status = call_entry(attempt, common, own, t, h, 0.0)
         if status != OK:
             return status
         for d in range(len(c.q)):
@@ -179,17 +159,17 @@ def _passes_bound(c, t, q, v, bound):
 
 
 @part
-def take(common, own, kind, t, h, want_error, mode):
+def take(common, own, attempt, t, h, want_error, mode):
     """Take one step with its projection, without going there: its end is left in ``new_q, new_v``; return a status.
 
     ``shift_q, shift_v`` is what the projection adds to ``dq, dv``.
     """
     c = load_common(common)
     if mode == SYMMETRIC:
-        status = _symmetric_step(common, own, kind, t, h)
+        status = _symmetric_step(common, own, attempt, t, h)
         c.counts[PROJECTIONS] += 1
         return status
-    status = attempt(common, own, kind, t, h, want_error)
+    status = call_entry(attempt, common, own, t, h, 1.0 if want_error else 0.0)
     if status != OK:
         return status
     for d in range(len(c.q)):
@@ -282,14 +262,14 @@ def _write_row(c, row, t, q, v, gain, lam):
 
 
 @part
-def _dense_row(common, own, kind, row, t, h, at, mode):
+def _dense_row(common, own, dense, row, t, h, at, mode):
     """Write the state between two steps, by dense output; return a status.
 
     A correction of the end of the step fades in smoothly; where states are projected, this one is as well.
     """
     c = load_common(common)
     theta = min(1.0, (at - t) / h)
-    status = dense(common, own, kind, t, h, theta)
+    status = call_entry(dense, common, own, t, h, theta)
     if status != OK:
         return status
     if mode == PLAIN:
@@ -320,23 +300,23 @@ def _book(c, bring):
 
 
 @kernel
-def probe(common, own, kind, t, h, mode, due, bound):
+def probe(common, own, attempt, t, h, mode, due, bound):
     """Take one step from the base state with its projection; its end is left in ``new_q, new_v``; return a status."""
-    status = take(common, own, kind, t, h, False, mode)
+    status = take(common, own, attempt, t, h, False, mode)
     if status == OK:
         status, _ = project(common, t + h, mode, due, bound)
     return status
 
 
 @kernel
-def look_inside(common, own, kind, t, h, theta):
+def look_inside(common, own, dense, t, h, theta):
     """Evaluate dense output of the last attempt into ``point_q, point_v``; return a status."""
-    return dense(common, own, kind, t, h, theta)
+    return call_entry(dense, common, own, t, h, theta)
 
 
 @kernel
 def drive(
-    common, own, kind, numbers, budget, controlled, start, step, end, total, last_step, every, interval,
+    common, own, attempt, dense, numbers, budget, controlled, start, step, end, total, last_step, every, interval,
     rtol, atol, exponent, share, estimates, floor, mode, project_every, bound, baumgarte, inside,
 ):  # fmt: skip
     """Take up to `budget` steps; return (status, rows written).
@@ -345,8 +325,8 @@ def drive(
     ----------
     common, own
         Addresses of the run and of the method's bundle.
-    kind
-        The family.
+    attempt, dense
+        Addresses of the method's functions.
     numbers : (4,) int array
         ACCEPTED, ALL_REJECTED, PENDING, RETRY.
     controlled
@@ -397,7 +377,7 @@ def drive(
                 tally[ACCELERATION] = max(tally[ACCELERATION], _baumgarte_term(c, t))
             due = (numbers[ACCEPTED] + 1) % project_every == 0
             before = c.counts[3]
-            status = take(common, own, kind, t, h, controlled, mode)
+            status = take(common, own, attempt, t, h, controlled, mode)
             iterations = c.counts[3] - before
             error = 0.0
             projected = False
@@ -457,7 +437,7 @@ def drive(
         if every == 0:
             at = start + clock[NEXT_ROW] * interval
             while status == OK and rows < most and at <= reached and at < end - 1e-9 * interval:
-                status = _dense_row(common, own, kind, rows, t, h, at, mode)
+                status = _dense_row(common, own, dense, rows, t, h, at, mode)
                 if status == OK:
                     rows += 1
                     clock[NEXT_ROW] += 1.0

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.cache import part
+from mbdkit.engine.cache import entry, part
 from mbdkit.engine.hold import Hold, loader
 from mbdkit.engine.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
 from mbdkit.engine.vectors import copy, stays_finite
 from mbdkit.integrators.common import ADVANCED, ALTERED, RHS, load_common
 from mbdkit.integrators.dense import dense_gains, weights_at
-from mbdkit.integrators.family import Family, Kind
+from mbdkit.integrators.family import Family
 
 if TYPE_CHECKING:
     from mbdkit.engine.problem import Problem
@@ -130,7 +130,7 @@ def evaluate_stages(common, own, t, h, first, last):
     return OK
 
 
-@part
+@entry
 def attempt(common, own, t, h, want_error):
     """Try a step from the base state; see `mbdkit.integrators.driver`."""
     c, m = load_common(common), load_explicit(own)
@@ -159,7 +159,7 @@ def attempt(common, own, t, h, want_error):
             c.gain[k] = 0.0
             for i in range(stages):
                 c.gain[k] += h * m.b[i] * m.power[i, k]
-    if want_error:
+    if want_error != 0.0:
         _increment(h, m.error[0], m.rates, c.est_q)
         _increment(h, m.error[0], m.accelerations, c.est_v)
         if len(m.error) > 1:
@@ -168,7 +168,7 @@ def attempt(common, own, t, h, want_error):
     return OK
 
 
-@part
+@entry
 def dense(common, own, t, h, theta):
     """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.integrators.driver`."""
     c, m = load_common(common), load_explicit(own)
@@ -191,7 +191,7 @@ def dense(common, own, t, h, theta):
 class ExplicitFamily(Family):
     """Explicit tableaus."""
 
-    kind = Kind.EXPLICIT
+    attempt, dense = attempt, dense
     hint = "a smaller time.step or an implicit integrator may help"
 
     def __init__(self, method: ExplicitRungeKutta, problem: Problem):

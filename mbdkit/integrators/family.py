@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC
-from enum import IntEnum
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from mbdkit.engine.cache import Entry
     from mbdkit.engine.hold import Hold
     from mbdkit.engine.problem import Problem
     from mbdkit.integrators.common import Common
-
-
-class Kind(IntEnum):
-    """Which compiled step the driver takes."""
-
-    EXPLICIT = 0
-    COLLOCATION = 1
 
 
 class Family(ABC):
@@ -26,8 +19,8 @@ class Family(ABC):
 
     Attributes
     ----------
-    kind
-        The compiled step.
+    attempt, dense
+        The compiled step, and the state inside it; see `mbdkit.integrators.driver`.
     hint
         What a user may try when a step fails.
     hold
@@ -42,7 +35,8 @@ class Family(ABC):
         Whether a step solves equations by iteration, whose failure to converge is told apart from overflow.
     """
 
-    kind: ClassVar[Kind]
+    attempt: ClassVar[Entry]
+    dense: ClassVar[Entry]
     hint: ClassVar[str] = "a smaller time.step may help"
     hold: Hold
     memory: tuple[np.ndarray, ...]

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mbdkit.engine.analysis import new_factors
-from mbdkit.engine.cache import part
+from mbdkit.engine.cache import entry, part
 from mbdkit.engine.hold import Hold, loader
 from mbdkit.engine.lu import Factors, Pattern
 from mbdkit.engine.observe import tangents_at
@@ -53,7 +53,7 @@ from mbdkit.integrators.common import (
     load_common,
 )
 from mbdkit.integrators.dense import collocation_polynomials, dense_gains, weights_at
-from mbdkit.integrators.family import Family, Kind
+from mbdkit.integrators.family import Family
 from mbdkit.integrators.newton import factorize_all, filtered, newton_changes
 from mbdkit.integrators.stages import (
     STAGNANT,
@@ -275,7 +275,7 @@ def _iterate(c, m, t, h):
     return OK
 
 
-@part
+@entry
 def attempt(common, own, t, h, want_error):
     """Try a step from the base state; see `mbdkit.integrators.driver`."""
     c, m = load_common(common), load_collocation(own)
@@ -307,7 +307,7 @@ def attempt(common, own, t, h, want_error):
         c.dq[d] += h * c.from_v[d] + h * c.v_low[d]
     if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv)):
         return NOT_FINITE
-    if want_error:
+    if want_error != 0.0:
         if m.first_known[0] == 0:
             prepare(c.top, c.w, t, c.from_q)
             status = solve_accelerations(c.top, c.w, c.solver, c.from_q, c.from_v, m.first, m.first_lam, False)
@@ -343,7 +343,7 @@ def _estimate(c, m, h):
         c.est_q[d] = h * mu * c.est_v[d]
 
 
-@part
+@entry
 def dense(common, own, t, h, theta):
     """Write the state at ``t + theta h`` within the last attempt, by its collocation polynomial."""
     c, m = load_common(common), load_collocation(own)
@@ -422,7 +422,7 @@ def new_collocation(method: ImplicitRungeKutta, problem: Problem, control: Contr
 class CollocationFamily(Family):
     """Fully implicit tableaus on the index-1 equations."""
 
-    kind = Kind.COLLOCATION
+    attempt, dense = attempt, dense
     carries_stages = True
 
     def __init__(self, method: ImplicitRungeKutta, problem: Problem, control: Control | None):
