@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -156,6 +157,7 @@ def _outcome(result: Run) -> dict[str, Any]:
         "run_id": result.run_id,
         "stats": dict(result.stats),
         "misalignment_max": result.misalignment_max,
+        "events": [asdict(event) for event in result.events],
     }
 
 

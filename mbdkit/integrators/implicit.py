@@ -290,6 +290,14 @@ class ImplicitStepper(FixedStepper):
             self._pivot(self.last_h)
         return True
 
+    def memory(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, bool]:
+        """Return the stage values from which the next step's are extrapolated."""
+        return self.acc.copy(), self.lam.copy(), self.weights, self.last_h, self.fresh
+
+    def recall(self, memory: tuple[np.ndarray, np.ndarray, np.ndarray, float, bool]) -> None:
+        """Go back to the stage values that `memory` returned."""
+        self.acc[:], self.lam[:], self.weights, self.last_h, self.fresh = memory
+
     def describe_divergence(self) -> str:
         """Return the largest residual and where it is."""
         if not np.isfinite(self.report[0]):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -30,6 +31,8 @@ class Timetable:
         Instead of `every`: record at these distances in time [s], by dense output.
     max_steps
         Steps after which the run stops.
+    single
+        Whether `Stepper.advance` takes one accepted step a call, to be looked into before the next.
     """
 
     start: float
@@ -39,6 +42,7 @@ class Timetable:
     every: int = 1
     interval: float | None = None
     max_steps: int = 10_000_000
+    single: bool = False
 
     @property
     def last_step(self) -> float:
@@ -62,6 +66,44 @@ class Stretch:
     """(T, 6) float: time, steps, size, iterations, iterations_max, rejected of the interval that ends at each row."""
     multipliers: np.ndarray | None = None
     """(T, m) the multipliers that the method itself carries, if it does."""
+
+
+def joined(stretches: Sequence[Stretch]) -> Stretch:
+    """Return stretches that follow each other as one; what one of them lacks is left out."""
+    if len(stretches) == 1:
+        return stretches[0]
+    parts: dict[str, list[Any]] = {
+        field.name: [getattr(stretch, field.name) for stretch in stretches] for field in fields(Stretch)
+    }
+    whole = {
+        name: None if any(part is None for part in values) else np.concatenate(values) for name, values in parts.items()
+    }
+    return Stretch(**whole)
+
+
+@dataclass(frozen=True)
+class StepTaken:
+    """One accepted step: its times [s], and the states (3 (B + 1),) where it began and ended, ground last."""
+
+    t0: float
+    t1: float
+    q0: np.ndarray
+    v0: np.ndarray
+    q1: np.ndarray
+    v1: np.ndarray
+
+    def time(self, theta: float) -> float:
+        """Return the time [s] at the share `theta` of the step; exact at its ends."""
+        return self.t1 if theta == 1.0 else self.t0 + theta * (self.t1 - self.t0)
+
+    def hermite(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities of the cubic through both ends and their velocities: of order 3."""
+        h, u, w = self.t1 - self.t0, theta, 1.0 - theta
+        change = self.q1 - self.q0
+        slope0, slope1 = h * self.v0 - change, change - h * self.v1
+        q = self.q0 + u * change + u * w * (w * slope0 + u * slope1)
+        v = (change + w * (w - 2 * u) * slope0 + u * (2 * w - u) * slope1) / h
+        return q, v
 
 
 @dataclass(frozen=True)
@@ -101,6 +143,9 @@ class Stepper(Protocol):
         (P,) largest square of the norm of each pair's Phi, over all steps so far.
     time
         Time reached [s].
+    last_step
+        The step that the last `advance` took, or None where it took none; only under ``Timetable.single``, as are
+        `inside`, `within` and `cut`, which tell of that step.
     """
 
     counters: Counters
@@ -108,13 +153,36 @@ class Stepper(Protocol):
     failure: Failure | None
     worst_pairs: np.ndarray
     time: float
+    last_step: StepTaken | None
 
     def advance(self) -> Stretch:
-        """Go on for about `STRETCH` seconds, to the end or to a failure, and return the states to be recorded."""
+        """Go on for about `STRETCH` seconds, to the end or to a failure, and return the states to be recorded.
+
+        Under ``Timetable.single`` go on for one accepted step instead.
+        """
         ...
 
     def last_state(self) -> Stretch:
         """Return the state reached as one row, for a run that is stopped between two recorded ones."""
+        ...
+
+    def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities (3 (B + 1),) at the share `theta` of the last step, by dense output."""
+        ...
+
+    def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return what `inside` does by the method itself: a step of that size from where the last one began.
+
+        The run goes on as if it had not been asked, but the work counts. Where such a step fails, and for methods that
+        cannot take it, the dense output stands in.
+        """
+        ...
+
+    def cut(self, theta: float) -> Stretch:
+        """End the run at the share `theta` of the last step, as `within` has it, and return that state as a row.
+
+        Rows that `advance` returned for that time and later ones are void.
+        """
         ...
 
 
