@@ -36,7 +36,7 @@ from mbdkit.engine.warm import ensure_compiled, to_stderr
 from mbdkit.errors import MbdkitError, PluginError, SpecError
 from mbdkit.integrators.methods import Method
 from mbdkit.integrators.step_method import StepMethod
-from mbdkit.integrators.stepping import Counters, Failure, Stepper, Stretch, Timetable
+from mbdkit.integrators.stepping import Advancing, Counters, Failure, Stepper, Stretch, Timetable
 from mbdkit.mechanism.checks import check_springs
 from mbdkit.mechanism.elements import Body
 from mbdkit.mechanism.mechanism import Mechanism
@@ -211,7 +211,7 @@ class _Simulation:
     def __init__(self, spec: RunSpec, problem: Problem, method: Method, writer: ArchiveWriter, begin: float):
         self.spec, self.problem, self.method, self.writer, self.begin = spec, problem, method, writer, begin
         self.recorder = Recorder(problem, writer)
-        self.stepper: Stepper | None = None
+        self.stepper: Advancing | None = None
         self.watch: Watch | None = None
         self.failure: Failure | None = None
         self.interrupted = False
@@ -243,13 +243,14 @@ class _Simulation:
     def start(self) -> None:
         """Let the method make its stepper."""
         try:
-            self.stepper = self.method.start(self.problem, _timetable(self.spec))
+            stepper = self.method.start(self.problem, _timetable(self.spec))
         except SingularSystemError as error:
             name = self.problem.mechanism.unknown_name(error.index)
             self.failure = Failure("singular", f"the stage equations are singular at the start, near {name}.")
             return
         if self.spec.events:
-            self.stepper = self.watch = _watch(self.spec, self.problem, self.stepper)
+            self.watch = _watch(self.spec, self.problem, stepper)
+        self.stepper = self.watch or stepper
 
     @contextmanager
     def _blaming_the_plugin(self) -> Iterator[None]:
@@ -264,7 +265,7 @@ class _Simulation:
                 raise
             self.failure = Failure("plugin-error", f"integrator {item.id} raised {one_line(error)}.")
 
-    def advance(self, stepper: Stepper, progress: Progress | None, begin: float) -> None:
+    def advance(self, stepper: Advancing, progress: Progress | None, begin: float) -> None:
         """Step to the end, a limit, a failure or an interrupt, recording on the way."""
         limit, end = self.spec.limits.wall_time, self.spec.time.final
         elapsed = 0.0

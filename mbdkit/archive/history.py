@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
 
 import numpy as np
@@ -189,7 +189,6 @@ class Event:
     direction: int
 
 
-@dataclass(frozen=True, eq=False, repr=False)
 class Events(Sequence[Event]):
     """The crossings of events, in order of time; `of_name` picks those of one.
 
@@ -205,12 +204,18 @@ class Events(Sequence[Event]):
         (E, B, 3) x, y and angle of every body then, and their rates, m, rad, m/s, rad/s.
     """
 
-    names: np.ndarray
-    time: np.ndarray
-    direction: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    _watched: tuple[str, ...] = ()
+    def __init__(
+        self,
+        watched: Sequence[str],
+        names: np.ndarray,
+        time: np.ndarray,
+        direction: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray,
+    ):
+        self._watched = watched
+        self.names, self.time, self.direction = names, time, direction
+        self.position, self.velocity = position, velocity
 
     @classmethod
     def of(cls, run: Run) -> Events:
@@ -218,17 +223,18 @@ class Events(Sequence[Event]):
         watched = tuple(run.spec.get("events") or ())
         if watched and run.records("events/time"):
             names = ("name", "time", "direction", "position", "velocity")
-            return cls(*(run.array(f"events/{name}") for name in names), watched)
+            return cls(watched, *(run.array(f"events/{name}") for name in names))
         none = np.zeros(0)
         states = np.zeros((0, len(run.bodies), 3))
-        return cls(none.astype(object), none, none.astype(np.int64), states, states, watched)
+        return cls(watched, none.astype(object), none, none.astype(np.int64), states, states)
 
     def of_name(self, name: str) -> Events:
         """Return the crossings of the event `name`; raises UnknownNameError where the spec does not have it."""
         if name not in self._watched:
             raise UnknownNameError("event", name, list(self._watched))
         its = np.flatnonzero(self.names == name)
-        return type(self)(*(getattr(self, field.name)[its] for field in fields(self)[:-1]), self._watched)
+        values = (self.names, self.time, self.direction, self.position, self.velocity)
+        return type(self)(self._watched, *(value[its] for value in values))
 
     def __len__(self) -> int:
         return len(self.time)

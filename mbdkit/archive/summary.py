@@ -147,7 +147,9 @@ def _events(run: Run) -> str:
     for name in run.spec.get("events") or ():
         times = run.events.of_name(name).time
         first = f" at {times[0]:.10g} s" if len(times) == 1 else f" from {times[0]:.10g} s on" if len(times) else ""
-        found.append(f"{name} {('once' if len(times) == 1 else f'{len(times)} times') if len(times) else 'never'}{first}")
+        found.append(
+            f"{name} {('once' if len(times) == 1 else f'{len(times)} times') if len(times) else 'never'}{first}"
+        )
     return ", ".join(found[:EVENTS_NAMED]) + (f", {len(found) - EVENTS_NAMED} more" if found[EVENTS_NAMED:] else "")
 
 

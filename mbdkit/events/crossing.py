@@ -1,4 +1,4 @@
-"""Where a scalar crosses zero within one step: found where dense output shows it, located on the method's own states."""
+"""Where a scalar crosses zero within a step: found where dense output shows it, located on the method's own states."""
 
 from __future__ import annotations
 

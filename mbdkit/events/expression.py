@@ -180,8 +180,7 @@ class _RunCompiler(Compiler):
         self.quantities: list[Quantity] = []
         self.quoted = {name: kind for kind, names in self.known.items() for name in names if not name.isidentifier()}
         if self.quoted:
-            name, kind = next(iter(self.quoted.items()))
-            self.hint = f"; a name such as {name!r} is written {kind}[{name!r}]"
+            self.hint = self.spelling(next(iter(self.quoted)))
         super().__init__(text)
 
     def unquoted(self) -> str:
@@ -193,12 +192,11 @@ class _RunCompiler(Compiler):
         match node:
             case ast.Attribute(value=ast.Name(id="energy"), attr=attribute):
                 return self.get(Quantity("energy", "", self.checked(attribute, ["energy"], "", node)))
-            case (
-                ast.Attribute(ast.Attribute(ast.Name(id="bodies" | "joints" as kind), attr=name), attr=attribute)
-                | ast.Attribute(
-                    ast.Subscript(ast.Name(id="bodies" | "joints" as kind), ast.Constant(value=str() as name)),
-                    attr=attribute,
-                )
+            case ast.Attribute(
+                ast.Attribute(ast.Name(id="bodies" | "joints" as kind), attr=name), attr=attribute
+            ) | ast.Attribute(
+                ast.Subscript(ast.Name(id="bodies" | "joints" as kind), ast.Constant(value=str() as name)),
+                attr=attribute,
             ):
                 return self.of(kind, name, attribute, node)
             case ast.Attribute(value=ast.Name(id=name), attr=attribute) if name not in self.known:
@@ -207,12 +205,17 @@ class _RunCompiler(Compiler):
                 example = f"{group}.{'NAME.' * (group in self.known)}{_ATTRIBUTES[group][-1]}"
                 self.refuse(f"'{group}' is no quantity by itself; write {example}, for example", node)
             case ast.Name(id=name) if any(name in names for names in self.known.values()):
-                kind = next(kind for kind, names in self.known.items() if name in names)
-                example = f"{name}.{'angle' if kind == 'bodies' else 'force'}"
-                self.refuse(f"'{name}' is a {_ONE[kind]} and no number; name a quantity of it, such as {example}", node)
-            case ast.Name(id=name) if any(re.match(rf"{name}\W", quoted) for quoted in self.quoted):
-                self.refuse(f"unknown name '{name}'{self.hint}", node)
+                what, attribute = ("body", "angle") if name in self.known["bodies"] else ("joint", "force")
+                self.refuse(
+                    f"'{name}' is a {what} and no number; name a quantity of it, such as {name}.{attribute}", node
+                )
+            case ast.Name(id=name) if meant := [quoted for quoted in self.quoted if re.match(rf"{name}\W", quoted)]:
+                self.refuse(f"unknown name '{name}'{self.spelling(meant[0])}", node)
         return super().operand(node)
+
+    def spelling(self, name: str) -> str:
+        """Return how a name is written that is not made of letters, digits and underscores."""
+        return f"; a name such as {name!r} is written {self.quoted[name]}[{name!r}]"
 
     def kind(self, name: str, attribute: str, node: ast.expr) -> str:
         """Return whether a name means a body or a joint."""
@@ -245,10 +248,11 @@ class _RunCompiler(Compiler):
     def checked(self, attribute: str, kinds: Sequence[str], name: str, node: ast.expr) -> str:
         """Return an attribute that one of the kinds has; refuse others."""
         known = [word for kind in kinds for word in _ATTRIBUTES[kind]]
-        if attribute in known:
-            return attribute
-        whose = " and ".join(f"{_ONE[kind]} '{name}'" for kind in kinds) if name else "energy"
-        self.refuse(f"{whose} has no '{attribute}'{did_you_mean(attribute, known)}; it has {listed(known, 'and')}", node)
+        if attribute not in known:
+            whose = " and ".join(f"{_ONE[kind]} '{name}'" for kind in kinds) if name else "energy"
+            hint = f"{did_you_mean(attribute, known)}; it has {listed(known, 'and')}"
+            self.refuse(f"{whose} has no '{attribute}'{hint}", node)
+        return attribute
 
     def unknown(self, name: str, known: Sequence[str], what: str, node: ast.expr) -> NoReturn:
         """Refuse a name that is not there."""

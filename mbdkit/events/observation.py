@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,9 +12,21 @@ from mbdkit.engine.observe import observe
 from mbdkit.engine.problem import Problem
 from mbdkit.engine.reactions import share_evenly
 from mbdkit.engine.system import OK
-from mbdkit.events.expression import BODY, ENERGY, Quantity
+from mbdkit.events.expression import BODY, Quantity
 
 _REACTION = ("force_x", "force_y", "torque")
+
+
+class Seen(NamedTuple):
+    """K states and what follows from them: accelerations, residuals and reactions of pairs of rows, energies."""
+
+    q: np.ndarray
+    v: np.ndarray
+    acc: np.ndarray
+    phi: np.ndarray
+    reactions: np.ndarray
+    kinetic: np.ndarray
+    potential: np.ndarray
 
 
 class Observer:
@@ -34,13 +47,10 @@ class Observer:
         self._joint = {name: index for index, name in enumerate(mechanism.joints)}
         number = {pair: j for j, pairs in enumerate(mechanism.joint_pairs) for pair in pairs}
         self._pair_joint = np.array([number[k] for k in range(len(mechanism.topology.pairs))], dtype=np.int64)
-        self._dynamic = any(self._needs_engine(quantity) for quantity in quantities)
+        self._columns = [self._column(quantity) for quantity in quantities]
+        kinematic = (*BODY[:6], "angle")
+        self._dynamic = any(quantity.attribute not in kinematic for quantity in quantities)
         self._buffers: dict[int, tuple[np.ndarray, ...]] = {}
-
-    @staticmethod
-    def _needs_engine(quantity: Quantity) -> bool:
-        kinematic = quantity.attribute in BODY[:6] or quantity.attribute == "angle"
-        return not kinematic
 
     def values(self, times: Sequence[float], q: np.ndarray, v: np.ndarray) -> list[list[float]]:
         """Return for each of K states its time, and the quantities after it; nan where they have no value.
@@ -52,45 +62,35 @@ class Observer:
         q, v
             (K, 3 (B + 1)) positions and velocities, ground last.
         """
-        out = np.empty((len(times), 1 + len(self.quantities)))
-        out[:, 0] = times
-        if self._dynamic:
-            acc, phi, reactions, energies = self._observed(out[:, 0].copy(), q, v)
-        for place, quantity in enumerate(self.quantities, start=1):
-            attribute = quantity.attribute
-            if quantity.kind == "energy":
-                index = ENERGY.index(attribute)
-                out[:, place] = energies[index] if index < 2 else energies[0] + energies[1]
-            elif quantity.kind == "bodies":
-                level, coordinate = divmod(BODY.index(attribute), 3)
-                source = (q, v, acc)[level] if level == 2 else (q, v)[level]
-                out[:, place] = source[:, 3 * self._body[quantity.name] + coordinate]
-            elif attribute == "angle":
-                a, b = self.problem.mechanism.joint_bodies[self._joint[quantity.name]]
-                out[:, place] = q[:, 3 * self._body[b] + 2] - q[:, 3 * self._body[a] + 2]
-            else:
-                out[:, place] = self._of_joint(quantity, phi, reactions)
-        rows: list[list[float]] = out.tolist()
-        return rows
+        seen = self._observed(np.array(times), q, v) if self._dynamic else Seen(q, v, q, q, q, q, q)
+        columns = [times, *(column(seen).tolist() for column in self._columns)]
+        return [list(row) for row in zip(*columns, strict=True)]
 
-    def _of_joint(self, quantity: Quantity, phi: np.ndarray, reactions: np.ndarray) -> np.ndarray:
-        """Return (K,) values of a quantity that a joint has, the sum over its pairs of rows."""
-        pairs = self.problem.mechanism.joint_pairs[self._joint[quantity.name]]
-        if quantity.attribute == "misalignment":
-            gaps = [phi[:, row.pair, row.place] for row in self._rows(pairs)]
-            return np.sqrt(sum((gap**2 for gap in gaps), np.zeros(len(phi))))
-        total = reactions[:, list(pairs)].sum(axis=1)
-        if quantity.attribute == "force":
-            return np.hypot(total[:, 0], total[:, 1])
-        return total[:, _REACTION.index(quantity.attribute)]
+    def _column(self, quantity: Quantity) -> Callable[[Seen], np.ndarray]:
+        """Return what reads the (K,) values of a quantity."""
+        mechanism, name, attribute = self.problem.mechanism, quantity.name, quantity.attribute
+        if quantity.kind == "energy":
+            kinetic, potential = attribute != "potential", attribute != "kinetic"
+            return lambda seen: kinetic * seen.kinetic + potential * seen.potential
+        if quantity.kind == "bodies":
+            level, coordinate = divmod(BODY.index(attribute), 3)
+            place = 3 * self._body[name] + coordinate
+            return lambda seen: seen[level][:, place]
+        if attribute == "angle":
+            first, second = (3 * self._body[body] + 2 for body in mechanism.joint_bodies[self._joint[name]])
+            return lambda seen: seen.q[:, second] - seen.q[:, first]
+        pairs = list(mechanism.joint_pairs[self._joint[name]])
+        if attribute == "misalignment":
+            rows = [row for row in mechanism.rows if row.pair in pairs and row.unit == "m"]
+            pair, end = [row.pair for row in rows], [row.place for row in rows]
+            return lambda seen: np.sqrt(np.sum(seen.phi[:, pair, end] ** 2, axis=1))
+        if attribute == "force":
+            return lambda seen: np.hypot(*np.sum(seen.reactions[:, pairs, :2], axis=1).T)
+        component = _REACTION.index(attribute)
+        return lambda seen: np.sum(seen.reactions[:, pairs, component], axis=1)
 
-    def _rows(self, pairs: Sequence[int]):  # type: ignore[no-untyped-def]
-        return [row for row in self.problem.mechanism.rows if row.pair in pairs and row.unit == "m"]
-
-    def _observed(
-        self, times: np.ndarray, q: np.ndarray, v: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
-        """Return accelerations, residuals, reactions and energies as the archive records them."""
+    def _observed(self, times: np.ndarray, q: np.ndarray, v: np.ndarray) -> Seen:
+        """Return what the archive records of states."""
         acc, lam, phi, rate, reactions, kinetic, potential, stress, its_reactions = self._room(len(times))
         done = 0
         while done < len(times):
@@ -108,9 +108,9 @@ class Observer:
                 for values in (acc, phi, reactions, kinetic, potential):
                     values[done] = np.nan
                 done += 1
-        if len(self.problem.mechanism.topology.spare):
+        if len(self.problem.mechanism.topology.spare) and np.all(np.isfinite(reactions)):
             share_evenly(lam, reactions, stress, its_reactions, self._pair_joint, self.problem.mechanism.length)
-        return acc, phi, reactions, (kinetic, potential)
+        return Seen(q, v, acc, phi, reactions, kinetic, potential)
 
     def _renewed(self) -> bool:
         """Choose new pivots; return whether there are any."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings
 from mbdkit.events.expression import RunExpression
 from mbdkit.events.observation import Observer
 from mbdkit.integrators import stepping
-from mbdkit.integrators.stepping import Counters, Failure, StepTaken, Stepper, Stretch, joined
+from mbdkit.integrators.stepping import Counters, Failure, Stepper, StepTaken, Stretch, joined
 
 INSIDE = (0.25, 0.5, 0.75)
 """Places within a step at which dense output is looked at."""
@@ -57,6 +57,14 @@ class Found:
     def __str__(self) -> str:
         way = "upwards" if self.direction > 0 else "downwards"
         return f"'{self.name}' crossed zero {way} at t = {self.time:.10g} s"
+
+
+def values_at_start(expressions: Mapping[str, RunExpression], problem: Problem) -> dict[str, float]:
+    """Return the values of expressions at the start of a run; nan where they have none."""
+    quantities = list(dict.fromkeys(quantity for one in expressions.values() for quantity in one.quantities))
+    places = {quantity: place for place, quantity in enumerate(quantities, start=1)}
+    values = Observer(problem, quantities).values([problem.t0], problem.q0[None], problem.v0[None])[0]
+    return {name: one.function(places)(values) for name, one in expressions.items()}
 
 
 class Watch:
@@ -196,8 +204,11 @@ class Watch:
         """End the run; return the rows before with that of the end, unless it is recorded already."""
         end = self.stepper.cut(theta)
         before = stretch.time < end.time[0]
-        values = {field.name: getattr(stretch, field.name) for field in fields(Stretch)}
-        kept = Stretch(**{name: None if value is None else value[before] for name, value in values.items()})
+        values: dict[str, Any] = {}
+        for field in fields(Stretch):
+            value = getattr(stretch, field.name)
+            values[field.name] = None if value is None else value[before]
+        kept = Stretch(**values)
         if end.time[0] <= max([self._recorded, *kept.time]):
             return kept
         return joined([kept, end]) if len(kept.time) else end

@@ -152,7 +152,7 @@ class FixedStepper(ABC):
         """Return what a step hands to the next beside the state, as `recall` takes it; families know."""
         return None
 
-    def recall(self, memory: Any) -> None:
+    def recall(self, memory: Any) -> None:  # noqa: B027 - most families remember nothing
         """Go back to what `memory` returned."""
 
     def advance(self) -> Stretch:

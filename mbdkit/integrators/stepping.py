@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -72,12 +73,10 @@ def joined(stretches: Sequence[Stretch]) -> Stretch:
     """Return stretches that follow each other as one; what one of them lacks is left out."""
     if len(stretches) == 1:
         return stretches[0]
-    parts: dict[str, list[Any]] = {
-        field.name: [getattr(stretch, field.name) for stretch in stretches] for field in fields(Stretch)
-    }
-    whole = {
-        name: None if any(part is None for part in values) else np.concatenate(values) for name, values in parts.items()
-    }
+    whole: dict[str, Any] = {}
+    for field in fields(Stretch):
+        parts = [getattr(stretch, field.name) for stretch in stretches]
+        whole[field.name] = None if any(part is None for part in parts) else np.concatenate(parts)
     return Stretch(**whole)
 
 
@@ -98,12 +97,17 @@ class StepTaken:
 
     def hermite(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities of the cubic through both ends and their velocities: of order 3."""
-        h, u, w = self.t1 - self.t0, theta, 1.0 - theta
-        change = self.q1 - self.q0
-        slope0, slope1 = h * self.v0 - change, change - h * self.v1
-        q = self.q0 + u * change + u * w * (w * slope0 + u * slope1)
-        v = (change + w * (w - 2 * u) * slope0 + u * (2 * w - u) * slope1) / h
+        h, square = self.t1 - self.t0, theta * theta
+        powers = [[1.0, theta, square, theta * square], [0.0, 1.0 / h, 2.0 * theta / h, 3.0 * square / h]]
+        q, v = np.array(powers) @ self._cubic
         return q, v
+
+    @cached_property
+    def _cubic(self) -> np.ndarray:
+        """(4, 3 (B + 1)) coefficients of the powers of theta."""
+        h = self.t1 - self.t0
+        change, slope0, slope1 = self.q1 - self.q0, h * self.v0, h * self.v1
+        return np.array([self.q0, slope0, 3 * change - 2 * slope0 - slope1, slope0 + slope1 - 2 * change])
 
 
 @dataclass(frozen=True)
@@ -126,6 +130,43 @@ class Counters:
     factorizations: int = 0
     newton_iterations: int = 0
     projections: int = 0
+
+
+class Advancing(Protocol):
+    """What advances a run: a stepper, or what watches one; see `Stepper`."""
+
+    @property
+    def counters(self) -> Counters:
+        """Cost so far."""
+        ...
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run has come to its end."""
+        ...
+
+    @property
+    def failure(self) -> Failure | None:
+        """Why it stopped early, or None."""
+        ...
+
+    @property
+    def worst_pairs(self) -> np.ndarray:
+        """(P,) largest square of the norm of each pair's Phi, over all steps so far."""
+        ...
+
+    @property
+    def time(self) -> float:
+        """Time reached [s]."""
+        ...
+
+    def advance(self) -> Stretch:
+        """Go on for about `STRETCH` seconds, to the end or to a failure, and return the states to be recorded."""
+        ...
+
+    def last_state(self) -> Stretch:
+        """Return the state reached as one row, for a run that is stopped between two recorded ones."""
+        ...
 
 
 class Stepper(Protocol):

@@ -190,14 +190,17 @@ class Compiler:
         return self.compile(tree.body, 0)
 
     def refuse(self, message: str, place: ast.AST | int) -> NoReturn:
+        """Raise SpecError with the place in the text."""
         column = place if isinstance(place, int) else getattr(place, "col_offset", 0)
         shown = self.source if len(self.source) <= 60 else self.source[max(column - 30, 0) :][:60] + "..."
         raise SpecError(f"{message} (position {column + self.shift + 1} of '{shown}')")
 
     def segment(self, node: ast.expr) -> str:
+        """Return the text of a node, or the beginning of it."""
         return (ast.get_source_segment(self.source, node) or self.source)[:40]
 
     def compile(self, node: ast.expr, nesting: int) -> list[tuple[str, float]]:
+        """Return the program of a node."""
         if nesting > MAX_NESTING:
             self.refuse("the expression is too deeply nested", node)
         match node:
@@ -246,6 +249,7 @@ class Compiler:
         return program
 
     def call(self, node: ast.Call, nesting: int) -> list[tuple[str, float]]:
+        """Compile the call of a function."""
         if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS:
             name = self.segment(node.func)
             self.refuse(f"'{name}' is not a function that can be used{did_you_mean(name, FUNCTIONS)}", node)
@@ -282,6 +286,7 @@ class Compiler:
         return program
 
     def constant(self, compute: Callable[[], float], node: ast.expr) -> list[tuple[str, float]]:
+        """Return the program of a number that stands in the text or follows from such."""
         try:
             value = compute()
         except (ArithmeticError, ValueError):

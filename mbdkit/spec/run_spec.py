@@ -48,7 +48,7 @@ class RunSpec(StrictSpec):
 
     model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("events",)
-    """Keys that the canonical form leaves out while they are empty: a spec without them has kept its hash and run id."""
+    """Keys that the canonical form leaves out while they are empty: specs from before them keep hash and run id."""
 
     mbdkit: Literal[1]
     """Version of the spec."""

@@ -21,6 +21,7 @@ NAMES = [
     "four-bar",
     "gravity-balanced-arm",
     "knee",
+    "limit-stop",
     "pendulum",
     "slider-crank",
     "spring-pendulum",
