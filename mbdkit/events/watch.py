@@ -61,10 +61,18 @@ class Found:
 
 def values_at_start(expressions: Mapping[str, RunExpression], problem: Problem) -> dict[str, float]:
     """Return the values of expressions at the start of a run; nan where they have none."""
-    quantities = list(dict.fromkeys(quantity for one in expressions.values() for quantity in one.quantities))
+    observer, functions = _prepared(list(expressions.values()), problem)
+    values = observer.values([problem.t0], problem.q0[None], problem.v0[None])[0]
+    return {name: function(values) for name, function in zip(expressions, functions, strict=True)}
+
+
+def _prepared(
+    expressions: Sequence[RunExpression], problem: Problem
+) -> tuple[Observer, list[Callable[[Sequence[float]], float]]]:
+    """Return what evaluates the quantities of all expressions at once, and the expressions as functions of them."""
+    quantities = list(dict.fromkeys(quantity for one in expressions for quantity in one.quantities))
     places = {quantity: place for place, quantity in enumerate(quantities, start=1)}
-    values = Observer(problem, quantities).values([problem.t0], problem.q0[None], problem.v0[None])[0]
-    return {name: one.function(places)(values) for name, one in expressions.items()}
+    return Observer(problem, quantities), [one.function(places) for one in expressions]
 
 
 class Watch:
@@ -87,10 +95,7 @@ class Watch:
 
     def __init__(self, stepper: Stepper, problem: Problem, events: Sequence[Watched]):
         self.stepper, self.events = stepper, events
-        quantities = list(dict.fromkeys(quantity for event in events for quantity in event.when.quantities))
-        places = {quantity: place for place, quantity in enumerate(quantities, start=1)}
-        self.observer = Observer(problem, quantities)
-        self._functions = [event.when.function(places) for event in events]
+        self.observer, self._functions = _prepared([event.when for event in events], problem)
         self._signs = [0] * len(events)
         self._recorded = problem.t0
         self._found: list[Found] = []
@@ -171,7 +176,7 @@ class Watch:
                 self._failure = Failure("not-finite", f"the expression of event '{event.name}' {where}.")
                 return stretch
             found += [(place, event) for place in places if place.direction in DIRECTIONS[event.direction]]
-        for place, event in sorted(found, key=lambda item: item[0].theta):
+        for place, event in sorted(found, key=lambda item: (item[0].theta, item[1].action == "stop")):
             one = Found(event.name, step.time(place.theta), place.direction, *self.stepper.within(place.theta))
             self._found.append(one)
             if event.action == "stop":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ import mbdkit
 from mbdkit.archive.check import check
 from mbdkit.archive.history import UnknownNameError
 from mbdkit.errors import SpecError
+from mbdkit.simulation import simulate
 from mbdkit.spec import load_spec
 from tests.integrators.step_methods import Failing, Remembering, RungeKutta, run_with
 
@@ -117,6 +120,20 @@ def test_a_run_that_fails_keeps_the_events_found_before() -> None:
         assert failed.status == "failed"
         assert failed.status_reason.startswith("max-steps")
         assert [event.name for event in failed.events] == ["early"]
+
+
+def test_a_run_that_is_interrupted_keeps_the_events_found_before() -> None:
+    spec = {"mbdkit": 1, "model": DOUBLE, "integrator": GAUSS, "time": {"end": 1000.0, "step": 0.01}}
+    checked = load_spec(spec, events={"wave": {"when": "sin(50*t)"}})
+    with simulate(checked, progress=lambda reached, end: os.kill(os.getpid(), signal.SIGINT)) as interrupted:
+        assert interrupted.status == "interrupted"
+        count = int(interrupted.time[-1] * 50 / np.pi)
+        np.testing.assert_allclose(interrupted.events.time, np.arange(1, count + 1) * np.pi / 50, rtol=0, atol=1e-12)
+
+
+def test_what_is_noted_at_the_very_time_of_a_stop_comes_before_it() -> None:
+    with run({"end": stop("t - 0.4321"), "same": "t - 0.4321"}, {"name": "rk4"}) as stopped:
+        assert [event.name for event in stopped.events] == ["same", "end"]
 
 
 def test_a_stop_in_the_last_step_that_is_allowed_is_a_stop() -> None:
