@@ -1,7 +1,8 @@
 """SciPy's adaptive solvers on the first-order form y = (q, v) of the index-1 equations.
 
 Where loads, drivers or dampers act, work and dissipated energy [J] are two more states, so that they are integrated by
-the method's own weights. The exact Jacobian of the accelerations goes to the solvers that take one.
+the method's own weights. The exact Jacobian of the accelerations goes to the solvers that take one. Events are located
+on the solvers' dense output, whose order may be lower than that of the steps.
 """
 
 from __future__ import annotations
