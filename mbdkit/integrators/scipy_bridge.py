@@ -173,7 +173,7 @@ class SciPyStepper:
         return self.last_state()
 
     def _interpolated(self, theta: float) -> np.ndarray:
-        """Return y at the share `theta` of the last step, by the cubic where a solver has no dense output."""
+        """Return y at the share `theta` of the last step, by the cubic where there is no dense output to be had."""
         step = self.last_step
         assert step is not None
         if theta in (0.0, 1.0):
@@ -181,7 +181,7 @@ class SciPyStepper:
         if self._dense is None:
             try:
                 self._dense = self.solver.dense_output()
-            except NotImplementedError:
+            except (NotImplementedError, _StoppedError):
                 self._dense = self._cubic
         return np.asarray(self._dense(step.time(theta)))
 
