@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from mbdkit.archive.writer import ArchiveNames, ArchiveWriter, SharedForces
@@ -12,6 +15,9 @@ from mbdkit.engine.problem import Problem
 from mbdkit.engine.reactions import share_evenly
 from mbdkit.engine.system import OK
 from mbdkit.integrators.stepping import Failure, Stretch
+
+if TYPE_CHECKING:
+    from mbdkit.events.watch import Found
 
 
 def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
@@ -184,6 +190,21 @@ class Recorder:
                 "energy/dissipated": lost,
                 "energy/work": work,
                 "energy/balance": total + lost - work - self._start_total,
+            }
+        )
+
+    def record_events(self, found: Sequence[Found]) -> None:
+        """Write crossings of events, those found since the last call."""
+        if not found:
+            return
+        shape = (len(found), len(self.problem.mechanism.bodies), 3)
+        self.writer.append_events(
+            {
+                "name": np.array([one.name for one in found], dtype=object),
+                "time": np.array([one.time for one in found]),
+                "direction": np.array([one.direction for one in found]),
+                "position": np.array([one.q[:-3] for one in found]).reshape(shape),
+                "velocity": np.array([one.v[:-3] for one in found]).reshape(shape),
             }
         )
 

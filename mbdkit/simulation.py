@@ -16,10 +16,11 @@ from dataclasses import asdict
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.archive import layout
 from mbdkit.archive.reader import load
 from mbdkit.archive.room import check_room, row_bytes
 from mbdkit.archive.run import Run
@@ -35,13 +36,16 @@ from mbdkit.engine.warm import ensure_compiled, to_stderr
 from mbdkit.errors import MbdkitError, PluginError, SpecError
 from mbdkit.integrators.methods import Method
 from mbdkit.integrators.step_method import StepMethod
-from mbdkit.integrators.stepping import Counters, Failure, Stepper, Stretch, Timetable
+from mbdkit.integrators.stepping import Advancing, Counters, Failure, Stepper, Stretch, Timetable
 from mbdkit.mechanism.checks import check_springs
 from mbdkit.mechanism.elements import Body
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.recorder import Recorder, archive_names, shared_forces
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.text import one_line
+
+if TYPE_CHECKING:
+    from mbdkit.events.watch import Watch
 
 Progress = Callable[[float, float], None]
 
@@ -113,7 +117,7 @@ def simulate(
         spec.run_id(),
         {**_provenance(spec), "assembly": start.describe()},
         spec.output.recorded,
-        extra_datasets=_own_multipliers(method),
+        extra_datasets=[*_own_multipliers(method), *(layout.EVENTS if spec.events else ())],
         overwrite=overwrite,
         shared=shared_forces(problem.mechanism),
     )
@@ -213,7 +217,8 @@ class _Simulation:
     def __init__(self, spec: RunSpec, problem: Problem, method: Method, writer: ArchiveWriter, begin: float):
         self.spec, self.problem, self.method, self.writer, self.begin = spec, problem, method, writer, begin
         self.recorder = Recorder(problem, writer)
-        self.stepper: Stepper | None = None
+        self.stepper: Advancing | None = None
+        self.watch: Watch | None = None
         self.failure: Failure | None = None
         self.interrupted = False
 
@@ -244,10 +249,14 @@ class _Simulation:
     def start(self) -> None:
         """Let the method make its stepper."""
         try:
-            self.stepper = self.method.start(self.problem, _timetable(self.spec))
+            stepper = self.method.start(self.problem, _timetable(self.spec))
         except SingularSystemError as error:
             name = self.problem.mechanism.unknown_name(error.index)
             self.failure = Failure("singular", f"the stage equations are singular at the start, near {name}.")
+            return
+        if self.spec.events:
+            self.watch = _watch(self.spec, self.problem, stepper)
+        self.stepper = self.watch or stepper
 
     @contextmanager
     def _blaming_the_plugin(self) -> Iterator[None]:
@@ -262,7 +271,7 @@ class _Simulation:
                 raise
             self.failure = Failure("plugin-error", f"integrator {item.id} raised {one_line(error)}.")
 
-    def advance(self, stepper: Stepper, progress: Progress | None, begin: float) -> None:
+    def advance(self, stepper: Advancing, progress: Progress | None, begin: float) -> None:
         """Step to the end, a limit, a failure or an interrupt, recording on the way."""
         limit, end = self.spec.limits.wall_time, self.spec.time.final
         elapsed = 0.0
@@ -274,6 +283,8 @@ class _Simulation:
                 break
             now = time.perf_counter() - begin
             self.failure = self.recorder.record(stretch, (elapsed, now))
+            if self.watch is not None:
+                self.recorder.record_events(self.watch.taken())
             if len(stretch.time):
                 recorded = float(stretch.time[-1])
             elapsed = now
@@ -299,6 +310,8 @@ class _Simulation:
             status, reason = "failed", f"{self.failure.code}: {self.failure.sentence}"
         elif stepper is not None and not stepper.finished:
             status, reason = "interrupted", f"interrupted: stopped by the user at t = {stepper.time:.6g} s."
+        elif self.watch is not None and self.watch.stopped is not None:
+            reason = f"event: {self.watch.stopped}."
         file = self.writer.finish(
             status,
             reason,
@@ -336,7 +349,19 @@ def _timetable(spec: RunSpec) -> Timetable:
         every=spec.output.every or 1,
         interval=spec.output.interval,
         max_steps=spec.limits.max_steps,
+        single=bool(spec.events),
     )
+
+
+def _watch(spec: RunSpec, problem: Problem, stepper: Stepper) -> Watch:
+    """Return the stepper with a watch on it for the events of a spec."""
+    from mbdkit.events.watch import Watch, Watched
+
+    found = [
+        Watched(name, expression, spec.events[name].direction, spec.events[name].action)
+        for name, expression in spec.watched().items()
+    ]
+    return Watch(stepper, problem, found)
 
 
 @contextmanager

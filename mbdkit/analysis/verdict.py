@@ -182,6 +182,14 @@ class Band:
 
 
 @dataclass(frozen=True)
+class Mark:
+    """A place on the x axis that a thin line marks, such as the time of an event; without a label it has none."""
+
+    label: str
+    x: float
+
+
+@dataclass(frozen=True)
 class Figure:
     """What a figure shows; how it is drawn is the report's affair.
 
@@ -193,7 +201,7 @@ class Figure:
         What it is, and what to see in it.
     x, y
         Its axes.
-    lines, bands
+    lines, bands, marks
         What is drawn.
     equal
         Whether both axes have the same scale, as for paths in the plane.
@@ -206,6 +214,7 @@ class Figure:
     y: Axis
     lines: tuple[Line, ...]
     bands: tuple[Band, ...] = ()
+    marks: tuple[Mark, ...] = ()
     equal: bool = False
 
 

@@ -60,6 +60,8 @@ class _Checker:
             self.others(arrays)
         with self.reading("time"):
             self.times()
+        with self.reading("the events"):
+            self.events()
         with self.reading("the names of axes"):
             self.names()
         with self.reading("misalignment_max"):
@@ -97,7 +99,7 @@ class _Checker:
         if self.status == "running":
             self.say("the run did not end: it crashed, or is still under way; there is no hash to check")
         code, _, sentence = values["status_reason"].partition(": ")
-        if self.status == "complete" and code:
+        if self.status == "complete" and code and (code != "event" or not sentence):
             self.say(f"a complete run has the status_reason {code!r}")
         if self.status == "failed" and (code not in layout.REASONS or not sentence):
             self.say("status_reason of a failed run is not one of the codes, a colon and a sentence")
@@ -127,6 +129,8 @@ class _Checker:
         if "joints" in self.file and any(f"joints/{name}" not in layout.ALWAYS for name in self.file["joints"]):
             present.add("joints")
         extra = frozenset(path for path, array in BY_PATH.items() if array.optional and path in self.file)
+        if self.spec.get("events") or "events" in self.file:
+            extra |= frozenset(layout.EVENTS)
         return layout.recorded((wanted & layout.QUANTITIES) | present, extra)
 
     def array(self, array: Array) -> None:
@@ -197,8 +201,28 @@ class _Checker:
             if not np.array_equal(ends, time[1:]):
                 self.say("steps/time differs from trajectory/time after the start")
 
+    def events(self) -> None:
+        if any(f"events/{name}" not in self.file for name in ("event", "name", "time", "direction")):
+            return
+        group = self.file["events"]
+        number, time, direction = (group[name][:] for name in ("event", "time", "direction"))
+        if not np.array_equal(number, np.arange(1, len(number) + 1)):
+            self.say("events/event does not count from 1")
+        if np.any(np.diff(time) < 0):
+            self.say("events/time decreases")
+        if not np.all(np.abs(direction) == 1):
+            self.say("events/direction is neither 1 nor -1")
+        known = self.spec.get("events")
+        if isinstance(known, dict) and (strange := set(group["name"].asstr()[:]) - set(known)):
+            self.say(f"events/name has {', '.join(sorted(strange))}, which the spec does not have")
+
     def names(self) -> None:
-        for path, wanted in (("trajectory/coordinate", layout.COORDINATES), ("joints/axis", layout.AXES)):
+        fixed = (
+            ("trajectory/coordinate", layout.COORDINATES),
+            ("events/coordinate", layout.COORDINATES),
+            ("joints/axis", layout.AXES),
+        )
+        for path, wanted in fixed:
             if path in self.file and tuple(self.file[path].asstr()[:]) != wanted:
                 self.say(f"{path} is not {', '.join(wanted)}")
         for path in ("trajectory/body", "joints/joint", "constraints/constraint"):
@@ -206,6 +230,9 @@ class _Checker:
                 names = list(self.file[path].asstr()[:])
                 if len(set(names)) < len(names):
                     self.say(f"{path} has a name twice")
+        ours = self.file.get("events/body")
+        if ours is not None and list(ours[:]) != list(self.file["trajectory/body"][:]):
+            self.say("events/body differs from trajectory/body")
 
     def misalignment(self) -> None:
         if self.status == "running" or "joints/joint" not in self.file:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Protocol, TypeVar, overload
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
 
 import numpy as np
 
 from mbdkit.archive.layout import BY_PATH, MIXED
 from mbdkit.errors import MbdkitError
 from mbdkit.text import did_you_mean, listed
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
 
 
 class UnknownNameError(MbdkitError, KeyError):
@@ -164,6 +168,90 @@ class Steps(View):
     iterations = Column("steps/iterations")
     iterations_max = Column("steps/iterations_max")
     rejected = Column("steps/rejected")
+
+
+@dataclass(frozen=True)
+class Event:
+    """One crossing of an event.
+
+    Attributes
+    ----------
+    name
+        The event, as in the spec.
+    time
+        When its expression crossed zero, s.
+    direction
+        1 upwards, -1 downwards.
+    """
+
+    name: str
+    time: float
+    direction: int
+
+
+class Events(Sequence[Event]):
+    """The crossings of events, in order of time; `of_name` picks those of one.
+
+    Attributes
+    ----------
+    names
+        Name of the event of each crossing, (E,).
+    time
+        Their times, (E,), s.
+    direction
+        1 where the expression rose through zero, -1 where it fell, (E,).
+    position, velocity
+        (E, B, 3) x, y and angle of every body then, and their rates, m, rad, m/s, rad/s.
+    """
+
+    def __init__(
+        self,
+        watched: Sequence[str],
+        names: np.ndarray,
+        time: np.ndarray,
+        direction: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray,
+    ):
+        self._watched = watched
+        self.names, self.time, self.direction = names, time, direction
+        self.position, self.velocity = position, velocity
+
+    @classmethod
+    def of(cls, run: Run) -> Events:
+        """Return the crossings that a run recorded."""
+        watched = tuple(run.spec.get("events") or ())
+        if watched and run.records("events/time"):
+            names = ("name", "time", "direction", "position", "velocity")
+            return cls(watched, *(run.array(f"events/{name}") for name in names))
+        none = np.zeros(0)
+        states = np.zeros((0, len(run.bodies), 3))
+        return cls(watched, none.astype(object), none, none.astype(np.int64), states, states)
+
+    def of_name(self, name: str) -> Events:
+        """Return the crossings of the event `name`; raises UnknownNameError where the spec does not have it."""
+        if name not in self._watched:
+            raise UnknownNameError("event", name, list(self._watched))
+        its = np.flatnonzero(self.names == name)
+        values = (self.names, self.time, self.direction, self.position, self.velocity)
+        return type(self)(self._watched, *(value[its] for value in values))
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @overload
+    def __getitem__(self, index: int) -> Event: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Event]: ...
+
+    def __getitem__(self, index: int | slice) -> Event | Sequence[Event]:
+        if isinstance(index, slice):
+            return [self[place] for place in range(*index.indices(len(self)))]
+        return Event(str(self.names[index]), float(self.time[index]), int(self.direction[index]))
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} crossings of {', '.join(self._watched) or 'no event'}>"
 
 
 V = TypeVar("V", bound=View)

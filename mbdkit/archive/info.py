@@ -62,6 +62,7 @@ def describe(path: str | Path) -> dict[str, Any]:
                 for name, joint in run.joints.items()
             },
             "redundancy": run.redundancy,
+            "events": [f"{event.name} at {event.time:.10g} s" for event in run.events],
             "stats": {name: run.stats[name] for name in (*COUNTERS, *TIMINGS) if name in run.stats},
             "provenance": dict(run.provenance),
             "spec_sha256": run.spec_sha256,

@@ -76,7 +76,7 @@ class Array:
     row_units
         Where `units` is ``mixed``: the array in the same group that names the units row by row.
     optional
-        Whether a method may leave it out.
+        Whether a run may be without it.
     """
 
     path: str
@@ -116,8 +116,8 @@ class Array:
 #: Arrays of a mechanism with redundant joints whose attribute `not_unique` says which joints share their forces.
 SHARED = ("joints/reaction_force", "joints/reaction_torque", "constraints/multiplier")
 
-#: Axes that grow during a run: recorded rows, and the intervals between them.
-GROWING = ("time", "interval")
+#: Axes that grow during a run: recorded rows, the intervals between them, and events.
+GROWING = ("time", "interval", "event")
 
 
 def _time(group: str) -> Array:
@@ -132,11 +132,17 @@ def _row_units(path: str, dim: str, what: str) -> Array:
     return Array(path, (dim,), "1", f"units of {what}, row by row", TEXT)
 
 
+def _events(name: str, dims: tuple[str, ...], units: str, what: str, dtype: str = FLOAT, row_units: str = "") -> Array:
+    return Array(f"events/{name}", dims, units, what, dtype, row_units, optional=True)
+
+
 _TBC = ("time", "body", "coordinate")
 _TJ = ("time", "joint")
 _TM = ("time", "constraint")
 _T = ("time",)
 _N = ("interval",)
+_E = ("event",)
+_EBC = ("event", "body", "coordinate")
 
 LAYOUT: tuple[Array, ...] = (
     _time("trajectory"),
@@ -212,13 +218,32 @@ LAYOUT: tuple[Array, ...] = (
     Array("steps/iterations", _N, "1", "stage iterations in the interval, summed over its steps", INTEGER),
     Array("steps/iterations_max", _N, "1", "most stage iterations of a step of the interval", INTEGER),
     Array("steps/rejected", _N, "1", "steps rejected in the interval", INTEGER),
+    _events("event", _E, "1", "number of the crossing, from 1, in order of time", INTEGER),
+    _events("body", ("body",), "1", "name of the body", TEXT),
+    _events(
+        "coordinate",
+        ("coordinate",),
+        "1",
+        "coordinate of a body: its centre of mass in the global frame, and its angle",
+        TEXT,
+    ),
+    _events("row_units", ("coordinate",), "1", "units of position, row by row", TEXT),
+    _events("velocity_row_units", ("coordinate",), "1", "units of velocity, row by row", TEXT),
+    _events("name", _E, "1", "name of the event, as in the spec", TEXT),
+    _events("time", _E, "s", "time at which its expression crossed zero"),
+    _events("direction", _E, "1", "1 where it crossed zero upwards, -1 downwards", INTEGER),
+    _events("position", _EBC, MIXED, "position and angle of the body then", row_units="row_units"),
+    _events("velocity", _EBC, MIXED, "velocity and angular velocity then", row_units="velocity_row_units"),
 )
+
+#: The arrays of events, all of them there where the spec has events.
+EVENTS = tuple(array.path for array in LAYOUT if array.group == "events")
 
 #: Arrays that are there whatever is recorded.
 ALWAYS = frozenset(("joints/joint", "joints/first_body", "joints/second_body"))
 
 BY_PATH: Mapping[str, Array] = {array.path: array for array in LAYOUT}
-GROUPS = ("trajectory", "joints", "constraints", "energy", "steps")
+GROUPS = ("trajectory", "joints", "constraints", "energy", "steps", "events")
 
 
 def is_timing(path: str) -> bool:
@@ -234,7 +259,7 @@ def recorded(quantities: frozenset[str], extra: frozenset[str] = frozenset()) ->
     quantities
         Subset of `QUANTITIES`; trajectory and steps are always there, and so are the names of the joints.
     extra
-        Paths of the optional arrays that the method brings.
+        Paths of the optional arrays that are there.
     """
     return tuple(
         array

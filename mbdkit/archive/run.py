@@ -19,6 +19,7 @@ from mbdkit.archive.history import (
     BodyHistory,
     ConstraintHistory,
     Energy,
+    Events,
     Histories,
     JointHistory,
     NotRecordedError,
@@ -88,7 +89,7 @@ class Run:
 
     @property
     def status_reason(self) -> str:
-        """Why the run is not complete: a code and a sentence; empty if it is."""
+        """Why the run is not complete, or which event ended it: a code and a sentence; else empty."""
         return self._attributes["status_reason"]
 
     @property
@@ -209,6 +210,11 @@ class Run:
     def steps(self) -> Steps:
         """What the integrator did in each recorded interval."""
         return Steps(self)
+
+    @property
+    def events(self) -> Events:
+        """The crossings of the spec's events, in order of time; none where the spec has no events."""
+        return Events.of(self)
 
     @cached_property
     def _largest_misalignments(self) -> np.ndarray:

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 #: So many joints are named with their misalignment, the worst first.
 JOINTS_NAMED = 4
 
+#: So many events are named.
+EVENTS_NAMED = 4
+
 _COUNTERS = {
     "rhs_evaluations": "right sides",
     "jacobian_evaluations": "Jacobians",
@@ -51,6 +54,7 @@ def summary(run: Run) -> str:
         ("speed", _speed(run.stats)),
         ("misalignment", _misalignment(run)),
         ("energy", _energy(run)),
+        ("events", _events(run)),
         ("counters", _counters(run.stats)),
         ("archive", "in memory" if run.path is None else str(run.path)),
     ]
@@ -135,6 +139,18 @@ def _energy(run: Run) -> str:
     most = float(np.max(run.energy.kinetic))
     share = f", {drift / most:.2g} of the largest kinetic energy" if most > 0 else ""
     return f"balance within {drift:.3g} J{share}"
+
+
+def _events(run: Run) -> str:
+    """Return how often each event was found, and when first."""
+    found = []
+    for name in run.spec.get("events") or ():
+        times = run.events.of_name(name).time
+        first = f" at {times[0]:.10g} s" if len(times) == 1 else f" from {times[0]:.10g} s on" if len(times) else ""
+        found.append(
+            f"{name} {('once' if len(times) == 1 else f'{len(times)} times') if len(times) else 'never'}{first}"
+        )
+    return ", ".join(found[:EVENTS_NAMED]) + (f", {len(found) - EVENTS_NAMED} more" if found[EVENTS_NAMED:] else "")
 
 
 def _counters(stats: Mapping[str, int | float]) -> str:

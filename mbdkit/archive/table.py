@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 import h5py
 import numpy as np
 
-from mbdkit.archive.fingerprint import line
+from mbdkit.archive.fingerprint import line, text_bytes
 from mbdkit.archive.hdf5 import create
-from mbdkit.archive.layout import Array, is_timing
+from mbdkit.archive.layout import TEXT, Array, is_timing
 
 #: Rows wait in memory until they fill this much, or a flush is due.
 BUFFER_BYTES = 1 << 23
@@ -38,7 +38,7 @@ class Series:
     def __init__(self, array: Array, row_shape: tuple[int, ...]):
         self.array = array
         self.row_shape = row_shape
-        self.dtype = np.dtype(array.dtype)
+        self.dtype = np.dtype(object if array.dtype == TEXT else array.dtype)
         self.row_bytes = self.dtype.itemsize * int(np.prod(row_shape))
         self.dataset: h5py.Dataset | None = None
         self._rows = 0
@@ -71,7 +71,7 @@ class Series:
 
     def _took(self, values: np.ndarray) -> None:
         if self._sha is not None:
-            self._sha.update(values.data)
+            self._sha.update(text_bytes(values) if self.array.dtype == TEXT else values.data)
         self._rows += len(values)
 
     def line(self) -> str | None:

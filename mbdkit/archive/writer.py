@@ -97,7 +97,7 @@ class ArchiveWriter:
     quantities
         Which of ``joints``, ``constraints``, ``energy`` are recorded.
     extra_datasets
-        Paths of optional arrays that the method brings, such as ``constraints/method_multiplier``.
+        Paths of optional arrays that the run brings, such as ``constraints/method_multiplier``.
     overwrite
         Whether an existing file is replaced, when the archive is finished.
     shared
@@ -133,6 +133,9 @@ class ArchiveWriter:
         growing = [array for array in arrays if array.grows]
         self._rows = Table([array for array in growing if array.dims[0] == "time"], sizes, self._write_more)
         self._steps = Table([array for array in growing if array.dims[0] == "interval"], sizes, self._write_more)
+        events = [array for array in growing if array.dims[0] == "event"]
+        self._events = Table(events, sizes, self._write_more) if events else None
+        self._tables = tuple(filter(None, (self._rows, self._steps, self._events)))
         self._shared = shared
         self._lines: list[str] = []
         self._flushed: float | None = None
@@ -192,6 +195,18 @@ class ArchiveWriter:
         keyed = {f"steps/{name}": values for name, values in rows.items()}
         self._take(self._steps, {**keyed, "steps/interval": numbers})
 
+    def append_events(self, rows: Mapping[str, np.ndarray]) -> None:
+        """Take crossings of events; they are copied.
+
+        Parameters
+        ----------
+        rows
+            ``name`` (strings), ``time`` and ``direction``, each (E,), and ``position`` and ``velocity`` (E, B, 3).
+        """
+        assert self._events is not None
+        numbers = np.arange(self._events.rows + 1, self._events.rows + len(rows["name"]) + 1)
+        self._take(self._events, {"events/event": numbers, **{f"events/{key}": values for key, values in rows.items()}})
+
     def _take(self, table: Table, rows: Mapping[str, np.ndarray]) -> None:
         unknown = rows.keys() - _KEYS
         if unknown:
@@ -219,7 +234,8 @@ class ArchiveWriter:
         status
             ``complete``, ``failed`` or ``interrupted``.
         reason
-            Why it is not complete: a code and a sentence, as in ``newton-failed: the step at t = ...``.
+            Why it is not complete: a code and a sentence, as in ``newton-failed: the step at t = ...``; of a complete
+            run which event ended it, or nothing.
         stats
             Attributes of ``/stats``: counters (integers) and ``setup_s``, ``wall_s``, ``cpu_s``; ``finish_s`` is
             added here and ends when the file has its final name.
@@ -290,10 +306,10 @@ class ArchiveWriter:
         units = names.constraint_units
         rates = [f"{unit}/s" for unit in ("m", "m", "rad")]
         values: dict[str, Sequence[str]] = {
-            "trajectory/body": names.bodies,
-            "trajectory/coordinate": layout.COORDINATES,
-            "trajectory/row_units": ("m", "m", "rad"),
-            "trajectory/velocity_row_units": rates,
+            **{f"{group}/body": names.bodies for group in ("trajectory", "events")},
+            **{f"{group}/coordinate": layout.COORDINATES for group in ("trajectory", "events")},
+            **{f"{group}/row_units": ("m", "m", "rad") for group in ("trajectory", "events")},
+            **{f"{group}/velocity_row_units": rates for group in ("trajectory", "events")},
             "trajectory/acceleration_row_units": [f"{rate}^2" for rate in rates],
             "joints/joint": names.joints,
             "joints/axis": layout.AXES,
@@ -323,7 +339,7 @@ class ArchiveWriter:
             for path in layout.SHARED:
                 if path in self._file:
                     set_text(self._file[path], "not_unique", ", ".join(self._shared.joints))
-        grown = (series.line() for table in (self._rows, self._steps) for series in table.series)
+        grown = (series.line() for table in self._tables for series in table.series)
         self._file.attrs.modify("data_sha256", digest_lines([*self._lines, *filter(None, grown)]))
         self._file.attrs.modify("status_reason", reason)
         self._file.attrs.modify("status", status)
@@ -334,7 +350,7 @@ class ArchiveWriter:
             self._file["stats"].attrs.modify("finish_s", time.perf_counter() - started)
 
     def _write_tables(self, *, more: bool) -> None:
-        for table in (self._rows, self._steps):
+        for table in self._tables:
             table.write(self._file, more=more)
 
     def _write_more(self) -> None:
@@ -347,7 +363,7 @@ class ArchiveWriter:
         """Make room on the disk for what waits, and flush once it is written."""
         if self._target is None:
             return contextlib.nullcontext()
-        return self._target.reserved(also + sum(table.size_on_disk(more=more) for table in (self._rows, self._steps)))
+        return self._target.reserved(also + sum(table.size_on_disk(more=more) for table in self._tables))
 
     @contextlib.contextmanager
     def _storing(self) -> Iterator[None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,6 +20,7 @@ from mbdkit.text import table
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.engine.assembly import AssembledState
+    from mbdkit.engine.problem import Problem
     from mbdkit.spec import RunSpec
 
 BODIES_SHOWN = 20
@@ -69,11 +71,24 @@ def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> N
     print(f"model        {checked.model_item.id}: {mechanism.description()}")
     print(f"freedom      {problem.mechanism.freedoms()}")
     print(f"integrator   {checked.integrator_item.id}")
+    if checked.events:
+        print("events       with the values of their expressions at the start")
+        print(table([("EVENT", "DIRECTION", "ACTION", "AT START", "WHEN"), *_events(checked, problem)], indent="  "))
     if start.changed:
         print(f"start        made consistent, with residuals {start.residual:.2g} and {start.velocity_residual:.2g}")
         print(table([("BODY", "MOVED", "TURNED", "VELOCITY", "RATE"), *_moves(start)], indent="  "))
     else:
         print("start        consistent as it is, left untouched")
+
+
+def _events(spec: RunSpec, problem: Problem) -> list[tuple[str, ...]]:
+    """Return a row for each event, with the value of its expression at the start."""
+    from mbdkit.events.watch import values_at_start
+
+    values = values_at_start(spec.watched(), problem)
+    return [
+        (name, event.direction, event.action, f"{values[name]:.6g}", event.when) for name, event in spec.events.items()
+    ]
 
 
 def _moves(start: AssembledState) -> list[tuple[str, ...]]:
@@ -156,6 +171,7 @@ def _outcome(result: Run) -> dict[str, Any]:
         "run_id": result.run_id,
         "stats": dict(result.stats),
         "misalignment_max": result.misalignment_max,
+        "events": [asdict(event) for event in result.events],
     }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import time
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from mbdkit.engine.analysis import SingularSystemError
 from mbdkit.engine.cache import part
 from mbdkit.engine.problem import Problem
 from mbdkit.engine.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES, Topology
-from mbdkit.integrators.stepping import Counters, Failure, Pace, Stretch, Timetable
+from mbdkit.integrators.stepping import Counters, Failure, Pace, StepTaken, Stretch, Timetable, joined
 
 MOST_ROWS = 4096
 ROW_BYTES = 1 << 24
@@ -77,6 +77,25 @@ class State:
         self.row_energy = np.zeros((self.rows, 2))
         self.iterations, self.row_iterations = np.zeros(2, dtype=np.int64), np.zeros((self.rows, 2), dtype=np.int64)
 
+    def copied(self) -> State:
+        """Return a copy that may be stepped by itself; the buffers of rows are shared."""
+        own = copy.copy(self)
+        for name in ("q", "v", "q_low", "v_low", "energy", "energy_low", "iterations"):
+            setattr(own, name, getattr(self, name).copy())
+        return own
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """Where the last step began: all that it takes to take it again."""
+
+    time: float
+    size: float
+    done: int
+    recorded: int
+    state: State
+    memory: Any
+
 
 class FixedStepper(ABC):
     """Base of the steppers in fixed steps; a family brings `steps`.
@@ -98,6 +117,8 @@ class FixedStepper(ABC):
         self.finished = False
         self.failure: Failure | None = None
         self.time = timetable.start
+        self.last_step: StepTaken | None = None
+        self._beginning: Beginning | None = None
         top = problem.mechanism.topology
         self.has_power = has_power(top)
         self.worst_pairs = np.zeros(len(top.pairs))
@@ -127,8 +148,75 @@ class FixedStepper(ABC):
         """Return where the stage equations failed to converge; implicit families know."""
         return ""
 
+    def memory(self) -> Any:
+        """Return what a step hands to the next beside the state, as `recall` takes it; families know."""
+        return None
+
+    def recall(self, memory: Any) -> None:  # noqa: B027 - most families remember nothing
+        """Go back to what `memory` returned."""
+
     def advance(self) -> Stretch:
-        """Go on for about `STRETCH` seconds; see `Stepper.advance`."""
+        """Go on for about `STRETCH` seconds, or for one step; see `Stepper.advance`."""
+        if not self.timetable.single:
+            return self._advance()
+        self.last_step, self.pace.steps = None, 1
+        size = self.timetable.last_step if self.done == self.timetable.steps - 1 else (self.timetable.step or 0.0)
+        t0 = self.timetable.start + self.done * (self.timetable.step or 0.0)
+        begin = Beginning(t0, size, self.done, self.recorded, self.state.copied(), self.memory())
+        stretch = self._advance()
+        if self.done > begin.done:
+            self._beginning = begin
+            old, new = begin.state, self.state
+            self.last_step = StepTaken(t0, self.time, old.q, old.v, new.q.copy(), new.v.copy())
+        return stretch
+
+    def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return a state in the last step by the cubic through its ends; see `Stepper.inside`."""
+        assert self.last_step is not None
+        return self.last_step.hermite(theta)
+
+    def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return a state in the last step by a step of the method to there; see `Stepper.within`."""
+        step, begin = self.last_step, self._beginning
+        assert step is not None
+        assert begin is not None
+        if theta in (0.0, 1.0):
+            return (step.q1, step.v1) if theta else (step.q0, step.v0)
+        memory = self.memory()
+        state = self._again(begin, theta)
+        self.recall(memory)
+        return (state.q, state.v) if state is not None else self.inside(theta)
+
+    def cut(self, theta: float) -> Stretch:
+        """End the run within the last step; see `Stepper.cut`."""
+        step, begin = self.last_step, self._beginning
+        assert step is not None
+        assert begin is not None
+        if theta > 0.0:
+            state = self._again(begin, theta)
+        else:
+            self.recall(begin.memory)
+            state = begin.state
+        if state is None:  # the step that led here could be taken, but none to this place
+            state = begin.state
+            state.energy += theta * (self.state.energy - state.energy)
+            state.q, state.v = self.inside(theta)
+        self.state = state
+        self.done, self.recorded, self.time = begin.done + (theta > 0.0), begin.recorded, step.time(theta)
+        self.counters.steps = self.counters.accepted = self.done
+        self.finished, self.failure = True, None
+        row = self.last_state()
+        row.intervals[0, 2] = theta * begin.size
+        return row
+
+    def _again(self, begin: Beginning, theta: float) -> State | None:
+        """Take the last step again, by a share of its size; None where that fails."""
+        self.recall(begin.memory)
+        state = begin.state.copied()
+        status, _, _ = self.steps(theta * begin.size, begin.time, 0, 1, 2, state)
+        return state if status == OK else None
+
+    def _advance(self) -> Stretch:
         table = self.timetable
         total, every = table.steps, table.every
         allowed = min(total, table.max_steps)
@@ -147,7 +235,8 @@ class FixedStepper(ABC):
             t0 = table.start + (total - 1) * (table.step or 0.0)
             # the step's number starts again at 0 there, so that its time is exact
             self._run_last(t0)
-        self.pace.timed(self.done - first, begin)
+        if not table.single:
+            self.pace.timed(self.done - first, begin)
         stretch = self._collect(rows)
         if self.failure is None and self.done >= allowed:
             if self.done < total:
@@ -155,7 +244,7 @@ class FixedStepper(ABC):
             else:
                 self.finished, self.time = True, table.end
                 if self.recorded < self.done:
-                    stretch = self._append_end(stretch)
+                    stretch = joined([stretch, self.last_state()])
                 elif len(stretch.time):
                     stretch.time[-1] = table.end
                     stretch.intervals[-1, 0] = table.end
@@ -259,9 +348,3 @@ class FixedStepper(ABC):
             state.energy[1:].copy(),
             intervals,
         )
-
-    def _append_end(self, stretch: Stretch) -> Stretch:
-        end = self.last_state()
-        pairs = ((name, getattr(stretch, name), getattr(end, name)) for name in Stretch.__dataclass_fields__)
-        joined: dict[str, Any] = {name: np.concatenate([x, y]) for name, x, y in pairs if x is not None}
-        return replace(stretch, **joined)

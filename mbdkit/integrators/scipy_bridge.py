@@ -1,7 +1,8 @@
 """SciPy's adaptive solvers on the first-order form y = (q, v) of the index-1 equations.
 
 Where loads, drivers or dampers act, work and dissipated energy [J] are two more states, so that they are integrated by
-the method's own weights. The exact Jacobian of the accelerations goes to the solvers that take one.
+the method's own weights. The exact Jacobian of the accelerations goes to the solvers that take one. Events are located
+on the solvers' dense output, whose order may be lower than that of the steps.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from mbdkit.engine.problem import Problem
 from mbdkit.engine.system import OK
 from mbdkit.engine.vectors import BEYOND
 from mbdkit.integrators.fixed_step import has_power
-from mbdkit.integrators.stepping import STRETCH, Counters, Failure, Stretch, Timetable
+from mbdkit.integrators.stepping import STRETCH, Counters, Failure, StepTaken, Stretch, Timetable
 
 if TYPE_CHECKING:
     from mbdkit.integrators.methods import SciPySolver
@@ -69,6 +70,11 @@ class SciPyStepper:
         self.y = y0
         self._since = np.zeros(6)  # steps, -, -, iterations, most iterations, rejected since the last row
         self._next = 1
+        self.last_step: StepTaken | None = None
+        self._dense: Any = None
+        self._y0 = y0
+        self._row_times: list[float] = []
+        self._effort_so_far = self._since.copy()
 
     def rates(self, t: float, y: np.ndarray) -> np.ndarray:
         """Return dy/dt; raises `_StoppedError` where the mechanism is singular."""
@@ -127,18 +133,69 @@ class SciPyStepper:
         return out
 
     def advance(self) -> Stretch:
-        """Step for about `STRETCH` seconds; see `Stepper.advance`."""
+        """Step for about `STRETCH` seconds, or once; see `Stepper.advance`."""
         rows: list[tuple[float, np.ndarray, np.ndarray]] = []
         until = time.perf_counter() + STRETCH
         table = self.timetable
+        self.last_step = None
         while self.failure is None and not self.finished and time.perf_counter() < until:
             if self.counters.steps >= table.max_steps:
                 self.failure = Failure("max-steps", f"stopped after limits.max_steps = {table.max_steps} steps.")
                 break
+            t0, y0 = self.time, self.y
             if not self._step():
                 break
-            rows += self._due()
+            if not table.single:
+                rows += self._due()
+                continue
+            self.last_step = StepTaken(t0, self.time, *self._state(y0), *self._state(self.y))
+            self._dense, self._y0, self._effort_so_far = None, y0, self._since.copy()
+            rows = self._due()
+            self._row_times = [row[0] for row in rows]
+            break
         return self._stretch(rows)
+
+    def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return a state in the last step by the solver's dense output; see `Stepper.inside`."""
+        return self._state(self._interpolated(theta))
+
+    within = inside
+    """SciPy's solvers take no second step from where one began: their dense output has to do."""
+
+    def cut(self, theta: float) -> Stretch:
+        """End the run within the last step; see `Stepper.cut`."""
+        assert self.last_step is not None
+        self.y, self.time = self._interpolated(theta), self.last_step.time(theta)
+        if theta > 0.0 and not any(t < self.time for t in self._row_times):
+            self._since = self._effort_so_far
+            self._since[2] = self.time - self.last_step.t0
+        self.finished, self.failure = True, None
+        return self.last_state()
+
+    def _interpolated(self, theta: float) -> np.ndarray:
+        """Return y at the share `theta` of the last step, by the cubic where there is no dense output to be had."""
+        step = self.last_step
+        assert step is not None
+        if theta in (0.0, 1.0):
+            return self.y if theta else self._y0
+        if self._dense is None:
+            try:
+                self._dense = self.solver.dense_output()
+            except (NotImplementedError, _StoppedError):
+                self._dense = self._cubic
+        return np.asarray(self._dense(step.time(theta)))
+
+    def _cubic(self, t: float) -> np.ndarray:
+        step = self.last_step
+        assert step is not None
+        theta = (t - step.t0) / (step.t1 - step.t0)
+        q, v = step.hermite(theta)
+        energies = self._y0[2 * self.n3 :] + theta * (self.y - self._y0)[2 * self.n3 :]
+        return np.concatenate([q[: self.n3], v[: self.n3], energies])
+
+    def _state(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        ground = np.zeros(3)
+        return np.concatenate([y[: self.n3], ground]), np.concatenate([y[self.n3 : 2 * self.n3], ground])
 
     def _step(self) -> bool:
         """Take one step of the solver; return whether it succeeded."""

@@ -127,7 +127,8 @@ class StepMethod(ABC):
         state
             State there; it may be gone on from again, so nothing of it may be changed.
         h
-            Size of the step [s]; the last one of a run may be shorter than the others.
+            Size of the step [s]; the last one of a run may be shorter than the others, and so are those that locate
+            an event, which begin where the last step began.
 
         Returns
         -------

@@ -13,7 +13,7 @@ from mbdkit.engine.problem import Problem
 from mbdkit.engine.system import NOT_FINITE, OK
 from mbdkit.engine.view import example_problem
 from mbdkit.integrators import stepping
-from mbdkit.integrators.fixed_step import FixedStepper, State
+from mbdkit.integrators.fixed_step import Beginning, FixedStepper, State
 from mbdkit.integrators.iteration_matrix import vector
 from mbdkit.integrators.step_method import StepError, StepMethod, StepState
 from mbdkit.integrators.step_problem import StepProblem, call_everything
@@ -96,6 +96,22 @@ class StepStepper(FixedStepper):
                 break
         state.q[:n], state.v[:n] = self.now.q, self.now.v
         return (OK if self.failure is None and self.raised is None else NOT_FINITE), k, rows
+
+    def memory(self) -> tuple[StepState, np.ndarray]:
+        """Return the state as the method has it, and the low parts of the sums."""
+        return self.now, self.low.copy()
+
+    def recall(self, memory: tuple[StepState, np.ndarray]) -> None:
+        """Go back to the state that `memory` returned."""
+        self.now, self.low = memory[0], memory[1].copy()
+
+    def _again(self, begin: Beginning, theta: float) -> State | None:
+        failure = self.failure
+        state = super()._again(begin, theta)
+        if self.raised is not None:
+            raise self.raised
+        self.failure = failure
+        return state
 
     def _checked(self, new: StepState) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities of what the method made; raises TypeError or ValueError by name."""

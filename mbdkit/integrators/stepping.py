@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -31,7 +33,7 @@ class Timetable:
     max_steps
         Steps after which the run stops.
     single
-        Advance by one accepted step at a time, so that somebody can look inside each.
+        Whether `Stepper.advance` takes one accepted step a call, to be looked into before the next.
     """
 
     start: float
@@ -70,6 +72,47 @@ class Stretch:
     positions [m] and of velocities [m/s] in the mass metric, largest of Baumgarte's terms [m/s^2, rad/s^2]."""
 
 
+def joined(stretches: Sequence[Stretch]) -> Stretch:
+    """Return stretches that follow each other as one; what one of them lacks is left out."""
+    if len(stretches) == 1:
+        return stretches[0]
+    whole: dict[str, Any] = {}
+    for field in fields(Stretch):
+        parts = [getattr(stretch, field.name) for stretch in stretches]
+        whole[field.name] = None if any(part is None for part in parts) else np.concatenate(parts)
+    return Stretch(**whole)
+
+
+@dataclass(frozen=True)
+class StepTaken:
+    """One accepted step: its times [s], and the states (3 (B + 1),) where it began and ended, ground last."""
+
+    t0: float
+    t1: float
+    q0: np.ndarray
+    v0: np.ndarray
+    q1: np.ndarray
+    v1: np.ndarray
+
+    def time(self, theta: float) -> float:
+        """Return the time [s] at the share `theta` of the step; exact at its ends."""
+        return self.t1 if theta == 1.0 else self.t0 + theta * (self.t1 - self.t0)
+
+    def hermite(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities of the cubic through both ends and their velocities: of order 3."""
+        h, square = self.t1 - self.t0, theta * theta
+        powers = [[1.0, theta, square, theta * square], [0.0, 1.0 / h, 2.0 * theta / h, 3.0 * square / h]]
+        q, v = np.array(powers) @ self._cubic
+        return q, v
+
+    @cached_property
+    def _cubic(self) -> np.ndarray:
+        """(4, 3 (B + 1)) coefficients of the powers of theta."""
+        h = self.t1 - self.t0
+        change, slope0, slope1 = self.q1 - self.q0, h * self.v0, h * self.v1
+        return np.array([self.q0, slope0, 3 * change - 2 * slope0 - slope1, slope0 + slope1 - 2 * change])
+
+
 @dataclass(frozen=True)
 class Failure:
     """Why a run stopped early: a code of the archive's status_reason, and a sentence."""
@@ -92,6 +135,43 @@ class Counters:
     projections: int = 0
 
 
+class Advancing(Protocol):
+    """What advances a run: a stepper, or what watches one; see `Stepper`."""
+
+    @property
+    def counters(self) -> Counters:
+        """Cost so far."""
+        ...
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run has come to its end."""
+        ...
+
+    @property
+    def failure(self) -> Failure | None:
+        """Why it stopped early, or None."""
+        ...
+
+    @property
+    def worst_pairs(self) -> np.ndarray:
+        """(P,) largest square of the norm of each pair's Phi, over all steps so far."""
+        ...
+
+    @property
+    def time(self) -> float:
+        """Time reached [s]."""
+        ...
+
+    def advance(self) -> Stretch:
+        """Go on for about `STRETCH` seconds, to the end or to a failure, and return the states to be recorded."""
+        ...
+
+    def last_state(self) -> Stretch:
+        """Return the state reached as one row, for a run that is stopped between two recorded ones."""
+        ...
+
+
 class Stepper(Protocol):
     """Advances one run; what a method's `start` returns.
 
@@ -107,6 +187,9 @@ class Stepper(Protocol):
         (P,) largest square of the norm of each pair's Phi, over all steps so far.
     time
         Time reached [s].
+    last_step
+        The step that the last `advance` took, or None where it took none; only under ``Timetable.single``, as are
+        `inside`, `within` and `cut`, which tell of that step.
     """
 
     counters: Counters
@@ -114,13 +197,36 @@ class Stepper(Protocol):
     failure: Failure | None
     worst_pairs: np.ndarray
     time: float
+    last_step: StepTaken | None
 
     def advance(self) -> Stretch:
-        """Go on for about `STRETCH` seconds, to the end or to a failure, and return the states to be recorded."""
+        """Go on for about `STRETCH` seconds, to the end or to a failure, and return the states to be recorded.
+
+        Under ``Timetable.single`` go on for one accepted step instead.
+        """
         ...
 
     def last_state(self) -> Stretch:
         """Return the state reached as one row, for a run that is stopped between two recorded ones."""
+        ...
+
+    def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities (3 (B + 1),) at the share `theta` of the last step, by dense output."""
+        ...
+
+    def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return what `inside` does by the method itself: a step of that size from where the last one began.
+
+        The run goes on as if it had not been asked, but the work counts. Where such a step fails, and for methods that
+        cannot take it, the dense output stands in.
+        """
+        ...
+
+    def cut(self, theta: float) -> Stretch:
+        """End the run at the share `theta` of the last step, as `within` has it, and return that state as a row.
+
+        Rows that `advance` returned for that time and later ones are void.
+        """
         ...
 
 

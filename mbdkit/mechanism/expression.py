@@ -131,7 +131,7 @@ class Expression:
 
 @lru_cache(maxsize=4096)
 def _parse(text: str) -> Expression:
-    program = tuple(_Compiler(text).program())
+    program = tuple(Compiler(text).program())
     depth = height = 0
     for operation, _ in program:
         height += 1 if operation in ("const", "t") else -1 if operation in _BINARY else 0
@@ -143,8 +143,24 @@ def _parse(text: str) -> Expression:
     return Expression(text, program, depth)
 
 
-class _Compiler:
-    """Walks the syntax tree of one text; every node that is not on the whitelist is an error with its position."""
+class Compiler:
+    """Walks the syntax tree of one text; every node that is not on the whitelist is an error with its position.
+
+    Parameters
+    ----------
+    text
+        What the user wrote.
+
+    Attributes
+    ----------
+    wanted
+        What an expression may hold beside operators, in words.
+    hint
+        What is added where a text is no expression at all.
+    """
+
+    wanted = "an expression of t, which has numbers, t, pi"
+    hint = ""
 
     def __init__(self, text: str):
         if len(text) > MAX_LENGTH:
@@ -153,30 +169,38 @@ class _Compiler:
         self.shift = len(self.source) - len(self.source.lstrip())
         self.source = self.source.lstrip()
         if not self.source:
-            raise SpecError("the expression is empty; a number or an expression of t is wanted")
-        for place, letter in enumerate(self.source):
+            raise SpecError(f"the expression is empty; {self.wanted.partition(',')[0]} is wanted")
+        for place, letter in enumerate(self.unquoted()):
             if not letter.isascii() or not letter.isprintable() or letter in "#\\;":
                 self.refuse(f"the character {letter!r} is not part of an expression", place)
 
+    def unquoted(self) -> str:
+        """Return the text without what stands in quotes, which only some expressions have, place by place."""
+        return self.source
+
     def program(self) -> list[tuple[str, float]]:
+        """Return the postfix program of the text; raises SpecError."""
         try:
             tree = ast.parse(self.source, mode="eval")
         except SyntaxError as error:
             place = min(max((error.offset or 1) - 1, 0), len(self.source) - 1)
-            self.refuse(f"the expression cannot be read ({error.msg})", place)
+            self.refuse(f"the expression cannot be read ({error.msg}){self.hint}", place)
         except (RecursionError, MemoryError, ValueError):
             raise SpecError("the expression is too deeply nested to be read") from None
         return self.compile(tree.body, 0)
 
     def refuse(self, message: str, place: ast.AST | int) -> NoReturn:
+        """Raise SpecError with the place in the text."""
         column = place if isinstance(place, int) else getattr(place, "col_offset", 0)
         shown = self.source if len(self.source) <= 60 else self.source[max(column - 30, 0) :][:60] + "..."
         raise SpecError(f"{message} (position {column + self.shift + 1} of '{shown}')")
 
     def segment(self, node: ast.expr) -> str:
+        """Return the text of a node, or the beginning of it."""
         return (ast.get_source_segment(self.source, node) or self.source)[:40]
 
     def compile(self, node: ast.expr, nesting: int) -> list[tuple[str, float]]:
+        """Return the program of a node."""
         if nesting > MAX_NESTING:
             self.refuse("the expression is too deeply nested", node)
         match node:
@@ -188,12 +212,6 @@ class _Compiler:
                 return [("const", math.pi)]
             case ast.Name(id=name) if name in FUNCTIONS:
                 self.refuse(f"'{name}' is a function and needs its argument in parentheses", node)
-            case ast.Name():
-                name = self.segment(node)
-                hint = (
-                    TIME.get(name) or did_you_mean(name, ["t", "pi", *FUNCTIONS]) or "; known are t, pi and functions"
-                )
-                self.refuse(f"unknown name '{name}'{hint}", node)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.compile(operand, nesting + 1)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
@@ -202,8 +220,16 @@ class _Compiler:
                 return self.chain(node, nesting)
             case ast.Call():
                 return self.call(node, nesting)
-        return self.refuse(
-            f"'{self.segment(node)}' is not part of an expression of t, which has numbers, t, pi, + - * / **, "
+        return self.operand(node)
+
+    def operand(self, node: ast.expr) -> list[tuple[str, float]]:
+        """Return the program of what is neither a number nor an operation; all of it is refused here."""
+        if isinstance(node, ast.Name):
+            name = self.segment(node)
+            hint = TIME.get(name) or did_you_mean(name, ["t", "pi", *FUNCTIONS]) or "; known are t, pi and functions"
+            self.refuse(f"unknown name '{name}'{hint}", node)
+        self.refuse(
+            f"'{self.segment(node)}' is not part of {self.wanted}, + - * / **, "
             f"parentheses and the functions {', '.join(FUNCTIONS)}",
             node,
         )
@@ -223,6 +249,7 @@ class _Compiler:
         return program
 
     def call(self, node: ast.Call, nesting: int) -> list[tuple[str, float]]:
+        """Compile the call of a function."""
         if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS:
             name = self.segment(node.func)
             self.refuse(f"'{name}' is not a function that can be used{did_you_mean(name, FUNCTIONS)}", node)
@@ -259,6 +286,7 @@ class _Compiler:
         return program
 
     def constant(self, compute: Callable[[], float], node: ast.expr) -> list[tuple[str, float]]:
+        """Return the program of a number that stands in the text or follows from such."""
         try:
             value = compute()
         except (ArithmeticError, ValueError):

@@ -23,6 +23,7 @@ def figure_data(figure: Figure) -> dict[str, Any]:
         "y": _axis_data(figure.y),
         "equal": figure.equal,
         "bands": [{"label": band.label, "low": band.low, "high": band.high} for band in figure.bands],
+        "marks": [{"label": mark.label, "x": mark.x} for mark in figure.marks],
         "lines": [
             {
                 "label": line.label,

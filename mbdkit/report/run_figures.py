@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Axis, Figure, Line
+from mbdkit.analysis.verdict import Axis, Figure, Line, Mark
 from mbdkit.report.curves import ENERGIES, Quantity, joint_quantity
 from mbdkit.report.geometry import choose_traces, draw_spec, trace_points
 from mbdkit.report.series import bands, evenly, take
@@ -18,6 +19,8 @@ from mbdkit.report.words import length
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
+MARKS = 60
+"""So many crossings of events are marked in figures over time."""
 _ROWS = 4_000
 _TIME = Axis("time", "s")
 
@@ -31,7 +34,20 @@ def run_figures(run: Run) -> tuple[Figure, ...]:
         figures += [_energy(run), _balance(run)]
     if run.records("joints/reaction_force") and run.joint_names:
         figures.append(_reactions(run))
-    return tuple(figures)
+    marks = _marks(run)
+    return tuple(replace(figure, marks=marks) if figure.x == _TIME else figure for figure in figures)
+
+
+def _marks(run: Run) -> tuple[Mark, ...]:
+    """Return marks at the times of events, each event named once; none where there are too many to tell apart."""
+    if len(run.events) > MARKS:
+        return ()
+    named: set[str] = set()
+    marks = []
+    for event in run.events:
+        marks.append(Mark("" if event.name in named else event.name, event.time))
+        named.add(event.name)
+    return tuple(marks)
 
 
 def _paths(run: Run) -> Figure:

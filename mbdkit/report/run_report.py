@@ -57,7 +57,18 @@ def yaml_text(spec: Mapping[str, Any]) -> str:
     return write_yaml({key: spec[key] for key in sorted(spec, key=_place)})
 
 
-_ORDER = ("mbdkit", "title", "model", "formulation", "stabilization", "integrator", "time", "output", "limits")
+_ORDER = (
+    "mbdkit",
+    "title",
+    "model",
+    "formulation",
+    "stabilization",
+    "integrator",
+    "time",
+    "output",
+    "events",
+    "limits",
+)
 
 
 def _place(key: str) -> int:

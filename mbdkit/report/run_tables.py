@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 JOINTS = 50
 """So many joints are listed, those that came apart the most."""
+EVENTS = 50
+"""So many crossings of events are listed, the first ones."""
 _QUANTITIES = (
     ("velocity misalignment", "joints/velocity_misalignment", "m/s"),
     ("reaction force", "joints/reaction_force", "N"),
@@ -24,7 +26,28 @@ _QUANTITIES = (
 def run_tables(run: Run) -> tuple[Table, ...]:
     """Return the tables of a run."""
     tables = [_joints(run)] if run.joint_names else []
+    if run.spec.get("events"):
+        tables.append(_events(run))
     return (*tables, _cost(run))
+
+
+def _events(run: Run) -> Table:
+    """Return the crossings of events, the first ones of many."""
+    specs = run.spec["events"]
+    columns = (Column("event"), Column("when this crosses zero"), Column("direction"), Column("time", "s"))
+    rows: list[tuple[Cell, ...]] = [
+        (
+            event.name,
+            str(specs[event.name]["when"]),
+            "upwards" if event.direction > 0 else "downwards",
+            f"{event.time:.10g}",
+        )
+        for event in run.events[:EVENTS]
+    ]
+    found = set(run.events.names)
+    rows += [(name, str(event["when"]), "never", None) for name, event in specs.items() if name not in found]
+    note = f"The first {EVENTS} of {len(run.events)} crossings." if len(run.events) > EVENTS else ""
+    return Table("events", "Events", columns, tuple(rows), note)
 
 
 def _joints(run: Run) -> Table:

@@ -73,6 +73,8 @@ def _completion(run: Run) -> Claim:
     cost = f" and {duration(float(run.stats['wall_s']))} of computing" if "wall_s" in run.stats else ""
     if run.status == "complete":
         sentence = f"The run completed: {motion}{taken}{cost}."
+        if run.status_reason:
+            sentence += f" It was asked to end there: {run.status_reason.removeprefix('event: ')}"
     elif run.status == "running":
         sentence = f"The run did not end: it crashed, or is still under way, after {motion}."
     else:

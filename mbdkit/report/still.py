@@ -63,6 +63,14 @@ def still(figure: Figure) -> Picture:
         }
         label = axes.annotate(band.label, (0.01, band.high), size=7.5, color=FAINT, va="top", **place)
         label.set_parse_math(False)
+    for mark in figure.marks:
+        axes.axvline(mark.x, color=FAINT, linewidth=0.8, linestyle=":", zorder=0.6)
+        if mark.label:
+            beside: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+            name = axes.annotate(
+                mark.label, (mark.x, 1.0), xytext=(2, -3), size=7, color=FAINT, rotation=90, va="top", **beside
+            )
+            name.set_parse_math(False)
     _draw_lines(axes, figure)
     if figure.equal:
         axes.set_aspect("equal", adjustable="datalim")

@@ -65,11 +65,18 @@ def plain(value: Any, path: Path = ()) -> Any:
 
 
 def canonical(value: Any) -> Any:
-    """Return models as dicts with sorted keys, in which mappings from the user's own names keep their order."""
+    """Return models as dicts with sorted keys, in which mappings from the user's own names keep their order.
+
+    Keys that a model names in ``ABSENT_BY_DEFAULT`` are left out while they hold nothing.
+    """
     match value:
         case BaseModel():
-            fields = type(value).model_fields
-            names = {name: info.serialization_alias or info.alias or name for name, info in fields.items()}
+            fields, absent = type(value).model_fields, getattr(type(value), "ABSENT_BY_DEFAULT", ())
+            names = {
+                name: info.serialization_alias or info.alias or name
+                for name, info in fields.items()
+                if name not in absent or getattr(value, name)
+            }
             return {names[name]: canonical(getattr(value, name)) for name in sorted(names, key=lambda n: names[n])}
         case Mapping():
             return {key: canonical(item) for key, item in value.items()}

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from contextlib import suppress
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
@@ -21,11 +22,12 @@ from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.items import Claims, IntegratorPlugin, ModelPlugin
 from mbdkit.registry.options import item_of
 from mbdkit.spec.choices import Choice, choice_of
-from mbdkit.spec.sections import Limits, Output, Time
+from mbdkit.spec.sections import Event, Limits, Output, Time, named_events
 from mbdkit.spec.strict import StrictSpec
 from mbdkit.text import listed, one_line
 
 if TYPE_CHECKING:
+    from mbdkit.events.expression import RunExpression
     from mbdkit.mechanism.mechanism import Mechanism
 
 
@@ -45,6 +47,8 @@ class RunSpec(StrictSpec):
     """
 
     model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("events",)
+    """Keys that the canonical form leaves out while they are empty: specs from before them keep hash and run id."""
 
     mbdkit: Literal[1]
     """Version of the spec."""
@@ -62,10 +66,13 @@ class RunSpec(StrictSpec):
     """Start, end and step."""
     output: Output = Field(default_factory=lambda: Output(every=1))
     """What is recorded, and how often."""
+    events: Annotated[dict[str, Event], AfterValidator(named_events)] = Field(default_factory=dict)
+    """What to watch for, by name: expressions over the run that cross zero, to be noted, or to stop it."""
     limits: Limits = Limits()
     """What stops the run early."""
 
     _mechanism: Any = PrivateAttr(default=None)
+    _watched: Any = PrivateAttr(default=None)
 
     @model_validator(mode="after")
     def _suits_the_method(self) -> RunSpec:
@@ -151,14 +158,35 @@ class RunSpec(StrictSpec):
         Raises
         ------
         SpecError
-            If the parameters make no mechanism.
+            If the parameters make no mechanism, or the events name what it does not have.
         PluginError
             If the model of a plugin fails.
         """
         if self._mechanism is None:
-            self._mechanism = self._build()
+            mechanism = self._build()
+            self._watched = self._parsed(mechanism)
+            self._mechanism = mechanism
         built: Mechanism = self._mechanism
         return built
+
+    def watched(self) -> dict[str, RunExpression]:
+        """Return what the events look for in the mechanism, by their names; raises as `mechanism` does."""
+        self.mechanism()
+        watched: dict[str, RunExpression] = self._watched
+        return watched
+
+    def _parsed(self, mechanism: Mechanism) -> dict[str, RunExpression]:
+        if not self.events:
+            return {}
+        from mbdkit.events.expression import RunExpression
+
+        parsed = {}
+        for name, event in self.events.items():
+            try:
+                parsed[name] = RunExpression.parse(event.when, mechanism)
+            except SpecError as error:
+                raise SpecError(error.message, key=f"events.{name}.when") from None
+        return parsed
 
     def _build(self) -> Mechanism:
         from mbdkit.mechanism.mechanism import Mechanism

@@ -9,6 +9,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 from pydantic_core import PydanticCustomError
 
 from mbdkit.errors import SpecError
+from mbdkit.mechanism.checks import check_name
 
 QUANTITIES = ("constraints", "energy", "joints")
 
@@ -112,6 +113,30 @@ class Output(Section):
     def recorded(self) -> frozenset[str]:
         """The groups recorded beside trajectory, steps and stats."""
         return frozenset(QUANTITIES if self.quantities == "all" else self.quantities)
+
+
+class Event(Section):
+    """What to watch for while the run goes on: an expression that crosses zero.
+
+    Expressions are of t and of NAME.x, .y, .angle, .vx, .vy, .angular_velocity, .ax, .ay, .angular_acceleration of
+    bodies, NAME.force, .force_x, .force_y, .torque, .misalignment, .angle of joints, and energy.kinetic, .potential,
+    .total. What a body and a joint are both called is told apart as bodies.NAME and joints.NAME; names with other
+    characters stand in quotes, as in joints["J 1"].force.
+    """
+
+    when: str
+    """What crosses zero: an expression over the run, such as "knee.angle - 1.2"."""
+    direction: Literal["any", "rising", "falling"] = "any"
+    """Which crossings count: those from below, from above, or both."""
+    action: Literal["note", "stop"] = "note"
+    """Whether the crossing is noted, or ends the run as well, which is complete then."""
+
+
+def named_events(events: dict[str, Event]) -> dict[str, Event]:
+    """Return the events if their names are sane; raises SpecError."""
+    for name in events:
+        check_name(name, name)
+    return events
 
 
 class Limits(Section):

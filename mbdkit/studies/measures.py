@@ -59,6 +59,8 @@ def _error(part: slice, rows: slice) -> Callable[[Run, Run | None], float]:
     def take(run: Run, reference: Run | None) -> float:
         if reference is None or not run.status == reference.status == "complete":
             return math.nan
+        if run.status_reason or reference.status_reason:  # an event ended one of them, and not at the other's end
+            return math.nan
         difference = offsets(run, reference, rows)[..., part]
         return float(np.max(np.linalg.norm(difference, axis=-1), initial=0.0))
 

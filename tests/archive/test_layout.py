@@ -40,6 +40,16 @@ PROMISED = {
     },
     "energy": dict.fromkeys(("time", "kinetic", "potential", "total", "dissipated", "work", "balance"), "T"),
     "steps": dict.fromkeys(("interval", "time", "steps", "size", "iterations", "iterations_max", "rejected"), "N"),
+    "events": {
+        "event": "E",
+        "body": "B",
+        "coordinate": "3",
+        "name": "E",
+        "time": "E",
+        "direction": "E",
+        "position": "EB3",
+        "velocity": "EB3",
+    },
 }
 AXES = {
     "T": "time",
@@ -49,6 +59,7 @@ AXES = {
     "2": "axis",
     "m": "constraint",
     "N": "interval",
+    "E": "event",
 }
 
 

@@ -26,7 +26,7 @@ def test_json_prints_one_object_with_the_keys_of_the_contract(mbdkit, small, in_
     (in_tmp_path / "spec.yaml").write_text(small)
     result = mbdkit("run", "spec.yaml", "--json", "-o", "out.h5")
     answer = json.loads(result.stdout)
-    assert set(answer) == {"path", "status", "status_reason", "run_id", "stats", "misalignment_max"}
+    assert set(answer) == {"path", "status", "status_reason", "run_id", "stats", "misalignment_max", "events"}
     assert (answer["path"], answer["status"]) == ("out.h5", "complete")
     assert answer["stats"]["steps"] == 100
     with h5py.File("out.h5") as file:
@@ -79,6 +79,43 @@ def test_a_run_that_stops_early_keeps_its_archive_and_says_why(mbdkit, small, in
     assert "max-steps" in result.stderr
     with load("spec.h5") as run:
         assert run.status == "failed"
+
+
+EVENTS = """events:
+  bent: {when: J2.angle + 0.1}
+  enough: {when: t - 0.7, action: stop}
+"""
+
+
+def test_a_run_that_an_event_stops_is_done(mbdkit, small, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small + EVENTS)
+    result = mbdkit("run", "spec.yaml", "--json")
+    assert result.exit_code == 0, result.stderr
+    answer = json.loads(result.stdout)
+    assert (answer["status"], answer["stats"]["steps"]) == ("complete", 70)
+    assert answer["status_reason"] == "event: 'enough' crossed zero upwards at t = 0.7 s."
+    assert [event["name"] for event in answer["events"]] == ["bent", "enough"]
+    assert answer["events"][1] == {"name": "enough", "time": pytest.approx(0.7, abs=1e-12), "direction": 1}
+    assert mbdkit("archive", "check", "spec.h5").exit_code == 0
+    assert mbdkit("rerun", "spec.h5").exit_code == 0
+    assert "event: 'enough' crossed zero upwards" in mbdkit("archive", "info", "spec.h5").stdout
+
+
+def test_validate_shows_the_events_with_their_values_at_the_start(mbdkit, small, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small + EVENTS)
+    result = mbdkit("validate", "spec.yaml")
+    assert result.exit_code == 0, result.stderr
+    assert "  bent    any        note    0.1       J2.angle + 0.1\n" in result.stdout
+    assert "  enough  any        stop    -0.7      t - 0.7\n" in result.stdout
+
+
+def test_a_wrong_event_is_refused_with_its_line(mbdkit, small, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small + EVENTS.replace("J2.angle", "knee.angle"))
+    for command in ("run", "validate"):
+        result = mbdkit(command, "spec.yaml")
+        assert result.exit_code == 2
+        assert "spec.yaml:10: events.bent.when: there is no body or joint 'knee'" in result.stderr
+    assert os.listdir() == ["spec.yaml"]
 
 
 def test_validate_says_what_the_mechanism_is_and_that_its_start_is_consistent(mbdkit, small, in_tmp_path):

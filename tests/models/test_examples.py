@@ -21,6 +21,7 @@ NAMES = [
     "four-bar",
     "gravity-balanced-arm",
     "knee",
+    "limit-stop",
     "pendulum",
     "slider-crank",
     "spring-pendulum",
@@ -150,6 +151,23 @@ def test_coil_of_the_double_wishbone_is_to_the_wheel_what_its_source_says():
     force = mechanism.forces["coil"]
     assert force.stiffness * ratio**2 == pytest.approx(16000, rel=0.01)
     assert force.damping * ratio**2 == pytest.approx(1000, rel=0.01)
+
+
+def test_stop_of_the_artificial_knee_takes_up_what_the_blow_brings_and_gives_it_back():
+    # expected: at blows and rebounds the stop's spring is at its free angle; between them it pushes with k times the
+    # angle, so that hip, knee and stop together balance the shank: J theta'' = sum of moments about its centre
+    with mbdkit.run("limit-stop") as run:
+        angles = run.events.position[:, 1, 2] - run.events.position[:, 0, 2]
+        np.testing.assert_allclose(angles, 0.0, rtol=0, atol=1e-11)
+        assert [event.name for event in run.events[:4]] == ["blow", "rebound", "blow", "rebound"]
+        shank, thigh = run["shank"], run["thigh"]
+        angle, rate = shank.angle - thigh.angle, shank.angular_velocity - thigh.angular_velocity
+        x, y = 0.2 * np.cos(shank.angle), 0.2 * np.sin(shank.angle)
+        force = run.joints["knee"].reaction_force
+        moment = -x * force[:, 1] + y * force[:, 0] - 0.1 * rate - 500.0 * np.maximum(angle, 0.0)
+        np.testing.assert_allclose(moment, 0.05 * shank.angular_acceleration, rtol=0, atol=1e-9)
+        assert 0.05 < angle.max() < 0.1
+        assert len(run.events.of_name("overload")) == 0
 
 
 def test_strut_of_the_knee_holds_the_foot_forward_of_where_it_would_hang():

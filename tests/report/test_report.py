@@ -217,3 +217,34 @@ def test_wrong_input_is_a_sentence_and_leaves_nothing(archive, arguments, words,
     assert words in result.stderr
     assert len(result.stderr.splitlines()) == 1
     assert sorted(archive.parent.iterdir()) == before
+
+
+def test_events_are_listed_and_marked_in_figures_over_time():
+    events = {"low <b>": {"when": "rod1.angle + pi/2"}, "never": {"when": "t - 9"}}
+    time = {"end": 2.0, "step": 0.01}
+    with mbdkit.run("pendulum", time=time, events=events) as run:
+        verdict = run_verdict(run)
+        table, figure = verdict.table("events"), verdict.figure("reactions")
+        assert [row[0] for row in table.rows] == ["low <b>", "low <b>", "never"]
+        assert table.rows[0][3].startswith("0.48333")
+        assert [mark.label for mark in figure.marks] == ["low <b>", ""]
+        assert [mark.x for mark in figure.marks] == run.events.time.tolist()
+        assert verdict.figure("trajectory").marks == ()
+        page = run_document(run).html()
+        assert "low &lt;b&gt;" in page
+        assert "low <b>" not in page
+
+
+def test_too_many_events_to_tell_apart_are_listed_in_part_and_not_marked():
+    with mbdkit.run("pendulum", time={"end": 2.0, "step": 0.01}, events={"often": {"when": "sin(100*t)"}}) as run:
+        verdict = run_verdict(run)
+        assert len(run.events) == 63
+        assert verdict.figure("energy").marks == ()
+        assert verdict.table("events").note == "The first 50 of 63 crossings."
+
+
+def test_a_run_that_an_event_ended_completed():
+    with mbdkit.run("pendulum", events={"low": {"when": "rod1.angle + pi/2", "action": "stop"}}) as run:
+        claim = run_verdict(run).claim("completion")
+        assert claim.answer is Answer.YES
+        assert "It was asked to end there: 'low' crossed zero downwards at t = 0.4833" in claim.sentence

@@ -198,6 +198,18 @@ def test_the_button_of_a_curve_hides_it_and_brings_it_back(page):
     assert figure.locator(".scatterlayer .trace").count() == 2
 
 
+def test_the_times_of_events_are_marked_in_figures(browser, tmp_path):
+    events = {"low": {"when": "rod1.angle + pi/2"}}
+    with mbdkit.run("pendulum", time={"end": 2.0, "step": 0.01}, events=events, archive=tmp_path / "run.h5"):
+        pass
+    tab = browser.new_page()
+    tab.goto(report(tmp_path / "run.h5").as_uri())
+    shapes = "chart => chart._fullLayout.shapes.map(shape => shape.x0)"
+    assert tab.locator('[data-figure="energy"]').evaluate(shapes) == pytest.approx([0.48333371, 1.45000114], abs=1e-6)
+    assert tab.locator('[data-figure="energy"] .annotation-text').all_text_contents() == ["low"]
+    tab.close()
+
+
 def test_the_mouse_zooms_a_figure(page):
     tab = page.page
     chart = tab.locator('[data-figure="misalignment"]')

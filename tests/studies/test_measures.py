@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import mbdkit
 from mbdkit.analysis.reference import interpolated
+from mbdkit.studies.measures import MEASURES
 
 
 def recorded(function, time):
@@ -34,3 +37,12 @@ def test_recorded_rows_are_met_to_the_bit():
     assert np.array_equal(interpolated(run, time), values["position"])
     late = time * (1 + 1e-14)  # the same instants, rounded otherwise
     assert np.allclose(interpolated(run, late[:-1]), values["position"][:-1], rtol=0, atol=1e-10)
+
+
+def test_a_run_that_an_event_ended_has_no_error_against_a_reference_that_ended_elsewhere():
+    stop = {"low": {"when": "rod1.angle + pi/2", "action": "stop"}}
+    time = {"end": 1.0, "step": 0.01}
+    with mbdkit.run("pendulum", time=time) as whole, mbdkit.run("pendulum", time=time, events=stop) as stopped:
+        assert math.isnan(MEASURES["end_error"].take(stopped, whole))
+        assert MEASURES["end_error"].take(whole, whole) == 0.0
+        assert MEASURES["misalignment_max"].take(stopped, whole) > 0.0

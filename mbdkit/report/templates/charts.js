@@ -41,14 +41,20 @@ function layout(figure, color) {
     showlegend: false, hovermode: "closest", dragmode: coarse.matches ? false : "zoom",
     hoverlabel: { bgcolor: color("card"), bordercolor: color("edge"), font: { color: color("ink") } },
     modebar: { bgcolor: "rgba(0,0,0,0)", color: color("faint"), activecolor: color("c0") },
-    shapes: figure.bands.map(band => ({
+    shapes: [...figure.bands.map(band => ({
       type: "rect", xref: "paper", x0: 0, x1: 1, y0: band.low, y1: band.high, layer: "below",
       fillcolor: color("faint"), opacity: 0.18, line: { width: 0 },
-    })),
-    annotations: figure.bands.map(band => ({
+    })), ...figure.marks.map(mark => ({
+      type: "line", yref: "paper", x0: mark.x, x1: mark.x, y0: 0, y1: 1, layer: "below",
+      line: { width: 1, dash: "dot", color: color("faint") },
+    }))],
+    annotations: [...figure.bands.map(band => ({
       text: plain(band.label), xref: "paper", x: 0.01, xanchor: "left", showarrow: false, yanchor: "top",
       y: figure.y.log ? Math.log10(band.high) : band.high, font: { size: 11, color: color("faint") },
-    })),
+    })), ...figure.marks.filter(mark => mark.label).map(mark => ({
+      text: plain(mark.label), x: mark.x, xanchor: "left", yref: "paper", y: 1, yanchor: "top", showarrow: false,
+      textangle: -90, font: { size: 11, color: color("faint") },
+    }))],
   };
 }
 

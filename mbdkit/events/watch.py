@@ -1,0 +1,219 @@
+"""Watches a run for its events: one step after the other, each looked into before the next."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+import numpy as np
+
+from mbdkit.engine.problem import Problem
+from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings
+from mbdkit.events.expression import RunExpression
+from mbdkit.events.observation import Observer
+from mbdkit.integrators import stepping
+from mbdkit.integrators.stepping import Counters, Failure, Stepper, StepTaken, Stretch, joined
+
+INSIDE = (0.25, 0.5, 0.75)
+"""Places within a step at which dense output is looked at."""
+
+DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
+
+
+@dataclass(frozen=True)
+class Watched:
+    """An event to be watched for.
+
+    Parameters
+    ----------
+    name
+        Its name.
+    when
+        What crosses zero.
+    direction
+        Which crossings count.
+    action
+        Whether the run ends there, or goes on.
+    """
+
+    name: str
+    when: RunExpression
+    direction: Literal["any", "rising", "falling"]
+    action: Literal["note", "stop"]
+
+
+@dataclass(frozen=True)
+class Found:
+    """One crossing: the event's name, time [s], direction (1 or -1), and the state (3 (B + 1),) there."""
+
+    name: str
+    time: float
+    direction: int
+    q: np.ndarray
+    v: np.ndarray
+
+    def __str__(self) -> str:
+        way = "upwards" if self.direction > 0 else "downwards"
+        return f"'{self.name}' crossed zero {way} at t = {self.time:.10g} s"
+
+
+def values_at_start(expressions: Mapping[str, RunExpression], problem: Problem) -> dict[str, float]:
+    """Return the values of expressions at the start of a run; nan where they have none."""
+    observer, functions = _prepared(list(expressions.values()), problem)
+    values = observer.values([problem.t0], problem.q0[None], problem.v0[None])[0]
+    return {name: function(values) for name, function in zip(expressions, functions, strict=True)}
+
+
+def _prepared(
+    expressions: Sequence[RunExpression], problem: Problem
+) -> tuple[Observer, list[Callable[[Sequence[float]], float]]]:
+    """Return what evaluates the quantities of all expressions at once, and the expressions as functions of them."""
+    quantities = list(dict.fromkeys(quantity for one in expressions for quantity in one.quantities))
+    places = {quantity: place for place, quantity in enumerate(quantities, start=1)}
+    return Observer(problem, quantities), [one.function(places) for one in expressions]
+
+
+class Watch:
+    """A stepper around another that takes single steps: looks for events, and ends the run at one that stops it.
+
+    Parameters
+    ----------
+    stepper
+        Started with ``Timetable.single``.
+    problem
+        What it steps.
+    events
+        What to watch for.
+
+    Attributes
+    ----------
+    stopped
+        The event that ended the run, if one did.
+    """
+
+    def __init__(self, stepper: Stepper, problem: Problem, events: Sequence[Watched]):
+        self.stepper, self.events = stepper, events
+        self.observer, self._functions = _prepared([event.when for event in events], problem)
+        self._signs = [0] * len(events)
+        self._recorded = problem.t0
+        self._found: list[Found] = []
+        self._raised: Exception | None = None
+        self._failure: Failure | None = None
+        self._values: list[float] | None = None
+        self.stopped: Found | None = None
+
+    @property
+    def counters(self) -> Counters:
+        """Cost so far."""
+        return self.stepper.counters
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run has come to its end, or to an event that stops it."""
+        return self.stepper.finished
+
+    @property
+    def failure(self) -> Failure | None:
+        """Why the run stopped early, or None."""
+        return self._failure or self.stepper.failure
+
+    @property
+    def worst_pairs(self) -> np.ndarray:
+        """(P,) largest square of the norm of each pair's Phi so far."""
+        return self.stepper.worst_pairs
+
+    @property
+    def time(self) -> float:
+        """Time reached [s]."""
+        return self.stepper.time
+
+    def taken(self) -> list[Found]:
+        """Return the crossings found since the last call, in order of time."""
+        found, self._found = self._found, []
+        return found
+
+    def advance(self) -> Stretch:
+        """Go on for about `STRETCH` seconds; what the method raised comes out after the rows before it."""
+        if self._raised is not None:
+            raise self._raised
+        until = time.perf_counter() + stepping.STRETCH
+        parts: list[Stretch] = []
+        while True:
+            try:
+                part = self._look(self.stepper.advance())
+            except Exception as error:
+                if not parts:
+                    raise
+                self._raised = error
+                break
+            if len(part.time):
+                self._recorded = float(part.time[-1])
+            if len(part.time) or not parts:
+                parts.append(part)
+            if self.finished or self.failure is not None or time.perf_counter() > until:
+                break
+        return joined(parts)
+
+    def last_state(self) -> Stretch:
+        """Return the state reached as one row."""
+        return self.stepper.last_state()
+
+    def _look(self, stretch: Stretch) -> Stretch:
+        """Find the events of the last step; return its rows, cut where one of them stops the run."""
+        step = self.stepper.last_step
+        if step is None:
+            return stretch
+        found: list[tuple[Crossing, Watched]] = []
+        for number, (event, shown) in enumerate(zip(self.events, self._shown(step), strict=True)):
+            dense, exact = (self._scalar(number, state) for state in (self.stepper.inside, self.stepper.within))
+            accuracy = ACCURACY * max(1.0, abs(step.t1)) / (step.t1 - step.t0)
+            try:
+                places, self._signs[number] = crossings(self._signs[number], shown, dense, exact, accuracy)
+            except UndefinedError as error:
+                where = f"has no finite value at t = {step.time(error.theta):.6g} s"
+                self._failure = Failure("not-finite", f"the expression of event '{event.name}' {where}.")
+                return stretch
+            found += [(place, event) for place in places if place.direction in DIRECTIONS[event.direction]]
+        for place, event in sorted(found, key=lambda item: (item[0].theta, item[1].action == "stop")):
+            one = Found(event.name, step.time(place.theta), place.direction, *self.stepper.within(place.theta))
+            self._found.append(one)
+            if event.action == "stop":
+                self.stopped = one
+                return self._cut(stretch, place.theta)
+        return stretch
+
+    def _shown(self, step: StepTaken) -> list[list[tuple[float, float]]]:
+        """Return for each event its scalar at the beginning of a step, inside, and at its end."""
+        if self._values is None:
+            self._values = self.observer.values([step.t0], step.q0[None], step.v0[None])[0]
+        states = [*(self.stepper.inside(theta) for theta in INSIDE), (step.q1, step.v1)]
+        q, v = (np.array([state[part] for state in states]) for part in range(2))
+        rows = [self._values, *self.observer.values([step.time(theta) for theta in (*INSIDE, 1.0)], q, v)]
+        self._values = rows[-1]
+        return [list(zip((0.0, *INSIDE, 1.0), map(function, rows), strict=True)) for function in self._functions]
+
+    def _scalar(self, number: int, state: Callable[[float], tuple[np.ndarray, np.ndarray]]) -> Callable[[float], float]:
+        """Return the scalar of an event over the last step, at the states that `state` gives."""
+        step = self.stepper.last_step
+        assert step is not None
+
+        def scalar(theta: float) -> float:
+            q, v = state(theta)
+            return self._functions[number](self.observer.values([step.time(theta)], q[None], v[None])[0])
+
+        return scalar
+
+    def _cut(self, stretch: Stretch, theta: float) -> Stretch:
+        """End the run; return the rows before with that of the end, unless it is recorded already."""
+        end = self.stepper.cut(theta)
+        before = stretch.time < end.time[0]
+        values: dict[str, Any] = {}
+        for field in fields(Stretch):
+            value = getattr(stretch, field.name)
+            values[field.name] = None if value is None else value[before]
+        kept = Stretch(**values)
+        if end.time[0] <= max([self._recorded, *kept.time]):
+            return kept
+        return joined([kept, end]) if len(kept.time) else end

@@ -1,0 +1,274 @@
+"""Events of a run: noted or stopping, in order of time, with every kind of method, and kept in the archive."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import netCDF4
+import numpy as np
+import pytest
+import xarray
+
+import mbdkit
+from mbdkit.archive.check import check
+from mbdkit.archive.history import UnknownNameError
+from mbdkit.errors import SpecError
+from mbdkit.simulation import simulate
+from mbdkit.spec import load_spec
+from tests.integrators.step_methods import Failing, Remembering, RungeKutta, run_with
+
+DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
+GAUSS = {"name": "gauss", "stages": 3}
+DOP853 = {"name": "scipy-dop853"}
+METHODS = [GAUSS, {"name": "rk4"}, {"name": "radau-iia"}, DOP853, {"name": "scipy-radau"}, {"name": "scipy-lsoda"}]
+
+
+def run(events: dict[str, Any], integrator: dict[str, Any] = GAUSS, **sections: Any) -> mbdkit.Run:
+    """Run the double pendulum for a second, whatever its end; an event may be its expression alone."""
+    named = {name: event if isinstance(event, dict) else {"when": event} for name, event in events.items()}
+    time = {"end": 1.0, "step": 0.01}
+    return mbdkit.run({"mbdkit": 1, "model": DOUBLE, "integrator": integrator, "time": time, **sections}, events=named)
+
+
+def stop(when: str) -> dict[str, str]:
+    """Return an event that ends the run."""
+    return {"when": when, "action": "stop"}
+
+
+every_method = pytest.mark.parametrize("integrator", METHODS, ids=lambda one: one["name"])
+
+
+@every_method
+def test_a_run_that_an_event_stops_is_complete_and_ends_there(integrator: dict[str, Any]) -> None:
+    with run({"enough": stop("t - 0.4321")}, integrator) as stopped:
+        assert stopped.check().status == "complete"
+        assert stopped.status_reason == "event: 'enough' crossed zero upwards at t = 0.4321 s."
+        assert stopped.time[-1] == pytest.approx(0.4321, abs=1e-12)
+        assert np.all(np.diff(stopped.time) > 0)
+        assert stopped.steps.steps.sum() == stopped.stats["steps"]
+        assert stopped.energy.balance == pytest.approx(0.0, abs=1e-5)
+        with run({}, integrator) as whole:
+            before = whole.time < 0.43
+            position = stopped.array("trajectory/position")
+            np.testing.assert_array_equal(position[: before.sum()], whole.array("trajectory/position")[before])
+
+
+@every_method
+def test_looking_for_events_changes_nothing_in_what_is_recorded(integrator: dict[str, Any]) -> None:
+    with run({"bent": "J2.angle - 0.2", "loaded": "J1.force - 20"}, integrator) as seen, run({}, integrator) as unseen:
+        assert len(seen.events) > 1
+        np.testing.assert_array_equal(seen.time, unseen.time)
+        for name in ("trajectory/position", "trajectory/velocity", "joints/reaction_force", "energy/total"):
+            np.testing.assert_array_equal(seen.array(name), unseen.array(name))
+
+
+def test_events_come_in_order_of_time_within_a_step_too_and_none_after_a_stop() -> None:
+    events = {"d": "t - 0.509", "b": "t - 0.503", "a": "t - 0.501", "c": stop("t - 0.507"), "e": stop("t - 0.508")}
+    with run(events) as stopped:
+        assert [event.name for event in stopped.events] == ["a", "b", "c"]
+        assert stopped.time[-1] == pytest.approx(0.507, abs=1e-12)
+
+
+def test_directions_are_those_that_are_asked_for() -> None:
+    wave = "sin(2*pi*t/0.3)"
+    events = {"both": wave, "up": {"when": wave, "direction": "rising"}, "down": {"when": wave, "direction": "falling"}}
+    with run(events) as noted:
+        assert noted.events.of_name("both").time == pytest.approx([0.15, 0.3, 0.45, 0.6, 0.75, 0.9], abs=1e-12)
+        assert noted.events.of_name("up").time == pytest.approx([0.3, 0.6, 0.9], abs=1e-12)
+        assert noted.events.of_name("down").direction.tolist() == [-1, -1, -1]
+        assert noted.status_reason == ""
+        with pytest.raises(UnknownNameError, match="'sideways'"):
+            noted.events.of_name("sideways")
+
+
+@pytest.mark.parametrize("integrator", [GAUSS, DOP853], ids=lambda one: one["name"])
+def test_an_event_between_recorded_rows_ends_the_run_at_a_row_of_its_own(integrator: dict[str, Any]) -> None:
+    with run({"enough": stop("t - 0.4321")}, integrator, output={"every": 30}) as stopped:
+        assert stopped.time[-1] == pytest.approx(0.4321, abs=1e-12)
+        assert stopped.steps.steps.sum() == stopped.stats["steps"]
+
+
+def test_rows_at_an_interval_end_with_the_event() -> None:
+    with run({"enough": stop("t - 0.4321")}, DOP853, output={"interval": 0.1}) as stopped:
+        np.testing.assert_allclose(stopped.time, [0.0, 0.1, 0.2, 0.3, 0.4, 0.4321], rtol=0, atol=1e-12)
+        assert stopped.steps.steps.sum() == stopped.stats["steps"]
+
+
+def test_an_event_at_the_end_of_a_step_ends_the_run_there_once() -> None:
+    with run({"enough": stop("t - 0.5")}, {"name": "rk4"}) as stopped:
+        assert stopped.time[-2:] == pytest.approx([0.49, 0.5], abs=1e-15)
+        assert stopped.stats["steps"] == stopped.steps.steps.sum() == 50
+
+
+def test_zeros_at_the_start_and_at_the_end_are_no_crossings() -> None:
+    with run({"start": "t", "end": "t - 1", "rest": "rod1.angular_velocity"}, {"name": "rk4"}) as noted:
+        assert len(noted.events) == 0
+        assert noted.events.position.shape == (0, 2, 3)
+
+
+def test_a_crossing_there_and_back_within_a_step_is_found() -> None:
+    with run({"dip": "(t - 0.5031)*(t - 0.5039)"}) as noted:
+        assert noted.events.time == pytest.approx([0.5031, 0.5039], abs=1e-12)
+        assert noted.events.direction.tolist() == [-1, 1]
+
+
+def test_a_run_that_fails_keeps_the_events_found_before() -> None:
+    with run({"early": "t - 0.0501", "late": "t - 0.9"}, limits={"max_steps": 20}) as failed:
+        assert failed.status == "failed"
+        assert failed.status_reason.startswith("max-steps")
+        assert [event.name for event in failed.events] == ["early"]
+
+
+def test_a_run_that_is_interrupted_keeps_the_events_found_before() -> None:
+    spec = {"mbdkit": 1, "model": DOUBLE, "integrator": GAUSS, "time": {"end": 1000.0, "step": 0.01}}
+    checked = load_spec(spec, events={"wave": {"when": "sin(50*t)"}})
+    with simulate(checked, progress=lambda reached, end: os.kill(os.getpid(), signal.SIGINT)) as interrupted:
+        assert interrupted.status == "interrupted"
+        count = int(interrupted.time[-1] * 50 / np.pi)
+        np.testing.assert_allclose(interrupted.events.time, np.arange(1, count + 1) * np.pi / 50, rtol=0, atol=1e-12)
+
+
+def test_what_is_noted_at_the_very_time_of_a_stop_comes_before_it() -> None:
+    with run({"end": stop("t - 0.4321"), "same": "t - 0.4321"}, {"name": "rk4"}) as stopped:
+        assert [event.name for event in stopped.events] == ["same", "end"]
+
+
+def test_a_stop_in_the_last_step_that_is_allowed_is_a_stop() -> None:
+    with run({"enough": stop("t - 0.195")}, limits={"max_steps": 20}) as stopped:
+        assert stopped.status == "complete"
+        assert stopped.time[-1] == pytest.approx(0.195, abs=1e-12)
+
+
+def test_an_expression_without_a_value_fails_the_run_by_its_name() -> None:
+    with run({"root": "sqrt(0.3 - t) - 0.01"}) as failed:
+        assert failed.status == "failed"
+        assert failed.status_reason.startswith(
+            "not-finite: the expression of event 'root' has no finite value at t = 0.3"
+        )
+        assert failed.time[-1] == pytest.approx(0.31, abs=1e-12)
+
+
+@pytest.mark.parametrize("method", [RungeKutta(), Remembering()])
+def test_a_method_in_python_is_stopped_by_its_own_step(method: Any) -> None:
+    with run({"enough": stop("t - 0.4321")}, {"name": "rk4"}) as ours:
+        named = {"enough": stop("t - 0.4321"), "bent": {"when": "J2.angle - 0.2"}}
+        with run_with(method, DOUBLE, {"end": 1.0, "step": 0.01}, events=named) as stopped:
+            assert stopped.check().time[-1] == ours.time[-1]
+            assert len(stopped.events) > 1
+            np.testing.assert_allclose(
+                stopped.array("trajectory/position"), ours.array("trajectory/position"), rtol=0, atol=1e-13
+            )
+            if method.carries_multipliers:  # they count the steps
+                own = stopped.array("constraints/method_multiplier")
+                assert own[-2:, 0].tolist() == [43.0, 44.0]
+
+
+def test_a_plugin_that_raises_keeps_the_events_found_before() -> None:
+    def burst(problem: Any, state: Any) -> Any:
+        raise RuntimeError("burst")
+
+    named = {"early": {"when": "t - 0.0501"}}
+    with run_with(Failing(20, burst), DOUBLE, {"end": 1.0, "step": 0.01}, events=named) as failed:
+        assert failed.status_reason.startswith("plugin-error")
+        assert len(failed.time) > 10  # steps that locate the event count among the twenty
+        assert [event.name for event in failed.events] == ["early"]
+
+
+def test_redundant_joints_share_their_force_as_in_the_archive() -> None:
+    m = mbdkit.Mechanism()
+    rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    m.revolute("A", m.ground, rod, at=(0.0, 0.0))
+    m.revolute("B", m.ground, rod, at=(0.0, 0.0))
+    settings: dict[str, Any] = {"integrator": GAUSS, "time": {"end": 0.5, "step": 0.01}}
+    with mbdkit.run(m, **settings, events={"half": {"when": "B.force - 8"}}) as noted:
+        force = np.hypot(*noted.joints["B"].reaction_force.T)
+        assert force == pytest.approx(np.hypot(*noted.joints["A"].reaction_force.T), rel=1e-9)
+        [event] = noted.events
+        assert np.interp(event.time, noted.time, force) == pytest.approx(8.0, abs=1e-2)
+
+
+def test_archive_of_a_run_with_events_is_right_and_says_when(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    named = {"bent": {"when": "J2.angle - 0.2"}, "never": {"when": "rod1.x - 9"}, "enough": stop("t - 0.4321")}
+    spec = {"mbdkit": 1, "model": DOUBLE, "integrator": GAUSS, "time": {"end": 1.0, "step": 0.01}, "events": named}
+    mbdkit.run(spec, archive=path).close()
+    assert check(path) == []
+    with mbdkit.load(path) as loaded:
+        assert loaded.status == "complete"
+        assert loaded.events[-1].name == "enough"
+        assert loaded.events.position[-1] == pytest.approx(loaded.array("trajectory/position")[-1])
+        tree = loaded.to_xarray()
+        assert tree["events/position"].dims == ("event", "body", "coordinate")
+        assert list(tree["events/name"].values) == list(loaded.events.names)
+        assert "enough once at 0.4321 s" in loaded.summary()
+        assert "never never" in loaded.summary()
+        with mbdkit.run(loaded.spec) as again:
+            assert again.data_sha256 == loaded.data_sha256
+
+
+@pytest.mark.parametrize("interval", [0.0, 1.0])
+def test_other_programs_read_the_events_whether_they_came_in_one_piece_or_in_many(
+    interval: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbdkit.archive.writer.FLUSH_INTERVAL", interval)
+    monkeypatch.setattr("mbdkit.integrators.stepping.STRETCH", 0.001)
+    path = tmp_path / "run.h5"
+    spec = {"mbdkit": 1, "model": DOUBLE, "integrator": GAUSS, "time": {"end": 1.0, "step": 0.01}}
+    named = {"a long name, bent": {"when": "J2.angle - 0.2"}, "wave": {"when": "sin(50*t)"}}
+    with mbdkit.run(spec, archive=path, events=named) as made:
+        assert (made.file["events/time"].chunks is not None) == (interval == 0.0)
+        names, times = list(made.events.names), made.events.time
+        assert len(times) == 16
+    assert check(path) == []
+    with xarray.open_datatree(path, engine="h5netcdf") as tree:
+        assert list(tree["events/name"].values) == names
+        np.testing.assert_array_equal(tree["events/time"], times)
+    with netCDF4.Dataset(path) as data:
+        assert list(data["events/name"][:]) == names
+        assert data["events/position"].dimensions == ("event", "body", "coordinate")
+
+
+def test_archive_says_that_no_event_was_found(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    spec = {"mbdkit": 1, "model": DOUBLE, "integrator": GAUSS, "time": {"end": 0.1, "step": 0.01}}
+    mbdkit.run(spec, archive=path, events={"never": {"when": "rod1.x - 9"}}).close()
+    assert check(path) == []
+    with mbdkit.load(path) as loaded:
+        assert len(loaded.events) == 0
+        assert loaded.to_xarray()["events/time"].shape == (0,)
+
+
+def test_a_spec_without_events_has_the_hash_that_it_had_before_there_were_any() -> None:
+    # expected: written down before the section was added
+    spec = load_spec("pendulum")
+    assert "events" not in spec.canonical_json()
+    assert spec.sha256() == "3a7b807dd456ca9af57bfedc93a477c7fa9d20de35582b21e3a85a95c6c761ad"
+    with run({}) as plain:
+        assert "events" not in plain.file
+        assert len(plain.events) == 0
+
+
+@pytest.mark.parametrize(
+    ("events", "key", "why"),
+    [
+        ({"a": {"when": "rod3.angle"}}, "events.a.when", "did you mean 'rod"),
+        ({"a": {"when": "t", "direction": "up"}}, "events.a.direction", "'any', 'rising' or 'falling'"),
+        ({"a": {"when": "t", "action": "halt"}}, "events.a.action", "'note' or 'stop'"),
+        ({"a": {"when": "t", "until": 3}}, "events.a.until", "unknown key"),
+        ({"a": {}}, "events.a.when", "is missing"),
+        ({"a": "t - 1"}, "events.a", "should be a mapping"),
+        ({"a": {"when": 3}}, "events.a.when", "should be text"),
+        ({"a/b": {"when": "t"}}, "events.a/b", "a name is printable text"),
+        (["t"], "events", "should be a mapping"),
+    ],
+)
+def test_wrong_events_are_refused_by_their_key(events: Any, key: str, why: str) -> None:
+    with pytest.raises(SpecError) as error:
+        load_spec(
+            {"mbdkit": 1, "model": DOUBLE, "integrator": GAUSS, "time": {"end": 1.0, "step": 0.01}, "events": events}
+        )
+    assert error.value.key == key
+    assert why in error.value.message

@@ -1,0 +1,104 @@
+"""Expressions over a run: what they may name, what they are worth, and what is refused."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+import mbdkit
+from mbdkit.errors import SpecError
+from mbdkit.events.expression import Quantity, RunExpression
+
+
+def mechanism() -> mbdkit.Mechanism:
+    """Return two rods, the outer of which shares its name with a joint, and a point mass."""
+    m = mbdkit.Mechanism()
+    inner = m.body("inner", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    outer = m.body("B", mass=1.0, inertia=0.1, position=(1.5, 0.0))
+    weight = m.body("weight 1", mass=1.0, position=(2.0, 0.0))
+    m.revolute("A", m.ground, inner, at=(0.0, 0.0))
+    m.revolute("B", inner, outer, at=(1.0, 0.0))
+    m.revolute("left-hand", outer, weight, at=(2.0, 0.0))
+    return m
+
+
+def value(text: str, **values: float) -> float:
+    """Return what an expression is worth; keywords are attributes of the body `inner`."""
+    expression = RunExpression.parse(text, mechanism())
+    places = {quantity: place for place, quantity in enumerate(expression.quantities, start=1)}
+    row = [values.get("t", 0.0), *(values[quantity.attribute] for quantity in expression.quantities)]
+    return expression.function(places)(row)
+
+
+def test_operators_and_functions_mean_what_they_mean_in_motions() -> None:
+    assert value("2*inner.x - 3", x=5.0) == 7.0
+    assert value("-inner.x**2 + t/4", x=3.0, t=2.0) == -8.5
+    assert value("atan2(inner.y, inner.x) - min(1, inner.x, t)", x=-1.0, y=0.0, t=3.0) == math.pi + 1.0
+    assert value("inner.x**0.5 - sqrt(2)", x=2.0) == 0.0
+    assert value("sin(pi*inner.x) + abs(t) - exp(0)", x=0.5, t=-2.0) == 2.0
+
+
+def test_what_has_no_value_is_nan() -> None:
+    assert math.isnan(value("sqrt(inner.x) - 1", x=-1.0))
+    assert math.isnan(value("1/inner.x", x=0.0))
+    assert math.isnan(value("exp(inner.x) - 1", x=1e6))
+    assert math.isnan(value("inner.x**0.5 - 1", x=-1.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "quantity"),
+    [
+        ("A.torque", Quantity("joints", "A", "torque")),
+        ("inner.angular_velocity", Quantity("bodies", "inner", "angular_velocity")),
+        ("bodies.B.angle", Quantity("bodies", "B", "angle")),
+        ("joints.B.angle", Quantity("joints", "B", "angle")),
+        ("B.vx", Quantity("bodies", "B", "vx")),
+        ("B.force_x", Quantity("joints", "B", "force_x")),
+        ('bodies["weight 1"].x', Quantity("bodies", "weight 1", "x")),
+        ("joints['left-hand'].force_y", Quantity("joints", "left-hand", "force_y")),
+        ("energy.total", Quantity("energy", "", "total")),
+    ],
+)
+def test_names_of_a_run(text: str, quantity: Quantity) -> None:
+    assert RunExpression.parse(text, mechanism()).quantities == (quantity,)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("3 - 4*2", "is the constant -5, which never crosses zero"),
+        ("A.force", "is never negative"),
+        ("abs(inner.x)", "is never negative"),
+        ("(inner.x - 1)**2", "is never negative"),
+        ("energy.kinetic", "is never negative"),
+        ("B.angle", "is both a body and a joint; write bodies.B.angle or joints.B.angle"),
+        ("iner.x", "no body or joint 'iner' (did you mean 'inner'?)"),
+        ("bodies.A.x", "there is no body 'A'"),
+        ("inner.angel", "body 'inner' has no 'angel' (did you mean 'angle'?)"),
+        ("A.vx", "joint 'A' has no 'vx'"),
+        ("energy.heat", "energy has no 'heat'"),
+        ("inner", "'inner' is a body and no number"),
+        ("energy", "write energy.total"),
+        ("ground.x", "the ground stands still"),
+        ("bodies['weight 1'].angle", "'weight 1' is a point mass"),
+        ("joints['left-hand'].angle", "'weight 1' is a point mass"),
+        ("left-hand.force - 3", "is written joints['left-hand']"),
+        ("weight 1.x", "is written bodies['weight 1']"),
+        ("inner.x.real", "is not part of an expression of a run"),
+        ("__import__('os')", "is not a function that can be used"),
+        ("inner.__class__", "body 'inner' has no '__class__'"),
+        ("inner.x if t else 1", "is not part of an expression of a run"),
+        ("(lambda: t)()", "is not a function that can be used"),
+        ("inner.x > 3", "is not part of an expression of a run"),
+        ("time - 3", "(the time is t)"),
+        ("", "the expression is empty"),
+        ("inner.x # - 3", "the character '#'"),
+        ("-" * 150 + "t", "too deeply nested"),
+    ],
+)
+def test_what_is_wrong_is_said_in_a_sentence(text: str, why: str) -> None:
+    with pytest.raises(SpecError) as error:
+        RunExpression.parse(text, mechanism())
+    assert why in error.value.message
+    assert "\n" not in error.value.message
