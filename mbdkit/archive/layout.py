@@ -224,22 +224,21 @@ LAYOUT: tuple[Array, ...] = (
         "steps/position_correction",
         _N,
         "m",
-        "largest change of positions by a projection in the interval, sqrt(dq^T M dq / total mass)",
+        "largest change of positions by a projection in the interval: sqrt(dq^T M dq / total mass)",
         optional=True,
     ),
     Array(
         "steps/velocity_correction",
         _N,
         "m/s",
-        "largest change of velocities by a projection in the interval, sqrt(dv^T M dv / total mass)",
+        "largest change of velocities by a projection in the interval: sqrt(dv^T M dv / total mass)",
         optional=True,
     ),
     Array(
         "steps/acceleration_correction",
         _N,
         "m/s^2",
-        "largest of Baumgarte's terms 2 alpha Phi' + beta^2 Phi at the end of a step in the interval (rows of angles: "
-        "rad/s^2)",
+        "largest of Baumgarte's terms 2 alpha Phi' + beta^2 Phi at a step of the interval (rows of angles: rad/s^2)",
         optional=True,
     ),
 )

@@ -13,6 +13,8 @@ from mbdkit.integrators.step_method import StepError, StepState
 if TYPE_CHECKING:
     from mbdkit.integrators.step_problem import StepProblem
 
+Vector = np.ndarray | float
+
 MOST_PROJECTIONS = 20
 """Iterations after which a projection counts as failed."""
 
@@ -71,7 +73,8 @@ class StabilizedSteps:
     so that Phi(q_1) = 0 and Phi_q(q_1) v_1 + Phi_t = 0: a step back leads back. The multipliers are found by Newton
     iterations, each with the method's step and a matrix simplified to that of a step that moves q by h v.
 
-    What a state carries beside q and v, multipliers and memory, is handed on as the method made it.
+    What a state carries beside q and v, multipliers and memory, is handed on as the method made it: a memory that has
+    to fit the velocities, such as that of generalized-alpha, no longer does, and can cost an order of the multipliers.
 
     Parameters
     ----------
@@ -119,10 +122,10 @@ class StabilizedSteps:
         at: np.ndarray | None = None
         before, idle = np.inf, 0
         for _ in range(MOST_STEPS):
-            begin = state
+            begin, pushed_q, pushed_v = state, none, none
             if at is not None:
-                pushed = self._push(t, state.q, mu), self._push(t, state.q, nu)
-                begin = state.moved(*pushed, multipliers=state.multipliers, memory=state.memory)
+                pushed_q, pushed_v = self._push(t, state.q, mu), self._push(t, state.q, nu)
+                begin = state.moved(pushed_q, pushed_v, multipliers=state.multipliers, memory=state.memory)
             made = self.step(t, begin, h)
             dq = none if at is None else self._push(end, at, mu)
             at = made.q + dq
@@ -134,7 +137,8 @@ class StabilizedSteps:
             now = max(p.relative_change(at, step_q), p.relative_change(v, step_v))
             idle = idle + 1 if now >= 0.5 * before else 0
             if now <= ROUND_OFF or (idle >= 2 and now < STAGNANT):
-                return Taken(begin, made, self._corrected(made, dq + step_q, dv + step_v))
+                reached = self._corrected(made, dq + step_q, dv + step_v, pushed_q, pushed_v)
+                return Taken(begin, made, reached)
             mu, nu = mu - 0.5 * (for_q - 0.5 * h * for_v), nu - 0.5 * for_v
             before = now
         raise StepError("newton-failed", f"the symmetric projection did not converge in {MOST_STEPS} tries of the step")
@@ -142,11 +146,14 @@ class StabilizedSteps:
     def _push(self, t: float, q: np.ndarray, mu: np.ndarray) -> np.ndarray:
         return self.problem.constraint_forces(t, q, mu) / self.problem.mass
 
-    def _corrected(self, made: StepState, dq: np.ndarray, dv: np.ndarray) -> StepState:
+    def _corrected(
+        self, made: StepState, dq: np.ndarray, dv: np.ndarray, before_q: Vector = 0.0, before_v: Vector = 0.0
+    ) -> StepState:
+        """Return what a step made, moved by `dq`, `dv`; noted with what its begin was moved by."""
         self.problem.counters.projections += 1
         self._since[0] += 1
-        self._since[1] = max(self._since[1], np.sqrt(self.weight @ dq**2))
-        self._since[2] = max(self._since[2], np.sqrt(self.weight @ dv**2))
+        self._since[1] = max(self._since[1], np.sqrt(self.weight @ (before_q + dq) ** 2))
+        self._since[2] = max(self._since[2], np.sqrt(self.weight @ (before_v + dv) ** 2))
         return made.moved(
             dq,
             dv,
