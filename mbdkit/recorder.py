@@ -139,6 +139,7 @@ class Recorder:
                     "iterations": iterations.astype(np.int64),
                     "iterations_max": most.astype(np.int64),
                     "rejected": rejected.astype(np.int64),
+                    **_corrections(stretch, part),
                 }
             )
         self.writer.flush_if_due()
@@ -233,6 +234,19 @@ class Recorder:
         metric[self._pair[self._metres]] = True
         np.add.at(squares, self._pair_joint, np.where(metric, worst_pairs, 0.0))
         return np.maximum(np.sqrt(squares), self.largest)
+
+
+def _corrections(stretch: Stretch, part: slice) -> dict[str, np.ndarray]:
+    """Return what stabilization did in each interval, of a run that is stabilized; the archive takes what it wants."""
+    if stretch.corrections is None:
+        return {}
+    made, moved, changed, pulled = stretch.corrections[part].T
+    return {
+        "projections": made.astype(np.int64),
+        "position_correction": moved,
+        "velocity_correction": changed,
+        "acceleration_correction": pulled,
+    }
 
 
 def _at(stretch: Stretch, row: int) -> str:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive import layout
+from mbdkit.archive.layout import CORRECTIONS, EVENTS
 from mbdkit.archive.reader import load
 from mbdkit.archive.room import check_room, row_bytes
 from mbdkit.archive.run import Run
@@ -34,7 +34,8 @@ from mbdkit.engine.problem import Problem
 from mbdkit.engine.redundancy import require_unique_start, without_redundancy
 from mbdkit.engine.warm import ensure_compiled, to_stderr
 from mbdkit.errors import MbdkitError, PluginError, SpecError
-from mbdkit.integrators.methods import Method
+from mbdkit.integrators.methods import Method, SciPySolver
+from mbdkit.integrators.stability import stiff_baumgarte
 from mbdkit.integrators.step_method import StepMethod
 from mbdkit.integrators.stepping import Advancing, Counters, Failure, Stepper, Stretch, Timetable
 from mbdkit.mechanism.checks import check_springs
@@ -107,6 +108,9 @@ def simulate(
     if path is not None:
         check_target(path, overwrite=overwrite)
     method = _method(spec)
+    warning = caution(spec, method)
+    if warning:
+        notify(f"warning: {warning}")
     problem, start = build(spec, notify)
     _check_room(spec, problem.mechanism, path)
     writer = ArchiveWriter(
@@ -115,9 +119,13 @@ def simulate(
         spec.canonical_json(),
         spec.sha256(),
         spec.run_id(),
-        {**_provenance(spec), "assembly": start.describe()},
+        {**_provenance(spec), "assembly": start.describe(), **({"warning": warning} if warning else {})},
         spec.output.recorded,
-        extra_datasets=[*_own_multipliers(method), *(layout.EVENTS if spec.events else ())],
+        extra_datasets=[
+            *_own_multipliers(method),
+            *CORRECTIONS[problem.stabilization.kind],
+            *(EVENTS if spec.events else ()),
+        ],
         overwrite=overwrite,
         shared=shared_forces(problem.mechanism),
     )
@@ -126,6 +134,25 @@ def simulate(
     except BaseException:
         writer.abandon()
         raise
+
+
+def caution(spec: RunSpec, method: Method | None = None) -> str:
+    """Return in a sentence what a spec asks for that may be run but will hardly serve; empty where all is well.
+
+    Parameters
+    ----------
+    spec
+        The spec.
+    method
+        Its method, where that is at hand.
+
+    Raises
+    ------
+    PluginError
+        Where a plugin fails to make the method.
+    """
+    method = method if method is not None else _method(spec)
+    return stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
 
 
 def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Problem, AssembledState]:
@@ -163,6 +190,7 @@ def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Pro
             _padded(start.q),
             _padded(start.v),
             formulation=spec.formulation,
+            stabilization=spec.stabilized,
         )
         require_unique_start(problem)
     except SpecError as error:
@@ -203,6 +231,11 @@ def _method(spec: RunSpec) -> Method:
         raise PluginError(
             f"integrator {spec.integrator_item.id} made {type(method).__name__}, not one of "
             "ExplicitRungeKutta, ImplicitRungeKutta and SciPySolver, nor of a class derived from StepMethod"
+        )
+    if isinstance(method, SciPySolver) and spec.stabilized.kind == "projection":
+        raise PluginError(
+            f"integrator {spec.integrator_item.id} claims that it can be projected, which no solver of SciPy can: "
+            'it should claim `stabilizations=("none", "baumgarte")`'
         )
     return method
 

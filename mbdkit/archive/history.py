@@ -32,7 +32,10 @@ class NotRecordedError(MbdkitError, KeyError):
     """A run was asked for an array that its spec did not have it record."""
 
     def __init__(self, what: str):
-        super().__init__(f"this run did not record {what}; `output.quantities` in its spec says what it records")
+        why = "`output.quantities` in its spec says what it records"
+        if what in BY_PATH and BY_PATH[what].optional:
+            why = "its method and its stabilization bring none"
+        super().__init__(f"this run did not record {what}; {why}")
 
     def __str__(self) -> str:
         return str(self.args[0])
@@ -168,6 +171,10 @@ class Steps(View):
     iterations = Column("steps/iterations")
     iterations_max = Column("steps/iterations_max")
     rejected = Column("steps/rejected")
+    projections = Column("steps/projections")
+    position_correction = Column("steps/position_correction")
+    velocity_correction = Column("steps/velocity_correction")
+    acceleration_correction = Column("steps/acceleration_correction")
 
 
 @dataclass(frozen=True)

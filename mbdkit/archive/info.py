@@ -14,6 +14,7 @@ from mbdkit.archive.fingerprint import datasets, is_text
 from mbdkit.archive.hdf5 import dims
 from mbdkit.archive.layout import COUNTERS, TEXT, TIMINGS
 from mbdkit.archive.reader import load
+from mbdkit.archive.summary import corrections
 
 #: So many of a list are printed.
 NAMES_SHOWN = 32
@@ -30,8 +31,8 @@ def describe(path: str | Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        Its identity, how it ended, its spec's title, model and integrator, the names in it, statistics, provenance,
-        hashes, and of every array dims, shape, type and units.
+        Its identity, how it ended, its spec's title, model, integrator, formulation and stabilization, the names in
+        it, statistics, provenance, hashes, and of every array dims, shape, type and units.
 
     Raises
     ------
@@ -52,6 +53,9 @@ def describe(path: str | Path) -> dict[str, Any]:
             "title": run.spec.get("title") or "",
             "model": run.spec.get("model"),
             "integrator": run.spec.get("integrator"),
+            "formulation": run.spec.get("formulation"),
+            "stabilization": run.spec.get("stabilization"),
+            "corrections": corrections(run),
             "rows": len(time),
             "start": float(time[0]) if len(time) else None,
             "end": float(time[-1]) if len(time) else None,

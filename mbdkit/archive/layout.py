@@ -218,6 +218,35 @@ LAYOUT: tuple[Array, ...] = (
     Array("steps/iterations", _N, "1", "stage iterations in the interval, summed over its steps", INTEGER),
     Array("steps/iterations_max", _N, "1", "most stage iterations of a step of the interval", INTEGER),
     Array("steps/rejected", _N, "1", "steps rejected in the interval", INTEGER),
+    Array(
+        "steps/projections",
+        _N,
+        "1",
+        "projections of positions and velocities onto the constraints in the interval",
+        INTEGER,
+        optional=True,
+    ),
+    Array(
+        "steps/position_correction",
+        _N,
+        "m",
+        "largest change of positions by a projection in the interval: sqrt(dq^T M dq / total mass)",
+        optional=True,
+    ),
+    Array(
+        "steps/velocity_correction",
+        _N,
+        "m/s",
+        "largest change of velocities by a projection in the interval: sqrt(dv^T M dv / total mass)",
+        optional=True,
+    ),
+    Array(
+        "steps/acceleration_correction",
+        _N,
+        "m/s^2",
+        "largest of Baumgarte's terms 2 alpha Phi' + beta^2 Phi at a step of the interval (rows of angles: rad/s^2)",
+        optional=True,
+    ),
     _events("event", _E, "1", "number of the crossing, from 1, in order of time", INTEGER),
     _events("body", ("body",), "1", "name of the body", TEXT),
     _events(
@@ -238,6 +267,13 @@ LAYOUT: tuple[Array, ...] = (
 
 #: The arrays of events, all of them there where the spec has events.
 EVENTS = tuple(array.path for array in LAYOUT if array.group == "events")
+
+#: Arrays that a stabilized run brings, by the kind of its stabilization.
+CORRECTIONS: Mapping[str, tuple[str, ...]] = {
+    "none": (),
+    "baumgarte": ("steps/acceleration_correction",),
+    "projection": ("steps/projections", "steps/position_correction", "steps/velocity_correction"),
+}
 
 #: Arrays that are there whatever is recorded.
 ALWAYS = frozenset(("joints/joint", "joints/first_body", "joints/second_body"))

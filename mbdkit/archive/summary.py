@@ -50,6 +50,8 @@ def summary(run: Run) -> str:
         ("redundancy", run.redundancy and f"{run.redundancy}; reactions are not unique, the least are recorded"),
         ("start", _start(run)),
         ("integrator", _method(spec)),
+        ("stabilization", _stabilization(run)),
+        ("warning", run.provenance.get("warning", "")),
         ("time", _time(run)),
         ("speed", _speed(run.stats)),
         ("misalignment", _misalignment(run)),
@@ -82,13 +84,39 @@ def _method(spec: Mapping[str, Any]) -> str:
     step = spec.get("time", {}).get("step")
     if step is not None:
         parts.append(f"step {step:g} s")
-    for key in ("formulation", "stabilization"):
-        value = spec.get(key)
-        if isinstance(value, Mapping):
-            value = " ".join(str(item) for item in value.values())
-        if value not in (None, "none"):
-            parts.append(str(value))
+    if spec.get("formulation") is not None:
+        parts.append(str(spec["formulation"]))
     return ", ".join(parts)
+
+
+def _stabilization(run: Run) -> str:
+    """Return what was done against drift, and how much of it; empty where nothing was."""
+    chosen = run.spec.get("stabilization") or "none"
+    if not isinstance(chosen, Mapping):
+        return "" if chosen == "none" else str(chosen)
+    options = {key: value for key, value in chosen.items() if key != "name" and value not in (None, False)}
+    words = [str(chosen.get("name"))]
+    words += [key if value is True else f"{key} {value}" for key, value in options.items()]
+    return "; ".join(filter(None, (", ".join(words), corrections(run))))
+
+
+def corrections(run: Run) -> str:
+    """Return in words how often a stabilized run was corrected, and by how much at most; empty without records of it.
+
+    Parameters
+    ----------
+    run
+        The run, complete or not.
+    """
+    told = []
+    if run.records("steps/projections"):
+        steps = run.steps
+        told.append(counted(int(np.sum(steps.projections)), "projection"))
+        most = (np.max(x, initial=0.0) for x in (steps.position_correction, steps.velocity_correction))
+        told.append("moved by at most {:.3g} m and {:.3g} m/s".format(*most))
+    if run.records("steps/acceleration_correction"):
+        told.append(f"terms of at most {np.max(run.steps.acceleration_correction, initial=0.0):.3g} m/s^2")
+    return ", ".join(told)
 
 
 def _time(run: Run) -> str:

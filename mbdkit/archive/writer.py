@@ -188,7 +188,8 @@ class ArchiveWriter:
         Parameters
         ----------
         rows
-            ``time``, ``steps``, ``size``, ``iterations``, ``iterations_max``, ``rejected``, each (N,).
+            ``time``, ``steps``, ``size``, ``iterations``, ``iterations_max``, ``rejected``, each (N,), and of a
+            stabilized run its corrections.
         """
         count = len(rows["time"])
         numbers = np.arange(self._steps.rows + 1, self._steps.rows + count + 1)

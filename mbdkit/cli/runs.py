@@ -63,14 +63,18 @@ def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> N
     from mbdkit.spec import load_spec
 
     checked = load_spec(spec, assignments or ())
-    from mbdkit.simulation import build
+    from mbdkit.simulation import build, caution
 
     mechanism = checked.mechanism()
     problem, start = build(checked)
+    if warning := caution(checked):
+        say(f"warning: {warning}")
     print(f"{spec}: this spec is valid")
     print(f"model        {checked.model_item.id}: {mechanism.description()}")
     print(f"freedom      {problem.mechanism.freedoms()}")
-    print(f"integrator   {checked.integrator_item.id}")
+    print(f"integrator   {checked.integrator_item.id}, {checked.formulation}")
+    if checked.stabilized.kind != "none":
+        print(f"stabilized   {checked.stabilized.describe()}")
     if checked.events:
         print("events       with the values of their expressions at the start")
         print(table([("EVENT", "DIRECTION", "ACTION", "AT START", "WHEN"), *_events(checked, problem)], indent="  "))

@@ -43,6 +43,16 @@ class Stabilization:
         """What a method's claims call it: the kind, or ``symmetric-projection``."""
         return "symmetric-projection" if self.symmetric else self.kind
 
+    def describe(self) -> str:
+        """Return it in words, such as ``projection, every 5 steps``."""
+        if self.kind == "baumgarte":
+            return f"Baumgarte, alpha {self.alpha:g} 1/s, beta {self.beta:g} 1/s"
+        if self.kind == "none":
+            return "none"
+        often = "every step" if self.every == 1 else f"every {self.every} steps"
+        off = "" if self.bound is None else f", where a constraint is off by {self.bound:g}"
+        return f"{'symmetric ' * self.symmetric}projection, {often}{off}"
+
     @property
     def coefficients(self) -> np.ndarray:
         """(2,) alpha and beta as the kernels take them; zeros unless it is Baumgarte's."""

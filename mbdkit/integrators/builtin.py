@@ -45,7 +45,9 @@ def _scipy(name: str, solver: str, summary: str, source: str, *, jacobian: bool 
         summary=summary,
         options=AdaptiveOptions,
         create=lambda options: SciPySolver(solver, options.rtol, options.atol, needs_jacobian=jacobian),
-        claims=lambda options: Claims(adaptive=True, drift=_TOLERANCE_DRIFT, needs=needs),
+        claims=lambda options: Claims(
+            adaptive=True, drift=_TOLERANCE_DRIFT, needs=needs, stabilizations=("none", "baumgarte")
+        ),
         references=(_SCIPY, source),
         dense_output=True,
     )

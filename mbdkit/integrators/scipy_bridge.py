@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.engine.analysis import SingularSystemError
-from mbdkit.engine.observe import first_order_rates, note_all, tangents_at
+from mbdkit.engine.observe import baumgarte_at, first_order_rates, note_all, tangents_at
 from mbdkit.engine.problem import Problem
 from mbdkit.engine.system import OK
 from mbdkit.engine.vectors import BEYOND
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from mbdkit.integrators.methods import SciPySolver
 
 _RADAU_FIRST_NODE = (4 - 6**0.5) / 10
+
+Row = tuple[float, np.ndarray, np.ndarray, float]
+"""A state to be recorded: time, y, the interval that ends there, and the largest of Baumgarte's terms in it."""
 
 
 class _StoppedError(Exception):
@@ -69,6 +72,8 @@ class SciPyStepper:
             self.failure = stop.failure
         self.y = y0
         self._since = np.zeros(6)  # steps, -, -, iterations, most iterations, rejected since the last row
+        self._stabilized = problem.stabilization.kind == "baumgarte"
+        self._pull = 0.0  # largest of Baumgarte's terms since the last row
         self._next = 1
         self.last_step: StepTaken | None = None
         self._dense: Any = None
@@ -134,7 +139,7 @@ class SciPyStepper:
 
     def advance(self) -> Stretch:
         """Step for about `STRETCH` seconds, or once; see `Stepper.advance`."""
-        rows: list[tuple[float, np.ndarray, np.ndarray]] = []
+        rows: list[Row] = []
         until = time.perf_counter() + STRETCH
         table = self.timetable
         self.last_step = None
@@ -246,6 +251,10 @@ class SciPyStepper:
             self._positions(self.y)[None],
             self.worst_pairs,
         )
+        if self._stabilized:
+            q, v = self._positions(self.y), self._positions(self.y[self.n3 :])
+            pull = baumgarte_at(problem.stepping_topology, problem.scratch, self.time, q, v)
+            self._pull = max(self._pull, pull)
         return True
 
     def _overflow(self, t: float) -> Failure:
@@ -272,9 +281,10 @@ class SciPyStepper:
             return len(sizes), max(1, len(set(sizes)))
         return 0, max(1, len({x for x in times if x != t}))
 
-    def _due(self) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    def _due(self) -> list[Row]:
         """Return the rows that the last step made due."""
-        table, rows = self.timetable, []
+        rows: list[Row] = []
+        table = self.timetable
         if table.interval is None:
             if self.counters.steps % table.every == 0 or self.finished:
                 rows.append(self._row(self.time, self.y))
@@ -290,25 +300,30 @@ class SciPyStepper:
             rows.append(self._row(self.time, self.y))
         return rows
 
-    def _row(self, t: float, y: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        effort = self._since.copy()
+    def _row(self, t: float, y: np.ndarray) -> Row:
+        effort, pull = self._since.copy(), self._pull
         self._since[:] = 0
+        self._pull = 0.0
         effort = np.array([t, effort[0], effort[2], effort[3], effort[4], effort[5]])
-        return t, y, effort
+        return t, y, effort, pull
 
     def _positions(self, y: np.ndarray) -> np.ndarray:
         return np.concatenate([y[: self.n3], np.zeros(3)])
 
-    def _stretch(self, rows: list[tuple[float, np.ndarray, np.ndarray]]) -> Stretch:
+    def _stretch(self, rows: list[Row]) -> Stretch:
         n3, count = self.n3, len(rows)
         q, v = np.zeros((2, count, self.problem.mechanism.size))
         work, lost = np.zeros((2, count))
-        for i, (_, y, _) in enumerate(rows):
+        for i, (_, y, _, _) in enumerate(rows):
             q[i, :n3], v[i, :n3] = y[:n3], y[n3 : 2 * n3]
             if self.has_power:
                 work[i], lost[i] = y[2 * n3 :]
-        intervals = np.array([effort for _, _, effort in rows]).reshape(-1, 6)
-        return Stretch(np.array([t for t, _, _ in rows]), q, v, work, lost, intervals)
+        intervals = np.array([effort for _, _, effort, _ in rows]).reshape(-1, 6)
+        corrections = None
+        if self._stabilized:
+            corrections = np.array([(0.0, 0.0, 0.0, pull) for *_, pull in rows]).reshape(-1, 4)
+        times = np.array([t for t, *_ in rows])
+        return Stretch(times, q, v, work, lost, intervals, corrections=corrections)
 
     def last_state(self) -> Stretch:
         """Return the state reached as one row; see `Stepper.last_state`."""

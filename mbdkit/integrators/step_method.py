@@ -93,7 +93,9 @@ class StepMethod(ABC):
     """Base of a method in fixed steps that is written in Python, one step at a time.
 
     A subclass holds its options and nothing that changes: what one step hands to the next belongs in the state. It
-    serves a formulation that its claims name; positions and velocities are never touched between its steps.
+    serves a formulation that its claims name. Positions and velocities are touched between its steps only where a run
+    asks for projection; what else the state carries, its memory too, is then handed on as it is. A method that cannot
+    bear that says so in the `stabilizations` that it claims.
 
     Attributes
     ----------

@@ -10,9 +10,11 @@ import numpy as np
 from mbdkit.engine import view
 from mbdkit.engine.analysis import SingularSystemError
 from mbdkit.engine.hold import Hold
+from mbdkit.engine.observe import baumgarte_at
 from mbdkit.engine.problem import Problem
 from mbdkit.engine.system import NOT_FINITE, OK
 from mbdkit.integrators.iteration_matrix import IterationMatrix, Pivots, chosen_pivots, classes_of, vector
+from mbdkit.integrators.projection import nearest_positions, nearest_velocities
 from mbdkit.integrators.step_method import StepError
 from mbdkit.integrators.stepping import Counters
 
@@ -22,15 +24,6 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
     from mbdkit.mechanism.mechanism import Mechanism
-
-MOST_PROJECTIONS = 20
-"""Iterations after which a projection counts as failed."""
-
-ROUND_OFF = 4 * float(np.finfo(float).eps)
-"""Relative change of the coordinates that is nothing but rounding."""
-
-STAGNANT = 1e-9
-"""Relative change below which a projection that comes no nearer has met round-off."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +35,7 @@ class Tangents:
     damping: csr_array
     """(n, n) C = -dQ/dv."""
     gamma_v: csr_array
-    """(m, n) d gamma/dv, which is -2 d(Phi_q v + Phi_t)/dq."""
+    """(m, n) d gamma/dv, which is -2 d(Phi_q v + Phi_t)/dq, and with Baumgarte's terms less 2 alpha Phi_q."""
     residual_q: csr_array
     """(m, n) d(Phi_q a - gamma)/dq."""
 
@@ -177,7 +170,7 @@ class StepProblem:
         return self._rows(t, q, v)[1]
 
     def gamma(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the right side of ``Phi_q a = gamma`` (m,) [m/s^2, rad/s^2]."""
+        """Return the right side of ``Phi_q a = gamma`` (m,) [m/s^2, rad/s^2], Baumgarte's terms included."""
         return self._rows(t, q, v)[2]
 
     def constraint_jacobian(self, t: float, q: np.ndarray) -> csr_array:
@@ -256,18 +249,7 @@ class StepProblem:
         Solves ``M (p - q) + Phi_q(p)^T mu = 0``, ``Phi(t, p) = 0`` to round-off; counts as one projection.
         """
         self.counters.projections += 1
-        q = p = vector(q, self.n)
-        before = np.inf
-        for _ in range(MOST_PROJECTIONS):
-            step, _ = self.solve(t, p, self.mass * (q - p), -self.constraints(t, p))
-            p = p + step
-            now = self.relative_change(p, step)
-            if now <= ROUND_OFF or (now >= 0.5 * before and now < STAGNANT):
-                return p
-            before = now
-        raise StepError(
-            "newton-failed", f"no position that meets the joints was found in {MOST_PROJECTIONS} iterations"
-        )
+        return nearest_positions(self, t, vector(q, self.n))
 
     def project_velocities(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the velocities (n,) nearest to `v` in the mass metric with ``Phi_q v + Phi_t = 0`` at `t`, `q`.
@@ -275,10 +257,13 @@ class StepProblem:
         The equations are linear; a second solve takes their round-off away. Counts as one projection.
         """
         self.counters.projections += 1
-        v = vector(v, self.n)
-        for _ in range(2):
-            v = v + self.solve(t, q, self._no_force, -self.constraint_rates(t, q, v))[0]
-        return v
+        return nearest_velocities(self, t, vector(q, self.n), vector(v, self.n))
+
+    def baumgarte_terms(self, t: float, q: np.ndarray, v: np.ndarray) -> float:
+        """Return the largest of Baumgarte's terms ``2 alpha Phi' + beta^2 Phi`` at a state [m/s^2, rad/s^2]."""
+        problem, ground = self._problem, np.zeros(3)
+        state = (np.concatenate([vector(x, self.n), ground]) for x in (q, v))
+        return float(baumgarte_at(problem.stepping_topology, problem.scratch, float(t), *state))
 
     def powers(self, t: float, q: np.ndarray, v: np.ndarray, lam: np.ndarray) -> tuple[float, float]:
         """Return the power of loads and drivers under the multipliers `lam`, and the power dissipated [W]."""

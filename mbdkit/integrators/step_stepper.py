@@ -15,6 +15,7 @@ from mbdkit.engine.view import example_problem
 from mbdkit.integrators import stepping
 from mbdkit.integrators.fixed_step import Beginning, FixedStepper, State
 from mbdkit.integrators.iteration_matrix import vector
+from mbdkit.integrators.projection import StabilizedSteps, Taken
 from mbdkit.integrators.step_method import StepError, StepMethod, StepState
 from mbdkit.integrators.step_problem import StepProblem, call_everything
 from mbdkit.integrators.stepping import Failure, Pace, Stretch, Timetable
@@ -34,6 +35,7 @@ class StepStepper(FixedStepper):
 
     Work and dissipated energy that the method does not book are integrated by Simpson's rule, of order 4, over the
     cubic through both ends of the step, with the powers under the index-1 multipliers; its three solves a step count.
+    Projections are made around the method's steps, and book nothing.
     """
 
     def __init__(self, method: StepMethod, problem: Problem, timetable: Timetable):
@@ -47,6 +49,9 @@ class StepStepper(FixedStepper):
         self.row_multipliers = np.zeros(
             (len(self.state.row_q), len(problem.mechanism.rows) if method.carries_multipliers else 0)
         )
+        self.stabilized = StabilizedSteps(self._own_step, self.view)
+        stabilized = problem.stabilization.kind != "none"
+        self.row_corrections = np.zeros((len(self.state.row_q) if stabilized else 0, 4))
         self.raised: BaseException | None = None
         self.view.counters = self.counters
         _load_kernels()
@@ -61,17 +66,17 @@ class StepStepper(FixedStepper):
         """Take steps until time is up; see `FixedStepper.steps`."""
         rows, k, n = 0, first, self.view.n
         until = time.perf_counter() + stepping.STRETCH
-        counters, method, view = self.counters, self.method, self.view
+        counters, view = self.counters, self.view
         while k < last:
             before = counters.newton_iterations
-            t = t0 + k * h
+            t, end = t0 + k * h, t0 + (k + 1) * h
             try:
-                new = method.step(view, t, self.now, h)
-                q, v = self._checked(new)
-                if not view.arrive(t0 + (k + 1) * h, q, v, self.worst_pairs):
+                taken = self.stabilized.take(t, end, self.now, h, self.done + k - first + 1)
+                new, q, v = taken.reached, taken.reached.q, taken.reached.v
+                if not view.arrive(end, q, v, self.worst_pairs):
                     raise StepError("not-finite", "positions or velocities overflowed")
                 if self.has_power:
-                    self._book(t, h, new)
+                    self._book(t, h, taken)
             except StepError as error:
                 where = f"in step {self.done + k - first + 1} from t = {t:.6g} s"
                 self.failure = Failure(error.code, f"{error} {where}; {self.hint}.")
@@ -89,7 +94,9 @@ class StepStepper(FixedStepper):
                 state.row_energy[rows] = state.energy
                 state.row_iterations[rows] = state.iterations
                 state.iterations[:] = 0
-                if new.multipliers is not None and method.carries_multipliers:
+                if self.row_corrections.size:
+                    self.row_corrections[rows] = self.stabilized.corrections()
+                if new.multipliers is not None and self.method.carries_multipliers:
                     self.row_multipliers[rows] = view.recorded_multipliers(t0 + k * h, q, new.multipliers)
                 rows += 1
             if time.perf_counter() > until:
@@ -113,8 +120,9 @@ class StepStepper(FixedStepper):
         self.failure = failure
         return state
 
-    def _checked(self, new: StepState) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and velocities of what the method made; raises TypeError or ValueError by name."""
+    def _own_step(self, t: float, state: StepState, h: float) -> StepState:
+        """Return what the method makes of a step, checked; raises TypeError or ValueError by name."""
+        new = self.method.step(self.view, t, state, h)
         name, view = type(self.method).__name__, self.view
         if not isinstance(new, StepState):
             raise TypeError(f"{name}.step returned {type(new).__name__}, not a StepState")
@@ -129,21 +137,22 @@ class StepStepper(FixedStepper):
                 raise ValueError(f"{name}.step returned `{field}` amiss: {error}") from None
         if len(found) == 3 and not np.all(np.isfinite(found[2])):
             raise StepError("not-finite", "multipliers overflowed")
-        return found[0], found[1]
+        return new if found[0] is new.q and found[1] is new.v else replace(new, q=found[0], v=found[1])
 
-    def _book(self, t: float, h: float, new: StepState) -> None:
-        """Add the work and the dissipated energy of a step, with compensation."""
-        gains: Sequence[float | None] = (new.work, new.dissipated)
+    def _book(self, t: float, h: float, taken: Taken) -> None:
+        """Add the work and the dissipated energy of the method's own step, with compensation; projections add none."""
+        gains: Sequence[float | None] = (taken.made.work, taken.made.dissipated)
         if None in gains:
-            gains = [own if own is not None else ours for own, ours in zip(gains, self._gains(t, h, new), strict=True)]
+            ours = self._gains(t, h, taken)
+            gains = [own if own is not None else gain for own, gain in zip(gains, ours, strict=True)]
         y = np.array(gains) + self.low
         total = self.state.energy + y
         self.low = y - (total - self.state.energy)
         self.state.energy[:] = total
 
-    def _gains(self, t: float, h: float, new: StepState) -> np.ndarray:
+    def _gains(self, t: float, h: float, taken: Taken) -> np.ndarray:
         """Return work and dissipated energy of a step by Simpson's rule over the cubic through its ends."""
-        view, old = self.view, self.now
+        view, old, new = self.view, taken.begin, taken.made
         a0, lam0 = view.accelerations(t, old.q, old.v)
         a1, lam1 = view.accelerations(t + h, new.q, new.v)
         q = 0.5 * (old.q + new.q) + h / 8 * (old.v - new.v)
@@ -165,15 +174,17 @@ class StepStepper(FixedStepper):
 
     def _collect(self, rows: int) -> Stretch:
         stretch = super()._collect(rows)
-        return (
-            replace(stretch, multipliers=self.row_multipliers[:rows].copy()) if self.row_multipliers.size else stretch
-        )
+        if self.row_multipliers.size:
+            stretch = replace(stretch, multipliers=self.row_multipliers[:rows].copy())
+        if self.row_corrections.size:
+            stretch = replace(stretch, corrections=self.row_corrections[:rows].copy())
+        return stretch
 
     def last_state(self) -> Stretch:
         """Return the state reached as one row; see `Stepper.last_state`."""
         row, own = super().last_state(), self.now.multipliers
-        return (
-            replace(row, multipliers=self.view.recorded_multipliers(self.time, self.now.q, own)[None])
-            if self.method.carries_multipliers and own is not None
-            else row
-        )
+        if self.method.carries_multipliers and own is not None:
+            row = replace(row, multipliers=self.view.recorded_multipliers(self.time, self.now.q, own)[None])
+        if self.row_corrections.size:
+            row = replace(row, corrections=self.stabilized.corrections()[None])
+        return row

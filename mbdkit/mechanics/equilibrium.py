@@ -10,8 +10,9 @@ from scipy.sparse import block_array, diags_array
 from scipy.sparse.linalg import splu
 
 from mbdkit.engine.observe import constraints_at
+from mbdkit.integrators.projection import ROUND_OFF, STAGNANT
 from mbdkit.integrators.step_method import StepError
-from mbdkit.integrators.step_problem import ROUND_OFF, STAGNANT, StepProblem
+from mbdkit.integrators.step_problem import StepProblem
 from mbdkit.mechanics.reduced import State, at_rest, least_stiffness, stiffness_scale
 from mbdkit.mechanics.source import Placed
 from mbdkit.spec.plain import plain

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from mbdkit.engine.problem import Problem
+from mbdkit.engine.stabilization import NONE
 from mbdkit.errors import SpecError
 from mbdkit.integrators.step_method import StepError
 from mbdkit.integrators.step_problem import StepProblem
@@ -42,6 +43,7 @@ class Placed:
             sections = UNUSED | sections
         spec = load_spec(source, overrides, **sections)
         problem, _ = build(spec)
+        problem = replace(problem, stabilization=NONE)  # which is no property of the mechanism
         return cls(spec, problem, StepProblem(problem))
 
     @property

@@ -39,6 +39,9 @@ class Claims:
         What the method asks of the problem beyond accelerations, such as ``"tangents"``.
     formulations
         Formulations of the equations that the method can serve.
+    stabilizations
+        What it can be stabilized by, of ``none``, ``baumgarte``, ``projection`` and ``symmetric-projection``.
+        Baumgarte's terms are part of the equations; projections are made by what steps the method.
     """
 
     order: float | None = None
@@ -51,6 +54,7 @@ class Claims:
     drift: str = ""
     needs: tuple[str, ...] = ()
     formulations: tuple[str, ...] = ("index-1",)
+    stabilizations: tuple[str, ...] = ("none", "baumgarte", "projection", "symmetric-projection")
 
 
 @dataclass(frozen=True)

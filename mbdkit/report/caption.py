@@ -57,12 +57,19 @@ def method(spec: Mapping[str, Any]) -> str:
     return ", ".join(words)
 
 
+def plain_name(choice: Any, default: str) -> str:
+    """Return what a formulation or a stabilization of a spec is called, such as ``symmetric projection``."""
+    if not isinstance(choice, Mapping):
+        return str(choice)
+    return f"{'symmetric ' * bool(choice.get('symmetric'))}{choice.get('name', default)}"
+
+
 def _departures(spec: Mapping[str, Any]) -> list[str]:
     """Formulation and stabilization, where they are not the defaults."""
     found = []
     for key, default in (("formulation", "index-1"), ("stabilization", "none")):
         value = spec.get(key) or default
-        name = str(value.get("name", default)) if isinstance(value, Mapping) else str(value)
+        name = plain_name(value, default)
         if name != default:
             found.append(name)
     return found

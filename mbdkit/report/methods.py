@@ -11,6 +11,7 @@ from mbdkit.errors import SpecError
 from mbdkit.registry.catalogue import Kind, Registered
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.registry.manager import registry
+from mbdkit.report.caption import plain_name
 from mbdkit.text import listed
 
 _EQUATIONS = (
@@ -107,14 +108,10 @@ def _claim_words(claims: Claims, alone: bool) -> str:
 
 
 def _stabilization(specs: Iterable[Mapping[str, Any]]) -> str:
-    names = {_name(spec.get("stabilization") or "none") for spec in specs}
+    names = {plain_name(spec.get("stabilization") or "none", "none") for spec in specs}
     if names == {"none"}:
         return _UNSTABILIZED
-    return f"Stabilization of the constraints: {listed(sorted(names), 'and')}."
-
-
-def _name(value: Any) -> str:
-    return str(value.get("name", "none")) if isinstance(value, Mapping) else str(value)
+    return f"Stabilization of the constraints: {listed(sorted(names), 'and')}; what is said of drift holds without it."
 
 
 def _own_reference() -> str:

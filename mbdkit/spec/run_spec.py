@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -16,6 +17,7 @@ from pydantic import (
     model_validator,
 )
 
+from mbdkit.engine.stabilization import Stabilization
 from mbdkit.errors import PluginError, SpecError
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Kind, Registered, Registry
@@ -23,6 +25,8 @@ from mbdkit.registry.items import Claims, IntegratorPlugin, ModelPlugin
 from mbdkit.registry.options import item_of
 from mbdkit.spec.choices import Choice, choice_of
 from mbdkit.spec.sections import Event, Limits, Output, Time, named_events
+from mbdkit.spec.stabilization import UNSTABILIZED, stabilization_of
+from mbdkit.spec.stabilization import Choice as StabilizationChoice
 from mbdkit.spec.strict import StrictSpec
 from mbdkit.text import listed, one_line
 
@@ -58,8 +62,8 @@ class RunSpec(StrictSpec):
     """What moves: the name of a model and its parameters."""
     formulation: Literal["index-1", "index-2", "index-3", "ggl"] = "index-1"
     """Formulation of the equations of motion: the constraints of accelerations, velocities, positions, or both last."""
-    stabilization: Literal["none"] = "none"
-    """What is done against the drift of constraints."""
+    stabilization: StabilizationChoice = UNSTABILIZED
+    """What is done against the drift of constraints: a name, or a name and its options."""
     integrator: Annotated[BaseModel, Choice("integrator")]
     """How it is integrated: the name of a method and its options."""
     time: Time
@@ -80,9 +84,11 @@ class RunSpec(StrictSpec):
         if self.formulation not in claims.formulations:
             raise SpecError(
                 f"integrator '{item.name}' cannot serve the formulation '{self.formulation}', "
-                f"only {listed(claims.formulations, 'and')}; {self._serving()}",
+                f"only {listed(claims.formulations, 'and')}; "
+                f"{self._able(lambda other: self.formulation in other.formulations)}",
                 key="formulation",
             )
+        self._check_stabilization(item, claims)
         if self.time.step is None and not claims.adaptive:
             raise SpecError(f"is missing: the fixed-step method '{item.name}' needs a step in seconds", key="time.step")
         if self.output.interval is not None and not self.integrator_plugin.dense_output:
@@ -98,14 +104,42 @@ class RunSpec(StrictSpec):
             )
         return self
 
-    def _serving(self) -> str:
-        """Return in words which of the installed integrators serve the formulation that is asked for."""
+    def _check_stabilization(self, item: Registered, claims: Claims) -> None:
+        """Raise SpecError where the stabilization does not go with the formulation or the method."""
+        chosen = self.stabilized
+        if chosen.kind == "baumgarte" and self.formulation != "index-1":
+            raise SpecError(
+                f"Baumgarte's terms act on the constraints of accelerations, which the formulation "
+                f"'{self.formulation}' does not have; use index-1, or another stabilization",
+                key="stabilization",
+            )
+        if chosen.name not in claims.stabilizations:
+            served = listed((f"'{name}'" for name in claims.stabilizations), "and")
+            raise SpecError(
+                f"integrator '{item.name}' cannot serve the stabilization '{chosen.name}', only {served}; "
+                f"{self._able(lambda other: chosen.name in other.stabilizations)}",
+                key="stabilization",
+            )
+        if chosen.symmetric and claims.adaptive:
+            raise SpecError(
+                f"symmetric projection needs fixed steps, but '{item.name}' chooses its own with these options: "
+                "a run back would not take the same ones; leave out `symmetric`",
+                key="stabilization.symmetric",
+            )
+
+    @property
+    def stabilized(self) -> Stabilization:
+        """What is done against the drift of constraints, as the engine takes it."""
+        return stabilization_of(self.stabilization)
+
+    def _able(self, can: Callable[[Claims], bool]) -> str:
+        """Return in words which of the installed integrators can do what is asked for, by their claims."""
         able = []
         for item in choice_of(type(self), "integrator").registry.of_kind("integrator"):
             with suppress(Exception):  # options without defaults, or a plugin that fails in any way
                 plugin = item.plugin
                 assert isinstance(plugin, IntegratorPlugin)
-                if self.formulation in plugin.claims(plugin.options()).formulations:
+                if can(plugin.claims(plugin.options())):
                     able.append(item.name)
         return f"integrators that can: {listed(able)}" if able else "no installed integrator can"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,7 +35,8 @@ def _reversible(name: str, model: Model, duration: float) -> Check[IntegratorSub
         steps = round(duration / telling_step(subject))
         problem = subject.problem(model)
         q, v = subject.moved(problem, duration, steps)
-        defect = _distance(subject.moved(Problem(problem.mechanism, 0.0, q, -v), duration, steps), problem)
+        back = replace(problem, q0=q, v0=-v)
+        defect = _distance(subject.moved(back, duration, steps), problem)
         finer = subject.moved(problem, duration, 2 * steps)
         own = float(max(np.max(np.abs(q - finer[0])), np.max(np.abs(v - finer[1]))))
         if subject.claims.adaptive:
@@ -99,7 +101,7 @@ def symplectic_form(subject: IntegratorSubject) -> Finding:
         q0, v0 = problem.q0.copy(), problem.v0.copy()
         q0[:2] += change[:2]
         v0[:2] += change[2:]
-        q, v = subject.moved(Problem(problem.mechanism, 0.0, q0, v0), steps * step, steps)
+        q, v = subject.moved(replace(problem, q0=q0, v0=v0), steps * step, steps)
         return np.concatenate([q[:2], v[:2]])
 
     columns = [

@@ -11,12 +11,16 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import xarray
 
 from mbdkit.archive.check import check
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.archive.info import describe
+from mbdkit.archive.layout import CORRECTIONS
 from mbdkit.archive.reader import load
 from mbdkit.errors import MbdkitError
+from tests.integrators.running import DOUBLE
+from tests.integrators.step_methods import RungeKutta, run_with
 
 from .making import SPEC, fill, make, names, writer
 
@@ -25,6 +29,22 @@ from .making import SPEC, fill, make, names, writer
 def test_good_archive_has_no_problem(tmp_path: Path, sizes: tuple[int, int, int, int]) -> None:
     make(tmp_path / "run.h5", count=sizes[0], named=names(*sizes[1:]))
     assert check(tmp_path / "run.h5") == []
+
+
+@pytest.mark.parametrize("kind", ["baumgarte", "projection"])
+def test_the_archive_of_a_stabilized_run_has_no_problem_and_opens_in_xarray(tmp_path: Path, kind: str) -> None:
+    with run_with(RungeKutta(), DOUBLE, {"end": 0.1, "step": 0.01}, stabilization=kind).check() as run:
+        run.save(tmp_path / "run.h5")
+    assert check(tmp_path / "run.h5") == []
+    with load(tmp_path / "run.h5") as run, xarray.open_datatree(tmp_path / "run.h5", engine="h5netcdf") as tree:
+        for path in CORRECTIONS[kind]:
+            name = path.removeprefix("steps/")
+            assert getattr(run.steps, name).max() > 0
+            np.testing.assert_array_equal(tree["steps"][name], getattr(run.steps, name))
+            np.testing.assert_array_equal(run.to_xarray()["steps"][name], getattr(run.steps, name))
+        told = describe(tmp_path / "run.h5")
+        assert (told["formulation"], told["stabilization"]["name"]) == ("index-1", kind)
+        assert told["corrections"] != ""
 
 
 def detach(file: h5py.File) -> None:

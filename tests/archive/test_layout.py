@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mbdkit.archive import document
-from mbdkit.archive.layout import BY_PATH, GROUPS, LAYOUT, is_timing
+from mbdkit.archive.layout import BY_PATH, CORRECTIONS, GROUPS, LAYOUT, is_timing
 
 DOCUMENT = Path(__file__).parents[2] / "schemas" / "archive.md"
 
@@ -69,11 +69,13 @@ def test_layout_has_every_promised_array_with_its_axes() -> None:
             assert BY_PATH[f"{group}/{name}"].dims == tuple(AXES[axis] for axis in axes)
 
 
-def test_layout_adds_nothing_but_row_units_and_the_bodies_of_joints() -> None:
+def test_layout_adds_nothing_but_row_units_the_bodies_of_joints_and_corrections() -> None:
     added = {array.path for array in LAYOUT} - {
         f"{group}/{name}" for group, names in PROMISED.items() for name in names
     }
-    assert all(path.endswith(("row_units", "_body")) for path in added)
+    corrections = {path for paths in CORRECTIONS.values() for path in paths}
+    assert all(BY_PATH[path].optional for path in corrections)
+    assert all(path.endswith(("row_units", "_body")) for path in added - corrections)
     assert {array.group for array in LAYOUT} == set(GROUPS)
 
 

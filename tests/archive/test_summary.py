@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from mbdkit.archive.layout import CORRECTIONS
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
+from mbdkit.errors import MbdkitError
 
-from .making import SPEC, make, names, rows
+from .making import PROVENANCE, SPEC, STATS, largest, make, names, rows, steps, writer
 
 
 def test_summary_of_a_complete_run(tmp_path: Path) -> None:
@@ -43,6 +46,29 @@ def test_summary_leaves_out_what_was_not_recorded() -> None:
     with Run(make(None, quantities=frozenset(), named=names(1, 0))) as run:
         labels = [line.split()[0] for line in run.summary().splitlines()]
     assert labels == ["status", "model", "integrator", "time", "speed", "counters", "archive"]
+
+
+def test_summary_tells_of_stabilization_and_of_its_corrections() -> None:
+    chosen = {"name": "projection", "every": 2, "bound": None, "symmetric": False}
+    corrected = {
+        "projections": [1] * 10,
+        "position_correction": 1e-9 * np.arange(10.0),
+        "velocity_correction": [2e-8] * 10,
+    }
+    into = writer(None, spec=SPEC | {"stabilization": chosen}, extra_datasets=CORRECTIONS["projection"])
+    into.append(rows(11, names()))
+    into.append_steps({**steps(10), **{name: np.array(values) for name, values in corrected.items()}})
+    with Run(into.finish("complete", "", STATS, largest(11, names()))) as run:
+        told = "stabilization projection, every 2; 10 projections, moved by at most 9e-09 m and 2e-08 m/s"
+        assert told in run.summary()
+        np.testing.assert_array_equal(run.steps.position_correction, corrected["position_correction"])
+        with pytest.raises(MbdkitError, match="acceleration_correction; its method and its stabilization bring none"):
+            _ = run.steps.acceleration_correction
+
+
+def test_summary_repeats_the_warning() -> None:
+    with Run(make(None, provenance={**PROVENANCE, "warning": "alpha is stiff"})) as run:
+        assert "warning       alpha is stiff" in run.summary()
 
 
 def test_summary_names_the_worst_joints_of_many() -> None:

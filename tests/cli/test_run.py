@@ -127,6 +127,18 @@ def test_validate_says_what_the_mechanism_is_and_that_its_start_is_consistent(mb
     assert os.listdir() == ["spec.yaml"]
 
 
+def test_validate_names_the_stabilization_and_warns_where_it_is_stiff(mbdkit, small, in_tmp_path):
+    stiff = small.replace("{name: gauss, stages: 2}", "{name: rk4}")
+    (in_tmp_path / "spec.yaml").write_text(stiff + "stabilization: {name: baumgarte, alpha: 300}\n")
+    result = mbdkit("validate", "spec.yaml")
+    assert result.exit_code == 0
+    assert "stabilized   Baumgarte, alpha 300 1/s, beta 300 1/s\n" in result.stdout
+    assert "warning: Baumgarte's alpha = 300 and beta = 300 1/s are stiff" in result.stderr
+    assert "it should be below 2.785: take a smaller step or a smaller alpha" in result.stderr
+    gentle = mbdkit("validate", "spec.yaml", "--set", "stabilization.alpha=200")
+    assert (gentle.exit_code, gentle.stderr) == (0, "")
+
+
 APART = """\
 mbdkit: 1
 integrator: {name: rk4}

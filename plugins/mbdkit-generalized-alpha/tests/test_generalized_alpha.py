@@ -127,6 +127,32 @@ def test_other_formulations_are_refused_by_name() -> None:
         run("double pendulum", {"name": "generalized-alpha"}, 0.01)
 
 
+def test_projection_meets_velocity_constraints_and_keeps_the_order_of_positions_and_velocities() -> None:
+    there = reference("driven chain")
+    integrator = {"name": "generalized-alpha"}
+    errors: dict[str, list[float]] = {"position": [], "velocity": []}
+    for step in STEPS[:2]:
+        mine = run("driven chain", integrator, step, formulation="index-3", stabilization="projection")
+        assert np.abs(mine.array("constraints/velocity_residual")[1:]).max() < 1e-13  # after the start
+        for name, found in errors.items():
+            path = f"trajectory/{name}"
+            found.append(np.abs(mine.array(path) - there.array(path)).max())
+    for coarse, fine in errors.values():
+        assert np.log2(coarse / fine) == pytest.approx(2, abs=0.2)
+
+
+def test_symmetric_projection_and_baumgarte_are_refused() -> None:
+    for stabilization in ({"name": "projection", "symmetric": True}, "baumgarte"):
+        with pytest.raises(mbdkit.SpecError, match="stabilization"):
+            run(
+                "double pendulum",
+                {"name": "generalized-alpha"},
+                0.01,
+                formulation="index-3",
+                stabilization=stabilization,
+            )
+
+
 @pytest.mark.parametrize("rho_inf", [-0.1, 1.0, "much"])
 def test_a_spectral_radius_out_of_range_is_refused(rho_inf: Any) -> None:
     with pytest.raises(mbdkit.SpecError, match="rho_inf"):

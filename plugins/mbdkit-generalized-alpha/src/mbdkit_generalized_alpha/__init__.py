@@ -132,6 +132,7 @@ def mbdkit_integrators() -> list[mbdkit.IntegratorPlugin]:
                 drift="positions meet the joints to round-off; velocity misalignment is of order 2 and does not grow",
                 needs=("tangents",),
                 formulations=("index-3",),
+                stabilizations=("none", "projection"),
             ),
             references=REFERENCES,
         )

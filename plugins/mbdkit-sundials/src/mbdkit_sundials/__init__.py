@@ -172,6 +172,7 @@ def _integrator(
             adaptive=True,
             drift="constraints hold at acceleration level only: drift follows the tolerance and grows with time",
             needs=("accelerations", "tangents"),
+            stabilizations=("none", "baumgarte"),
         ),
         references=REFERENCES,
         dense_output=True,
