@@ -56,7 +56,7 @@ def new_vectors(problem: Problem) -> np.ndarray:
 
 @part
 def _pair_factors(pairs, rows, jac, weight, near):
-    """Write the Cholesky factor of each pair's block of Phi_q M^-1 Phi_q^T into the last columns; return the rows."""
+    """Write the Cholesky factor of each pair's block of Phi_q M^-1 Phi_q^T into the last columns; return how many."""
     count = 0
     for k in range(len(pairs)):
         a, b = pairs[k, 1], pairs[k, 2]
@@ -73,7 +73,8 @@ def _pair_factors(pairs, rows, jac, weight, near):
         if rows[k] == 2:
             near[k, 9] = d01 / near[k, 8]
             near[k, 10] = sqrt(max(d11 - near[k, 9] * near[k, 9], 0.0))
-        count += rows[k]
+        if rows[k] > 0:
+            count += 1
     return count
 
 
@@ -189,7 +190,7 @@ def _turn(near, along, size0, size1, z0, z1):
 
 @inlined
 def singularity_distance(top, w, solver, near):
-    """Return the distance to singularity where `solve_accelerations` has just been; 1 with fewer than two rows.
+    """Return the distance to singularity where `solve_accelerations` has just been; 1 with fewer than two pairs.
 
     `near` (P, 11) is kept from one row to the next. ``w.right`` and ``w.solution`` are lost.
     """

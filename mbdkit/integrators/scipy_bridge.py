@@ -167,6 +167,10 @@ class SciPyStepper:
                 where = f"at t = {before:.6g} s: {message}".rstrip(".")
                 self.failure = Failure("step-too-small", f"{where}{self._nearness(before, self.y)}.")
             return False
+        if solver.t == before:  # LSODA goes on with steps that time does not feel, and never ends
+            where = f"at t = {before:.6g} s: the step is too small to move the time"
+            self.failure = Failure("step-too-small", f"{where}{self._nearness(before, self.y)}.")
+            return False
         if not np.all(np.abs(solver.y) < BEYOND):
             self.failure = self._overflow(before)
             return False
