@@ -13,8 +13,10 @@ from mbdkit.engine.compiled import CompiledMechanism
 from mbdkit.engine.observe import observe
 from mbdkit.engine.problem import Problem
 from mbdkit.engine.reactions import share_evenly
+from mbdkit.engine.singularity import describe_nearness, new_vectors
 from mbdkit.engine.system import OK
 from mbdkit.integrators.stepping import Failure, Stretch
+from mbdkit.text import listed
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Found
@@ -38,6 +40,14 @@ def shared_forces(mechanism: CompiledMechanism) -> SharedForces | None:
         return None
     return SharedForces(redundancy.describe(mechanism.drivers), redundancy.not_unique, mechanism.length)
 
+
+SINGULARITY = "constraints/singularity_distance"
+
+PARTED = 1e-6
+"""Gap of a redundant row, relative to the characteristic length, from which on it may be no round-off or drift."""
+
+ALONE = 1e3
+"""How many times larger it is then than any gap of a row that is solved for."""
 
 SELF_STRESS_BYTES = 1 << 25
 """Bound on the buffer in which the forces of redundant rows are told apart."""
@@ -66,6 +76,8 @@ class Recorder:
         self._joints = len(mechanism.joints)
         self._length = mechanism.length
         self._start_total: float | None = None
+        self._near = new_vectors(problem)
+        self._spare = np.isin(np.arange(len(mechanism.topology.pairs)), mechanism.topology.spare[:, 0])
         self.largest = np.zeros(self._joints)
         """(J,) largest misalignment [m] of the recorded states."""
 
@@ -93,8 +105,8 @@ class Recorder:
         q, v = np.ascontiguousarray(stretch.q), np.ascontiguousarray(stretch.v)
         acc, lam = np.zeros_like(q), np.zeros((count, pairs, 2))
         phi, rate, reactions = np.zeros_like(lam), np.zeros_like(lam), np.zeros((count, pairs, 3))
-        kinetic, potential = np.zeros((2, count))
-        arrays = (stretch.time, q, v, acc, lam, phi, rate, reactions, kinetic, potential)
+        kinetic, potential, distance = np.zeros((3, count))
+        arrays = (stretch.time, q, v, acc, lam, phi, rate, reactions, kinetic, potential, distance)
         spare = len(top.spare)
         most = max(1, SELF_STRESS_BYTES // (40 * spare * pairs)) if spare else count
         failure = None
@@ -103,8 +115,9 @@ class Recorder:
             some = slice(done, min(done + most, count))
             stress, its_reactions = (np.zeros((some.stop - done, spare, pairs, columns)) for columns in (2, 3))
             status, reached = observe(
-                top, self.problem.scratch, self.problem.solver, *(x[some] for x in arrays), stress, its_reactions
-            )
+                top, self.problem.scratch, self.problem.solver, *(x[some] for x in arrays),
+                stress, its_reactions, self._near,
+            )  # fmt: skip
             here, there = slice(done, done + reached), slice(0, reached)
             if spare and reached:
                 share_evenly(
@@ -120,15 +133,21 @@ class Recorder:
                 renewed = done
             except SingularSystemError as error:
                 name = self.problem.mechanism.unknown_name(error.index)
-                failure, count = Failure("singular", f"no unique solution near {name} at {_at(stretch, done)}."), done
+                near = describe_nearness(self.problem, stretch.time[done], q[done])
+                why = f"no unique solution near {name} at {_at(stretch, done)}{near and '; ' + near}."
+                failure, count = Failure("singular", why), done
         moving = np.all(np.isfinite(acc[:count]), axis=1) & np.all(np.isfinite(lam[:count]), axis=(1, 2))
         finite = moving & np.isfinite(kinetic[:count]) & np.isfinite(potential[:count])
         if not np.all(finite):
             count = int(np.argmin(finite))
             what = "the energy is no finite number" if moving[count] else "accelerations are no finite numbers"
             failure = Failure("not-finite", f"{what} at {_at(stretch, count)}.")
+        parted = self._parted(phi[:count])
+        if parted is not None:
+            count, joint, gap = parted
+            failure = Failure("singular", self._contradiction(joint, gap, _at(stretch, count)))
         part = slice(0, count)
-        self._write_rows(stretch, part, elapsed, acc, lam, phi, rate, reactions, kinetic, potential)
+        self._write_rows(stretch, part, elapsed, acc, lam, phi, rate, reactions, kinetic, potential, distance)
         if not start:
             t, steps, size, iterations, most, rejected = stretch.intervals[part].T
             self.writer.append_steps(
@@ -148,6 +167,7 @@ class Recorder:
     def _write_rows(
         self, stretch: Stretch, part: slice, elapsed: tuple[float, float], acc: np.ndarray, lam: np.ndarray,
         phi: np.ndarray, rate: np.ndarray, reactions: np.ndarray, kinetic: np.ndarray, potential: np.ndarray,
+        distance: np.ndarray,
     ) -> None:  # fmt: skip
         times = stretch.time[part]
         count = len(times)
@@ -185,6 +205,7 @@ class Recorder:
                 "constraints/velocity_residual": residual_rate,
                 "constraints/multiplier": lam[part][:, self._pair, self._place],
                 **self._own_multipliers(stretch, part, lam),
+                **({SINGULARITY: distance[part]} if SINGULARITY in self.writer.row_keys else {}),
                 "energy/kinetic": kinetic[part],
                 "energy/potential": potential[part],
                 "energy/total": total,
@@ -207,6 +228,30 @@ class Recorder:
                 "position": np.array([one.q[:-3] for one in found]).reshape(shape),
                 "velocity": np.array([one.v[:-3] for one in found]).reshape(shape),
             }
+        )
+
+    def _parted(self, phi: np.ndarray) -> tuple[int, int, float] | None:
+        """Return the first row of `phi` (T, P, 2) where redundant joints contradict the others; joint and gap there."""
+        spare = self._spare
+        if not np.any(spare) or not len(phi):
+            return None
+        gaps = np.abs(phi).max(axis=2)
+        apart, rest = gaps[:, spare].max(axis=1), gaps[:, ~spare].max(axis=1, initial=0.0)
+        bad = (apart > PARTED * self._length) & (apart > ALONE * rest)
+        if not np.any(bad):
+            return None
+        row = int(np.argmax(bad))
+        pair = int(np.argmax(np.where(spare, gaps[row], 0.0)))
+        return row, int(self._pair_joint[pair]), float(gaps[row, pair])
+
+    def _contradiction(self, joint: int, gap: float, where: str) -> str:
+        """Return the sentence that names a joint which cannot meet any more because of others."""
+        mechanism = self.problem.mechanism
+        units = {self._pair_joint[row.pair]: row.unit for row in mechanism.rows}
+        others = [name for name in mechanism.redundancy.not_unique if name != mechanism.joints[joint]]
+        return (
+            f"joint '{mechanism.joints[joint]}' misses by {gap:.2g} {units[joint]} at {where}, though all others meet: "
+            f"it holds the same thing as {listed(others, 'and')}, but no longer agrees; leave one of them out."
         )
 
     def _own_multipliers(self, stretch: Stretch, part: slice, lam: np.ndarray) -> dict[str, np.ndarray]:

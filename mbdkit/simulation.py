@@ -41,7 +41,7 @@ from mbdkit.integrators.stepping import Advancing, Counters, Failure, Stepper, S
 from mbdkit.mechanism.checks import check_springs
 from mbdkit.mechanism.elements import Body
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.recorder import Recorder, archive_names, shared_forces
+from mbdkit.recorder import SINGULARITY, Recorder, archive_names, shared_forces
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.text import one_line
 
@@ -123,6 +123,7 @@ def simulate(
         spec.output.recorded,
         extra_datasets=[
             *_own_multipliers(method),
+            *_nearness(problem.mechanism),
             *CORRECTIONS[problem.stabilization.kind],
             *(EVENTS if spec.events else ()),
         ],
@@ -244,6 +245,11 @@ def _own_multipliers(method: Method) -> list[str]:
     """Return the path of the multipliers that the method itself carries, if it does."""
     carries = isinstance(method, StepMethod) and method.carries_multipliers
     return ["constraints/method_multiplier"] if carries else []
+
+
+def _nearness(mechanism: CompiledMechanism) -> list[str]:
+    """Return the path of the distance to singularity, which a mechanism without joints has not."""
+    return [SINGULARITY] if mechanism.solved_rows else []
 
 
 class _Simulation:

@@ -204,6 +204,14 @@ LAYOUT: tuple[Array, ...] = (
         row_units="multiplier_row_units",
         optional=True,
     ),
+    Array(
+        "constraints/singularity_distance",
+        _T,
+        "1",
+        "smallest singular value of the independent constraints' Jacobian in the mass metric, the rows of each point "
+        "orthonormal: 1 where no joint feels another, 0 in a singular position",
+        optional=True,
+    ),
     _time("energy"),
     Array("energy/kinetic", _T, "J", "kinetic energy"),
     Array("energy/potential", _T, "J", "potential energy of gravity and springs"),

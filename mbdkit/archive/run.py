@@ -202,6 +202,20 @@ class Run:
         )
 
     @property
+    def singularity_distance(self) -> np.ndarray:
+        """How far the mechanism is from a singular position at the recorded rows, (T,), true to about 1 %.
+
+        The smallest singular value of the Jacobian of the independent constraints in the mass metric, with the rows of
+        each joint's point made orthonormal: 1 where no joint feels another, 0 where joints block each other or let go.
+
+        Raises
+        ------
+        MbdkitError
+            If this run did not record it: without constraints, or by an earlier version.
+        """
+        return self.array("constraints/singularity_distance")
+
+    @property
     def energy(self) -> Energy:
         """The energies of the mechanism."""
         return Energy(self)

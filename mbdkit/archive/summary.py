@@ -18,6 +18,8 @@ JOINTS_NAMED = 4
 
 #: So many events are named.
 EVENTS_NAMED = 4
+#: Distance to singularity below which a run is said to have come near one.
+SINGULAR = 0.1
 
 _COUNTERS = {
     "rhs_evaluations": "right sides",
@@ -55,6 +57,7 @@ def summary(run: Run) -> str:
         ("time", _time(run)),
         ("speed", _speed(run.stats)),
         ("misalignment", _misalignment(run)),
+        ("singularity", _singularity(run)),
         ("energy", _energy(run)),
         ("events", _events(run)),
         ("counters", _counters(run.stats)),
@@ -158,6 +161,18 @@ def _angles(run: Run) -> str:
     largest = np.max(np.abs(run.array("joints/angle_misalignment")), axis=0)
     worst = int(np.argmax(largest))
     return f"; {largest[worst]:.3g} rad ({run.joint_names[worst]})" if largest[worst] > 0 else ""
+
+
+def _singularity(run: Run) -> str:
+    """Return how near the mechanism came to a singular position, where it came near one."""
+    path = "constraints/singularity_distance"
+    if not run.records(path) or len(run.time) == 0:
+        return ""
+    distance = run.array(path)
+    row = int(np.argmin(distance))
+    if distance[row] > SINGULAR or distance[row] > 0.5 * float(np.max(distance)):
+        return ""
+    return f"as near as {distance[row]:.2g} of {float(np.max(distance)):.2g}, at {run.time[row]:g} s"
 
 
 def _energy(run: Run) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from mbdkit.engine.cache import kernel, part
 from mbdkit.engine.constraints import constraint_positions, constraint_tangents
 from mbdkit.engine.forces import potential_energy
+from mbdkit.engine.singularity import singularity_distance
 from mbdkit.engine.system import (
     OK,
     constraint_rows,
@@ -33,8 +34,9 @@ def reactions_of(top, w, lam, out):
 
 @kernel
 def observe(
-    top, w, solver, times, q, v, acc, lam, phi, phi_rate, reactions, kinetic, potential, self_stress, its_reactions
-):
+    top, w, solver, times, q, v, acc, lam, phi, phi_rate, reactions, kinetic, potential, distance,
+    self_stress, its_reactions, near,
+):  # fmt: skip
     """Evaluate recorded states in a row.
 
     Parameters
@@ -53,10 +55,14 @@ def observe(
         Receives force (x, y) and torque that the first body exerts on the second, at the second's joint point.
     kinetic, potential : (T,) arrays
         Receive energies [J].
+    distance : (T,) array
+        Receives the distance to singularity.
     self_stress : (T, D, P, 2) array
         Receives, for each redundant direction, the multipliers that go with 1 in it and do not move anything.
     its_reactions : (T, D, P, 3) array
         Receives their reactions.
+    near : (P, 11) array
+        What `mbdkit.engine.singularity` keeps from row to row.
 
     Returns
     -------
@@ -71,6 +77,7 @@ def observe(
         status = solve_accelerations(top, w, solver, q[r], v[r], acc[r], lam[r], True)
         if status != OK:
             return status, r
+        distance[r] = singularity_distance(top, w, solver, near)
         for i in range(len(top.spare)):
             transferred(top, w, solver, i, self_stress[r, i])
             dx, dy = spare_direction(top, w.cs, i)

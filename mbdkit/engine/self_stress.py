@@ -88,6 +88,20 @@ def self_stresses(jacobian: Any, expected: int = 0) -> np.ndarray:
     return u[:, null]
 
 
+def smallest_stress(jacobian: Any) -> tuple[np.ndarray, float]:
+    """Return the left singular vector (m,) of the smallest singular value of a matrix (m, n), and that value.
+
+    The matrix is as `scaled_matrix` makes it. With more rows than columns the value is 0.
+    """
+    m, n = jacobian.shape
+    if m > MOST_DENSE and m <= n:
+        basis, values = _smallest(jacobian, 16)
+        return basis[:, -1], float(values[-1])
+    dense = jacobian if isinstance(jacobian, np.ndarray) else jacobian.toarray()
+    u, values, _ = np.linalg.svd(dense, full_matrices=m > n)
+    return u[:, -1], float(values[-1]) if m <= n else 0.0
+
+
 def _smallest(jacobian: Any, some: int) -> tuple[np.ndarray, np.ndarray]:
     """Return `some` left singular vectors of the smallest singular values, and those, largest first."""
     from scipy.sparse import block_array, eye_array

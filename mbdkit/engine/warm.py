@@ -64,6 +64,7 @@ def _run_everything(check: Callable[[], None]) -> None:
     from mbdkit.engine.compiling import compile_mechanism
     from mbdkit.engine.observe import baumgarte_at, observe
     from mbdkit.engine.problem import Problem
+    from mbdkit.engine.singularity import nearest_singularity, new_vectors
     from mbdkit.integrators import gauss, rk4
     from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta, Method, SciPySolver
     from mbdkit.integrators.step_problem import StepProblem, call_everything
@@ -94,5 +95,7 @@ def _run_everything(check: Callable[[], None]) -> None:
         observe(
             compiled.topology, problem.scratch, problem.solver, stretch.time, stretch.q, stretch.v,
             np.zeros_like(stretch.q), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros((rows, pairs, 3)),
-            np.zeros(rows), np.zeros(rows), np.zeros((rows, 0, pairs, 2)), np.zeros((rows, 0, pairs, 3)),
+            np.zeros(rows), np.zeros(rows), np.zeros(rows),
+            np.zeros((rows, 0, pairs, 2)), np.zeros((rows, 0, pairs, 3)), new_vectors(problem),
         )  # fmt: skip
+    nearest_singularity(Problem(compiled, 0.0, q0, v0), 0.0, q0)

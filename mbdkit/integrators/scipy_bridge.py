@@ -17,6 +17,7 @@ import numpy as np
 from mbdkit.engine.analysis import SingularSystemError
 from mbdkit.engine.observe import baumgarte_at, first_order_rates, note_all, tangents_at
 from mbdkit.engine.problem import Problem
+from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.system import OK
 from mbdkit.engine.vectors import BEYOND
 from mbdkit.integrators.fixed_step import has_power
@@ -105,9 +106,8 @@ class SciPyStepper:
                 problem.use_pivots()
             except SingularSystemError as error:
                 name = problem.mechanism.unknown_name(error.index)
-                raise _StoppedError(
-                    Failure("singular", f"no independent equations are left at {name} at t = {t:.6g} s.")
-                ) from None
+                where = f"no independent equations are left at {name} at t = {t:.6g} s"
+                raise _StoppedError(Failure("singular", f"{where}{self._nearness(t, y)}.")) from None
         self._finite = self._finite and bool(np.all(np.isfinite(out)))
         return out if self.has_power else out[: 2 * self.n3]
 
@@ -226,7 +226,12 @@ class SciPyStepper:
             if not self._finite:
                 self.failure = self._overflow(before)
             else:
-                self.failure = Failure("step-too-small", f"at t = {before:.6g} s: {message}".rstrip(".") + ".")
+                where = f"at t = {before:.6g} s: {message}".rstrip(".")
+                self.failure = Failure("step-too-small", f"{where}{self._nearness(before, self.y)}.")
+            return False
+        if solver.t == before:  # LSODA goes on with steps that time does not feel, and never ends
+            where = f"at t = {before:.6g} s: the step is too small to move the time"
+            self.failure = Failure("step-too-small", f"{where}{self._nearness(before, self.y)}.")
             return False
         if not np.all(np.abs(solver.y) < BEYOND):
             self.failure = self._overflow(before)
@@ -256,6 +261,11 @@ class SciPyStepper:
             pull = baumgarte_at(problem.stepping_topology, problem.scratch, self.time, q, v)
             self._pull = max(self._pull, pull)
         return True
+
+    def _nearness(self, t: float, y: np.ndarray) -> str:
+        """Return that a state is nearly singular, to go on a sentence with; empty where it is not."""
+        near = describe_nearness(self.problem, t, self._positions(y))
+        return near and f"; {near}"
 
     def _overflow(self, t: float) -> Failure:
         if force := self.problem.unusable_law():

@@ -1,6 +1,6 @@
 """The built-in models: each file turns a few parameters into a mechanism."""
 
-from mbdkit.models import double_pendulum, four_bar_knee, free, n_pendulum, single_pendulum
+from mbdkit.models import double_pendulum, four_bar_knee, free, n_four_bar, n_pendulum, single_pendulum
 from mbdkit.registry.items import ModelPlugin
 
 MODELS = (
@@ -17,6 +17,7 @@ MODELS = (
         double_pendulum.build,
     ),
     ModelPlugin("n-pendulum", n_pendulum.SUMMARY, n_pendulum.NPendulumOptions, n_pendulum.build),
+    ModelPlugin("n-four-bar", n_four_bar.SUMMARY, n_four_bar.NFourBarOptions, n_four_bar.build, n_four_bar.REFERENCES),
     ModelPlugin(
         "four-bar-knee",
         four_bar_knee.SUMMARY,

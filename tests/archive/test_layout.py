@@ -69,13 +69,11 @@ def test_layout_has_every_promised_array_with_its_axes() -> None:
             assert BY_PATH[f"{group}/{name}"].dims == tuple(AXES[axis] for axis in axes)
 
 
-def test_layout_adds_nothing_but_row_units_the_bodies_of_joints_and_corrections() -> None:
+def test_layout_adds_nothing_but_row_units_the_bodies_of_joints_and_what_is_optional() -> None:
     added = {array.path for array in LAYOUT} - {
         f"{group}/{name}" for group, names in PROMISED.items() for name in names
     }
-    corrections = {path for paths in CORRECTIONS.values() for path in paths}
-    assert all(BY_PATH[path].optional for path in corrections)
-    assert all(path.endswith(("row_units", "_body")) for path in added - corrections)
+    assert all(path.endswith(("row_units", "_body")) or BY_PATH[path].optional for path in added)
     assert {array.group for array in LAYOUT} == set(GROUPS)
 
 

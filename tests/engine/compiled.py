@@ -11,6 +11,7 @@ from mbdkit.engine.compiled import CompiledMechanism
 from mbdkit.engine.compiling import compile_mechanism
 from mbdkit.engine.observe import constraints_at, first_order_rates, observe, tangents_at
 from mbdkit.engine.problem import Problem
+from mbdkit.engine.singularity import new_vectors
 from mbdkit.mechanism.mechanism import Mechanism
 
 OK = 0
@@ -76,7 +77,8 @@ class Compiled:
         kinetic, potential = np.zeros((2, 1))
         spare = len(self.top.spare)
         stresses = np.zeros((1, spare, pairs, 2)), np.zeros((1, spare, pairs, 3))
-        arguments = (acc, lam, phi, rate, reactions, kinetic, potential, *stresses)
+        near = np.zeros(1), *stresses, new_vectors(self.problem)
+        arguments = (acc, lam, phi, rate, reactions, kinetic, potential, *near)
         for _ in range(2):
             status, _ = observe(
                 self.top, self.scratch, self.problem.solver, np.array([self.t]), self.q[None], self.v[None], *arguments

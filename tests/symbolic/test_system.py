@@ -16,6 +16,7 @@ import sympy as sp
 from mbdkit.engine.compiling import compile_mechanism
 from mbdkit.engine.observe import constraints_at, observe
 from mbdkit.engine.problem import Problem
+from mbdkit.engine.singularity import new_vectors
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.data import Force
 from mbdkit.mechanism.mechanism import Mechanism
@@ -93,7 +94,7 @@ def engine(m: Mechanism, t: float, q: np.ndarray, v: np.ndarray) -> dict[str, np
     problem.use_pivots()
     acc, lam = np.zeros((1, n + 3)), np.zeros((1, pairs, 2))
     others = np.zeros((1, pairs, 2)), np.zeros((1, pairs, 2)), np.zeros((1, pairs, 3)), np.zeros(1), np.zeros(1)
-    none = np.zeros((1, 0, pairs, 2)), np.zeros((1, 0, pairs, 3))
+    none = np.zeros(1), np.zeros((1, 0, pairs, 2)), np.zeros((1, 0, pairs, 3)), new_vectors(problem)
     status, _ = observe(top, w, problem.solver, np.array([t]), q[None], v[None], acc, lam, *others, *none)
     assert status == 0
     rows = [(row.pair, row.place) for row in compiled.rows]

@@ -1,0 +1,122 @@
+"""The N-four-bar mechanism: windows in a row that fold flat twice a turn, where their freedoms multiply."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Annotated
+
+from pydantic import Field
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.elements import Element, Number, Point, Positive
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.memory import available_memory, in_gib
+
+SUMMARY = "N four-bar windows in a row, which pass two singular positions a turn (IFToMM benchmark A02)."
+
+BENCHMARK = """@article{gonzalez2006benchmarking,
+  author  = {Gonz{\\'a}lez, M. and Dopico, D. and Lugr{\\'i}s, U. and Cuadrado, J.},
+  title   = {A benchmarking system for {MBS} simulation software: Problem standardization and performance measurement},
+  journal = {Multibody System Dynamics},
+  volume  = {16},
+  number  = {2},
+  pages   = {179--190},
+  year    = {2006}
+}"""
+WINDOWS = """@article{bayo1994singularity,
+  author  = {Bayo, E. and Avello, A.},
+  title   = {Singularity-free augmented {Lagrangian} algorithms for constrained multibody dynamics},
+  journal = {Nonlinear Dynamics},
+  volume  = {5},
+  number  = {2},
+  pages   = {209--231},
+  year    = {1994}
+}"""
+REFERENCES = (BENCHMARK, WINDOWS)
+
+BYTES_PER_WINDOW = 40_000
+"""Memory that a window of two rods and three joints takes while its mechanism is compiled [bytes]."""
+
+
+class NFourBarOptions(Element):
+    """Parameters of `n-four-bar`."""
+
+    n: Annotated[int, Field(ge=1)] = 2
+    """Number of windows."""
+    length: Positive = 1.0
+    """Length of every rod [m]."""
+    mass: Positive = 1.0
+    """Mass of every rod [kg]."""
+    inertia: Positive | None = None
+    """Moment of inertia of every rod about its middle [kg m^2]; left out, that of a uniform rod."""
+    angle: Number = math.pi / 2
+    """Initial tilt of the cranks from the +x axis [rad]; upright by default."""
+    speed: Number = 1.0
+    """Initial speed of the cranks' free ends [m/s], clockwise: to the right where the cranks stand upright."""
+    gravity: Point = (0.0, -9.81)
+    """Gravitational acceleration (x, y) [m/s^2]."""
+
+
+def build(options: NFourBarOptions) -> Mechanism:
+    """Return N + 1 cranks, `crank0` to `crankN`, on the ground at A_i = (i L, 0), whose ends B_i N couplers connect.
+
+    ::
+
+        B0 --coupler1-- B1 --coupler2-- B2          A0 .. AN: ground and cranks
+        |               |               |           B0 .. BN: crank i and the coupler to its left (B0: to its right)
+        crank0        crank1          crank2        C1 .. CN-1: crank i and the coupler to its right, pinned like Bi
+        A0              A1              A2
+
+    All rods are equal, so that cranks that are parallel at the start stay so, and the mechanism has one degree of
+    freedom; but where they lie flat, at 0 and at pi, each window might fold either way, and there it has N + 1.
+
+    Problem A02 of the IFToMM benchmark library (Gonzalez, Dopico, Lugris and Cuadrado, A benchmarking system for MBS
+    simulation software, Multibody System Dynamics 16 (2006) 179-190, http://lim.ii.udc.es/mbsbenchmark), whose rods,
+    gravity and start are the defaults here; an extension of the two windows of Bayo and Avello (1994).
+
+    Raises
+    ------
+    SpecError
+        If the memory of this machine cannot hold so many.
+    """
+    o = options
+    needed, available = o.n * BYTES_PER_WINDOW, available_memory()
+    if available is not None and needed > available:
+        raise SpecError(
+            f"{o.n:,} windows need about {in_gib(needed)} of memory, but only {in_gib(available)} are available: "
+            f"make it {available // BYTES_PER_WINDOW:,} at most",
+            key="n",
+        )
+    length, half = o.length, 0.5 * o.length
+    inertia = o.mass * length**2 / 12 if o.inertia is None else o.inertia
+    rate = -o.speed / length
+    x, y = length * math.cos(o.angle), length * math.sin(o.angle)
+    mechanism = Mechanism(o.gravity, name="n-four-bar")
+    cranks = []
+    for i in range(o.n + 1):
+        crank = mechanism.body(
+            f"crank{i}",
+            mass=o.mass,
+            inertia=inertia,
+            position=(i * length + 0.5 * x, 0.5 * y),
+            angle=o.angle,
+            velocity=(-0.5 * rate * y, 0.5 * rate * x),
+            angular_velocity=rate,
+        )
+        mechanism.revolute(f"A{i}", mechanism.ground, crank, points=((i * length, 0.0), (-half, 0.0)))
+        cranks.append(crank)
+    for i in range(1, o.n + 1):
+        coupler = mechanism.body(
+            f"coupler{i}",
+            mass=o.mass,
+            inertia=inertia,
+            position=((i - 1) * length + x + half, y),
+            velocity=(-rate * y, rate * x),
+        )
+        left = "B0" if i == 1 else f"C{i - 1}"
+        mechanism.revolute(left, cranks[i - 1], coupler, points=((half, 0.0), (-half, 0.0)))
+        mechanism.revolute(f"B{i}", cranks[i], coupler, points=((half, 0.0), (half, 0.0)))
+    largest = max(o.n * length, abs(o.speed))
+    mechanism.hold(tolerance=max(1e-12, 8 * sys.float_info.epsilon * largest))
+    return mechanism

@@ -1,0 +1,200 @@
+"""The distance to singularity: against dense singular value decompositions of the same Jacobians."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.engine.problem import Problem
+from mbdkit.engine.singularity import describe_nearness, nearest_singularity
+from mbdkit.integrators.step_problem import StepProblem
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.spec import load_spec
+from tests.engine.random_mechanisms import chain, driven_frame, ladder, loop, slides, tree
+
+ACCURATE = 0.01
+
+
+def singular_values(p: StepProblem, t: float, q: np.ndarray) -> np.ndarray:
+    """Return the singular values of the scaled Jacobian at a position (n,), largest first, by LAPACK."""
+    jacobian = p.constraint_jacobian(t, q).toarray() / np.sqrt(p.mass)
+    blocks: dict[str, list[int]] = {}
+    for i, name in enumerate(p.constraint_names):
+        joint, row = name.rsplit(".", 1)
+        blocks.setdefault(joint if row in ("x", "y") else name, []).append(i)
+    for rows in blocks.values():
+        factor = np.linalg.cholesky(jacobian[rows] @ jacobian[rows].T)
+        jacobian[rows] = np.linalg.solve(factor, jacobian[rows])
+    return np.linalg.svd(jacobian, compute_uv=False)
+
+
+def positions(run: Any, p: StepProblem) -> np.ndarray:
+    """Return the recorded positions (T, n)."""
+    parts = [np.column_stack([run[name].position, run[name].angle]) for name in p.bodies]
+    return np.stack(parts, axis=1).reshape(len(run.time), p.n)
+
+
+def recorded_and_expected(mechanism: Mechanism, **sections: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the recorded distances (T,) and the two smallest singular values (T, 2), smallest first."""
+    p = StepProblem.of(mechanism)
+    with mbdkit.run(mechanism, **sections) as run:
+        expected = [singular_values(p, t, q) for t, q in zip(run.time, positions(run, p), strict=True)]
+        return np.asarray(run.singularity_distance), np.array(expected)[:, :-3:-1]
+
+
+def windows(n: int, angle: float = math.pi / 2, speed: float = 1.0) -> Mechanism:
+    """Return n four-bar windows in a row, all rods 1 m and 1 kg: cranks A_i B_i, couplers B_i B_i+1."""
+    m = Mechanism()
+    c, s = math.cos(angle), math.sin(angle)
+    cranks = []
+    for i in range(n + 1):
+        cranks.append(
+            m.body(
+                f"crank{i}", mass=1, inertia=1 / 12, position=(i + c / 2, s / 2), angle=angle,
+                velocity=(speed * s / 2, -speed * c / 2), angular_velocity=-speed,
+            )
+        )  # fmt: skip
+        m.revolute(f"A{i}", m.ground, cranks[-1], points=((i, 0), (-0.5, 0)))
+    for i in range(n):
+        position, velocity = (i + c + 0.5, s), (speed * s, -speed * c)
+        coupler = m.body(f"coupler{i}", mass=1, inertia=1 / 12, position=position, velocity=velocity)
+        m.revolute(f"B{i}", cranks[i], coupler, points=((0.5, 0), (-0.5, 0)))
+        m.revolute(f"C{i}", cranks[i + 1], coupler, points=((0.5, 0), (0.5, 0)))
+    return m
+
+
+def two_apart() -> Mechanism:
+    """Return two four-bars that share nothing and pass their singular positions one after the other."""
+    m = Mechanism(gravity=(0, 0))
+    for k, (angle, speed) in enumerate(((0.4, 1.0), (0.9, 1.3))):
+        c, s = math.cos(angle), math.sin(angle)
+        at = 10 * k
+        rods = {
+            "left": ((at + c / 2, s / 2), angle, (speed * s / 2, -speed * c / 2), -speed),
+            "right": ((at + 2 + c / 2, s / 2), angle, (speed * s / 2, -speed * c / 2), -speed),
+            "top": ((at + 1 + c, s), 0.0, (speed * s, -speed * c), 0.0),
+        }
+        held = {
+            name + str(k): m.body(
+                name + str(k), mass=1 + k, inertia=0.1, position=p, angle=a, velocity=v, angular_velocity=w
+            )
+            for name, (p, a, v, w) in rods.items()
+        }
+        left, right, top = held.values()
+        m.revolute(f"A{k}", m.ground, left, points=((at, 0), (-0.5, 0)))
+        m.revolute(f"B{k}", left, top, points=((0.5, 0), (-1, 0)))
+        m.revolute(f"C{k}", top, right, points=((1, 0), (0.5, 0)))
+        m.revolute(f"D{k}", m.ground, right, points=((at + 2, 0), (-0.5, 0)))
+    return m
+
+
+@pytest.mark.parametrize("name", ["knee", "watt-six-bar", "double-wishbone", "chain", "double-pendulum"])
+def test_distance_on_the_way_is_the_smallest_singular_value_of_packaged_examples(name):
+    found, expected = recorded_and_expected(
+        load_spec(name).mechanism(), integrator={"name": "gauss", "stages": 2}, time={"steps": 60, "step": 0.005}
+    )
+    np.testing.assert_allclose(found, expected[:, 0], rtol=ACCURATE)
+
+
+@pytest.mark.parametrize("n", [2, 8])
+def test_distance_follows_through_singular_positions_where_as_many_values_vanish_as_there_are_windows(n):
+    found, expected = recorded_and_expected(
+        windows(n), integrator={"name": "gauss", "stages": 1}, time={"end": 0.9, "step": 0.001}
+    )
+    assert expected[:, 0].min() < 1e-3 < 0.05 < expected[:, 0].max()
+    np.testing.assert_allclose(found, expected[:, 0], rtol=ACCURATE)
+
+
+def test_distance_changes_over_from_one_loop_to_another_that_shares_no_body_with_it():
+    found, expected = recorded_and_expected(
+        two_apart(), integrator={"name": "gauss", "stages": 1}, time={"end": 0.85, "step": 0.005}
+    )
+    nearest = np.argsort(expected[:, 0])[:1]
+    assert expected[nearest, 0] < 0.01
+    np.testing.assert_allclose(found, expected[:, 0], rtol=ACCURATE)
+
+
+def test_distance_of_the_pivoted_system_agrees_where_masses_are_far_apart():
+    m = Mechanism()
+    cart = m.body("cart", mass=1e-8, inertia=1e-9, velocity=(1, 0))
+    pole = m.body("pole", mass=1.0, inertia=0.1, position=(0.0, 0.5), angle=1.4, velocity=(1, 0))
+    m.prismatic("rail", m.ground, cart, points=((0, 0), (0, 0)), axis=(1, 0))
+    m.revolute("pin", cart, pole, points=((0, 0), (-0.5, 0)))
+    found, expected = recorded_and_expected(
+        m, integrator={"name": "gauss", "stages": 2}, time={"end": 0.4, "step": 0.002}
+    )
+    np.testing.assert_allclose(found, expected[:, 0], rtol=ACCURATE)
+
+
+def test_distance_of_a_redundant_mechanism_is_that_of_its_independent_rows():
+    m = windows(1)
+    m.body(
+        "spare", mass=1, inertia=1 / 12, position=(0.5, 0.5), angle=math.pi / 2, velocity=(0.5, 0), angular_velocity=-1
+    )
+    m.revolute("A", m.ground, "spare", points=((0.5, 0), (-0.5, 0)))
+    m.revolute("B", "coupler0", "spare", points=((0, 0), (0.5, 0)))
+    found, expected = recorded_and_expected(
+        m, integrator={"name": "gauss", "stages": 1}, time={"end": 0.8, "step": 0.005}
+    )
+    assert expected[:, 0].min() < 0.05
+    np.testing.assert_allclose(found, expected[:, 0], rtol=ACCURATE)
+
+
+def test_distance_of_one_joint_is_one_and_without_joints_there_is_none():
+    with mbdkit.run("pendulum", time={"end": 0.1, "step": 0.01}) as run:
+        np.testing.assert_allclose(run.singularity_distance, 1.0, rtol=1e-12)
+    m = Mechanism()
+    m.body("ball", mass=1, inertia=1)
+    with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.01}) as run:
+        assert not run.records("constraints/singularity_distance")
+
+
+def test_distance_does_not_depend_on_the_directions_of_the_axes():
+    found = []
+    for turn in (0.0, 0.7):
+        c, s = math.cos(turn), math.sin(turn)
+        m = Mechanism()
+        rod = m.body("rod", mass=1, inertia=0.02, position=(0.5 * c, 0.5 * s), angle=turn)
+        tip = m.body("tip", mass=1, inertia=0.05, position=(c - 0.5 * s, s + 0.5 * c), angle=turn + math.pi / 2)
+        m.revolute("A", m.ground, rod, points=((0, 0), (-0.5, 0)))
+        m.revolute("B", rod, tip, points=((0.5, 0), (-0.5, 0)))
+        found.append(nearest_singularity(problem_of(m), 0.0, StepProblem.of(m).q0)[0])
+    assert found[0] == pytest.approx(found[1], rel=1e-12)
+
+
+def problem_of(m: Mechanism) -> Problem:
+    return StepProblem.of(m)._problem
+
+
+@pytest.mark.parametrize("grown", [chain, driven_frame, ladder, loop, slides, tree])
+def test_nearest_singularity_is_the_smallest_singular_value_of_random_mechanisms(grown):
+    m = grown(np.random.default_rng(1))
+    p = StepProblem.of(m)
+    distance, joint = nearest_singularity(p._problem, p.t0, p.q0)
+    assert distance == pytest.approx(singular_values(p, p.t0, p.q0)[-1], rel=1e-9, abs=1e-13)
+    assert joint in m.joints
+
+
+def test_nearest_singularity_of_many_rows_is_that_of_the_dense_decomposition():
+    p = StepProblem.of(load_spec("chain", ("model.n=200",)).mechanism())
+    distance, _ = nearest_singularity(p._problem, p.t0, p.q0)
+    assert distance == pytest.approx(singular_values(p, p.t0, p.q0)[-1], rel=1e-6)
+
+
+def test_nearness_names_a_joint_of_the_loop_that_is_singular_and_keeps_quiet_elsewhere():
+    m = two_apart()
+    p = StepProblem.of(m)
+    assert describe_nearness(p._problem, 0.0, p.q0) == ""
+    q = p.q0.reshape(-1, 3).copy()
+    angle = 1e-7
+    for name, x in (("left1", 10.0), ("right1", 12.0)):
+        q[p.bodies.index(name)] = (x + math.cos(angle) / 2, math.sin(angle) / 2, angle)
+    q[p.bodies.index("top1")] = (11 + math.cos(angle), math.sin(angle), 0.0)
+    distance, joint = nearest_singularity(p._problem, 0.0, q.ravel())
+    assert distance == pytest.approx(singular_values(p, 0.0, q.ravel())[-1], rel=1e-6)
+    assert joint.endswith("1")
+    assert f"joint '{joint}'" in describe_nearness(p._problem, 0.0, q.ravel())
