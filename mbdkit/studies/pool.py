@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import queue
 import signal
@@ -36,20 +37,24 @@ class Task:
         Where its archive goes.
     repeats
         If not 0: how often to time the run in memory instead, once more than that to warm up.
+    reverse
+        Whether to run it there and back in memory instead.
     """
 
     spec: RunSpec
     path: Path
     repeats: int = 0
+    reverse: bool = False
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a task: the status of the run, why, and the wall times of its repeats [s]."""
+    """What became of a task: the status of the run, why, the wall times of its repeats [s], its defects of reversal."""
 
     status: str
     reason: str
     seconds: tuple[float, ...] = ()
+    defects: tuple[float, float] = (math.nan, math.nan)
 
 
 class Pool:
@@ -88,7 +93,8 @@ class Pool:
                 if "note" in answer:
                     self._say(answer["note"])
                     continue
-                outcome = Outcome(answer["status"], answer["reason"], tuple(answer.get("seconds", ())))
+                first, second = (math.nan if value is None else value for value in answer.get("defects", (None, None)))
+                outcome = Outcome(answer["status"], answer["reason"], tuple(answer.get("seconds", ())), (first, second))
                 worker.task = None
             else:
                 outcome = Outcome("failed", f"worker-died: {worker.death()}")
@@ -147,7 +153,8 @@ class _Worker:
         """Let the process begin a task; if it is dead already, its silence will tell."""
         self.task = task
         spec = json.loads(task.spec.canonical_json())
-        text = json.dumps({"spec": spec, "path": str(task.path.absolute()), "repeats": task.repeats})
+        place = str(task.path.absolute())
+        text = json.dumps({"spec": spec, "path": place, "repeats": task.repeats, "reverse": task.reverse})
         assert self.process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
             self.process.stdin.write(text + "\n")

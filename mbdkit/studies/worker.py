@@ -59,6 +59,13 @@ def _work(task: dict[str, Any], notify: Any) -> dict[str, Any]:
     from mbdkit.spec import RunSpec
 
     spec = RunSpec(**task["spec"])
+    if task["reverse"]:
+        from mbdkit.studies.reversal import reverse
+
+        found = reverse(spec, notify)
+        if found.note:
+            return {"status": "failed", "reason": found.note}
+        return {"status": "complete", "reason": "", "defects": [found.defect, found.velocity_defect]}
     if task["repeats"] == 0:
         with simulate(spec, path=Path(task["path"]), overwrite=True, notify=notify) as run:
             return {"status": run.status, "reason": run.status_reason}
