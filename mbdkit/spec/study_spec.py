@@ -34,6 +34,7 @@ Measure = Literal[
     "energy_trend",
     "energy_trend_error",
     "energy_oscillation",
+    "duration",
     "mechanism_size",
     "reversibility_defect",
     "reversibility_velocity_defect",

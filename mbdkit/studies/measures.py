@@ -118,6 +118,10 @@ def _trend(value: Callable[[Trend], float]) -> Callable[[Run, Run | None], float
     return take
 
 
+def _duration(run: Run, reference: Run | None) -> float:
+    return float(run.time[-1] - run.time[0]) if len(run.time) else math.nan
+
+
 def _size(run: Run, reference: Run | None) -> float:
     if not len(run.time):
         return math.nan
@@ -170,6 +174,7 @@ MEASURES: Mapping[str, Measure] = {
     "energy_oscillation": Measure(
         "J", "largest distance of the energy balance from its trend", _trend(lambda trend: trend.oscillation)
     ),
+    "duration": Measure("s", "time from the first recorded row to the last", _duration),
     "mechanism_size": Measure(
         "m", "longer side of the box around joint points and centres of mass at the start", _size
     ),
