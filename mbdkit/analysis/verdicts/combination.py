@@ -23,6 +23,8 @@ LONG = "-long"
 """What the name of the family of long runs has more than that of the short ones of the same mechanism."""
 ROUND_OFF = 1e-11
 """Errors that are nothing but round-off, as shares of the mechanism's size, of that per second, or of a multiplier."""
+EPSILON = 5e-16
+"""The floor of rounding under all errors, as such a share: double precision itself."""
 SPENT = 1e-12
 """Energy lost over a run, as a share of the largest kinetic energy, that is nothing but round-off."""
 
@@ -196,7 +198,8 @@ def _order(points: Points, column: str, scale: float) -> float | Undetermined:
     if state := _state(points):
         return state
     steps, errors = points.along(STEP, column)
-    found = observed_order(steps, errors)
+    seen = observed_order(steps, errors).floor
+    found = observed_order(steps, errors, floor=max(seen, EPSILON * scale))
     if found.found:
         return found.order
     finite = errors[np.isfinite(errors)]

@@ -67,9 +67,10 @@ NOTE = (
     "floor of rounding; multipliers are the method's own where it carries them, else those of index 1 at its states. "
     "Drift: largest misalignment over every step and velocity misalignment in the recorded rows of the long run, as "
     "shares of the mechanism's size. Energy: least-squares slope of the balance, as a share of the largest kinetic "
-    "energy per second, over its standard error, in which correlated oscillation counts; 'none' within three of them or "
-    "at round-off; swing: the largest distance from the slope. There and back: distance from the start after the long run "
-    "and the same run with velocities reversed, as a share of the size. Cost: of a step of the long run on this machine."
+    "energy per second, over its standard error, in which correlated oscillation counts; 'none' within three of them "
+    "or at round-off; swing: the largest distance from the slope. There and back: distance from the start after the "
+    "long run and the same run with velocities reversed, as a share of the size. Cost: of a step of the long run on "
+    "this machine."
 )
 
 
@@ -124,6 +125,14 @@ def order_meets(found: float | Undetermined, expected: float) -> Answer:
     return Answer.PARTLY if away > 0 else Answer.NO
 
 
+def all_of(answers: Sequence[Answer]) -> Answer:
+    """Return whether every one of several things holds: no where one does not, open where that is not known of one."""
+    for answer in (Answer.NO, Answer.PARTLY, Answer.OPEN):
+        if answer in answers:
+            return answer
+    return Answer.YES
+
+
 def _known(answers: Mapping[str, Answer]) -> Answer:
     """Return one answer for several mechanisms: those that are open decide nothing, unless all are."""
     return together([answer for answer in answers.values() if answer is not Answer.OPEN])
@@ -148,7 +157,7 @@ def _orders(
     for mechanism, one in _by(found, label).items():
         seen = (one.position_order, one.velocity_order, one.multiplier_order)
         asked = [order_meets(order, wanted) for order, wanted in zip(seen, expected, strict=True) if wanted is not None]
-        answers[mechanism] = together(asked)
+        answers[mechanism] = all_of(asked)
         shown = [_figure(order) for order, wanted in zip(seen, expected, strict=True) if wanted is not None]
         computed.append(f"{'/'.join(shown)} ({mechanism})")
     wanted = "/".join(f"{order:g}" for order in expected if order is not None)
@@ -236,7 +245,7 @@ def _reversibility(found: Sequence[Combination]) -> Claim:
             lambda defect: exceeds(defect, REVERSIBLE),
             lambda defect: exceeds(REVERSIBLE, defect),
         )
-        answers[mechanism] = together(
+        answers[mechanism] = all_of(
             [
                 Answer.OPEN if isinstance(defect, str) else holds(defect)
                 for defect, holds in zip(defects, wanted, strict=True)
@@ -260,7 +269,7 @@ def _energy(found: Sequence[Combination]) -> Claim:
     for mechanism, one in ordinary.items():
         other = symmetric.get(mechanism)
         has = [one.has_trend, None if other is None else other.has_trend]
-        answers[mechanism] = together(
+        answers[mechanism] = all_of(
             [
                 Answer.OPEN if found is None else Answer.YES if found is wanted else Answer.NO
                 for found, wanted in zip(has, (True, False), strict=True)
