@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+import mbdkit
 from mbdkit.analysis.verdict import UNDECIDED, Answer
+from mbdkit.analysis.verdicts import judge
 from mbdkit.analysis.verdicts.combination import combinations
 from mbdkit.analysis.verdicts.drift import COLUMNS, drift, order_meets
 from mbdkit.report.plain import plain_values, terminal
+from mbdkit.spec.study_loading import load_study_spec
 
 STEPS = (0.1, 0.05, 0.025, 0.0125)
 YES, NO, PARTLY, OPEN = Answer.YES, Answer.NO, Answer.PARTLY, Answer.OPEN
@@ -188,3 +192,30 @@ def test_a_study_of_other_families_is_no_study_of_drift() -> None:
     other.families = {"rod": ""}
     with pytest.raises(ValueError, match="-long"):
         drift(other)
+
+
+def reduced(methods: set[str]) -> dict[str, Any]:
+    """Return the packaged study on one pendulum alone, with these methods, fewer steps and shorter long runs."""
+    spec: dict[str, Any] = json.loads(load_study_spec("drift").canonical_json())
+    spec["families"] = {name: spec["families"][name] for name in ("pendulum", "pendulum-long")}
+    for family in spec["families"].values():
+        family["axes"][0]["method"] = [one for one in family["axes"][0]["method"] if one["label"] in methods]
+    steps = spec["families"]["pendulum"]["axes"][1]
+    spec["families"]["pendulum"]["axes"][1] = {key: values[1:] for key, values in steps.items()}
+    spec["families"]["pendulum-long"]["overrides"]["time"]["steps"] = 4000
+    return spec
+
+
+@pytest.mark.slow
+def test_the_packaged_study_shows_on_one_mechanism_what_is_known_of_methods(tmp_path: Path) -> None:
+    # expected: orders 4, 4 and 2s - 1 of index 1 (Hairer, Norsett, Wanner I; Hairer, Wanner II), Gauss reversible
+    # (Hairer, Lubich, Wanner, V.1), Radau losing energy
+    known = {"RK4": 4, "Gauss 2": 4, "Radau IIA 2": 3}
+    found = mbdkit.study(reduced(known.keys() | {"Generalized-alpha, index-3"}), out=tmp_path / "drift")
+    rows = {row[1]: row for row in judge(found).table("drift").rows}
+    for label, order in known.items():
+        assert [float(rows[label][column]) for column in (2, 3, 4)] == pytest.approx([order] * 3, abs=0.2), label
+        assert rows[label][5] == "index-1"
+    assert rows["Gauss 2"][11] < 1e-12 < rows["RK4"][11]
+    assert rows["Radau IIA 2"][8] < 0
+    assert {rows["Generalized-alpha, index-3"][2]} <= {"not installed", "1.99", "2.00", "2.01"}

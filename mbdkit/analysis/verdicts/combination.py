@@ -170,7 +170,7 @@ def _combination(mechanism: str, method: str, short: Points, long: Points) -> Co
     )
 
 
-def _state(points: Iterable[StudyPoint]) -> Undetermined:
+def state_of(points: Iterable[StudyPoint]) -> Undetermined:
     """Return in a word or two why points have no numbers; empty where one of them is complete."""
     states = {point.status for point in points}
     for status, told in (("complete", ""), ("failed", "failed"), ("left-out", "not installed")):
@@ -187,7 +187,7 @@ def _largest(points: Points, column: str) -> float:
 
 def _number(points: Points, column: str) -> float | Undetermined:
     """Return the number of the one complete point, or why there is none."""
-    if state := _state(points):
+    if state := state_of(points):
         return state
     found = points.value(column)
     return found if math.isfinite(found) else "no value"
@@ -195,7 +195,7 @@ def _number(points: Points, column: str) -> float | Undetermined:
 
 def _order(points: Points, column: str, scale: float) -> float | Undetermined:
     """Return the observed order of errors over the steps, or why there is none."""
-    if state := _state(points):
+    if state := state_of(points):
         return state
     steps, errors = points.along(STEP, column)
     seen = observed_order(steps, errors).floor
