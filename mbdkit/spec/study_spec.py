@@ -38,6 +38,7 @@ Measure = Literal[
     "mechanism_size",
     "reversibility_defect",
     "reversibility_velocity_defect",
+    "velocity_misalignment_every_step",
 ]
 #: The measures that are taken against the reference run.
 ERRORS = (
@@ -49,8 +50,8 @@ ERRORS = (
     "angular_velocity_error",
     "multiplier_error",
 )
-#: The measures that need a second run of each, from its end back to its start; only where they are named.
-REVERSIBILITY = ("reversibility_defect", "reversibility_velocity_defect")
+#: The measures that need a second run of each; only where they are named.
+SECOND_RUN = ("reversibility_defect", "reversibility_velocity_defect", "velocity_misalignment_every_step")
 
 
 def _check_key(key: str) -> str:
@@ -172,7 +173,7 @@ class StudySpec(StrictSpec):
     """How often each run is timed; more than once means serially, after all runs."""
     measures: Literal["all"] | tuple[Measure, ...] = "all"
     """What is taken of each run, beside its counters and times; `all` is what its archive tells, without reversibility
-    defects, which need a second run of each."""
+    defects and velocity misalignment over every step, which need a second run of each."""
     verdict: str = ""
     """The name of the function that judges the study in the report; empty for none."""
 

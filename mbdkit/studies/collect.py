@@ -13,7 +13,7 @@ from mbdkit.archive.reader import load
 from mbdkit.spec.study_spec import ERRORS, StudySpec
 from mbdkit.studies.index import Index, Row, quartiles
 from mbdkit.studies.ledger import Ledger
-from mbdkit.studies.measures import MEASURES, REVERSALS, worst_joint
+from mbdkit.studies.measures import MEASURES, SECOND, worst_joint
 from mbdkit.studies.plan import PlannedPoint
 from mbdkit.studies.pool import Outcome
 
@@ -26,7 +26,7 @@ def collect(
     points: Sequence[PlannedPoint],
     ledger: Ledger,
     repeats: Mapping[str, Sequence[float]],
-    reversals: Mapping[str, Outcome],
+    second: Mapping[str, Outcome],
 ) -> Index:
     """Return the index of what is in the folder now.
 
@@ -40,17 +40,17 @@ def collect(
         What is known of their runs; rows are taken from it where the files have not changed.
     repeats
         New serial timings by run id, s.
-    reversals
-        What became of the runs that were made there and back now, by run id.
+    second
+        What became of the runs that were made a second time now, by run id.
     """
     compared = any(point.grid.reference for point in points)
     wanted = tuple(MEASURES) if spec.measures == "all" else spec.measures
     collector = _Collector(
         ledger,
         [name for name in wanted if name in MEASURES and (compared or name not in ERRORS)],
-        [name for name in wanted if name in REVERSALS],
+        [name for name in wanted if name in SECOND],
         repeats,
-        reversals,
+        second,
         any(point.grid.repeats > 1 for point in points),
     )
     known: dict[tuple[str, str], Row] = {}
@@ -79,17 +79,17 @@ class _Collector:
         self,
         ledger: Ledger,
         measures: Sequence[str],
-        defects: Sequence[str],
+        again: Sequence[str],
         repeats: Mapping[str, Sequence[float]],
-        reversals: Mapping[str, Outcome],
+        second: Mapping[str, Outcome],
         timed: bool,
     ):
-        self.ledger, self.measures, self.defects = ledger, measures, defects
-        self.repeats, self.reversals, self.timed = repeats, reversals, timed
+        self.ledger, self.measures, self.again = ledger, measures, again
+        self.repeats, self.second, self.timed = repeats, second, timed
 
     def left_out(self, distribution: str) -> Row:
         """Return the row of a run that needs a distribution that is not installed."""
-        columns = (*self.measures, *self.defects, *COUNTERS, *TIMINGS)
+        columns = (*self.measures, *self.again, *COUNTERS, *TIMINGS)
         reason = f"not-installed: the distribution {distribution} is not installed."
         return Row("", "left-out", reason, values=dict.fromkeys(columns, math.nan))
 
@@ -106,21 +106,22 @@ class _Collector:
         else:
             row = replace(self.measured(run_id, reference_id), modified=path.stat().st_mtime)
         seconds = tuple(self.repeats.get(run_id) or self.ledger.repeats(run_id))
-        values, reversal = self.there_and_back(run_id, row)
+        values, second_run = self.with_second_run(run_id, row)
         values = {**values, **quartiles(seconds)} if self.timed else values
-        return replace(row, reference_id=reference_id, values=values, repeats=seconds, reversal=reversal)
+        return replace(row, reference_id=reference_id, values=values, repeats=seconds, second_run=second_run)
 
-    def there_and_back(self, run_id: str, row: Row) -> tuple[Mapping[str, float], str]:
-        """Return the values of a row with its defects of reversal, and what became of that."""
-        if not self.defects:
+    def with_second_run(self, run_id: str, row: Row) -> tuple[Mapping[str, float], str]:
+        """Return the values of a row with the measures of its second run, and what became of that."""
+        if not self.again:
             return row.values, ""
-        made, before = self.reversals.get(run_id), self.ledger.reversal(run_id)
-        found, note = dict.fromkeys(REVERSALS, math.nan), ""
+        made, before = self.second.get(run_id), self.ledger.run_twice(run_id)
+        values: Mapping[str, float] = {}
+        note = ""
         if made is not None:
-            found, note = dict(zip(REVERSALS, made.defects, strict=True)), made.reason or made.status
+            values, note = made.values, made.reason or made.status
         elif before is not None:
-            found, note = {name: before.values.get(name, math.nan) for name in REVERSALS}, before.reversal
-        return {**row.values, **{name: found[name] for name in self.defects}}, note
+            values, note = before.values, before.second_run
+        return {**row.values, **{name: values.get(name, math.nan) for name in self.again}}, note
 
     def measured(self, run_id: str, reference_id: str) -> Row:
         """Return the row of an archive."""

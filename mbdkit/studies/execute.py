@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from mbdkit.analysis.verdicts import check_verdict
 from mbdkit.errors import SpecError
 from mbdkit.spec import RunSpec
-from mbdkit.spec.study_spec import REVERSIBILITY, StudySpec
+from mbdkit.spec.study_spec import SECOND_RUN, StudySpec
 from mbdkit.studies import index as table
 from mbdkit.studies.collect import collect
 from mbdkit.studies.folder import StudyFolder
@@ -104,7 +104,7 @@ class Execution:
         self.computed = 0
         self.failed = 0
         self.timings: dict[str, tuple[float, ...]] = {}
-        self.reversals: dict[str, Outcome] = {}
+        self.second: dict[str, Outcome] = {}
 
     def run(self, workers: int) -> None:
         """Compute what is missing, time what is to be timed, write the index; on Ctrl-C write what there is.
@@ -124,15 +124,15 @@ class Execution:
                     ledger.note(run_id, None)  # its file may come from elsewhere, or just before an interrupt
                     missing += [run_id] if self.shard is None or self.shard.has(place) else []
             repeats = self.repeats(ledger) if self.shard is None else {}
-            turned = self.to_reverse(ledger) if self.shard is None else []
-            total = len(missing) + len(turned) + len(repeats)
+            again = self.to_run_again(ledger) if self.shard is None else []
+            total = len(missing) + len(again) + len(repeats)
             try:
                 self.compute(missing, workers, total, ledger)
-                self.reverse(turned, workers, total - len(repeats), total, ledger)
+                self.run_again(again, workers, total - len(repeats), total, ledger)
                 self.time(repeats, total, ledger)
             finally:
                 with self.folder.indexing():
-                    found = collect(self.spec, self.points, ledger, self.timings, self.reversals)
+                    found = collect(self.spec, self.points, ledger, self.timings, self.second)
                     table.write(self.folder.index, found)
 
     def tell_left_out(self) -> None:
@@ -159,23 +159,28 @@ class Execution:
                 self.failed += outcome.status == "failed"
                 self.tell(self.computed, total)
 
-    def to_reverse(self, ledger: Ledger) -> list[str]:
-        """Return the runs that are still to be made there and back; references are not."""
-        if self.spec.measures == "all" or not set(REVERSIBILITY) & set(self.spec.measures):
+    @property
+    def wanted_again(self) -> tuple[str, ...]:
+        """The measures that need a second run of each."""
+        return tuple(name for name in SECOND_RUN if self.spec.measures != "all" and name in self.spec.measures)
+
+    def to_run_again(self, ledger: Ledger) -> list[str]:
+        """Return the runs that are still to be made a second time; references are not."""
+        if not self.wanted_again:
             return []
         wanted = dict.fromkeys(point.run_id for point in self.points if not point.lacking)
-        return [run_id for run_id in wanted if ledger.reversal(run_id) is None]
+        return [run_id for run_id in wanted if ledger.run_twice(run_id) is None]
 
-    def reverse(self, turned: list[str], workers: int, last: int, total: int, ledger: Ledger) -> None:
-        """Make complete runs there and back, several at a time."""
+    def run_again(self, again: list[str], workers: int, last: int, total: int, ledger: Ledger) -> None:
+        """Take the measures that need a second run, of complete runs, several at a time."""
         tasks = [
-            Task(self.runs[run_id], self.folder.archive(run_id), reverse=True)
-            for run_id in turned
+            Task(self.runs[run_id], self.folder.archive(run_id), second=self.wanted_again)
+            for run_id in again
             if ledger.outcome(run_id).status == "complete"
         ]
         with Pool(workers, self.notify) as pool:
             for done, (task, outcome) in enumerate(pool.work(tasks), start=last - len(tasks) + 1):
-                self.reversals[self.names[task.path]] = outcome
+                self.second[self.names[task.path]] = outcome
                 self.tell(done, total)
 
     def time(self, repeats: dict[str, int], total: int, ledger: Ledger) -> None:

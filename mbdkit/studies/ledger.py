@@ -58,9 +58,9 @@ class Ledger:
         """Return the serial timings that earlier calls made of a run [s]."""
         return self._by_run[run_id].repeats if run_id in self._by_run else ()
 
-    def reversal(self, run_id: str) -> Row | None:
-        """Return the row of a run whose file is unchanged since it was made there and back."""
-        return self._by_run[run_id] if self.is_unchanged(run_id) and self._by_run[run_id].reversal else None
+    def run_twice(self, run_id: str) -> Row | None:
+        """Return the row of a run whose file is unchanged since it was made a second time."""
+        return self._by_run[run_id] if self.is_unchanged(run_id) and self._by_run[run_id].second_run else None
 
     def measured(self, run_id: str, reference_id: str) -> Row | None:
         """Return the row of a run if neither its file nor that of its reference has changed since it was written."""

@@ -179,13 +179,14 @@ MEASURES: Mapping[str, Measure] = {
         "m", "longer side of the box around joint points and centres of mass at the start", _size
     ),
 }
-#: Those that need a second run, from the end back to the start with velocities reversed.
-REVERSALS: Mapping[str, tuple[str, str]] = {
+#: Those that need a second run, with their units.
+SECOND: Mapping[str, tuple[str, str]] = {
     "reversibility_defect": (
         "m",
         "distance from the start after the run and its reversal, each body's weighted with its share of the mass",
     ),
     "reversibility_velocity_defect": ("m/s", "the same of the velocities"),
+    "velocity_misalignment_every_step": ("m/s", "largest velocity misalignment of any joint over every step"),
 }
 
 

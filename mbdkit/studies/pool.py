@@ -13,8 +13,8 @@ import sys
 import tempfile
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -37,24 +37,24 @@ class Task:
         Where its archive goes.
     repeats
         If not 0: how often to time the run in memory instead, once more than that to warm up.
-    reverse
-        Whether to run it there and back in memory instead.
+    second
+        If not empty: the measures to take by a second run in memory instead.
     """
 
     spec: RunSpec
     path: Path
     repeats: int = 0
-    reverse: bool = False
+    second: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a task: the status of the run, why, the wall times of its repeats [s], its defects of reversal."""
+    """What became of a task: status of the run, why, wall times of its repeats [s], and measures of its second run."""
 
     status: str
     reason: str
     seconds: tuple[float, ...] = ()
-    defects: tuple[float, float] = (math.nan, math.nan)
+    values: Mapping[str, float] = field(default_factory=dict)
 
 
 class Pool:
@@ -93,8 +93,10 @@ class Pool:
                 if "note" in answer:
                     self._say(answer["note"])
                     continue
-                first, second = (math.nan if value is None else value for value in answer.get("defects", (None, None)))
-                outcome = Outcome(answer["status"], answer["reason"], tuple(answer.get("seconds", ())), (first, second))
+                values = {
+                    name: math.nan if found is None else found for name, found in answer.get("values", {}).items()
+                }
+                outcome = Outcome(answer["status"], answer["reason"], tuple(answer.get("seconds", ())), values)
                 worker.task = None
             else:
                 outcome = Outcome("failed", f"worker-died: {worker.death()}")
@@ -154,7 +156,7 @@ class _Worker:
         self.task = task
         spec = json.loads(task.spec.canonical_json())
         place = str(task.path.absolute())
-        text = json.dumps({"spec": spec, "path": place, "repeats": task.repeats, "reverse": task.reverse})
+        text = json.dumps({"spec": spec, "path": place, "repeats": task.repeats, "second": task.second})
         assert self.process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
             self.process.stdin.write(text + "\n")

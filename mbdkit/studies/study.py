@@ -216,7 +216,7 @@ class Study:
             "reference_id": [point.reference_id for point in points],
             "status": [point.status for point in points],
             "status_reason": [point.reason for point in points],
-            "reversal": [point.row.reversal for point in points],
+            "second_run": [point.row.second_run for point in points],
             "worst_joint": [point.row.worst_joint for point in points],
             **{name: [point.values.get(name, float("nan")) for point in points] for name in names},
             "data_sha256": [point.row.data_sha256 for point in points],

@@ -20,7 +20,7 @@ def study(*runs: tuple[float, float, str]) -> Any:
             axes={"method": f"method {number}"},
             status=status,
             values={
-                "misalignment_max": position, "velocity_misalignment_max": velocity, "mechanism_size": 2.0,
+                "misalignment_max": position, "velocity_misalignment_every_step": velocity, "mechanism_size": 2.0,
                 "steps": 1e5, "wall_s": 1.0, "projections": 1e5,
             },
         )

@@ -90,7 +90,7 @@ def test_with_the_plugin_what_was_left_out_is_computed_and_nothing_else(done: mb
 def test_runs_are_made_there_and_back_once(done: mbdkit.Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = shutil.copytree(done.folder, tmp_path / "study")
     before = [point.values["reversibility_defect"] for point in done.points]
-    assert [point.row.reversal for point in done.points] == ["complete", "complete", "", ""]
+    assert [point.row.second_run for point in done.points] == ["complete", "complete", "", ""]
     monkeypatch.setattr("mbdkit.studies.execute.Task", None)  # nothing is to be done
     again = mbdkit.study(STUDY, out=folder)
     np.testing.assert_equal([point.values["reversibility_defect"] for point in again.points], before)
@@ -112,14 +112,14 @@ def test_an_index_of_the_format_before_is_read(done: mbdkit.Study, tmp_path: Pat
     folder = shutil.copytree(done.folder, tmp_path / "study")
     with h5py.File(folder / "index.h5", "r+") as file:
         file.attrs.modify("format_version", "1.0")
-        del file["runs/reversal"], file["references/reversal"]
+        del file["runs/second_run"], file["references/second_run"]
     study = mbdkit.load_study(folder)
-    assert [point.row.reversal for point in study.points] == [""] * 4
+    assert [point.row.second_run for point in study.points] == [""] * 4
 
 
 def test_without_being_asked_no_run_is_made_there_and_back(finished: mbdkit.Study) -> None:
     assert "reversibility_defect" not in finished.points[0].values
-    assert finished.points[0].row.reversal == ""
+    assert finished.points[0].row.second_run == ""
 
 
 def test_errors_of_velocities_and_multipliers_are_those_of_the_rows(finished: mbdkit.Study) -> None:

@@ -11,6 +11,7 @@ import pytest
 import mbdkit
 from mbdkit.spec import load_spec
 from mbdkit.studies.reversal import Reversal, reverse
+from mbdkit.studies.second import second_run
 
 WHEEL = {
     "name": "mechanism",
@@ -108,3 +109,12 @@ def test_a_shorter_last_step_is_left_out() -> None:
 def test_adaptive_methods_go_there_and_back_too() -> None:
     found = there_and_back(SWING, {"name": "scipy-dop853", "rtol": 1e-8, "atol": 1e-8}, {"end": 5.0})
     assert 1e-14 < found.defect < 1e-5
+
+
+def test_velocity_misalignment_is_that_of_every_step_though_few_are_recorded() -> None:
+    spec = {"mbdkit": 1, "model": SWING, "integrator": {"name": "rk4"}, "time": {"steps": 300, "step": 0.02}}
+    every = mbdkit.run(spec).array("joints/velocity_misalignment").max()
+    thin = load_spec(spec | {"output": {"every": 97, "quantities": []}})
+    values, note = second_run(thin, ["velocity_misalignment_every_step"], lambda text: None)
+    assert values == {"velocity_misalignment_every_step": every}
+    assert note == ""

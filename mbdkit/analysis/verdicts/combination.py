@@ -223,6 +223,6 @@ def _trend(
 
 def _why_not_reversed(points: Points) -> Undetermined:
     """Return in a word or two why a complete run has no defect of reversal."""
-    note = next((point.row.reversal for point in points), "")
+    note = next((point.row.second_run for point in points), "")
     code = note.partition(":")[0]
     return {"": "not made", "not-reversible": "not reversible", "too-short": "too short"}.get(code, "failed")
