@@ -6,15 +6,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from mbdkit.analysis.verdict import (
     Answer,
-    Axis,
     Claim,
     Column,
-    Figure,
-    Line,
     Range,
     Table,
     Verdict,
@@ -22,7 +17,8 @@ from mbdkit.analysis.verdict import (
     together,
     told,
 )
-from mbdkit.analysis.verdicts.combination import LONG, Combination, Undetermined, combinations
+from mbdkit.analysis.verdicts.combination import Combination, Undetermined, combinations
+from mbdkit.analysis.verdicts.drift_figures import energies, errors
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study
@@ -94,7 +90,7 @@ def drift(study: Study) -> Verdict:
         " ".join(claim.sentence for claim in decided if claim.answer is not Answer.OPEN),
         decided,
         (table,),
-        tuple(_figures(found)) + tuple(_energies(study)),
+        errors(found) + energies(study, (PLAIN, ORDINARY, SYMMETRIC)),
         _notes(found),
     )
 
@@ -286,53 +282,3 @@ def _energy(found: Sequence[Combination]) -> Claim:
         "The energy of Gauss 2 has a trend with ordinary projection and none with symmetric projection "
         f"{_told_of(answers)}.",
     )
-
-
-def _figures(found: Sequence[Combination]) -> list[Figure]:
-    """Draw the error over the step, one figure a mechanism."""
-    drawn = []
-    for mechanism in dict.fromkeys(one.mechanism for one in found):
-        lines = [
-            Line(
-                one.method, np.array(sorted(one.errors)), np.array([one.errors[h] for h in sorted(one.errors)]), "both"
-            )
-            for one in found
-            if one.mechanism == mechanism and one.errors
-        ]
-        drawn.append(
-            Figure(
-                f"error-{mechanism}",
-                f"Error over the step: {mechanism}",
-                "Largest distance of a body from the reference, as a share of the mechanism's size.",
-                Axis("step", "s", log=True),
-                Axis("error of positions", log=True),
-                tuple(lines),
-            )
-        )
-    return drawn
-
-
-def _energies(study: Study) -> list[Figure]:
-    """Draw the energy balance of Gauss 2 without, with ordinary and with symmetric projection."""
-    drawn = []
-    for name in study.families:
-        lines = []
-        for point in study.family(name) if name.endswith(LONG) else ():
-            label = str(point.axes.get("method"))
-            run = study.run(point) if label in (PLAIN, ORDINARY, SYMMETRIC) and point.status == "complete" else None
-            if run is not None:
-                with run:
-                    lines.append(Line(label, run.time, run.energy.balance, "line", label))
-        if lines:
-            mechanism = name.removesuffix(LONG)
-            drawn.append(
-                Figure(
-                    f"energy-{mechanism}",
-                    f"Energy of Gauss 2, projected or not: {mechanism}",
-                    "Energy balance of the long run; a slope is a trend, the rest oscillation.",
-                    Axis("time", "s"),
-                    Axis("energy balance", "J"),
-                    tuple(lines),
-                )
-            )
-    return drawn
