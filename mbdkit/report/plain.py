@@ -67,7 +67,7 @@ def markdown(document: Document) -> str:
     for table in headlines(verdict) or verdict.tables:
         heading, *rows = _cells(table)
         parts += [f"## {table.title}", table.note, _piped([heading, ["---"] * len(heading), *rows])]
-    parts += [*verdict.notes, f"```sh\n{document.commands}\n```"]
+    parts += verdict.notes
     return "\n\n".join(filter(None, parts)) + "\n"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -204,6 +205,22 @@ def reduced(methods: set[str]) -> dict[str, Any]:
     spec["families"]["pendulum"]["axes"][1] = {key: values[1:] for key, values in steps.items()}
     spec["families"]["pendulum-long"]["overrides"]["time"]["steps"] = 4000
     return spec
+
+
+def test_the_table_that_is_checked_in_is_of_the_packaged_study() -> None:
+    spec = json.loads(load_study_spec("drift").canonical_json())
+    expected = [
+        f"| {name} | {one['label']} |"
+        for name, family in spec["families"].items()
+        if f"{name}-long" in spec["families"]
+        for one in family["axes"][0]["method"]
+    ]
+    text = (Path(mbdkit.__file__).parent / "studies" / "DRIFT.md").read_text(encoding="utf-8")
+    heading, _, *rows = [line for line in text.splitlines() if line.count(" | ") == len(COLUMNS) - 1]
+    assert [re.match(r"\| [^|]+ \| [^|]+ \|", row)[0] for row in rows] == expected, (
+        "stale: `mbdkit study drift -o drift && mbdkit report drift -o mbdkit/studies/DRIFT.md --overwrite`"
+    )
+    assert heading.startswith("| mechanism | method |")
 
 
 @pytest.mark.slow
