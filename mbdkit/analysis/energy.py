@@ -25,11 +25,14 @@ class Trend:
         the error.
     largest
         Largest absolute value of the history.
+    oscillation
+        Largest distance of the history from the line.
     """
 
     slope: float
     error: float
     largest: float
+    oscillation: float = math.nan
 
     @property
     def drifts(self) -> bool:
@@ -63,7 +66,8 @@ def trend(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Trend
     count = max(independent(residual), 2.5)
     variance = float(residual @ residual) / len(x) * count / (count - 2)
     error = math.sqrt(variance / count / float(np.var(t)))
-    return Trend(float(slope), error, float(np.max(np.abs(value))))
+    away = float(np.max(np.abs(value - (start + slope * time))))
+    return Trend(float(slope), error, float(np.max(np.abs(value))), away)
 
 
 def energy_trend(run: Run) -> Trend:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mbdkit.archive.run import Run
@@ -37,6 +39,66 @@ def offsets(run: Run, reference: Run, rows: slice = EVERY_ROW) -> np.ndarray:
     if abs(reference.time[-1] - run.time[-1]) > 1e-9 * abs(run.time[-1] - run.time[0]):
         raise MbdkitError(f"the reference ends at {reference.time[-1]:g} s, but the run at {run.time[-1]:g} s")
     return np.asarray(run.array("trajectory/position")[rows] - interpolated(reference, run.time[rows]))
+
+
+def common_rows(run: Run, reference: Run) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows that a run and a reference recorded at the same times, the start left out.
+
+    Parameters
+    ----------
+    run, reference
+        Two runs over the same time.
+
+    Returns
+    -------
+    ndarray, ndarray
+        Row numbers of either, (K,) each; none where no times agree.
+    """
+    mine, theirs = run.time, reference.time
+    near = np.clip(np.searchsorted(theirs, mine), 1, len(theirs) - 1)
+    near = np.where(mine - theirs[near - 1] < theirs[near] - mine, near - 1, near)
+    same = np.abs(theirs[near] - mine) <= 1e-9 * abs(mine[-1] - mine[0])
+    same[0] = False
+    return np.flatnonzero(same), near[same]
+
+
+def multiplier_error(run: Run, reference: Run) -> float:
+    """Return by how much the multipliers of a run are off those of a reference, in the rows that both recorded.
+
+    Those that the method itself carries, where it does; else those of index 1 at the recorded states. The reference's
+    are those of index 1.
+
+    Parameters
+    ----------
+    run, reference
+        Runs of the same mechanism that recorded its constraints.
+
+    Returns
+    -------
+    float
+        The largest error, each as a share of the largest multiplier of the same unit in the reference; nan where no
+        rows agree.
+    """
+    own = carries_multipliers(run)
+    mine, theirs = common_rows(run, reference)
+    if not len(mine):
+        return math.nan
+    found = run.array("constraints/method_multiplier" if own else "constraints/multiplier")[mine]
+    right = reference.array("constraints/multiplier")
+    units = run.array("constraints/multiplier_row_units")
+    worst = 0.0
+    for unit in dict.fromkeys(units):
+        chosen = units == unit
+        scale = float(np.max(np.abs(right[:, chosen]), initial=0.0))
+        off = float(np.max(np.abs(found[:, chosen] - right[theirs][:, chosen]), initial=0.0))
+        if off > 0:
+            worst = max(worst, off / scale if scale > 0 else math.inf)
+    return worst
+
+
+def carries_multipliers(run: Run) -> bool:
+    """Return whether a run recorded multipliers that its method itself carries."""
+    return run.records("constraints/method_multiplier")
 
 
 def interpolated(run: Run, time: np.ndarray) -> np.ndarray:

@@ -126,13 +126,17 @@ Cell = str | int | float | bool | None
 
 @dataclass(frozen=True)
 class Table:
-    """A table: every row has a cell for each column; None is an empty cell."""
+    """A table: every row has a cell for each column; None is an empty cell.
+
+    A `headline` is the one that a study is made for: it is told on the terminal and in Markdown too.
+    """
 
     name: str
     title: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[Cell, ...], ...]
     note: str = ""
+    headline: bool = False
 
     def __post_init__(self) -> None:
         for row in self.rows:

@@ -61,7 +61,7 @@ def report(
             "-o",
             "--output",
             metavar="FILE.html",
-            help="The page; by default NAME-report.html, or report.html in a study.",
+            help="The page; by default NAME-report.html, or report.html in a study. FILE.md: its verdict and tables.",
         ),
     ] = None,
     figures: Annotated[

@@ -31,7 +31,10 @@ def study(
         Literal["local"], typer.Option("--executor", help="Where the processes are: on this machine.")
     ] = "local",
     with_report: Annotated[
-        bool, typer.Option("--report", help="Write report.html and figures/ as well, anew.")
+        bool,
+        typer.Option(
+            "--report", help="Write report.html and figures/ as well, anew; print the table that the study is made for."
+        ),
     ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -51,17 +54,22 @@ def study(
     notify = silence if quiet else say
     with count_bar(path.name, quiet) as progress:
         result = carry_out(spec, out=path, workers=workers or _cores(), shard=part, progress=progress, notify=notify)
-    page = None
+    page, told, values = None, "", {}
     if with_report:
-        from mbdkit.report.report import report as write
+        from mbdkit.report.plain import plain_values, terminal
+        from mbdkit.report.report import written
 
-        page = write(path, overwrite=True)
+        page, verdict = written(path, overwrite=True)
+        told, values = terminal(verdict), plain_values(verdict)
     if as_json:
-        print(json.dumps(outcome(result) | ({} if page is None else {"report": str(page)})))
+        more = {} if page is None else {"report": str(page)} | ({"verdict": values} if values else {})
+        print(json.dumps(outcome(result) | more))
     elif not quiet:
         print(summary(result))
         if page is not None:
             print(f"report     {page}")
+        if told:
+            print(f"\n{told}")
 
 
 def _cores() -> int:

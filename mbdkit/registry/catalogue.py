@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
@@ -94,6 +95,16 @@ class Registry:
         """Names of all distributions of which something was tried."""
         return {report.origin.distribution for report in self._reports}
 
+    def has_distribution(self, name: str) -> bool:
+        """Return whether anything of a distribution is here: it is installed, not disabled, and sound enough to load.
+
+        Parameters
+        ----------
+        name
+            Its name; case, dots, dashes and underscores do not count.
+        """
+        return _normal(name) in {_normal(item.origin.distribution) for item in self.items}
+
     def of_kind(self, kind: Kind) -> tuple[Registered, ...]:
         """Return the items of one kind."""
         return tuple(item for item in self.items if item.kind == kind)
@@ -163,3 +174,8 @@ class Registry:
         owners = listed([f"{item.origin.distribution} {item.origin.version}" for item in others], "and")
         error = f"the short name '{name}' is also claimed by {owners}; write the long id '{report.id}'"
         return Report(report.id, report.kind, report.origin, "clash", error, report.seconds)
+
+
+def _normal(distribution: str) -> str:
+    """Return the name of a distribution as package indices compare it."""
+    return re.sub(r"[-_.]+", "-", distribution).lower()

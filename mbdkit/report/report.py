@@ -7,14 +7,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from mbdkit.analysis.verdict import Verdict
 from mbdkit.archive.reader import load
 from mbdkit.errors import SpecError
 from mbdkit.files import check_suffix, replacing
 from mbdkit.report.document import Document
+from mbdkit.report.plain import markdown
 from mbdkit.report.run_report import run_document
 from mbdkit.report.still import still_files, write_stills
 
-SUFFIXES = (".html", ".htm")
+SUFFIXES = (".html", ".htm", ".md")
 
 
 def report(
@@ -24,6 +26,17 @@ def report(
     figures: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
 ) -> Path:
+    """Write the report of a run or of a study; see `written`, which returns its verdict as well."""
+    return written(path, output, figures=figures, overwrite=overwrite)[0]
+
+
+def written(
+    path: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None = None,
+    *,
+    figures: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+) -> tuple[Path, Verdict]:
     """Write the report of a run or of a study.
 
     Parameters
@@ -32,6 +45,7 @@ def report(
         A run archive or a study folder.
     output
         The page, ending in .html; left out, ``NAME-report.html`` beside the archive, or ``report.html`` in the folder.
+        Ending in .md: verdict, claims and tables alone, in Markdown.
     figures
         Folder for the figures as PNG and SVG. Left out, a run's are not written, and those of a study go to ``figures``
         in its folder if its page goes there too.
@@ -40,8 +54,8 @@ def report(
 
     Returns
     -------
-    Path
-        The page.
+    Path, Verdict
+        The page, and what it says.
 
     Raises
     ------
@@ -60,14 +74,14 @@ def report(
         raise SpecError("there is no run archive or study folder of this name", file=source)
     _check(target, folder, overwrite)
     with _document(source, is_study) as document:
-        page = document.html()
+        page = markdown(document) if target.suffix == ".md" else document.html()
         stands = os.path.isfile(target) and target.read_bytes() == page.encode()
         with replacing(target) as temporary:
             temporary.write_bytes(page.encode())
         drawn = document.verdict.figures
         if folder is not None and not (stands and all(file.exists() for file in still_files(drawn, folder))):
             write_stills(drawn, folder)  # most of the time goes here: pictures of the very same page are kept
-    return target
+    return target, document.verdict
 
 
 @contextmanager

@@ -70,7 +70,8 @@ def _settings(study: Study, states: Mapping[str, int]) -> str:
     parts = [count(len(study.points), "run")]
     if len(study.families) > 1:
         parts.append(count(len(study.families), "family", "families"))
-    return " \u00b7 ".join([*parts, *(f"{states[name]} {name}" for name in ("complete", "failed") if states[name])])
+    told = [name for name in ("complete", "failed", "left-out") if states[name]]
+    return " \u00b7 ".join([*parts, *(f"{states[name]} {name.replace('-', ' ')}" for name in told)])
 
 
 def _verdict(study: Study) -> Verdict:
@@ -123,7 +124,7 @@ def _films(study: Study) -> Iterable[dict[str, Any]]:
 
 
 def _specs(study: Study) -> list[dict[str, Any]]:
-    return [_spec_of(point) for point in (*study.points, *study.references)]
+    return [_spec_of(point) for point in (*study.points, *study.references) if point.status != "left-out"]
 
 
 def _spec_of(point: StudyPoint) -> dict[str, Any]:

@@ -27,9 +27,31 @@ Measure = Literal[
     "end_angle_error",
     "trajectory_error",
     "trajectory_angle_error",
+    "velocity_error",
+    "angular_velocity_error",
+    "multiplier_error",
+    "own_multipliers",
+    "energy_trend",
+    "energy_trend_error",
+    "energy_oscillation",
+    "duration",
+    "mechanism_size",
+    "reversibility_defect",
+    "reversibility_velocity_defect",
+    "velocity_misalignment_every_step",
 ]
 #: The measures that are taken against the reference run.
-ERRORS = ("end_error", "end_angle_error", "trajectory_error", "trajectory_angle_error")
+ERRORS = (
+    "end_error",
+    "end_angle_error",
+    "trajectory_error",
+    "trajectory_angle_error",
+    "velocity_error",
+    "angular_velocity_error",
+    "multiplier_error",
+)
+#: The measures that need a second run of each; only where they are named.
+SECOND_RUN = ("reversibility_defect", "reversibility_velocity_defect", "velocity_misalignment_every_step")
 
 
 def _check_key(key: str) -> str:
@@ -47,7 +69,20 @@ def _check_keys(keys: dict[str, Any]) -> dict[str, Any]:
 
 def _check_axis(axis: dict[str, Any]) -> dict[str, Any]:
     _check_keys(axis)
-    sizes = {key: len(expand(values)) for key, values in axis.items()}
+    sizes = {}
+    for key, values in axis.items():
+        expanded = expand(values)
+        sizes[key] = len(expanded)
+        for value in expanded:
+            if not value.together:
+                continue
+            if not all(other.together for other in expanded):
+                message = "`set` stands beside values without it; an axis sets either its own key or several by name"
+                raise SpecError(message, key=path_text((key, value.place[0])))
+            for inner in value.value:
+                if not parse_key(inner):
+                    message = "should be a dotted key of a run spec, such as time.step"
+                    raise SpecError(message, key=path_text((key, *value.place, inner)))
     if not sizes:
         raise SpecError("needs at least one key of a run spec, such as `time.step: [0.1, 0.01]`")
     if len(set(sizes.values())) > 1:
@@ -58,15 +93,28 @@ def _check_axis(axis: dict[str, Any]) -> dict[str, Any]:
 
 def _check_axes(axes: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
     taken: dict[str, int] = {}
+    names: dict[str, int] = {}
     for number, axis in enumerate(axes):
-        for key in axis:
-            path = parse_key(key)
-            for other, where in taken.items():
-                if parse_key(other)[: len(path)] == path:
-                    how = "stands" if other == key else "would replace what is set"
-                    raise SpecError(f"{how} in axes[{where}] already, as '{other}'", key=path_text((number, key)))
-            taken[key] = number
+        for name, values in axis.items():
+            if name in names:
+                raise SpecError(f"stands in axes[{names[name]}] already, as '{name}'", key=path_text((number, name)))
+            names[name] = number
+            keys = _keys_set(name, values)
+            for key in keys:
+                path = parse_key(key)
+                for other, where in taken.items():
+                    if parse_key(other)[: len(path)] == path:
+                        how = "stands" if other == key else "would replace what is set"
+                        raise SpecError(f"{how} in axes[{where}] already, as '{other}'", key=path_text((number, name)))
+            taken |= dict.fromkeys(keys, number)
     return axes
+
+
+def _keys_set(name: str, values: Any) -> list[str]:
+    """Return the dotted keys that the values of an axis set: its own one, or those that each value names."""
+    expanded = expand(values)
+    inner = dict.fromkeys(key for value in expanded if value.together for key in value.value)
+    return list(inner) if expanded[0].together else [name]
 
 
 Overrides = Annotated[dict[str, Any], AfterValidator(_check_keys)]
@@ -124,7 +172,8 @@ class StudySpec(StrictSpec):
     repeats: Repeats = 1
     """How often each run is timed; more than once means serially, after all runs."""
     measures: Literal["all"] | tuple[Measure, ...] = "all"
-    """What is taken of each run, beside its counters and times."""
+    """What is taken of each run, beside its counters and times; `all` is what its archive tells, without reversibility
+    defects and velocity misalignment over every step, which need a second run of each."""
     verdict: str = ""
     """The name of the function that judges the study in the report; empty for none."""
 

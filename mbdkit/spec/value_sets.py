@@ -1,28 +1,34 @@
-"""The values that an axis of a study takes: a list, or numbers spaced between two ends; objects may carry labels."""
+"""The values that an axis of a study takes: a list, or numbers spaced between two ends; objects may carry labels.
+
+A value may also be several keys that are set together, and may depend on a distribution that need not be installed.
+"""
 
 from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, WithJsonSchema
 
 from mbdkit.errors import SpecError
 from mbdkit.spec.plain import found
-from mbdkit.text import did_you_mean
+from mbdkit.text import did_you_mean, listed
 
 #: More values than this in one set are a slip of the pen.
 LARGEST_SET = 10_000
 
 SPACED = ("geomspace", "linspace")
-LABELLED = {"label", "value"}
+LABELLED = ("label", "value", "set", "if_installed")
+"""What a value with a label consists of: one of `value` and `set` beside the label."""
 FORMS = "a list of values, {geomspace: [first, last, number]} or {linspace: [first, last, number]}"
 
 #: Digits to which spaced numbers are rounded, so that every machine gets the same ones.
 DIGITS = 12
+_DISTRIBUTION = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._-]*[A-Za-z0-9])?")
 LONGEST_LABEL = 60
 
 
@@ -33,16 +39,22 @@ class Value:
     Parameters
     ----------
     value
-        What the key is set to, as plain data.
+        What the key is set to, as plain data; or the dotted keys that are set together, with their values.
     label
         What stands for it in tables and figures: the value itself if it is a number or a text.
     place
         Where it stands in its set: indices and keys.
+    together
+        Whether `value` is several dotted keys, and the axis has a name of its own instead of a key.
+    if_installed
+        The distribution without which the value is left out; empty where it needs none.
     """
 
     value: Any
     label: int | float | str
     place: tuple[str | int, ...]
+    together: bool = False
+    if_installed: str = ""
 
 
 def check_values(given: Any) -> Any:
@@ -57,6 +69,8 @@ def check_values(given: Any) -> Any:
         case list():
             if not given:
                 raise SpecError("needs at least one value")
+            for index, entry in enumerate(given):
+                _check_labelled(entry, f"[{index}]")
         case {"geomspace": limits, **others} | {"linspace": limits, **others}:
             kind = next(name for name in SPACED if name in given)
             if others:
@@ -70,6 +84,32 @@ def check_values(given: Any) -> Any:
     if len(expand(given)) > LARGEST_SET:
         raise SpecError(f"has more than {LARGEST_SET} values")
     return given
+
+
+def _check_labelled(entry: Any, key: str) -> None:
+    """Check an entry that is a value with a label; all others are left to the run spec that they become part of."""
+    if not is_labelled(entry):
+        return
+    for word in entry:
+        if word not in LABELLED:
+            raise SpecError(
+                f"unknown key{did_you_mean(str(word), LABELLED)}; a value with a label has {listed(LABELLED)}",
+                key=f"{key}.{word}",
+            )
+    if "value" in entry and "set" in entry:
+        raise SpecError("takes either `value` or `set`, not both", key=key)
+    if "set" in entry and not (isinstance(entry["set"], Mapping) and entry["set"]):
+        message = f"should be dotted keys of a run spec with their values, not {found(entry['set'])}"
+        raise SpecError(message, key=f"{key}.set")
+    name = entry.get("if_installed")
+    if "if_installed" in entry and not (isinstance(name, str) and _DISTRIBUTION.fullmatch(name)):
+        message = f"should be the name of a distribution, such as mbdkit-generalized-alpha, not {found(name)}"
+        raise SpecError(message, key=f"{key}.if_installed")
+
+
+def is_labelled(entry: Any) -> bool:
+    """Return whether an entry of a list is a value with a label: `label` beside `value` or `set`."""
+    return isinstance(entry, Mapping) and "label" in entry and ("value" in entry or "set" in entry)
 
 
 def _check_limits(kind: str, limits: Any) -> None:
@@ -104,10 +144,12 @@ def expand(values: Any) -> tuple[Value, ...]:
         return tuple(Value(number, number, (kind,)) for number in _spaced(kind, first, last, int(count)))
     entries = []
     for index, entry in enumerate(values):
-        labelled = isinstance(entry, Mapping) and set(entry) == LABELLED
-        value = entry["value"] if labelled else entry
-        label = str(entry["label"]) if labelled else label_of(value)
-        entries.append(Value(value, label, (index, "value") if labelled else (index,)))
+        if is_labelled(entry):
+            kind = "set" if "set" in entry else "value"
+            needed = entry.get("if_installed", "")
+            entries.append(Value(entry[kind], str(entry["label"]), (index, kind), kind == "set", needed))
+        else:
+            entries.append(Value(entry, label_of(entry), (index,)))
     return _told_apart(entries)
 
 
@@ -156,7 +198,7 @@ def _told_apart(entries: Sequence[Value]) -> tuple[Value, ...]:
             namesakes.append(entry.value)
         number = namesakes.index(entry.value) + 1
         label = entry.label if number == 1 else f"{entry.label} ({number})"
-        result.append(Value(entry.value, label, entry.place))
+        result.append(replace(entry, label=label))
     return tuple(result)
 
 
@@ -174,7 +216,9 @@ ValueSet = Annotated[
     BeforeValidator(check_values),
     WithJsonSchema(
         {
-            "description": f"The values that the key takes: {FORMS}. A value may carry a label: {{label, value}}.",
+            "description": f"The values that the key takes: {FORMS}. A value may carry a label: {{label, value}}. "
+            "Several keys are set together by {label, set: {KEY: VALUE, ...}}; the axis then has a name of its own "
+            "instead of a key. With `if_installed: DISTRIBUTION` a labelled value is left out where that is missing.",
             "anyOf": [
                 {"type": "array", "minItems": 1},
                 *(

@@ -13,8 +13,9 @@ from mbdkit.archive.reader import load
 from mbdkit.spec.study_spec import ERRORS, StudySpec
 from mbdkit.studies.index import Index, Row, quartiles
 from mbdkit.studies.ledger import Ledger
-from mbdkit.studies.measures import MEASURES, worst_joint
+from mbdkit.studies.measures import MEASURES, SECOND, worst_joint
 from mbdkit.studies.plan import PlannedPoint
+from mbdkit.studies.pool import Outcome
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -25,6 +26,7 @@ def collect(
     points: Sequence[PlannedPoint],
     ledger: Ledger,
     repeats: Mapping[str, Sequence[float]],
+    second: Mapping[str, Outcome],
 ) -> Index:
     """Return the index of what is in the folder now.
 
@@ -38,33 +40,58 @@ def collect(
         What is known of their runs; rows are taken from it where the files have not changed.
     repeats
         New serial timings by run id, s.
+    second
+        What became of the runs that were made a second time now, by run id.
     """
-    compared = any(point.reference for point in points)
-    wanted = MEASURES if spec.measures == "all" else spec.measures
+    compared = any(point.grid.reference for point in points)
+    wanted = tuple(MEASURES) if spec.measures == "all" else spec.measures
     collector = _Collector(
         ledger,
-        [name for name in wanted if compared or name not in ERRORS],
+        [name for name in wanted if name in MEASURES and (compared or name not in ERRORS)],
+        [name for name in wanted if name in SECOND],
         repeats,
+        second,
         any(point.grid.repeats > 1 for point in points),
     )
-    rows: dict[tuple[str, str], Row] = {}
+    known: dict[tuple[str, str], Row] = {}
+    rows = []
     for point in points:
-        key = point.run_id, point.reference_id
-        if key not in rows:
-            rows[key] = collector.row(*key)
-    references = dict.fromkeys(point.reference_id for point in points if point.reference_id)
+        if point.lacking:
+            row = collector.left_out(point.lacking)
+        else:
+            key = point.run_id, point.reference_id
+            if key not in known:
+                known[key] = collector.row(*key)
+            row = known[key]
+        rows.append(replace(row, family=point.family, axes=point.axes))
+    references = dict.fromkeys(reference_id for _, reference_id in known if reference_id)
     return Index(
         spec.canonical_json(),
         spec.sha256(),
         version("mbdkit"),
-        tuple(replace(rows[p.run_id, p.reference_id], family=p.family, axes=p.axes) for p in points),
+        tuple(rows),
         tuple(collector.row(run_id, "") for run_id in references),
     )
 
 
 class _Collector:
-    def __init__(self, ledger: Ledger, measures: Sequence[str], repeats: Mapping[str, Sequence[float]], timed: bool):
-        self.ledger, self.measures, self.repeats, self.timed = ledger, measures, repeats, timed
+    def __init__(
+        self,
+        ledger: Ledger,
+        measures: Sequence[str],
+        again: Sequence[str],
+        repeats: Mapping[str, Sequence[float]],
+        second: Mapping[str, Outcome],
+        timed: bool,
+    ):
+        self.ledger, self.measures, self.again = ledger, measures, again
+        self.repeats, self.second, self.timed = repeats, second, timed
+
+    def left_out(self, distribution: str) -> Row:
+        """Return the row of a run that needs a distribution that is not installed."""
+        columns = (*self.measures, *self.again, *COUNTERS, *TIMINGS)
+        reason = f"not-installed: the distribution {distribution} is not installed."
+        return Row("", "left-out", reason, values=dict.fromkeys(columns, math.nan))
 
     def row(self, run_id: str, reference_id: str) -> Row:
         """Return the row of a run, its family and axes left out."""
@@ -79,8 +106,22 @@ class _Collector:
         else:
             row = replace(self.measured(run_id, reference_id), modified=path.stat().st_mtime)
         seconds = tuple(self.repeats.get(run_id) or self.ledger.repeats(run_id))
-        values = {**row.values, **quartiles(seconds)} if self.timed else row.values
-        return replace(row, reference_id=reference_id, values=values, repeats=seconds)
+        values, second_run = self.with_second_run(run_id, row)
+        values = {**values, **quartiles(seconds)} if self.timed else values
+        return replace(row, reference_id=reference_id, values=values, repeats=seconds, second_run=second_run)
+
+    def with_second_run(self, run_id: str, row: Row) -> tuple[Mapping[str, float], str]:
+        """Return the values of a row with the measures of its second run, and what became of that."""
+        if not self.again:
+            return row.values, ""
+        made, before = self.second.get(run_id), self.ledger.run_twice(run_id)
+        values: Mapping[str, float] = {}
+        note = ""
+        if made is not None:
+            values, note = made.values, made.reason or made.status
+        elif before is not None:
+            values, note = before.values, before.second_run
+        return {**row.values, **{name: values.get(name, math.nan) for name in self.again}}, note
 
     def measured(self, run_id: str, reference_id: str) -> Row:
         """Return the row of an archive."""

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from mbdkit.analysis.verdicts import check_verdict
 from mbdkit.errors import SpecError
 from mbdkit.spec import RunSpec
-from mbdkit.spec.study_spec import StudySpec
+from mbdkit.spec.study_spec import SECOND_RUN, StudySpec
 from mbdkit.studies import index as table
 from mbdkit.studies.collect import collect
 from mbdkit.studies.folder import StudyFolder
 from mbdkit.studies.ledger import Ledger
 from mbdkit.studies.plan import outline
-from mbdkit.studies.pool import Pool, Task
+from mbdkit.studies.pool import Outcome, Pool, Task
+from mbdkit.text import counted
 
 #: Called with (pieces of work done, pieces in all, runs that failed); a run is one, and so are its repeated timings.
 Progress = Callable[[int, int, int], None]
@@ -91,6 +93,8 @@ class Execution:
         self.points = outline(spec)
         runs, references = {}, {}
         for point in self.points:
+            if point.lacking:
+                continue
             runs[point.run_id] = point.spec
             if point.reference is not None:
                 references[point.reference_id] = point.reference
@@ -100,6 +104,7 @@ class Execution:
         self.computed = 0
         self.failed = 0
         self.timings: dict[str, tuple[float, ...]] = {}
+        self.second: dict[str, Outcome] = {}
 
     def run(self, workers: int) -> None:
         """Compute what is missing, time what is to be timed, write the index; on Ctrl-C write what there is.
@@ -110,6 +115,7 @@ class Execution:
             How many processes compute at a time; one of its own does the timing.
         """
         self.folder.prepare(self.spec)
+        self.tell_left_out()
         with self.folder.locked(shared=self.shard is not None):
             ledger = Ledger(self.spec, self.folder, self.runs)
             missing = []
@@ -118,20 +124,28 @@ class Execution:
                     ledger.note(run_id, None)  # its file may come from elsewhere, or just before an interrupt
                     missing += [run_id] if self.shard is None or self.shard.has(place) else []
             repeats = self.repeats(ledger) if self.shard is None else {}
-            total = len(missing) + len(repeats)
+            again = self.to_run_again(ledger) if self.shard is None else []
+            total = len(missing) + len(again) + len(repeats)
             try:
                 self.compute(missing, workers, total, ledger)
+                self.run_again(again, workers, total - len(repeats), total, ledger)
                 self.time(repeats, total, ledger)
             finally:
                 with self.folder.indexing():
-                    table.write(self.folder.index, collect(self.spec, self.points, ledger, self.timings))
+                    found = collect(self.spec, self.points, ledger, self.timings, self.second)
+                    table.write(self.folder.index, found)
+
+    def tell_left_out(self) -> None:
+        """Say which runs are left out, and what they need."""
+        for name, count in Counter(point.lacking for point in self.points if point.lacking).items():
+            self.notify(f"{counted(count, 'run')} left out: the distribution {name} is not installed")
 
     def repeats(self, ledger: Ledger) -> dict[str, int]:
         """Return how often each run is still to be timed."""
         wanted: dict[str, int] = {}
         for point in self.points:
             count = point.grid.repeats
-            if count > max(1, len(ledger.repeats(point.run_id))):
+            if not point.lacking and count > max(1, len(ledger.repeats(point.run_id))):
                 wanted[point.run_id] = max(count, wanted.get(point.run_id, 0))
         return wanted
 
@@ -144,6 +158,30 @@ class Execution:
                 ledger.note(self.names[task.path], outcome)
                 self.failed += outcome.status == "failed"
                 self.tell(self.computed, total)
+
+    @property
+    def wanted_again(self) -> tuple[str, ...]:
+        """The measures that need a second run of each."""
+        return tuple(name for name in SECOND_RUN if self.spec.measures != "all" and name in self.spec.measures)
+
+    def to_run_again(self, ledger: Ledger) -> list[str]:
+        """Return the runs that are still to be made a second time; references are not."""
+        if not self.wanted_again:
+            return []
+        wanted = dict.fromkeys(point.run_id for point in self.points if not point.lacking)
+        return [run_id for run_id in wanted if ledger.run_twice(run_id) is None]
+
+    def run_again(self, again: list[str], workers: int, last: int, total: int, ledger: Ledger) -> None:
+        """Take the measures that need a second run, of complete runs, several at a time."""
+        tasks = [
+            Task(self.runs[run_id], self.folder.archive(run_id), second=self.wanted_again)
+            for run_id in again
+            if ledger.outcome(run_id).status == "complete"
+        ]
+        with Pool(workers, self.notify) as pool:
+            for done, (task, outcome) in enumerate(pool.work(tasks), start=last - len(tasks) + 1):
+                self.second[self.names[task.path]] = outcome
+                self.tell(done, total)
 
     def time(self, repeats: dict[str, int], total: int, ledger: Ledger) -> None:
         """Time complete runs, one after the other."""

@@ -18,12 +18,12 @@ from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.layout import COUNTERS, FLOAT, INTEGER, TEXT, TIMINGS, Array
 from mbdkit.archive.target import LIBVER
 from mbdkit.errors import SpecError
-from mbdkit.studies.measures import MEASURES
+from mbdkit.studies.measures import MEASURES, SECOND
 from mbdkit.studies.plan import Label
 
 FORMAT = "mbdkit-study"
-FORMAT_VERSION = "1.0"
-STATUSES = ("complete", "failed", "missing")
+FORMAT_VERSION = "1.1"
+STATUSES = ("complete", "failed", "missing", "left-out")
 
 #: Smallest, quartiles and median of the repeated timings.
 QUARTILES = {"wall_min_s": 0.0, "wall_q1_s": 0.25, "wall_median_s": 0.5, "wall_q3_s": 0.75}
@@ -32,8 +32,9 @@ _TEXTS = {
     "family": "family of the run",
     "run_id": "name of the run, and of its file in runs/",
     "reference_id": "run that its errors are taken against",
-    "status": "complete, failed or missing",
+    "status": "complete, failed, missing or left-out",
     "status_reason": "why it is not complete",
+    "second_run": "complete if the run was made a second time for a measure, or why that tells nothing; else empty",
     "worst_joint": "joint with the largest misalignment",
     "data_sha256": "hash of what the run recorded",
 }
@@ -48,7 +49,7 @@ class Row:
     run_id
         The name of the run.
     status
-        ``complete``, ``failed`` or ``missing``.
+        ``complete``, ``failed``, ``missing``, or ``left-out`` where it needs what is not installed.
     reason
         Why it is not complete: a code and a sentence.
     family, axes, reference_id
@@ -61,6 +62,9 @@ class Row:
         Wall times of the serial timings, s.
     modified
         When its file was last written, s since 1970; nan without a file.
+    second_run
+        ``complete`` once the run was made a second time, for measures that need it, or why that tells nothing; empty
+        before.
     """
 
     run_id: str
@@ -74,6 +78,7 @@ class Row:
     values: Mapping[str, float] = field(default_factory=dict)
     repeats: tuple[float, ...] = ()
     modified: float = math.nan
+    second_run: str = ""
 
 
 @dataclass(frozen=True)
@@ -138,6 +143,7 @@ def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row]) -> N
         "reference_id": [row.reference_id for row in rows],
         "status": [row.status for row in rows],
         "status_reason": [row.reason for row in rows],
+        "second_run": [row.second_run for row in rows],
         "worst_joint": [row.worst_joint for row in rows],
         "data_sha256": [row.data_sha256 for row in rows],
     }
@@ -178,6 +184,8 @@ def described(name: str) -> tuple[str, str]:
     """
     if name in MEASURES:
         return MEASURES[name].units, MEASURES[name].long_name
+    if name in SECOND:
+        return SECOND[name]
     if name in COUNTERS:
         return "1", f"counter of the run: {name.replace('_', ' ')}"
     if name in QUARTILES:
@@ -214,8 +222,9 @@ def read(path: Path) -> Index:
 
 
 def _read_rows(group: h5py.Group, dim: str) -> tuple[Row, ...]:
-    texts = {name: list(group[name].asstr()[:]) for name in _TEXTS}
-    known = (*MEASURES, *COUNTERS, *TIMINGS, *QUARTILES)
+    empty = [""] * len(group[dim])  # what an earlier format did not have
+    texts = {name: list(group[name].asstr()[:]) if name in group else empty for name in _TEXTS}
+    known = (*MEASURES, *SECOND, *COUNTERS, *TIMINGS, *QUARTILES)
     values = {name: group[name][:] for name in known if name in group}
     modified = group["file_modified_s"][:]
     repeats = group["wall_repeats_s"][:] if "wall_repeats_s" in group else np.empty((len(modified), 0))
@@ -232,6 +241,7 @@ def _read_rows(group: h5py.Group, dim: str) -> tuple[Row, ...]:
             {name: float(column[number]) for name, column in values.items()},
             tuple(float(value) for value in repeats[number] if not math.isnan(value)),
             float(modified[number]),
+            texts["second_run"][number],
         )
         for number in range(len(group[dim]))
     )

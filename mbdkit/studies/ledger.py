@@ -58,6 +58,10 @@ class Ledger:
         """Return the serial timings that earlier calls made of a run [s]."""
         return self._by_run[run_id].repeats if run_id in self._by_run else ()
 
+    def run_twice(self, run_id: str) -> Row | None:
+        """Return the row of a run whose file is unchanged since it was made a second time."""
+        return self._by_run[run_id] if self.is_unchanged(run_id) and self._by_run[run_id].second_run else None
+
     def measured(self, run_id: str, reference_id: str) -> Row | None:
         """Return the row of a run if neither its file nor that of its reference has changed since it was written."""
         unchanged = all(self.is_unchanged(name) for name in (run_id, reference_id) if name)

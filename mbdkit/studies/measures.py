@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.reference import EVERY_ROW, LAST_ROW, offsets
+from mbdkit.analysis.energy import Trend, energy_trend
+from mbdkit.analysis.reference import (
+    EVERY_ROW,
+    LAST_ROW,
+    carries_multipliers,
+    common_rows,
+    multiplier_error,
+    offsets,
+)
+from mbdkit.errors import MbdkitError
+from mbdkit.mechanism.size import mechanism_size
+from mbdkit.spec import RunSpec
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -67,6 +78,61 @@ def _error(part: slice, rows: slice) -> Callable[[Run, Run | None], float]:
     return take
 
 
+def _rate_error(part: slice) -> Callable[[Run, Run | None], float]:
+    """Return the measure of the largest velocity of any body off the reference, over the rows that both recorded."""
+
+    def take(run: Run, reference: Run | None) -> float:
+        if reference is None or not run.status == reference.status == "complete":
+            return math.nan
+        mine, theirs = common_rows(run, reference)
+        if not len(mine):
+            return math.nan
+        velocity = [which.array("trajectory/velocity") for which in (run, reference)]
+        difference = (velocity[0][mine] - velocity[1][theirs])[..., part]
+        return float(np.max(np.linalg.norm(difference, axis=-1), initial=0.0))
+
+    return take
+
+
+def _multiplier_error(run: Run, reference: Run | None) -> float:
+    if reference is None or not run.status == reference.status == "complete":
+        return math.nan
+    if not all(which.records("constraints/multiplier") for which in (run, reference)):
+        return math.nan
+    return multiplier_error(run, reference)
+
+
+def _own_multipliers(run: Run, reference: Run | None) -> float:
+    return float(carries_multipliers(run)) if run.records("constraints/multiplier") else math.nan
+
+
+def _trend(value: Callable[[Trend], float]) -> Callable[[Run, Run | None], float]:
+    """Return the measure of something about the trend of the energy balance; nan for few rows and runs that failed."""
+
+    def take(run: Run, reference: Run | None) -> float:
+        if run.status != "complete" or not run.records("energy/balance"):
+            return math.nan
+        try:
+            return value(energy_trend(run))
+        except ValueError:
+            return math.nan
+
+    return take
+
+
+def _duration(run: Run, reference: Run | None) -> float:
+    return float(run.time[-1] - run.time[0]) if len(run.time) else math.nan
+
+
+def _size(run: Run, reference: Run | None) -> float:
+    if not len(run.time):
+        return math.nan
+    try:
+        return mechanism_size(RunSpec(**run.spec).mechanism(), run.array("trajectory/position")[0])
+    except MbdkitError:  # the plugin of its model is not installed here
+        return math.nan
+
+
 _XY, _THETA = slice(0, 2), slice(2, 3)
 
 MEASURES: Mapping[str, Measure] = {
@@ -90,6 +156,39 @@ MEASURES: Mapping[str, Measure] = {
     "trajectory_angle_error": Measure(
         "rad", "largest angle of a body off the reference in the recorded rows", _error(_THETA, EVERY_ROW)
     ),
+    "velocity_error": Measure(
+        "m/s", "largest velocity of a body off the reference in the rows that both recorded", _rate_error(_XY)
+    ),
+    "angular_velocity_error": Measure(
+        "rad/s",
+        "largest angular velocity of a body off the reference in the rows that both recorded",
+        _rate_error(_THETA),
+    ),
+    "multiplier_error": Measure(
+        "1",
+        "largest error of a multiplier in the rows that both recorded, as a share of the largest one of its unit: of "
+        "those that the method itself carries, else of those of index 1",
+        _multiplier_error,
+    ),
+    "own_multipliers": Measure("1", "1 where the method itself carries multipliers, else 0", _own_multipliers),
+    "energy_trend": Measure("W", "slope of the energy balance over time", _trend(lambda trend: trend.slope)),
+    "energy_trend_error": Measure("W", "standard error of that slope", _trend(lambda trend: trend.error)),
+    "energy_oscillation": Measure(
+        "J", "largest distance of the energy balance from its trend", _trend(lambda trend: trend.oscillation)
+    ),
+    "duration": Measure("s", "time from the first recorded row to the last", _duration),
+    "mechanism_size": Measure(
+        "m", "longer side of the box around joint points and centres of mass at the start", _size
+    ),
+}
+#: Those that need a second run, with their units.
+SECOND: Mapping[str, tuple[str, str]] = {
+    "reversibility_defect": (
+        "m",
+        "distance from the start after the run and its reversal, each body's weighted with its share of the mass",
+    ),
+    "reversibility_velocity_defect": ("m/s", "the same of the velocities"),
+    "velocity_misalignment_every_step": ("m/s", "largest velocity misalignment of any joint over every step"),
 }
 
 

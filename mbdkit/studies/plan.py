@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any
 
 from mbdkit.errors import SpecError
+from mbdkit.registry.manager import registry
 from mbdkit.spec import RunSpec
 from mbdkit.spec.plain import Path, parse_path, path_text
 from mbdkit.spec.reading import parse_key, put
@@ -47,17 +48,25 @@ class Grid:
     reference_place: Path
     repeats: int
 
-    def points(self) -> Iterator[tuple[dict[str, Label], list[Setting]]]:
-        """Yield the labels and the settings of each point, the last axis changing fastest."""
+    def points(self) -> Iterator[tuple[dict[str, Label], list[Setting], str]]:
+        """Yield labels, settings and the distribution that is not installed of each point; the last axis is fastest."""
         for choice in itertools.product(*(range(len(axis[0][1])) for axis in self.axes)):
             labels: dict[str, Label] = {}
-            settings = []
+            settings: list[Setting] = []
+            lacking = ""
             for number, (axis, index) in enumerate(zip(self.axes, choice, strict=True)):
                 for key, values in axis:
-                    labels[key] = values[index].label
-                    place = (*self.axes_place, number, key, *values[index].place)
-                    settings.append(Setting(parse_key(key), values[index].value, place))
-            yield labels, settings
+                    value = values[index]
+                    labels[key] = value.label
+                    place = (*self.axes_place, number, key, *value.place)
+                    settings += (
+                        _settings(value.value, place)
+                        if value.together
+                        else [Setting(parse_key(key), value.value, place)]
+                    )
+                    if value.if_installed and not registry().has_distribution(value.if_installed):
+                        lacking = lacking or value.if_installed
+            yield labels, settings, lacking
 
 
 def grids(spec: StudySpec) -> tuple[Grid, ...]:
@@ -106,6 +115,8 @@ class PlannedPoint:
         The label of its value on every axis, by dotted key.
     study, grid, settings
         What its spec is made of.
+    lacking
+        The distribution that it would need and that is not installed, so that it is left out; empty otherwise.
     """
 
     number: int
@@ -113,6 +124,7 @@ class PlannedPoint:
     study: StudySpec
     grid: Grid
     settings: tuple[Setting, ...]
+    lacking: str = ""
 
     @property
     def family(self) -> str:
@@ -225,10 +237,10 @@ def outline(spec: StudySpec) -> tuple[PlannedPoint, ...]:
     if total > LARGEST_STUDY:
         key = "families" if spec.families else "axes"
         raise spec.placed(SpecError(f"makes {total} runs; a study has at most {LARGEST_STUDY}", key=key))
-    chosen = [(grid, labels, settings) for grid in families for labels, settings in grid.points()]
+    chosen = [(grid, *point) for grid in families for point in grid.points()]
     return tuple(
-        PlannedPoint(number, labels, spec, grid, tuple(settings))
-        for number, (grid, labels, settings) in enumerate(chosen, start=1)
+        PlannedPoint(number, labels, spec, grid, tuple(settings), lacking)
+        for number, (grid, labels, settings, lacking) in enumerate(chosen, start=1)
     )
 
 

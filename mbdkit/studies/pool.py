@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import queue
 import signal
@@ -12,8 +13,8 @@ import sys
 import tempfile
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -36,20 +37,24 @@ class Task:
         Where its archive goes.
     repeats
         If not 0: how often to time the run in memory instead, once more than that to warm up.
+    second
+        If not empty: the measures to take by a second run in memory instead.
     """
 
     spec: RunSpec
     path: Path
     repeats: int = 0
+    second: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a task: the status of the run, why, and the wall times of its repeats [s]."""
+    """What became of a task: status of the run, why, wall times of its repeats [s], and measures of its second run."""
 
     status: str
     reason: str
     seconds: tuple[float, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
 
 
 class Pool:
@@ -88,7 +93,10 @@ class Pool:
                 if "note" in answer:
                     self._say(answer["note"])
                     continue
-                outcome = Outcome(answer["status"], answer["reason"], tuple(answer.get("seconds", ())))
+                values = {
+                    name: math.nan if found is None else found for name, found in answer.get("values", {}).items()
+                }
+                outcome = Outcome(answer["status"], answer["reason"], tuple(answer.get("seconds", ())), values)
                 worker.task = None
             else:
                 outcome = Outcome("failed", f"worker-died: {worker.death()}")
@@ -147,7 +155,8 @@ class _Worker:
         """Let the process begin a task; if it is dead already, its silence will tell."""
         self.task = task
         spec = json.loads(task.spec.canonical_json())
-        text = json.dumps({"spec": spec, "path": str(task.path.absolute()), "repeats": task.repeats})
+        place = str(task.path.absolute())
+        text = json.dumps({"spec": spec, "path": place, "repeats": task.repeats, "second": task.second})
         assert self.process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
             self.process.stdin.write(text + "\n")

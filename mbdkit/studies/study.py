@@ -72,7 +72,7 @@ class StudyPoint:
 
     @property
     def status(self) -> str:
-        """``complete``, ``failed`` or ``missing``."""
+        """``complete``, ``failed``, ``missing``, or ``left-out`` where it needs what is not installed."""
         return self.row.status
 
     @property
@@ -139,7 +139,7 @@ class Study:
 
     def _archive(self, row: Row) -> Path | None:
         path = self._files.archive(row.run_id)
-        return path if row.status != "missing" and path.exists() else None
+        return path if row.run_id and row.status != "missing" and path.exists() else None
 
     @property
     def folder(self) -> Path:
@@ -148,7 +148,10 @@ class Study:
 
     @property
     def status(self) -> str:
-        """``complete`` if every run was computed, failed ones included; ``partial`` if some are missing."""
+        """``complete`` if every run was computed, failed ones included; ``partial`` if some are missing.
+
+        Runs that are left out, because they need what is not installed, are not missing.
+        """
         rows = (*self.points, *self.references)
         return "partial" if any(point.status == "missing" for point in rows) else "complete"
 
@@ -213,6 +216,7 @@ class Study:
             "reference_id": [point.reference_id for point in points],
             "status": [point.status for point in points],
             "status_reason": [point.reason for point in points],
+            "second_run": [point.row.second_run for point in points],
             "worst_joint": [point.row.worst_joint for point in points],
             **{name: [point.values.get(name, float("nan")) for point in points] for name in names},
             "data_sha256": [point.row.data_sha256 for point in points],

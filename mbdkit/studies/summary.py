@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
+from mbdkit.studies.index import STATUSES
+
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
 
@@ -21,7 +23,7 @@ def summary(study: Study) -> str:
         The study.
     """
     counts = Counter(point.status for point in study.points)
-    runs = ", ".join(f"{counts[status]} {status}" for status in ("complete", "failed", "missing") if counts[status])
+    runs = ", ".join(f"{counts[status]} {status.replace('-', ' ')}" for status in STATUSES if counts[status])
     beside = f", and {len(study.references)} to compare with" if study.references else ""
     lines = [
         ("study", " ".join(study.spec.title.split())),
@@ -30,6 +32,8 @@ def summary(study: Study) -> str:
         ("folder", str(study.folder)),
     ]
     text = [f"{label:<10} {value}" for label, value in lines if value]
+    absent = Counter(point.reason for point in study.points if point.status == "left-out")
+    text += [f"left out   {count} of {len(study.points)}: {reason}" for reason, count in absent.items()]
     text += [f"failed     {_named(point)}: {point.reason}" for point in study.failures[:FAILURES_SHOWN]]
     if len(study.failures) > FAILURES_SHOWN:
         text.append(f"           and {len(study.failures) - FAILURES_SHOWN} more")
@@ -58,7 +62,7 @@ def outcome(study: Study) -> dict[str, Any]:
         "runs": len(study.points),
         "references": len(study.references),
         "computed": study.computed,
-        **{status: counts[status] for status in ("complete", "failed", "missing")},
+        **{status.replace("-", "_"): counts[status] for status in STATUSES},
         "failures": [
             {
                 "number": point.number,

@@ -6,6 +6,7 @@ Started as ``python -m mbdkit.studies.worker``; it ends with its standard input,
 from __future__ import annotations
 
 import json
+import math
 import os
 import queue
 import sys
@@ -59,6 +60,12 @@ def _work(task: dict[str, Any], notify: Any) -> dict[str, Any]:
     from mbdkit.spec import RunSpec
 
     spec = RunSpec(**task["spec"])
+    if task["second"]:
+        from mbdkit.studies.second import second_run
+
+        values, note = second_run(spec, task["second"], notify)
+        told = {name: value if math.isfinite(value) else None for name, value in values.items()}
+        return {"status": "complete", "reason": note, "values": told}
     if task["repeats"] == 0:
         with simulate(spec, path=Path(task["path"]), overwrite=True, notify=notify) as run:
             return {"status": run.status, "reason": run.status_reason}

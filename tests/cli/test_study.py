@@ -71,6 +71,7 @@ def test_json_is_one_object(mbdkit, in_tmp_path):
         "complete": 2,
         "failed": 2,
         "missing": 0,
+        "left_out": 0,
     }
     assert [failure["number"] for failure in failures] == [2, 4]
     assert failures[0]["axes"] == {"model.length": 1.0, "limits.max_steps": 3}

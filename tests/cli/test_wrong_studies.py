@@ -153,6 +153,57 @@ WRONG = {
         "needs a `reference`",
     ),
     "no repeats": (STUDY + "repeats: 0\n", 14, "repeats", "at least 1"),
+    "several keys beside one": (
+        study("[0.1, 0.05]", "[0.1, {label: x, set: {time.step: 0.1}}]"),
+        11,
+        "axes[1].time.step[1]",
+        "`set` stands beside values without it",
+    ),
+    "several keys of which one is none": (
+        study("time.step: [0.1, 0.05]", "name: [{label: x, set: {.step: 0.1}}]"),
+        11,
+        "axes[1].name[0].set..step",
+        "dotted key",
+    ),
+    "several keys of which one is set by another axis": (
+        study(
+            "time.step: [0.1, 0.05]", "name: [{label: x, set: {time.step: 0.1, integrator.name: rk4}}]\n  - time: [{}]"
+        ),
+        12,
+        "axes[2].time",
+        "would replace what is set in axes[1] already, as 'time.step'",
+    ),
+    "a name that two axes have": (
+        study("time.step: [0.1, 0.05]", "integrator: [{label: x, set: {time.step: 0.1}}]"),
+        11,
+        "axes[1].integrator",
+        "stands in axes[0] already",
+    ),
+    "a mistake in one of several keys": (
+        study("time.step: [0.1, 0.05]", "name: [{label: x, set: {time.step: 0.1, time.stpe: 2}}]"),
+        11,
+        "axes[1].name[0].set.time.stpe",
+        "did you mean 'step'?",
+    ),
+    "an unknown integrator of a distribution that is installed": (
+        study("{name: rk4}", "{label: x, value: {name: rk5}, if_installed: mbdkit}"),
+        9,
+        "axes[0].integrator[0].value.name",
+        "did you mean 'rk4'?",
+    ),
+    "a mistyped condition": (
+        study("{name: rk4}", "{label: x, value: {name: rk4}, if_instaled: mbdkit}"),
+        9,
+        "axes[0].integrator[0].if_instaled",
+        "did you mean 'if_installed'?",
+    ),
+    "a distribution that is a number": (
+        study("{name: rk4}", "{label: x, value: {name: rk4}, if_installed: 3}"),
+        9,
+        "axes[0].integrator[0].if_installed",
+        "should be the name of a distribution, such as mbdkit-generalized-alpha, not 3",
+    ),
+    "a mistyped reversal": (STUDY + "measures: [reversibility_defct]\n", 14, "measures[0]", "'reversibility_defect'?"),
     "axes beside families": (STUDY + "families: {a: {}}\n", 7, "axes", "each family has axes of its own"),
     "a family with a mistyped key": (
         "mbdkit_study: 1\nbase: pendulum\nfamilies:\n  a:\n    axs: []\n",

@@ -198,7 +198,7 @@ def test_the_command_writes_a_page_and_replaces_it_only_when_told(archive, mbdki
         (["missing.h5"], "missing.h5: there is no run archive or study folder of this name"),
         (["text.h5"], "text.h5: this is not an HDF5 file"),
         (["cut.h5"], "cut.h5: this archive is truncated"),
-        (["swing.h5", "-o", "page.pdf"], "its name must end in .html or .htm"),
+        (["swing.h5", "-o", "page.pdf"], "its name must end in .html, .htm or .md"),
         (["swing.h5", "-o", "nowhere/page.html"], "nowhere does not exist; create it first"),
         (["swing.h5", "-o", "folder.html"], "this is a folder; name a file"),
         (["swing.h5", "--figures", "text.h5"], "this is not a folder"),

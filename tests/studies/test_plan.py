@@ -125,3 +125,35 @@ def test_more_runs_than_a_study_may_have_are_refused_before_they_are_made(small)
     small["axes"] = [{"time.step": {"linspace": [0.01, 0.02, 200]}}, {"model.masses[0]": {"linspace": [1, 2, 200]}}]
     with pytest.raises(SpecError, match="makes 40000 runs; a study has at most 10000"):
         points(small)
+
+
+def test_one_value_may_set_several_keys_and_its_axis_has_a_name_of_its_own(small):
+    small["axes"] = [
+        {
+            "method": [
+                {"label": "coarse", "set": {"integrator": {"name": "gauss", "stages": 3}, "time.step": 0.05}},
+                {"label": "fine", "set": {"integrator.name": "rk4"}},
+            ]
+        },
+        {"time.end": [0.5, 1.0]},
+    ]
+    small["base"] = small["base"] | {"integrator": {}}
+    small["reference"] = {"integrator": {"name": "gauss", "stages": 4}}
+    found = points(small)
+    assert [point.axes for point in found][1:3] == [
+        {"method": "coarse", "time.end": 1.0},
+        {"method": "fine", "time.end": 0.5},
+    ]
+    told = [(point.spec.integrator.name, point.spec.time.step, point.spec.time.end) for point in found]
+    assert told == [("gauss", 0.05, 0.5), ("gauss", 0.05, 1.0), ("rk4", 0.02, 0.5), ("rk4", 0.02, 1.0)]
+
+
+def test_what_needs_a_distribution_that_is_not_there_is_planned_but_lacks_it(small):
+    rk4 = {"label": "here", "value": {"name": "rk4"}, "if_installed": "MBDkit"}
+    absent = {"label": "absent", "value": {"name": "acme-magic:magic"}, "if_installed": "acme-magic"}
+    small["axes"][0] = {"integrator": [rk4, absent]}
+    found = points(small)
+    assert [(point.axes["integrator"], point.lacking) for point in found] == [
+        ("here", ""), ("here", ""), ("absent", "acme-magic"), ("absent", "acme-magic"),
+    ]  # fmt: skip
+    assert found[0].spec.integrator.name == "rk4"

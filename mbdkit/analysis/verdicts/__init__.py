@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 #: The name of the verdict and where its function is; one is only imported when it is asked for.
 VERDICTS: Mapping[str, tuple[str, str]] = {
     "paper": ("mbdkit.analysis.verdicts.paper", "paper"),
+    "drift": ("mbdkit.analysis.verdicts.drift", "drift"),
     "textbook-four-bar": ("mbdkit.analysis.verdicts.textbook", "textbook"),
 }
 GENERAL = ("mbdkit.analysis.verdicts.general", "general")

@@ -1,0 +1,228 @@
+"""What a study measured of one combination of method, formulation and stabilization on one mechanism."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.analysis.energy import SURE
+from mbdkit.analysis.order import observed_order
+from mbdkit.analysis.verdict import Cell
+from mbdkit.analysis.verdicts.points import STEP, Points
+
+if TYPE_CHECKING:
+    from mbdkit.studies.study import Study, StudyPoint
+
+COMBINATION = "method"
+"""The axis of combinations, by label."""
+LONG = "-long"
+"""What the name of the family of long runs has more than that of the short ones of the same mechanism."""
+ROUND_OFF = 1e-11
+"""Errors that are nothing but round-off, as shares of the mechanism's size, of that per second, or of a multiplier."""
+EPSILON = 5e-16
+"""The floor of rounding under all errors, as such a share: double precision itself."""
+SPENT = 1e-12
+"""Energy lost over a run, as a share of the largest kinetic energy, that is nothing but round-off."""
+
+Undetermined = str
+"""Why there is no number: `failed`, `missing`, `not installed`, `round-off`, `no order`, `not reversible`."""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """What was measured of a method with its formulation and stabilization on one mechanism.
+
+    Every figure is a number, or says why there is none.
+
+    Attributes
+    ----------
+    mechanism, method
+        Family of the study, and label on the axis `method`.
+    position_order, velocity_order, multiplier_order
+        Observed orders, against the reference.
+    own
+        Whether the multipliers are those that the method itself carries; else those of index 1 at its states.
+    position_drift, velocity_drift
+        Largest misalignment over every step, and velocity misalignment in the recorded rows, of the long run, as shares
+        of the mechanism's size [1, 1/s].
+    trend, trend_error
+        Slope of the energy balance of the long run and its standard error, as shares of the largest kinetic energy
+        [1/s]; `none` where it cannot be told from oscillation or from round-off.
+    oscillation
+        Largest distance of the energy balance from that slope, as a share of the largest kinetic energy.
+    reversal
+        Distance from the start after the long run and its reversal, as a share of the mechanism's size.
+    evaluations, factorizations, microseconds
+        Cost of a step of the long run.
+    errors
+        Errors of positions, as shares of the mechanism's size, by step [s].
+    """
+
+    mechanism: str
+    method: str
+    position_order: float | Undetermined
+    velocity_order: float | Undetermined
+    multiplier_order: float | Undetermined
+    own: bool
+    position_drift: float | Undetermined
+    velocity_drift: float | Undetermined
+    trend: float | Undetermined
+    trend_error: float
+    oscillation: float | Undetermined
+    reversal: float | Undetermined
+    evaluations: float | Undetermined
+    factorizations: float | Undetermined
+    microseconds: float | Undetermined
+    errors: dict[float, float]
+
+    @property
+    def has_trend(self) -> bool | None:
+        """Whether the energy has a trend; None where that is not known."""
+        return None if isinstance(self.trend, str) and self.trend != "none" else self.trend != "none"
+
+    def cells(self) -> tuple[Cell, ...]:
+        """Return its row in the table, without mechanism and method."""
+        orders = [self.position_order, self.velocity_order, self.multiplier_order]
+        known = not isinstance(self.multiplier_order, str)
+        sure = abs(self.trend) / self.trend_error if not isinstance(self.trend, str) and self.trend_error else None
+        return (
+            *(order if isinstance(order, str) else f"{order:.2f}" for order in orders),
+            ("own" if self.own else "index-1") if known else None,
+            two(self.position_drift),
+            two(self.velocity_drift),
+            two(self.trend),
+            two(sure),
+            two(self.oscillation),
+            two(self.reversal),
+            two(self.evaluations),
+            two(self.factorizations),
+            two(self.microseconds),
+        )
+
+
+def two(value: float | Undetermined | None) -> Cell:
+    """Return a number to two digits, and anything else as it is."""
+    return float(f"{value:.2g}") if isinstance(value, float) else value
+
+
+def combinations(study: Study) -> list[Combination]:
+    """Return what a study measured of each combination on each mechanism, in the order of the study.
+
+    Parameters
+    ----------
+    study
+        With families over the axes `method` and `time.step`, each with one of the same name and `-long` beside it.
+
+    Raises
+    ------
+    ValueError
+        If it has no such families.
+    """
+    names = [name for name in study.families if f"{name}{LONG}" in study.families]
+    if not names:
+        raise ValueError(f"no family has one of the same name and {LONG!r} beside it")
+    found = []
+    for name in names:
+        short, long = Points(study.family(name)), Points(study.family(f"{name}{LONG}"))
+        for method in short.labels(COMBINATION):
+            at = {COMBINATION: method}
+            found.append(_combination(name, str(method), short.at(at), long.at(at)))
+    return found
+
+
+def _combination(mechanism: str, method: str, short: Points, long: Points) -> Combination:
+    size, scale = (_largest(long, column) for column in ("mechanism_size", "energy_scale"))
+    size = _largest(short, "mechanism_size") if math.isnan(size) else size
+    own = _largest(short, "own_multipliers") == 1
+    steps, errors = short.along(STEP, "trajectory_error")
+    slope, error, oscillation = (_number(long, f"energy_{name}") for name in ("trend", "trend_error", "oscillation"))
+    defect = _number(long, "reversibility_defect")
+    number = _number(long, "steps")
+
+    def share(value: float | Undetermined, of: float) -> float | Undetermined:
+        return value if isinstance(value, str) else value / of if of > 0 else "no scale"
+
+    def a_step(column: str, factor: float = 1.0) -> float | Undetermined:
+        value = _number(long, column)
+        return value if isinstance(value, str) else share(factor * value, number if isinstance(number, float) else 0.0)
+
+    return Combination(
+        mechanism=mechanism,
+        method=method,
+        position_order=_order(short, "trajectory_error", size),
+        velocity_order=_order(short, "velocity_error", size),
+        multiplier_order=_order(short, "multiplier_error", 1.0),
+        own=own,
+        position_drift=share(_number(long, "misalignment_max"), size),
+        velocity_drift=share(_number(long, "velocity_misalignment_max"), size),
+        trend=_trend(slope, error, scale, _largest(long, "duration")),
+        trend_error=error / scale if isinstance(error, float) and scale > 0 else math.nan,
+        oscillation=share(oscillation, scale),
+        reversal=share(_why_not_reversed(long) if defect == "no value" else defect, size),
+        evaluations=a_step("rhs_evaluations"),
+        factorizations=a_step("factorizations"),
+        microseconds=a_step("wall_s", 1e6),
+        errors={float(step): float(error) / size for step, error in zip(steps, errors, strict=True) if size > 0},
+    )
+
+
+def state_of(points: Iterable[StudyPoint]) -> Undetermined:
+    """Return in a word or two why points have no numbers; empty where one of them is complete."""
+    states = {point.status for point in points}
+    for status, told in (("complete", ""), ("failed", "failed"), ("left-out", "not installed")):
+        if status in states:
+            return told
+    return "missing"
+
+
+def _largest(points: Points, column: str) -> float:
+    """Return the largest number of a column over the complete points; nan where there is none."""
+    numbers = [point.values.get(column, math.nan) for point in points if point.status == "complete"]
+    return max((number for number in numbers if math.isfinite(number)), default=math.nan)
+
+
+def _number(points: Points, column: str) -> float | Undetermined:
+    """Return the number of the one complete point, or why there is none."""
+    if state := state_of(points):
+        return state
+    found = points.value(column)
+    return found if math.isfinite(found) else "no value"
+
+
+def _order(points: Points, column: str, scale: float) -> float | Undetermined:
+    """Return the observed order of errors over the steps, or why there is none."""
+    if state := state_of(points):
+        return state
+    steps, errors = points.along(STEP, column)
+    seen = observed_order(steps, errors).floor
+    found = observed_order(steps, errors, floor=max(seen, EPSILON * scale))
+    if found.found:
+        return found.order
+    finite = errors[np.isfinite(errors)]
+    if len(finite) and np.max(finite) <= ROUND_OFF * scale:
+        return "round-off"
+    return "no order" if len(finite) >= 3 else "failed"
+
+
+def _trend(
+    slope: float | Undetermined, error: float | Undetermined, scale: float, duration: float
+) -> float | Undetermined:
+    """Return a slope of energy as a share of `scale`; `none` where it is no larger than its error or round-off is."""
+    if isinstance(slope, str) or isinstance(error, str):
+        return str(slope)
+    if not scale > 0:
+        return "no scale"
+    if abs(slope) <= SURE * error or abs(slope) * duration <= SPENT * scale:
+        return "none"
+    return slope / scale
+
+
+def _why_not_reversed(points: Points) -> Undetermined:
+    """Return in a word or two why a complete run has no defect of reversal."""
+    note = next((point.row.second_run for point in points), "")
+    code = note.partition(":")[0]
+    return {"": "not made", "not-reversible": "not reversible", "too-short": "too short"}.get(code, "failed")

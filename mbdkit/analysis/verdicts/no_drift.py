@@ -1,0 +1,135 @@
+"""The verdict on the packaged study `no-drift`: whether joints stay together over many steps, to round-off."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbdkit.analysis.verdict import Answer, Claim, Column, Table, Verdict, exceeds, told
+from mbdkit.analysis.verdicts.combination import COMBINATION, state_of, two
+from mbdkit.analysis.verdicts.points import value
+
+if TYPE_CHECKING:
+    from mbdkit.studies.study import Study, StudyPoint
+
+HELD = 1e-12
+"""Misalignment as a share of the mechanism's size, and of that per second, below which nothing drifts."""
+
+COLUMNS = (
+    Column("mechanism"),
+    Column("method"),
+    Column("steps"),
+    Column("positions"),
+    Column("velocities", "1/s"),
+    Column("time", "s"),
+    Column("projections"),
+)
+NOTE = (
+    "Largest misalignment and velocity misalignment of any joint over every step, recorded or not, as shares of "
+    "the mechanism's size. Time on this machine."
+)
+
+
+@dataclass(frozen=True)
+class Held:
+    """One long run: how far its joints came apart.
+
+    Attributes
+    ----------
+    mechanism, method
+        Family of the study, and label on the axis `method`.
+    position, velocity
+        Largest misalignments, as shares of the mechanism's size [1, 1/s]; nan where the run is not complete.
+    state
+        Why there are none: `failed`, `missing` or `not installed`; empty otherwise.
+    """
+
+    mechanism: str
+    method: str
+    position: float
+    velocity: float
+    state: str
+
+    @property
+    def name(self) -> str:
+        """Mechanism and method in one line."""
+        return f"{self.mechanism}, {self.method}"
+
+
+def no_drift(study: Study) -> Verdict:
+    """Return the verdict on the packaged study `no-drift`.
+
+    Parameters
+    ----------
+    study
+        A study of long runs over the axis `method`, a family for each mechanism.
+
+    Raises
+    ------
+    LookupError
+        If it has no such axis.
+    """
+    found = [_held(point) for point in study.points]
+    rows = [
+        (
+            one.mechanism,
+            one.method,
+            one.state or int(value(point, "steps")),
+            one.state or two(one.position),
+            one.state or two(one.velocity),
+            one.state or two(value(point, "wall_s")),
+            one.state or int(value(point, "projections")),
+        )
+        for one, point in zip(found, study.points, strict=True)
+    ]
+    claims = told(
+        (
+            _holds(found, "positions", [one.position for one in found], "misalignment over every step"),
+            _holds(
+                found, "velocities", [one.velocity for one in found], "velocity misalignment over every step, a second,"
+            ),
+        )
+    )
+    return Verdict(
+        "no-drift",
+        study.spec.title,
+        " ".join(claim.sentence for claim in claims),
+        claims,
+        (Table("no-drift", "Largest misalignments", COLUMNS, tuple(rows), NOTE, headline=True),),
+    )
+
+
+def _held(point: StudyPoint) -> Held:
+    size = value(point, "mechanism_size")
+    position, velocity = value(point, "misalignment_max"), value(point, "velocity_misalignment_every_step")
+    return Held(
+        point.family,
+        str(point.axes[COMBINATION]),
+        position / size if size > 0 else math.nan,
+        velocity / size if size > 0 else math.nan,
+        state_of([point]),
+    )
+
+
+def _holds(found: Sequence[Held], name: str, values: Sequence[float], what: str) -> Claim:
+    """Ask whether all values lie below the bound: no where one does not, open where one is not known."""
+    answers = [exceeds(HELD, each) for each in values]
+    worst = max(
+        ((each, one.name) for each, one in zip(values, found, strict=True) if math.isfinite(each)), default=None
+    )
+    beyond = [one.name for one, answer in zip(found, answers, strict=True) if answer is Answer.NO]
+    unknown = [one.name for one, each in zip(found, values, strict=True) if not math.isfinite(each)]
+    answer = Answer.NO if beyond else Answer.OPEN if Answer.OPEN in answers or not answers else Answer.YES
+    computed = "no run is complete" if worst is None else f"at most {worst[0]:.1e} ({worst[1]})"
+    computed += f"; not known of {'; '.join(unknown)}" if unknown else ""
+    return Claim(
+        name,
+        f"No run's {name} drift: the joints hold them to {HELD:g} of the mechanism's size.",
+        f"below {HELD:g}",
+        computed,
+        answer,
+        f"The {what} stays below {HELD:g} of the mechanism's size in {sum(a is Answer.YES for a in answers)} of "
+        f"{len(answers)} runs, {computed}." + (f" Not in: {'; '.join(beyond)}." if beyond else ""),
+    )
