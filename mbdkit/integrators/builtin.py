@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbdkit.integrators import gauss, radau_iia, rk4, rk_gill
-from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta, SciPySolver
-from mbdkit.integrators.options import AdaptiveOptions, ExplicitOptions, GaussOptions, RadauOptions
-from mbdkit.registry.items import Claims, IntegratorPlugin
+from mbdkit.integrators import gauss, lobatto, radau_iia, rk4, rk_gill
+from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta, LobattoPair, SciPySolver
+from mbdkit.integrators.options import (
+    AdaptiveOptions,
+    ExplicitOptions,
+    GaussOptions,
+    PairOptions,
+    RadauOptions,
+    RattleOptions,
+)
+from mbdkit.registry.items import Claims, IntegratorPlugin, Orders
 
 _POLYNOMIAL_DRIFT = "constraints hold at acceleration level only: drift of the method's order, growing with time"
 _TOLERANCE_DRIFT = "constraints hold at acceleration level only: drift follows the tolerance and grows with time"
@@ -25,6 +32,47 @@ _PETZOLD = """@article{petzold1983,
   title = {Automatic selection of methods for solving stiff and nonstiff systems of ordinary differential equations},
   journal = {SIAM Journal on Scientific and Statistical Computing},
   volume = {4}, number = {1}, pages = {136--148}, year = {1983}, doi = {10.1137/0904010}}"""
+
+
+_HELD = "positions and velocities meet the joints to round-off at the end of every step"
+_BY_FORMULATION = (
+    "index-1 drifts with the method's order, growing with time; index-3 meets the joints in positions to round-off, "
+    "index-2 in velocities, ggl in both; what index-2 misses in positions grows with time, "
+    "what index-3 misses in velocities does not"
+)
+_GEAR = """@article{gear1985,
+  author = {Gear, C. W. and Leimkuhler, B. and Gupta, G. K.},
+  title = {Automatic integration of {E}uler-{L}agrange equations with constraints},
+  journal = {Journal of Computational and Applied Mathematics},
+  volume = {12--13}, pages = {77--90}, year = {1985}, doi = {10.1016/0377-0427(85)90008-1}}"""
+
+
+def _radau_claims(options: RadauOptions) -> Claims:
+    """Hairer, Lubich and Roche (1989) prove the orders of index 2, and those of index 3 for three stages at least."""
+    s, order = options.stages, 2 * options.stages - 1
+    newton = options.stage_solver == "newton"
+    orders = {"index-2": Orders(order, order, s), "index-3": Orders(order, s, s - 1), "ggl": Orders(order, order, s)}
+    return Claims(
+        order=order,
+        stages=s,
+        drift=_BY_FORMULATION if newton else _POLYNOMIAL_DRIFT,
+        needs=("tangents",) if newton else ("accelerations",),
+        formulations=("index-1", *orders) if newton else ("index-1",),
+        orders=orders if newton else {},
+    )
+
+
+def _pair_claims(stages: int) -> Claims:
+    return Claims(
+        order=2 * stages - 2,
+        multiplier_order=stages - 1,
+        symmetric=True,
+        symplectic=True,
+        stages=stages,
+        drift=_HELD,
+        needs=("accelerations",),
+        formulations=("index-3",),
+    )
 
 
 def _explicit(name: str, summary: str, module: Any) -> IntegratorPlugin:
@@ -79,13 +127,24 @@ INTEGRATORS: list[IntegratorPlugin] = [
         create=lambda options: ImplicitRungeKutta(
             radau_iia.tableau(options.stages), options.stage_solver, options.tolerance, options.max_iterations
         ),
-        claims=lambda options: Claims(
-            order=2 * options.stages - 1,
-            stages=options.stages,
-            drift=_POLYNOMIAL_DRIFT,
-            needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
-        ),
-        references=(radau_iia.REFERENCE,),
+        claims=_radau_claims,
+        references=(radau_iia.REFERENCE, _GEAR),
+    ),
+    IntegratorPlugin(
+        name="rattle",
+        summary="RATTLE: order 2, symmetric, symplectic, holds positions and velocities on the joints, fixed steps.",
+        options=RattleOptions,
+        create=lambda options: LobattoPair(2, options.tolerance, options.max_iterations),
+        claims=lambda options: _pair_claims(2),
+        references=(lobatto.ANDERSEN, lobatto.JAY),
+    ),
+    IntegratorPlugin(
+        name="lobatto-pair",
+        summary="Lobatto IIIA-IIIB: 2 or 3 stages, order 2 s - 2, symmetric, symplectic, holds joints, fixed steps.",
+        options=PairOptions,
+        create=lambda options: LobattoPair(options.stages, options.tolerance, options.max_iterations),
+        claims=lambda options: _pair_claims(options.stages),
+        references=(lobatto.JAY,),
     ),
     _scipy(
         "scipy-radau",

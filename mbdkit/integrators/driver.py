@@ -41,11 +41,11 @@ from mbdkit.engine.system import (
     solve_system,
 )
 from mbdkit.engine.vectors import add_compensated, copy, stays_finite
-from mbdkit.integrators import explicit, implicit
+from mbdkit.integrators import constrained, explicit, implicit, lobatto_pair
 from mbdkit.integrators.common import ADVANCED, ALTERED, PROJECTIONS, SAME, load_common
 from mbdkit.integrators.family import Kind
 
-EXPLICIT, COLLOCATION = int(Kind.EXPLICIT), int(Kind.COLLOCATION)
+EXPLICIT, CONSTRAINED, LOBATTO_PAIR = int(Kind.EXPLICIT), int(Kind.CONSTRAINED), int(Kind.LOBATTO_PAIR)
 
 TIME, TIME_LOW, SIZE, LAST_ERROR, NEXT_ROW, TAKEN = range(6)
 """``clock``: time reached and its low part; size of the next step (controlled) and of the last one taken; scaled error of
@@ -73,6 +73,10 @@ def attempt(common, own, kind, t, h, want_error):
     """Try a step of the method; see the head of this file."""
     if kind == EXPLICIT:
         return explicit.attempt(common, own, t, h, want_error)
+    if kind == CONSTRAINED:
+        return constrained.attempt(common, own, t, h, want_error)
+    if kind == LOBATTO_PAIR:
+        return lobatto_pair.attempt(common, own, t, h)
     return implicit.attempt(common, own, t, h, want_error)
 
 
@@ -81,6 +85,8 @@ def dense(common, own, kind, t, h, theta):
     """Evaluate the method between steps; see the head of this file."""
     if kind == EXPLICIT:
         return explicit.dense(common, own, t, h, theta)
+    if kind == CONSTRAINED:
+        return constrained.dense(common, own, t, h, theta)
     return implicit.dense(common, own, t, h, theta)
 
 

@@ -19,6 +19,8 @@ class Kind(IntEnum):
 
     EXPLICIT = 0
     COLLOCATION = 1
+    CONSTRAINED = 2
+    LOBATTO_PAIR = 3
 
 
 class Family(ABC):

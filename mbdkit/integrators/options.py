@@ -35,6 +35,22 @@ class GaussOptions(ImplicitOptions):
     """Number of stages s; the order is 2 s."""
 
 
+class RattleOptions(Options):
+    """How the positions of a step are found that meet the constraints."""
+
+    tolerance: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] | None = None
+    """Stop when positions are expected to change by less than this, relative to their size; left out: at stagnation."""
+    max_iterations: Annotated[int, Field(ge=2, le=10_000)] = 50
+    """Iterations in one step after which its equations count as unsolved."""
+
+
+class PairOptions(RattleOptions):
+    """A pair of Lobatto IIIA and IIIB."""
+
+    stages: Literal[2, 3] = 3
+    """Number of stages s; the order is 2 s - 2. Two stages make RATTLE."""
+
+
 class RadauOptions(ImplicitOptions):
     """Radau IIA collocation."""
 

@@ -215,6 +215,15 @@ class ButcherTableau:
             return bool(max(defects) < self._tolerance)
 
     @property
+    def is_stiffly_accurate(self) -> bool:
+        """Whether the last stage is the end of the step, and ``a`` is regular, as constraints on stages need it."""
+        import numpy as np
+
+        a, b, c = self._numbers
+        ends = c[-1] == 1 and all(x == y for x, y in zip(a[-1], b, strict=True))
+        return bool(ends and np.linalg.cond(self.floats()[0]) < 1e8)
+
+    @property
     def is_symmetric(self) -> bool:
         """Whether a step by -h undoes a step by h: ``a[s-1-i][s-1-j] + a[i][j] = b[j]``."""
         a, b, _ = self._numbers
