@@ -34,7 +34,7 @@ def _reversible(name: str, model: Model, duration: float) -> Check[IntegratorSub
         steps = round(duration / telling_step(subject))
         problem = subject.problem(model)
         q, v = subject.moved(problem, duration, steps)
-        defect = _distance(subject.moved(Problem(problem.mechanism, 0.0, q, -v), duration, steps), problem)
+        defect = _distance(subject.moved(_from(problem, q, -v), duration, steps), problem)
         finer = subject.moved(problem, duration, 2 * steps)
         own = float(max(np.max(np.abs(q - finer[0])), np.max(np.abs(v - finer[1]))))
         if subject.claims.adaptive:
@@ -54,6 +54,13 @@ def _reversible(name: str, model: Model, duration: float) -> Check[IntegratorSub
         f"On the {name.replace('-', ' ')} with velocities turned round it leads back to its start if it is symmetric."
     )
     return Check(f"geometry.reversibility-{name}", there_and_back)
+
+
+def _from(problem: Problem, q: np.ndarray, v: np.ndarray) -> Problem:
+    """Return the same problem from another start."""
+    return Problem(
+        problem.mechanism, 0.0, q, v, formulation=problem.formulation, stabilization=problem.stabilization
+    )
 
 
 def _distance(state: tuple[np.ndarray, np.ndarray], problem: Problem) -> float:
@@ -99,7 +106,7 @@ def symplectic_form(subject: IntegratorSubject) -> Finding:
         q0, v0 = problem.q0.copy(), problem.v0.copy()
         q0[:2] += change[:2]
         v0[:2] += change[2:]
-        q, v = subject.moved(Problem(problem.mechanism, 0.0, q0, v0), steps * step, steps)
+        q, v = subject.moved(_from(problem, q0, v0), steps * step, steps)
         return np.concatenate([q[:2], v[:2]])
 
     columns = [
