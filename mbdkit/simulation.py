@@ -34,9 +34,8 @@ from mbdkit.engine.problem import Problem
 from mbdkit.engine.redundancy import require_unique_start, without_redundancy
 from mbdkit.engine.warm import ensure_compiled, to_stderr
 from mbdkit.errors import MbdkitError, PluginError, SpecError
-from mbdkit.integrators.methods import Method, SciPySolver
+from mbdkit.integrators.methods import ImplicitRungeKutta, Method, SciPySolver
 from mbdkit.integrators.stability import stiff_baumgarte
-from mbdkit.integrators.step_method import StepMethod
 from mbdkit.integrators.stepping import Advancing, Counters, Failure, Stepper, Stretch, Timetable
 from mbdkit.mechanism.checks import check_springs
 from mbdkit.mechanism.elements import Body
@@ -122,7 +121,7 @@ def simulate(
         {**_provenance(spec), "assembly": start.describe(), **({"warning": warning} if warning else {})},
         spec.output.recorded,
         extra_datasets=[
-            *_own_multipliers(method),
+            *_own_multipliers(method, spec.formulation),
             *_nearness(problem.mechanism),
             *CORRECTIONS[problem.stabilization.kind],
             *(EVENTS if spec.events else ()),
@@ -241,9 +240,12 @@ def _method(spec: RunSpec) -> Method:
     return method
 
 
-def _own_multipliers(method: Method) -> list[str]:
+def _own_multipliers(method: Method, formulation: str) -> list[str]:
     """Return the path of the multipliers that the method itself carries, if it does."""
-    carries = isinstance(method, StepMethod) and method.carries_multipliers
+    if isinstance(method, ImplicitRungeKutta):
+        carries = formulation != "index-1"
+    else:
+        carries = bool(getattr(method, "carries_multipliers", False))
     return ["constraints/method_multiplier"] if carries else []
 
 

@@ -45,7 +45,7 @@ class _PointerModel(models.OpaqueModel):
 class _Attributes(AttributeTemplate):
     key = _Pointer
 
-    def generic_resolve(self, value, name):
+    def generic_resolve(self, value: Any, name: str) -> Any:  # type: ignore[override]
         """Return the type of an attribute: an array, or a pointer to a bundle inside the bundle."""
         if name not in value.bundle.fields:
             return None

@@ -118,7 +118,7 @@ def project_positions(still, w, solver, t, q, p, rest, x, lam):
 
 @part
 def project_velocities(still, w, solver, t, q, v, x, lam):
-    """Change `v` to the nearest velocities in the mass metric with ``Phi_q v + Phi_t = 0`` at `t`, `q`; return a status.
+    """Change `v` to the nearest velocities in the mass metric with ``Phi_q v + Phi_t = 0`` at `t`, `q`; give a status.
 
     The equations are linear; they are solved again while that takes round-off away. `x` and `lam` are scratch.
     """

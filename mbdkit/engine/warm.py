@@ -65,8 +65,8 @@ def _run_everything(check: Callable[[], None]) -> None:
     from mbdkit.engine.observe import baumgarte_at, observe
     from mbdkit.engine.problem import Problem
     from mbdkit.engine.singularity import nearest_singularity, new_vectors
-    from mbdkit.integrators import gauss, rk4
-    from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta, Method, SciPySolver
+    from mbdkit.integrators import gauss, radau_iia, rk4
+    from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta, LobattoPair, Method, SciPySolver
     from mbdkit.integrators.step_problem import StepProblem, call_everything
     from mbdkit.integrators.stepping import Timetable
     from mbdkit.mechanism.mechanism import Mechanism
@@ -78,18 +78,23 @@ def _run_everything(check: Callable[[], None]) -> None:
     start = assemble(m, 0.0, compiled)
     check()
     q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
-    table = Timetable(0.0, 0.2, step=0.1, steps=2)
-    methods: tuple[Method, ...] = (
-        ExplicitRungeKutta(rk4.tableau()),
-        ImplicitRungeKutta(gauss.tableau(3)),
-        SciPySolver("Radau", 1e-3, 1e-3, needs_jacobian=True),
+    table = Timetable(0.0, 0.2, step=0.1, steps=2, single=True)
+    methods: tuple[tuple[Method, str], ...] = (
+        (ExplicitRungeKutta(rk4.tableau()), "index-1"),
+        (ImplicitRungeKutta(gauss.tableau(3)), "index-1"),
+        (ImplicitRungeKutta(radau_iia.tableau(2)), "ggl"),
+        (LobattoPair(2), "index-3"),
+        (SciPySolver("Radau", 1e-3, 1e-3, needs_jacobian=True), "index-1"),
     )
     call_everything(StepProblem(Problem(compiled, 0.0, q0, v0)), check)
-    for method in methods:
+    for method, formulation in methods:
         check()
-        problem = Problem(compiled, 0.0, q0, v0)
+        problem = Problem(compiled, 0.0, q0, v0, formulation)
         baumgarte_at(compiled.topology, problem.scratch, 0.0, q0, v0)
-        stretch = method.start(problem, table).advance()
+        stepper = method.start(problem, table)
+        stretch = stepper.advance()
+        stepper.inside(0.5)
+        stepper.within(0.5)
         rows, pairs = len(stretch.time), len(compiled.topology.pairs)
         shape = (rows, pairs, 2)
         observe(

@@ -4,13 +4,24 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbdkit.integrators import gauss, radau_iia, rk4, rk_gill
-from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta, SciPySolver
-from mbdkit.integrators.options import AdaptiveOptions, ExplicitOptions, GaussOptions, RadauOptions
-from mbdkit.registry.items import Claims, IntegratorPlugin
+from mbdkit.integrators import dop853, dopri5, gauss, lobatto, radau_iia, rk4, rk_gill
+from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta, LobattoPair, SciPySolver
+from mbdkit.integrators.options import (
+    AdaptiveOptions,
+    ControlledOptions,
+    ExplicitOptions,
+    GaussOptions,
+    PairOptions,
+    RadauOptions,
+    RattleOptions,
+)
+from mbdkit.registry.items import Claims, IntegratorPlugin, Orders
 
 _POLYNOMIAL_DRIFT = "constraints hold at acceleration level only: drift of the method's order, growing with time"
 _TOLERANCE_DRIFT = "constraints hold at acceleration level only: drift follows the tolerance and grows with time"
+
+_ALL = ("none", "baumgarte", "projection", "symmetric-projection")
+_PLAIN = _ALL[:3]
 
 _SCIPY = """@article{scipy2020,
   author = {Virtanen, Pauli and others},
@@ -27,6 +38,51 @@ _PETZOLD = """@article{petzold1983,
   volume = {4}, number = {1}, pages = {136--148}, year = {1983}, doi = {10.1137/0904010}}"""
 
 
+_HELD = "positions and velocities meet the joints to round-off at the end of every step"
+_BY_FORMULATION = (
+    "index-1 drifts with the method's order, growing with time; index-3 meets the joints in positions to round-off, "
+    "index-2 in velocities, ggl in both; what index-2 misses in positions grows with time, "
+    "what index-3 misses in velocities does not"
+)
+_GEAR = """@article{gear1985,
+  author = {Gear, C. W. and Leimkuhler, B. and Gupta, G. K.},
+  title = {Automatic integration of {E}uler-{L}agrange equations with constraints},
+  journal = {Journal of Computational and Applied Mathematics},
+  volume = {12--13}, pages = {77--90}, year = {1985}, doi = {10.1016/0377-0427(85)90008-1}}"""
+
+
+def _radau_claims(options: RadauOptions) -> Claims:
+    """Hairer, Lubich and Roche (1989) prove the orders of index 2, and those of index 3 for three stages at least."""
+    s, order = options.stages, 2 * options.stages - 1
+    fixed = not options.adaptive
+    newton = options.stage_solver == "newton"
+    orders = {"index-2": Orders(order, order, s), "index-3": Orders(order, s, s - 1), "ggl": Orders(order, order, s)}
+    index_1 = _POLYNOMIAL_DRIFT if fixed else _TOLERANCE_DRIFT
+    return Claims(
+        order=order if fixed else None,
+        stages=s,
+        adaptive=options.adaptive,
+        stabilizations=_ALL if fixed else _PLAIN,
+        drift=_BY_FORMULATION if newton else index_1,
+        needs=("tangents",) if newton else ("accelerations",),
+        formulations=("index-1", *orders) if newton else ("index-1",),
+        orders=orders if newton and fixed else {},
+    )
+
+
+def _pair_claims(stages: int) -> Claims:
+    return Claims(
+        order=2 * stages - 2,
+        multiplier_order=stages - 1,
+        symmetric=True,
+        symplectic=True,
+        stages=stages,
+        drift=_HELD,
+        needs=("accelerations",),
+        formulations=("index-3",),
+    )
+
+
 def _explicit(name: str, summary: str, module: Any) -> IntegratorPlugin:
     return IntegratorPlugin(
         name=name,
@@ -35,6 +91,54 @@ def _explicit(name: str, summary: str, module: Any) -> IntegratorPlugin:
         create=lambda options: ExplicitRungeKutta(module.tableau()),
         claims=lambda options: Claims(order=4, stages=4, drift=_POLYNOMIAL_DRIFT, needs=("accelerations",)),
         references=(module.REFERENCE,),
+    )
+
+
+def _embedded(name: str, summary: str, module: Any, order: int, stages: int) -> IntegratorPlugin:
+    def claims(options: ControlledOptions) -> Claims:
+        return Claims(
+            order=None if options.adaptive else order,
+            stages=stages,
+            adaptive=options.adaptive,
+            drift=_TOLERANCE_DRIFT if options.adaptive else _POLYNOMIAL_DRIFT,
+            needs=("accelerations",),
+            stabilizations=_PLAIN if options.adaptive else _ALL,
+        )
+
+    return IntegratorPlugin(
+        name=name,
+        summary=summary,
+        options=ControlledOptions,
+        create=lambda options: ExplicitRungeKutta(module.tableau(), module.pair(), options.tolerances()),
+        claims=claims,
+        references=(module.REFERENCE,),
+        dense_output=True,
+    )
+
+
+def _implicit(options: GaussOptions | RadauOptions, module: Any) -> ImplicitRungeKutta:
+    return ImplicitRungeKutta(
+        module.tableau(options.stages),
+        options.stage_solver,
+        options.tolerance,
+        options.max_iterations,
+        options.tolerances(),
+    )
+
+
+def _gauss_claims(options: GaussOptions) -> Claims:
+    """A step that is chosen by what went before undoes no other: adaptive Gauss claims no symmetry, nor symplecticity."""
+    fixed = not options.adaptive
+    return Claims(
+        order=2 * options.stages if fixed else None,
+        symmetric=fixed,
+        symplectic=fixed,
+        quadratic_invariants=True,
+        stages=options.stages,
+        adaptive=options.adaptive,
+        drift=_POLYNOMIAL_DRIFT if fixed else _TOLERANCE_DRIFT,
+        needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
+        stabilizations=_ALL if fixed else _PLAIN,
     )
 
 
@@ -56,38 +160,41 @@ def _scipy(name: str, solver: str, summary: str, source: str, *, jacobian: bool 
 INTEGRATORS: list[IntegratorPlugin] = [
     _explicit("rk-gill", "Runge-Kutta-Gill: explicit, 4 stages, order 4, fixed steps.", rk_gill),
     _explicit("rk4", "Classical Runge-Kutta: explicit, 4 stages, order 4, fixed steps.", rk4),
+    _embedded("dopri5", "Dormand-Prince: explicit, 7 stages, order 5, fixed or adaptive steps.", dopri5, 5, 7),
+    _embedded("dop853", "Dormand-Prince: explicit, 12 stages, order 8, fixed or adaptive steps.", dop853, 8, 12),
     IntegratorPlugin(
         name="gauss",
-        summary="Gauss-Legendre collocation: implicit, 1 to 6 stages, order 2 s, symmetric, symplectic, fixed steps.",
+        summary="Gauss-Legendre collocation: implicit, 1 to 6 stages, order 2 s, symmetric, symplectic; or adaptive steps.",
         options=GaussOptions,
-        create=lambda options: ImplicitRungeKutta(
-            gauss.tableau(options.stages), options.stage_solver, options.tolerance, options.max_iterations
-        ),
-        claims=lambda options: Claims(
-            order=2 * options.stages,
-            symmetric=True,
-            symplectic=True,
-            quadratic_invariants=True,
-            stages=options.stages,
-            drift=_POLYNOMIAL_DRIFT,
-            needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
-        ),
+        create=lambda options: _implicit(options, gauss),
+        claims=_gauss_claims,
+        dense_output=True,
         references=(gauss.REFERENCE,),
     ),
     IntegratorPlugin(
         name="radau-iia",
-        summary="Radau IIA collocation: implicit, 2, 3 or 5 stages, order 2 s - 1, L-stable, fixed steps.",
+        summary="Radau IIA collocation: implicit, 2, 3 or 5 stages, order 2 s - 1, L-stable; or adaptive steps.",
         options=RadauOptions,
-        create=lambda options: ImplicitRungeKutta(
-            radau_iia.tableau(options.stages), options.stage_solver, options.tolerance, options.max_iterations
-        ),
-        claims=lambda options: Claims(
-            order=2 * options.stages - 1,
-            stages=options.stages,
-            drift=_POLYNOMIAL_DRIFT,
-            needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
-        ),
-        references=(radau_iia.REFERENCE,),
+        create=lambda options: _implicit(options, radau_iia),
+        dense_output=True,
+        claims=_radau_claims,
+        references=(radau_iia.REFERENCE, _GEAR),
+    ),
+    IntegratorPlugin(
+        name="rattle",
+        summary="RATTLE: order 2, symmetric, symplectic, holds positions and velocities on the joints, fixed steps.",
+        options=RattleOptions,
+        create=lambda options: LobattoPair(2, options.tolerance, options.max_iterations),
+        claims=lambda options: _pair_claims(2),
+        references=(lobatto.ANDERSEN, lobatto.JAY),
+    ),
+    IntegratorPlugin(
+        name="lobatto-pair",
+        summary="Lobatto IIIA-IIIB: 2 or 3 stages, order 2 s - 2, symmetric, symplectic, holds joints, fixed steps.",
+        options=PairOptions,
+        create=lambda options: LobattoPair(options.stages, options.tolerance, options.max_iterations),
+        claims=lambda options: _pair_claims(options.stages),
+        references=(lobatto.JAY,),
     ),
     _scipy(
         "scipy-radau",

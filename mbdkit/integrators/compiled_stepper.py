@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,11 +15,9 @@ from mbdkit.integrators import driver
 from mbdkit.integrators.common import ALTERED, FACTORIZATIONS, ITERATIONS, JACOBIANS, PROJECTIONS, RHS, new_common
 from mbdkit.integrators.control import FIXED_STEPS, Control, first_step
 from mbdkit.integrators.fixed_step import MOST_ROWS, ROW_BYTES, has_power
-from mbdkit.integrators.stepping import Counters, Failure, Pace, Stretch, Timetable
+from mbdkit.integrators.stepping import Counters, Failure, Pace, StepTaken, Stretch, Timetable, joined
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mbdkit.integrators.family import Family
 
 FLOOR = 16 * float(np.finfo(float).eps)
@@ -71,41 +68,59 @@ class CompiledStepper:
         assert size is not None
         clock[driver.SIZE] = size
         family.start(self.common, size)
-        self.budget = 1 if timetable.single else None
+        self._dense = family.dense.address if family.dense is not None else 0
+        self.mode, stab = driver.NO_PROJECTION, problem.stabilization
+        if stab.kind == "projection":
+            self.mode = driver.SYMMETRIC if stab.symmetric else driver.PLAIN
+        self.last_step: StepTaken | None = None
+        self._before: list[np.ndarray] = []
+        self._row_times = np.zeros(0)
         self._drive(0)
 
     def _drive(self, budget: int) -> tuple[int, int]:
         """Take up to `budget` steps in compiled code; return (status, rows)."""
         table, control, family, stab = self.timetable, self.control, self.family, self.problem.stabilization
-        mode = driver.NO_PROJECTION
-        if stab.kind == "projection":
-            mode = driver.SYMMETRIC if stab.symmetric else driver.PLAIN
         step = table.step or 0.0
         status, rows = driver.drive(
-            self.hold.address, family.hold.address, family.attempt.address, family.dense.address, self.numbers, budget, self.controlled,
+            self.hold.address, family.hold.address, family.attempt.address, self._dense, self.numbers,
+            budget, self.controlled,
             table.start, step, table.end, table.steps, step if self.controlled else table.last_step,
             0 if table.interval is not None else table.every, table.interval or 0.0,
             control.inner_rtol, control.inner_atol, control.exponent, control.share, control.estimates, self.floor,
-            mode, stab.every, stab.bound or 0.0, stab.kind == "baumgarte", table.single,
+            self.mode, stab.every, stab.bound or 0.0, stab.kind == "baumgarte", table.single,
         )  # fmt: skip
         return int(status), int(rows)
 
     @property
     def _allowed(self) -> int:
         """How many more steps may be taken."""
-        most = self.timetable.max_steps
-        return most - int(self.numbers[driver.ACCEPTED])
+        return self.timetable.max_steps - int(self.numbers[driver.ACCEPTED])
 
     def advance(self) -> Stretch:
-        """Go on for about `STRETCH` seconds; see `Stepper.advance`."""
+        """Go on for about `STRETCH` seconds, or for one step; see `Stepper.advance`."""
+        if not self.timetable.single:
+            return self._advance(self.pace.steps)
+        accepted, t0 = int(self.numbers[driver.ACCEPTED]), self.time
+        self.last_step, self._before = None, [x.copy() for x in self._memory()]
+        stretches = [self._advance(1)]
+        while self.numbers[driver.PENDING] and self.failure is None:  # rows inside the step are still to be written
+            stretches.append(self._advance(1))
+        stretch = joined(stretches)
+        if self.numbers[driver.ACCEPTED] > accepted:
+            c = self.common
+            self._row_times = stretch.time
+            self.last_step = StepTaken(t0, self.time, c.before_q.copy(), c.before_v.copy(), c.q.copy(), c.v.copy())
+        return stretch
+
+    def _advance(self, budget: int) -> Stretch:
         begin = time.perf_counter()
         before = int(self.numbers.sum())
-        budget = self.budget or self.pace.steps
         if self._allowed > 0 or self.numbers[driver.PENDING]:
             status, rows = self._drive(min(budget, max(self._allowed, 0)))
         else:
             status, rows = OK, 0
-        self.pace.timed(int(self.numbers[:2].sum()) - before, begin)
+        if not self.timetable.single:
+            self.pace.timed(int(self.numbers[:2].sum()) - before, begin)
         self._count()
         stretch = self._collect(rows)
         if status != OK:
@@ -115,6 +130,88 @@ class CompiledStepper:
         elif self._allowed <= 0 and not self.numbers[driver.PENDING]:
             self.failure = Failure("max-steps", f"stopped after limits.max_steps = {self.timetable.max_steps} steps.")
         return stretch
+
+    def _memory(self) -> tuple[np.ndarray, ...]:
+        """Return the arrays that a step starts from, and those that it leaves for looks inside."""
+        c = self.common
+        return (
+            c.tally, self.numbers, c.clock, c.moved, c.q, c.q_low, c.v, c.v_low, c.energy, c.energy_low,
+            c.from_q, c.from_v, c.shift_q, c.shift_v, c.mu, c.nu, *self.family.memory,
+        )  # fmt: skip
+
+    def _recall(self, memory: list[np.ndarray]) -> None:
+        for now, then in zip(self._memory(), memory, strict=True):
+            now[...] = then
+
+    def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return a state in the last step by dense output, or the cubic through its ends; see `Stepper.inside`."""
+        step, c = self.last_step, self.common
+        assert step is not None
+        if self._dense == 0 or not self.family.has_dense_output or self.mode == driver.SYMMETRIC:
+            return step.hermite(theta)
+        h = float(c.clock[driver.TAKEN])
+        status = driver.look_inside(self.hold.address, self.family.hold.address, self._dense, step.t0, h, theta)
+        if status != OK:
+            return step.hermite(theta)
+        q, v = c.point_q.copy(), c.point_v.copy()
+        if self.mode == driver.PLAIN:
+            fade = theta * theta * (3.0 - 2.0 * theta)
+            q, v = q + fade * c.shift_q, v + fade * c.shift_v
+        return q, v
+
+    def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return a state in the last step by a step of the method to there; see `Stepper.within`."""
+        step = self.last_step
+        assert step is not None
+        if theta in (0.0, 1.0):
+            return (step.q1, step.v1) if theta else (step.q0, step.v0)
+        after = [x.copy() for x in self._memory()]
+        done = self._again(step, theta)
+        q, v = self.common.new_q.copy(), self.common.new_v.copy()
+        self._recall(after)
+        return (q, v) if done else self.inside(theta)
+
+    def _again(self, step: StepTaken, theta: float) -> bool:
+        """Go back before the last step and try a share of it; return whether that succeeded."""
+        c, stab = self.common, self.problem.stabilization
+        size = float(c.clock[driver.TAKEN])
+        self._recall(self._before)
+        c.from_q[:], c.from_v[:] = c.q, c.v
+        c.moved[0] = ALTERED
+        due = (self.numbers[driver.ACCEPTED] + 1) % stab.every == 0
+        status = driver.probe(
+            self.hold.address, self.family.hold.address, self.family.attempt.address, step.t0, theta * size,
+            self.mode, bool(due), stab.bound or 0.0,
+        )  # fmt: skip
+        self._count()
+        return bool(status == OK)
+
+    def cut(self, theta: float) -> Stretch:
+        """End the run within the last step; see `Stepper.cut`."""
+        step, c = self.last_step, self.common
+        assert step is not None
+        size, ends = float(c.clock[driver.TAKEN]), c.energy.copy()
+        inner = self.inside(theta)
+        if theta > 0.0:
+            if self._again(step, theta):
+                c.q[:], c.v[:] = c.new_q, c.new_v
+                c.energy[:] += c.gain
+            else:  # the step that led here could be taken, but none to this place
+                c.q[:], c.v[:] = inner
+                c.energy[:] += theta * (ends - c.energy)
+            self.numbers[driver.ACCEPTED] += 1
+        else:
+            self._recall(self._before)
+        self.numbers[driver.PENDING] = 0
+        c.clock[driver.TIME] = step.time(theta)
+        if np.any(self._row_times < step.time(theta)):  # rows inside the step have told of what was before it
+            c.tally[:] = 0.0
+        if theta > 0.0:
+            c.tally[driver.STEPS] += 1
+            c.tally[driver.LAST_SIZE] = theta * size
+        self._count()
+        self.finished, self.failure = True, None
+        return self.last_state()
 
     def _count(self) -> None:
         counts, counters = self.common.counts, self.counters
@@ -185,7 +282,9 @@ class CompiledStepper:
         """Return why the run stops."""
         hint, problem = self.family.hint, self.problem
         if status == driver.TOO_SMALL:
-            return Failure("step-too-small", f"the step fell below {self.floor:.2g} s {where}; looser tolerances may help.")
+            return Failure(
+                "step-too-small", f"the step fell below {self.floor:.2g} s {where}; looser tolerances may help."
+            )
         if singular is not None:
             name = problem.mechanism.unknown_name(singular.index)
             return Failure("singular", f"no independent equations are left at {name} {where}; {hint}.")

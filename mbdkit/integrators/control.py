@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 class Control:
     """How steps are chosen.
 
-    The estimate of an implicit method is of lower order than the method. Were it held to the tolerance itself, the error
-    would fall with a power of the tolerance; so it is held to ``scale tolerance^(estimate_order / order)``, with which
-    the step shrinks as the method needs for an error in proportion to the tolerance.
+    The estimate of an implicit method is of lower order than the method. Were it held to the tolerance itself, the
+    error would fall with a power of the tolerance; so it is held to ``scale tolerance^(estimate_order / order)``, with
+    which the step shrinks as the method needs for an error in proportion to the tolerance.
 
     Parameters
     ----------

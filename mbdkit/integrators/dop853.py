@@ -1,7 +1,7 @@
 """The method of Dormand and Prince of order 8 with its estimates of orders 5 and 3 and dense output of order 7.
 
-Twelve stages make the step; dense output takes four more. Coefficients after Hairer, Norsett and Wanner (1993), II.5 and
-II.6, as published with their code DOP853, to 30 digits.
+Twelve stages make the step; dense output takes four more. Coefficients after Hairer, Norsett and Wanner (1993), II.5
+and II.6, as published with their code DOP853, to 30 digits.
 """
 
 from __future__ import annotations

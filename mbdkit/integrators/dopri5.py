@@ -1,6 +1,7 @@
 """The method of Dormand and Prince of order 5, its estimate of order 4, and dense output of order 4.
 
-Seven stages, of which the last is the first of the next step. Dense output after Hairer, Norsett and Wanner (1993), II.6.
+Seven stages, of which the last is the first of the next step. Dense output after Hairer, Norsett and Wanner (1993),
+II.6.
 """
 
 from __future__ import annotations

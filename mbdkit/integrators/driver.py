@@ -1,11 +1,12 @@
 """The compiled driver: takes the steps of every compiled family, in fixed or controlled sizes, projected or not.
 
-A family brings two compiled functions (`mbdkit.engine.cache.entry`), which find the run and their own bundle at the addresses `common` and `own`:
+A family brings two compiled functions (`mbdkit.engine.cache.entry`), which find the run and their own bundle at the
+addresses `common` and `own`:
 
 ``attempt(common, own, t, h, want_error)``
     Tries a step of size `h` from the base state ``from_q, from_v``, which it leaves alone; writes ``dq, dv``, where
-    ``has_power`` says so ``gain``, the method's own multipliers into ``own_lam``, and with `want_error` ``est_q, est_v``.
-    ``moved`` tells how the base state stands to the last attempt.
+    ``has_power`` says so ``gain``, the method's own multipliers into ``own_lam``, and with `want_error` other than 0
+    ``est_q, est_v``. ``moved`` tells how the base state stands to the last attempt.
 ``dense(common, own, t, h, theta)``
     Writes ``point_q, point_v, point_gain`` and ``point_lam``: the state at ``t + theta h`` within the last attempt.
 
@@ -21,7 +22,6 @@ from mbdkit.engine.constraints import constraint_positions
 from mbdkit.engine.projection import (
     EPS,
     FEW_ROUNDINGS,
-    MOST_ITERATIONS,
     STAGNANT,
     largest_residual,
     largest_size,
@@ -44,21 +44,24 @@ from mbdkit.engine.vectors import add_compensated, copy, stays_finite
 from mbdkit.integrators.common import ADVANCED, ALTERED, PROJECTIONS, SAME, load_common
 
 TIME, TIME_LOW, SIZE, LAST_ERROR, NEXT_ROW, TAKEN = range(6)
-"""``clock``: time reached and its low part; size of the next step (controlled) and of the last one taken; scaled error of
-the last accepted step, 0 before there is one; number of the next row by interval; size of the last step."""
+"""``clock``: time reached and its low part; size of the next step, if it is controlled; scaled error of the
+last accepted step, 0 before there is one; number of the next row by interval; size of the last step."""
 
 STEPS, LAST_SIZE, SUM, MOST, REJECTED, CORRECTIONS, POSITION, VELOCITY, ACCELERATION = range(9)
 """``tally`` since the last recorded row: steps; size of the last; iterations, summed and largest; rejected steps;
 projections; largest corrections of positions [m] and velocities [m/s]; largest Baumgarte term [m/s^2]."""
 
 ACCEPTED, ALL_REJECTED, PENDING, RETRY = range(4)
-"""``numbers``: steps accepted and rejected so far; whether rows of an accepted step are still to be written; whether the
-last attempt was rejected."""
+"""``numbers``: steps accepted and rejected so far; whether rows of an accepted step are still to be written; whether
+the last attempt was rejected."""
 
 NO_PROJECTION, PLAIN, SYMMETRIC = range(3)
 
 TOO_SMALL = 5
 """Status: the step would have to be smaller than the floor under it."""
+
+MOST_TRIALS, IDLE = 100, 2
+"""Iterations of a symmetric projection, each with a step of the method, and those without progress that end it."""
 
 SAFETY, LEAST, LARGEST, AFTER_FAILURE = 0.9, 0.2, 6.0, 0.25
 """Control of the step: margin, bounds on its change, and its change where the equations could not be solved."""
@@ -101,12 +104,13 @@ def _newton_on(c, residual, multipliers):
 def _symmetric_step(common, own, attempt, t, h):
     """Take a step with symmetric projection: the same multipliers push off the constraints before it and back after it.
 
-    Leaves the end in ``new_q, new_v``, and both pushes together in ``shift_q, shift_v``. Hairer (2000): simplified Newton
-    on the multipliers, which at the end meet twice the matrix ``Phi_q M^-1 Phi_q^T``.
+    Leaves the end in ``new_q, new_v``, and both pushes together in ``shift_q, shift_v``. Hairer (2000): simplified
+    Newton on the multipliers, which at the end meet twice the matrix ``Phi_q M^-1 Phi_q^T``.
     """
     c = load_common(common)
     before = np.inf
-    for m in range(MOST_ITERATIONS):
+    idle = 0
+    for m in range(MOST_TRIALS):
         _push(c, t, c.q, c.shift_q, c.shift_v)
         for d in range(len(c.q)):
             c.from_q[d] = c.q[d] + c.shift_q[d]
@@ -133,13 +137,21 @@ def _symmetric_step(common, own, attempt, t, h):
             largest_residual(c.still, c.w.phi) / largest_size(c.new_q),
             largest_residual(c.still, c.miss) / largest_size(c.new_v),
         )
-        if now <= FEW_ROUNDINGS * EPS or (m > 1 and now > 0.5 * before and now < STAGNANT):
-            return OK
         if not now < np.inf:
             return NOT_FINITE
-        before = now
+        if m > 1 and now > 0.5 * before and now < STAGNANT:
+            idle += 1
+        if now <= FEW_ROUNDINGS * EPS or idle >= IDLE:
+            return OK
+        before = min(before, now)
         status = _newton_on(c, c.w.phi, c.mu)
-        if status == OK:
+        if status == OK:  # velocities are corrected for where the positions are going
+            for d in range(len(c.q)):
+                c.est_q[d] = c.new_q[d] - 2.0 * c.x[d]
+            position_rows(c.still, c.w, t + h, c.est_q)
+            constraint_rows(c.still, c.w, c.est_q, c.rest)
+            independent_rows(c.still, c.w.cs, c.w.jac, c.w.gamma, c.w.loose)
+            rate_rows(c.still, c.w.jac, c.w.phi_t, c.new_v, c.miss)
             status = _newton_on(c, c.miss, c.nu)
         if status != OK:
             return status
@@ -387,7 +399,7 @@ def drive(
                 at = end if (controlled and t + h >= end) or numbers[ACCEPTED] + 1 == total else t + h
                 status, projected = project(common, at, mode, due, bound)
             tally[SUM] += iterations
-            if controlled and (status == DIVERGED or status == NOT_FINITE or not error <= 1.0):
+            if controlled and (status in (DIVERGED, NOT_FINITE) or not error <= 1.0):
                 factor = AFTER_FAILURE
                 if status == OK and error < np.inf:
                     factor = max(LEAST, SAFETY * error ** (-exponent))
@@ -474,4 +486,3 @@ def drive(
             _write_row(c, rows, clock[TIME], c.q, c.v, c.point_gain, c.own_lam)
             rows += 1
     return status, rows
-

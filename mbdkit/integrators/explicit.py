@@ -60,7 +60,11 @@ def new_explicit(method: ExplicitRungeKutta, size: int, pairs: int) -> Explicit:
     stages = len(c)
     last_is_first = bool(len(b) > 1 and c[len(b) - 1] == 1.0 and np.array_equal(a[len(b) - 1, : len(b)], b))
     return Explicit(
-        *(np.ascontiguousarray(x) for x in (a, b, c, error, dense)),
+        a=np.ascontiguousarray(a),
+        b=b,
+        c=np.ascontiguousarray(c),
+        error=np.ascontiguousarray(error),
+        dense=np.ascontiguousarray(dense),
         rates=np.zeros((stages, size)),
         accelerations=np.zeros((stages, size)),
         q_stage=np.zeros(size),
@@ -120,9 +124,7 @@ def evaluate_stages(common, own, t, h, first, last):
             _stage_state(c.from_v, h, m.a, m.accelerations, i, m.rates[i])
         prepare(c.top, c.w, t + m.c[i] * h, m.q_stage)
         c.counts[RHS] += 1
-        status = solve_accelerations(
-            c.top, c.w, c.solver, m.q_stage, m.rates[i], m.accelerations[i], m.lam, False
-        )
+        status = solve_accelerations(c.top, c.w, c.solver, m.q_stage, m.rates[i], m.accelerations[i], m.lam, False)
         if status != OK:
             return status
         if c.has_power[0] != 0:

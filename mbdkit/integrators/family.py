@@ -26,7 +26,7 @@ class Family(ABC):
     hold
         The family's own bundle.
     memory
-        The arrays that one step hands to the next.
+        The arrays that one step hands to the next, and those of dense output.
     has_dense_output
         Whether states between steps can be had.
     carries_multipliers
@@ -36,7 +36,7 @@ class Family(ABC):
     """
 
     attempt: ClassVar[Entry]
-    dense: ClassVar[Entry]
+    dense: ClassVar[Entry | None] = None
     hint: ClassVar[str] = "a smaller time.step may help"
     hold: Hold
     memory: tuple[np.ndarray, ...]
@@ -47,7 +47,7 @@ class Family(ABC):
     def __init__(self, problem: Problem):
         self.problem = problem
 
-    def start(self, common: Common, h: float) -> None:
+    def start(self, common: Common, h: float) -> None:  # noqa: B027
         """Get ready for steps of about `h` from the state in `common`; raises SingularSystemError."""
 
     def renew(self, common: Common, t: float, h: float) -> bool:
@@ -60,7 +60,7 @@ class Family(ABC):
         """
         return False
 
-    def forget(self) -> None:
+    def forget(self) -> None:  # noqa: B027
         """Drop what the last step left for the next."""
 
     def describe_divergence(self, report: np.ndarray) -> str:

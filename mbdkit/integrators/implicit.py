@@ -408,7 +408,7 @@ def new_collocation(method: ImplicitRungeKutta, problem: Problem, control: Contr
         t_real=e.t_real, t_real_inv=e.t_real_inv, mu_real=e.mu_real,
         t_complex=e.t_complex, t_complex_inv=e.t_complex_inv, mu_complex=e.mu_complex,
         pattern=pattern, scatter=problem.solver.scatter,
-        real=_stack(pattern, len(e.mu_real), np.float64), cplx=_stack(pattern, len(e.mu_complex), np.complex128),
+        real=stacked(pattern, len(e.mu_real), np.float64), cplx=stacked(pattern, len(e.mu_complex), np.complex128),
         acc=acc, begun=np.array([0.0, np.nan]), weights=np.zeros((s, s)), lam=np.zeros((s, pairs, 2)),
         f=f, change=change, q_stage=q_stage, v_stage=v_stage,
         first=np.zeros(size), first_known=np.array([0]), first_lam=np.zeros((pairs, 2)),
@@ -459,8 +459,8 @@ class CollocationFamily(Family):
         self.own = own._replace(
             pattern=pattern,
             scatter=scatter,
-            real=_stack(pattern, len(own.mu_real), np.float64),
-            cplx=_stack(pattern, len(own.mu_complex), np.complex128),
+            real=stacked(pattern, len(own.mu_real), np.float64),
+            cplx=stacked(pattern, len(own.mu_complex), np.complex128),
         )
         self.hold.replace(self.own)
         return True
@@ -471,17 +471,22 @@ class CollocationFamily(Family):
 
     def describe_divergence(self, report: np.ndarray) -> str:
         """Return the largest residual and where it is."""
-        if not np.isfinite(report[0]):
-            return ": the stage iteration ran away"
-        name = self.problem.mechanism.unknown_name(int(report[1]))
-        unit = "rad/s^2" if int(report[1]) % 3 == 2 else "m/s^2"
-        return (
-            f": the stage equations did not converge in {int(report[2])} iterations, "
-            f"the last one still changed an acceleration of {name} by {report[0]:.3g} {unit}"
-        )
+        return stage_divergence(self.problem, report)
 
 
-def _stack(pattern: Pattern, count: int, dtype: type) -> Factors:
+def stacked(pattern: Pattern, count: int, dtype: type) -> Factors:
     """Return storage for the factors of `count` matrices of one pattern."""
     one = new_factors(pattern, dtype)
     return Factors(*(np.zeros((count, len(x)), x.dtype) for x in one))
+
+
+def stage_divergence(problem: Problem, report: np.ndarray) -> str:
+    """Return where stage equations failed to converge, from a report (3,)."""
+    if not np.isfinite(report[0]):
+        return ": the stage iteration ran away"
+    name = problem.mechanism.unknown_name(int(report[1]))
+    unit = "rad/s^2" if int(report[1]) % 3 == 2 else "m/s^2"
+    return (
+        f": the stage equations did not converge in {int(report[2])} iterations, "
+        f"the last one still changed an acceleration of {name} by {report[0]:.3g} {unit}"
+    )

@@ -7,7 +7,7 @@ simulation advances. Heavy modules are imported there, not here.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from mbdkit.integrators.step_method import StepMethod
 from mbdkit.integrators.tableau import ButcherTableau, TableauError
@@ -110,6 +110,7 @@ class ImplicitRungeKutta:
     def start(self, problem: Problem, timetable: Timetable) -> Stepper:
         """Return a stepper for `problem` over `timetable`."""
         from mbdkit.integrators.compiled_stepper import CompiledStepper
+        from mbdkit.integrators.constrained import ConstrainedFamily
         from mbdkit.integrators.control import Control
         from mbdkit.integrators.implicit import CollocationFamily
 
@@ -121,7 +122,41 @@ class ImplicitRungeKutta:
                 order=self.tableau.order,
                 estimate_order=self.tableau.stages + 1,
             )
-        return CompiledStepper(CollocationFamily(self, problem, control), problem, timetable, control)
+        if problem.formulation == "index-1":
+            return CompiledStepper(CollocationFamily(self, problem, control), problem, timetable, control)
+        if not self.tableau.is_stiffly_accurate or self.stage_solver != "newton":
+            raise TableauError(
+                f"{self.tableau.name} cannot serve the formulation {problem.formulation!r}: its last stage has to be "
+                "the end of the step, its matrix regular, and its stages have to be solved by Newton's method"
+            )
+        return CompiledStepper(ConstrainedFamily(self, problem), problem, timetable, control)
+
+
+@dataclass(frozen=True)
+class LobattoPair:
+    """A partitioned Lobatto IIIA-IIIB pair in fixed steps; both constraints hold at the end of every step.
+
+    Parameters
+    ----------
+    stages
+        2 (RATTLE) or 3.
+    tolerance
+        Expected change of positions, relative to their size, at which the iteration ends; None: at stagnation.
+    max_iterations
+        Iterations in one step after which its equations count as unsolved.
+    """
+
+    stages: int
+    tolerance: float | None = None
+    max_iterations: int = 50
+    carries_multipliers: ClassVar[bool] = True
+
+    def start(self, problem: Problem, timetable: Timetable) -> Stepper:
+        """Return a stepper for `problem` over `timetable`."""
+        from mbdkit.integrators.compiled_stepper import CompiledStepper
+        from mbdkit.integrators.lobatto_pair import PairFamily
+
+        return CompiledStepper(PairFamily(self, problem), problem, timetable)
 
 
 @dataclass(frozen=True)
@@ -150,4 +185,4 @@ class SciPySolver:
         return SciPyStepper(self, problem, timetable)
 
 
-Method = ExplicitRungeKutta | ImplicitRungeKutta | SciPySolver | StepMethod
+Method = ExplicitRungeKutta | ImplicitRungeKutta | LobattoPair | SciPySolver | StepMethod

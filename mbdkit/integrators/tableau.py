@@ -200,7 +200,7 @@ class ButcherTableau:
 
     @property
     def is_collocation(self) -> bool:
-        """Whether stages are those of a polynomial through distinct nodes: ``sum_j a_ij c_j^(k-1) = c_i^k / k``, k <= s."""
+        """Whether it integrates polynomials through distinct nodes: ``sum_j a_ij c_j^(k-1) = c_i^k / k``, k <= s."""
         a, b, c = self._numbers
         s = range(self.stages)
         with mpmath.workdps(_DIGITS):
@@ -213,6 +213,15 @@ class ButcherTableau:
                 for k in s
             ]
             return bool(max(defects) < self._tolerance)
+
+    @property
+    def is_stiffly_accurate(self) -> bool:
+        """Whether the last stage is the end of the step, and ``a`` is regular, as constraints on stages need it."""
+        import numpy as np
+
+        a, b, c = self._numbers
+        ends = c[-1] == 1 and all(x == y for x, y in zip(a[-1], b, strict=True))
+        return bool(ends and np.linalg.cond(self.floats()[0]) < 1e8)
 
     @property
     def is_symmetric(self) -> bool:

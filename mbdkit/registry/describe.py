@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from mbdkit.errors import PluginError, SpecError
 from mbdkit.registry.catalogue import KINDS, Registered, Registry, Report
-from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin
+from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, Orders
 from mbdkit.registry.manager import registry
 from mbdkit.registry.options import named_options
 from mbdkit.registry.policy import API
@@ -76,6 +76,7 @@ def details(item: Registered) -> dict[str, Any]:
         shown["claims"] = _law_claims(item.plugin)
     if claims is not None:
         shown["claims"] = {name: getattr(claims, name) for name in Claims.__dataclass_fields__}
+        shown["claims"]["orders"] = {name: Orders(*orders)._asdict() for name, orders in claims.orders.items()}
     return shown
 
 
@@ -165,6 +166,11 @@ def _claim_texts(claims: Claims) -> list[tuple[str, str]]:
         value = getattr(claims, name)
         if isinstance(value, bool):
             texts.append((name, "yes" if value else "no"))
+        elif name == "orders":
+            for formulation, orders in value.items():
+                named = Orders(*orders)._asdict().items()
+                told = [f"{what} {order:g}" for what, order in named if order is not None]
+                texts.append((f"orders on {formulation}", listed(told)))
         elif value not in (None, "", ()):
             texts.append((name, listed(value) if isinstance(value, tuple) else str(value)))
     return texts

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from mbdkit.mechanism.laws import ForceLaw
     from mbdkit.mechanism.mechanism import Mechanism
+
+
+class Orders(NamedTuple):
+    """Orders of convergence on one formulation."""
+
+    positions: float
+    velocities: float
+    multipliers: float | None = None
+    """Of the multipliers that the method itself carries; None where it carries none."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +51,8 @@ class Claims:
     stabilizations
         What it can be stabilized by, of ``none``, ``baumgarte``, ``projection`` and ``symmetric-projection``.
         Baumgarte's terms are part of the equations; projections are made by what steps the method.
+    orders
+        Orders by formulation, where they differ from `order` and `multiplier_order`, which hold for the first one.
     """
 
     order: float | None = None
@@ -55,6 +66,13 @@ class Claims:
     needs: tuple[str, ...] = ()
     formulations: tuple[str, ...] = ("index-1",)
     stabilizations: tuple[str, ...] = ("none", "baumgarte", "projection", "symmetric-projection")
+    orders: Mapping[str, Orders] = field(default_factory=dict)
+
+    def orders_on(self, formulation: str) -> Orders | None:
+        """Return the orders claimed on a formulation; None where the method controls its own error."""
+        if formulation in self.orders:
+            return Orders(*self.orders[formulation])
+        return None if self.order is None else Orders(self.order, self.order, self.multiplier_order)
 
 
 @dataclass(frozen=True)

@@ -96,4 +96,23 @@ def growth(subject: IntegratorSubject) -> Finding:
     return passed(growth=found.law, exponent=round(found.exponent, 2), largest_m=float(np.max(history)))
 
 
-CHECKS = (_level("position", SWINGING), _level("velocity", DRIVEN_PENDULUM), growth)
+@check("drift.formulations")
+def formulations(subject: IntegratorSubject) -> Finding:
+    """On every further formulation that it claims, constraints hold at the levels that this one asks for."""
+    others = [name for name in subject.claims.formulations if name != subject.formulation and name in HELD]
+    if not others:
+        raise Skip("it claims no further formulation that holds constraints")
+    figures: dict[str, Figure] = {}
+    for name in others:
+        for level in HELD[name]:
+            with subject.run(DRIVEN_PENDULUM, {"end": 2.0, "step": telling_step(subject) / 4}, formulation=name) as run:
+                size = _worst(run, level)
+                if not math.isfinite(size):
+                    return failed(f"on {name} a run did not complete: {run.status_reason}")
+            figures[f"{name} {level}"] = size
+            if size > EXACT:
+                return failed(f"on {name} the joints should meet at {level} level", **figures)
+    return passed(**figures)
+
+
+CHECKS = (_level("position", SWINGING), _level("velocity", DRIVEN_PENDULUM), growth, formulations)

@@ -11,7 +11,7 @@ import numpy as np
 from mbdkit.analysis.order import ObservedOrder, observed_order
 from mbdkit.integrators.step_method import StepMethod
 from mbdkit.testing.check import Check, Skip, check
-from mbdkit.testing.outcome import Finding, failed, passed, skipped, warned
+from mbdkit.testing.outcome import Figure, Finding, failed, passed, skipped, warned
 from mbdkit.testing.problems import DRIVEN_PENDULUM, FORCED_PENDULUM, FOUR_BAR, Model, pushed
 from mbdkit.testing.subject import IntegratorSubject, final_state
 
@@ -53,44 +53,65 @@ def reference(problem: str) -> tuple[np.ndarray, np.ndarray, float]:
 class Convergence:
     """Errors of an integrator over a sequence of steps, on one problem.
 
+    Parameters
+    ----------
+    subject
+        The integrator.
+    problem
+        Name of the problem.
+    formulation
+        The formulation; by default the one that the integrator is tried on.
+
     Attributes
     ----------
-    order
-        The order that the integrator claims.
     steps
         (K,) step sizes [s], coarsest first.
-    errors, multiplier_errors
-        (K,) largest error of any position or velocity, and of any multiplier, at the end; NaN where the run failed.
+    position_errors, velocity_errors, multiplier_errors
+        (K,) largest error of any of them at the end; NaN where the run failed.
     floor
         Floor of rounding.
     """
 
-    def __init__(self, subject: IntegratorSubject, problem: str):
+    def __init__(self, subject: IntegratorSubject, problem: str, formulation: str | None = None):
         state, multipliers, self.floor = reference(problem)
-        self.order = subject.order
-        steps, errors, others, end = [], [], [], ENDS[problem]
-        for number in numbers_of_steps(subject):
-            with subject.run(PROBLEMS[problem], {"end": end, "step": end / number}, output={"every": 10**9}) as run:
-                errors.append(float(np.max(np.abs(final_state(run) - state))))
-                if subject.claims.multiplier_order is not None and run.status == "complete":
+        formulation = formulation or subject.formulation
+        claimed = subject.claims.orders_on(formulation)
+        assert claimed is not None
+        self.order = max(claimed.positions, claimed.velocities)
+        steps, errors, end = [], [], ENDS[problem]
+        for number in numbers_of_steps(subject, min(order for order in claimed if order is not None)):
+            time = {"end": end, "step": end / number}
+            with subject.run(PROBLEMS[problem], time, output={"every": 10**9}, formulation=formulation) as run:
+                of_positions, of_velocities = (float(np.max(np.abs(x))) for x in np.split(final_state(run) - state, 2))
+                of_multipliers = math.nan
+                if claimed.multipliers is not None and run.status == "complete":
                     own = run.array("constraints/method_multiplier")[-1]
-                    others.append(float(np.max(np.abs(own - multipliers)) / np.max(np.abs(multipliers))))
-                else:
-                    others.append(math.nan)
+                    of_multipliers = float(np.max(np.abs(own - multipliers)) / np.max(np.abs(multipliers)))
+                errors.append((of_positions, of_velocities, of_multipliers))
             steps.append(end / number)
-            if errors[-1] < 10 * self.floor:
+            if max(errors[-1][:2]) < 10 * self.floor:
                 break
-        self.steps, self.errors, self.multiplier_errors = np.array(steps), np.array(errors), np.array(others)
+        self.steps = np.array(steps)
+        self.position_errors, self.velocity_errors, self.multiplier_errors = np.array(errors).T
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Largest error of any position or velocity (K,)."""
+        largest: np.ndarray = np.maximum(self.position_errors, self.velocity_errors)
+        return largest
 
     @property
     def observed(self) -> ObservedOrder:
         """The order of positions and velocities."""
-        return observed_order(self.steps, self.errors, floor=self.floor, fewest=4 if self.order > HIGH else 3)
+        return self.observed_in(self.errors)
+
+    def observed_in(self, errors: np.ndarray) -> ObservedOrder:
+        """Return the order that errors (K,) of positions or velocities show."""
+        return observed_order(self.steps, errors, floor=self.floor, fewest=4 if self.order > HIGH else 3)
 
 
-def numbers_of_steps(subject: IntegratorSubject) -> Iterator[int]:
-    """Give numbers of steps, refined so that the error of a method of the claimed order falls fourfold each time."""
-    order = subject.order
+def numbers_of_steps(subject: IntegratorSubject, order: float) -> Iterator[int]:
+    """Give numbers of steps, refined so that the error of a method of some order falls fourfold each time."""
     ratio = min(2.0, max(4.0 ** (1 / order), 1.05))
     most = MOST_PYTHON_STEPS if isinstance(subject.method(), StepMethod) else MOST_STEPS
     exact = float(FIRST_STEPS)
@@ -150,6 +171,40 @@ def multipliers(subject: IntegratorSubject) -> Finding:
     )
 
 
+@check("order.formulations", slow=True)
+def formulations(subject: IntegratorSubject) -> Finding:
+    """On every further formulation that it claims, positions, velocities and multipliers converge as claimed there."""
+    others = [name for name in subject.claims.formulations if name != subject.formulation]
+    if not others:
+        raise Skip(f"it claims {subject.formulation} alone")
+    if subject.claims.adaptive:
+        raise Skip("it controls its own error and claims no order")
+    figures: dict[str, Figure] = {}
+    remark = ""
+    for name in others:
+        claimed = subject.claims.orders_on(name)
+        assert claimed is not None
+        found = Convergence(subject, "forced-pendulum", name)
+        seen = []
+        kinds = (
+            ("positions", claimed.positions, found.position_errors),
+            ("velocities", claimed.velocities, found.velocity_errors),
+            ("multipliers", claimed.multipliers, found.multiplier_errors),
+        )
+        for what, order, errors in kinds:
+            if order is None:
+                continue
+            observed = observed_order(found.steps, errors) if what == "multipliers" else found.observed_in(errors)
+            finding = judged(order, observed, errors, f"order of {what}")
+            if finding.outcome == "fail":
+                return failed(f"on {name} {finding.cause}", **finding.figures)
+            if finding.outcome == "warn":
+                remark = remark or f"on {name} {finding.cause}"
+            seen.append(f"{observed.order:.2f}")
+        figures[name] = "/".join(seen)
+    return warned(remark, **figures) if remark else passed(**figures)
+
+
 @check("order.polynomials")
 def polynomials(subject: IntegratorSubject) -> Finding:
     """A method of order p takes a mass whose velocity is a polynomial of degree p to the right place in one step."""
@@ -174,4 +229,4 @@ def polynomials(subject: IntegratorSubject) -> Finding:
     return failed(cause, defect=worst)
 
 
-CHECKS = (polynomials, *(_on(problem) for problem in PROBLEMS), multipliers)
+CHECKS = (polynomials, *(_on(problem) for problem in PROBLEMS), multipliers, formulations)

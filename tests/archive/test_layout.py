@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mbdkit.archive import document
-from mbdkit.archive.layout import BY_PATH, CORRECTIONS, GROUPS, LAYOUT, is_timing
+from mbdkit.archive.layout import BY_PATH, GROUPS, LAYOUT, is_timing
 
 DOCUMENT = Path(__file__).parents[2] / "schemas" / "archive.md"
 

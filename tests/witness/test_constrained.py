@@ -1,0 +1,198 @@
+"""Collocation on index 3, index 2 and ggl, and Lobatto pairs: solved to round-off, constraints held, refusals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.analysis.energy import trend
+from mbdkit.errors import SpecError
+from mbdkit.integrators.step_problem import StepProblem
+
+from . import constrained as dense
+from .parallelogram import Parallelogram
+from .problems import DRIVEN_PENDULUM, FORCED_PENDULUM
+
+FORMULATIONS = ("index-3", "index-2", "ggl")
+RADAU = [({"name": "radau-iia", "stages": s}, formulation) for s in (2, 3, 5) for formulation in FORMULATIONS]
+PAIRS: list[tuple[dict[str, Any], str]] = [
+    ({"name": "rattle"}, "index-3"),
+    ({"name": "lobatto-pair", "stages": 3}, "index-3"),
+]
+MODELS = {
+    "forced": FORCED_PENDULUM.model(),
+    "driven": DRIVEN_PENDULUM.model(),
+    "redundant": Parallelogram().model(1.0, 0.5),
+}
+SWINGING = {"name": "double-pendulum", "angles": [-1.0, -1.0]}
+
+
+def run(model: dict[str, Any], method: tuple[dict[str, Any], str], end: float, step: float, **sections: Any) -> Any:
+    integrator, formulation = method
+    spec = {"mbdkit": 1, "model": model, "integrator": integrator, "formulation": formulation}
+    return mbdkit.run({**spec, "time": {"end": end, "step": step}, **sections})
+
+
+def dense_step(method: tuple[dict[str, Any], str]) -> Callable[..., dense.State]:
+    integrator, formulation = method
+    stages = integrator.get("stages", 2)
+    if integrator["name"] == "radau-iia":
+        return lambda p, t, z, h: dense.radau_step(p, t, z, h, stages, formulation)
+    return lambda p, t, z, h: dense.lobatto_step(p, t, z, h, stages)
+
+
+@pytest.mark.parametrize("method", [*RADAU, *PAIRS], ids=str)
+@pytest.mark.parametrize("name", MODELS)
+def test_steps_are_those_of_the_dense_witness_to_round_off(name: str, method: tuple[dict[str, Any], str]) -> None:
+    # expected: the same equations solved with whole Newton matrices; multipliers of index 3 are known to eps / h^2
+    steps, h = 5, 0.02
+    result = run(MODELS[name], method, steps * h, h).check()
+    p = StepProblem.of(mbdkit.Mechanism.from_spec(MODELS[name]))
+    z = dense.integrate(p, h, steps, dense_step(method))
+    np.testing.assert_allclose(np.ravel(result.array("trajectory/position")[-1]), z.q, rtol=0, atol=5e-14)
+    np.testing.assert_allclose(np.ravel(result.array("trajectory/velocity")[-1]), z.v, rtol=0, atol=1e-12)
+    own = p.recorded_multipliers(steps * h, z.q, z.lam)
+    np.testing.assert_allclose(
+        result.array("constraints/method_multiplier")[-1], own, rtol=0, atol=1e-11 * max(1.0, np.max(np.abs(own)))
+    )
+
+
+@pytest.mark.parametrize("method", [*RADAU, *PAIRS], ids=str)
+@pytest.mark.parametrize("name", MODELS)
+def test_constraints_hold_to_round_off_where_the_formulation_asks_for_them(
+    name: str, method: tuple[dict[str, Any], str]
+) -> None:
+    result = run(MODELS[name], method, 5.0, 0.01).check()
+    pairs = method[0]["name"] != "radau-iia"
+    if method[1] != "index-2":
+        assert result.misalignment_max < 1e-14
+    if method[1] != "index-3" or pairs:
+        assert np.max(result.array("joints/velocity_misalignment")) < 1e-13
+
+
+@pytest.mark.parametrize("method", [({"name": "radau-iia", "stages": 3}, "ggl"), *PAIRS], ids=str)
+def test_constraints_stay_at_round_off_over_a_hundred_thousand_steps(method: tuple[dict[str, Any], str]) -> None:
+    result = run(SWINGING, method, 1000.0, 0.01, output={"every": 50}).check()
+    assert result.misalignment_max < 1e-14
+    assert np.max(result.array("joints/velocity_misalignment")) < 1e-13
+
+
+@pytest.mark.parametrize(("method", "wiggle"), zip(PAIRS, (2e-3, 1e-7), strict=True), ids=str)
+def test_the_energy_of_a_pair_has_no_trend_over_a_hundred_thousand_steps(
+    method: tuple[dict[str, Any], str], wiggle: float
+) -> None:
+    # expected: symplectic methods conserve a modified energy (Hairer, Lubich and Wanner, IX.8)
+    result = run(SWINGING, method, 1000.0, 0.01, output={"every": 7}).check()
+    total = np.asarray(result.energy.total)
+    assert np.ptp(total) < wiggle
+    found = trend(result.time, total)
+    assert abs(found.slope) * 1000.0 < 0.1 * np.ptp(total)
+
+
+@pytest.mark.parametrize("method", PAIRS, ids=str)
+def test_a_pair_leads_back_to_its_start(method: tuple[dict[str, Any], str]) -> None:
+    # expected: the start itself; the pairs are symmetric (Hairer, Lubich and Wanner, VII.1.4)
+    from mbdkit.engine.problem import Problem
+    from mbdkit.testing.kit import subject_of
+
+    subject = subject_of("integrator", f"mbdkit:{method[0]['name']}", {})
+    problem = subject.problem(SWINGING)
+    q, v = subject.moved(problem, 5.0, 250)
+    back = Problem(problem.mechanism, 0.0, q, -v, formulation="index-3")
+    there = subject.moved(back, 5.0, 250)
+    np.testing.assert_allclose(there[0], problem.q0, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(-there[1], problem.v0, rtol=0, atol=1e-10)
+
+
+def stiff(stiffness: float) -> dict[str, Any]:
+    """Return the forced pendulum with a spring from its second rod to the ground, not stretched at the start."""
+    model = FORCED_PENDULUM.model()
+    rod = model["bodies"]["rod2"]
+    turn = complex(math.cos(rod["angle"]), math.sin(rod["angle"]))
+    point = complex(*rod["position"]) + turn * complex(0.1, 0.05)
+    model["forces"]["stiff"] = {
+        "type": "spring-damper",
+        "bodies": ["ground", "rod2"],
+        "points": [[0.3, -1.5], [0.1, 0.05]],
+        "stiffness": stiffness,
+        "free_length": abs(point - complex(0.3, -1.5)),
+    }
+    return model
+
+
+@pytest.mark.parametrize("method", RADAU, ids=str)
+@pytest.mark.parametrize("step", [0.01, 0.001])
+def test_a_spring_of_1e8_newton_per_metre_is_taken_on_every_formulation(
+    method: tuple[dict[str, Any], str], step: float
+) -> None:
+    # expected: a rod of the spring's length in its place, up to the spring's stretch of 1e-7 m and the method's error
+    model = stiff(1e8)
+    spring = model["forces"].pop("stiff")
+    rod = {key: spring[key] for key in ("bodies", "points")} | {"type": "distance", "length": spring["free_length"]}
+    rigid = {**model, "joints": {**model["joints"], "rod": rod}}
+    exact = run(rigid, ({"name": "gauss", "stages": 4}, "index-1"), 1.0, 0.005).check()
+    result = run(stiff(1e8), method, 1.0, step).check()
+    gap = np.abs(result.array("trajectory/position")[-1] - exact.array("trajectory/position")[-1])
+    assert np.max(gap) < (2e-5 if method[0]["stages"] == 2 else 1e-6)
+
+
+@pytest.mark.parametrize("method", PAIRS, ids=str)
+def test_a_pair_fails_honestly_on_a_stiff_spring(method: tuple[dict[str, Any], str]) -> None:
+    result = run(stiff(1e8), method, 1.0, 0.01)
+    assert result.status == "failed"
+    assert result.status_reason.startswith("newton-failed")
+    assert "radau-iia" in result.status_reason
+
+
+@pytest.mark.parametrize("method", [*RADAU[3:6], *PAIRS], ids=str)
+def test_a_linkage_with_a_spare_rod_moves_as_in_one_coordinate(method: tuple[dict[str, Any], str]) -> None:
+    # expected: DOP853 in the common angle of the cranks; errors of the method's own order
+    linkage = Parallelogram()
+    result = run(linkage.model(1.0, 0.5), method, 2.0, 0.01).check()
+    phi = linkage.solve(1.0, 0.5, np.array([2.0]))[0, 0]
+    angle = result["crank0"].angle[-1]
+    assert angle == pytest.approx(phi, abs=2e-3 if method[0]["name"] == "rattle" else 1e-6)
+
+
+@pytest.mark.parametrize("formulation", ["index-2", "ggl"])
+@pytest.mark.parametrize("name", ["forced", "driven"])
+def test_work_and_dissipation_balance_the_energy_with_the_order_of_the_method(name: str, formulation: str) -> None:
+    gaps = []
+    for step in (0.04, 0.02):
+        result = run(MODELS[name], ({"name": "radau-iia", "stages": 3}, formulation), 2.0, step).check()
+        gaps.append(abs(float(result.energy.balance[-1])))
+    assert gaps[1] < 1e-5
+    assert math.log2(gaps[0] / gaps[1]) > 3.5
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_states_between_steps_come_from_the_collocation_polynomial(formulation: str) -> None:
+    # expected: DOP853 in the rods' angles; a polynomial of degree 3 is of order 4 within the step
+    method = ({"name": "radau-iia", "stages": 3}, formulation)
+    result = run(MODELS["forced"], method, 1.0, 0.02, output={"interval": 0.0137}).check()
+    times = np.asarray(result.time)
+    assert times[1] == pytest.approx(0.0137)
+    solution = FORCED_PENDULUM.solve(times)
+    exact = np.array([FORCED_PENDULUM.state(row[:2], row[2:4])[:6] for row in solution])
+    assert np.max(np.abs(result.array("trajectory/position").reshape(len(times), -1) - exact)) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("integrator", "formulation", "able"),
+    [
+        ({"name": "gauss", "stages": 2}, "index-3", "radau-iia"),
+        ({"name": "rk4"}, "ggl", "radau-iia"),
+        ({"name": "rattle"}, "index-1", "gauss"),
+        ({"name": "radau-iia", "stage_solver": "fixed-point"}, "index-2", "radau-iia"),
+    ],
+)
+def test_a_method_refuses_a_formulation_by_name_and_says_which_can(
+    integrator: dict[str, Any], formulation: str, able: str
+) -> None:
+    with pytest.raises(SpecError, match=f"formulation.*'{integrator['name']}'.*{formulation}.*{able}"):
+        run(SWINGING, (integrator, formulation), 1.0, 0.1)
