@@ -1,1 +1,1 @@
-"""Speed and memory, as tables: `python -m tests.benchmarks`. No test is timed; those here are of what the tables rest on."""
+"""Speed and memory, as tables: `python -m tests.benchmarks`. No test here is timed; they are of what tables rest on."""

@@ -84,7 +84,7 @@ def test_every_code_solves_the_chain(code: str) -> None:
     setting = 800.0 if contender.ladder[0] >= 1 else 1e-4
     outcome = contender.run(setting)
     assert CHAIN.miss(outcome.centres) < tables.AGREES
-    assert 0 < outcome.cpu
+    assert outcome.cpu > 0
 
 
 def _curve(*points: tuple[float, float], code: str = "mbdkit") -> Curve:

@@ -17,10 +17,10 @@ TARGETS = tuple(10.0**-k for k in range(3, 13))  # m
 ENOUGH = 0.3 * TARGETS[-1]
 """An error below which nothing finer is tried [m]."""
 
-LIMIT = 3.0  # s of the processor that one run may take
+LIMIT = 1.5  # s of the processor that one run may take
 PATIENCE = 4  # finer settings without a smaller error, after which round-off is believed to reign
-TURNS, FEWEST = 9, 3
-BUDGET = 1.5  # s of the processor for all turns of one setting, or `FEWEST` turns
+TURNS, FEWEST = 9, 2
+BUDGET = 1.0  # s of the processor for all turns of one setting, or `FEWEST` turns
 
 
 @dataclass

@@ -19,6 +19,7 @@ METHODS: dict[str, dict[str, Any]] = {
     "dopri5": {"name": "dopri5"},
     "dop853": {"name": "dop853"},
     **{f"gauss-{stages}": {"name": "gauss", "stages": stages} for stages in (2, 3, 4, 5, 6)},
+    "gauss-6, fixed-point": {"name": "gauss", "stages": 6, "stage_solver": "fixed-point"},
     **{f"radau-iia-{stages}": {"name": "radau-iia", "stages": stages} for stages in (2, 3, 5)},
 }
 """In fixed steps, by the name in the tables."""
