@@ -16,7 +16,7 @@ from .contender import Contender, Outcome, centres_of, lost, steps_from, timed
 from .motions import Motion
 from .rods import GRAVITY
 
-STAGES = {2: (2, 3, 4, 5, 6), 100: (3, 4, 5)}
+STAGES = (3, 4, 5, 6)
 FIRST = {2: 40, 100: 25}
 
 
@@ -29,7 +29,7 @@ def collocation(motion: Motion) -> tuple[list[Contender], list[str]]:
         forms["angles"] = _angles_folded
     found = []
     for form, make in forms.items():
-        for stages in STAGES[motion.rods.count]:
+        for stages in STAGES:
             run = functools.partial(_run, motion, make, stages)
             found.append(Contender("CasADi", f"gauss-{stages}, {form}", run, steps_from(FIRST[motion.rods.count])))
     return found, []

@@ -17,10 +17,9 @@ TARGETS = tuple(10.0**-k for k in range(3, 13))  # m
 ENOUGH = 0.3 * TARGETS[-1]
 """An error below which nothing finer is tried [m]."""
 
-LIMIT = 1.5  # s of the processor that one run may take
 PATIENCE = 4  # finer settings without a smaller error, after which round-off is believed to reign
 TURNS, FEWEST = 9, 2
-BUDGET = 1.0  # s of the processor for all turns of one setting, or `FEWEST` turns
+BUDGET = 0.4  # s of the processor for all turns of one setting, or `FEWEST` turns
 
 
 @dataclass
@@ -92,7 +91,7 @@ def climb(contender: Contender, motion: Motion) -> Curve:
             best, since = error, 0
         elif best < TARGETS[0]:
             since += 1
-        if outcome.cpu > LIMIT or best <= ENOUGH or since >= PATIENCE:
+        if outcome.cpu > motion.limit or best <= ENOUGH or since >= PATIENCE:
             break
     return Curve(contender, points)
 

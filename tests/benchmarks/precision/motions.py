@@ -33,6 +33,8 @@ class Motion:
         Of every rod at the start, from the +x axis [rad].
     end
         When positions are compared [s].
+    limit
+        Seconds of the processor after which a run of it has shown that nothing finer will be fast.
     """
 
     name: str
@@ -40,6 +42,7 @@ class Motion:
     rods: Rods
     angle: float
     end: float
+    limit: float
 
     @property
     def model(self) -> dict[str, Any]:
@@ -58,14 +61,20 @@ class Motion:
 
 
 DOUBLE_PENDULUM = Motion(
-    "double-pendulum", "Double pendulum, rods of 1 m from the horizontal, 5 s", Rods(2), HORIZONTAL.start_angle, 5.0
+    name="double-pendulum",
+    title="Double pendulum, rods of 1 m from the horizontal, 5 s",
+    rods=Rods(2),
+    angle=HORIZONTAL.start_angle,
+    end=5.0,
+    limit=0.5,
 )
 CHAIN = Motion(
-    "chain",
-    "Chain of 100 rods, 1 m in all, from 0.5 rad off the vertical, 1 s",
-    Rods(100, 0.01, 0.01),
-    hundred_rods.START,
-    hundred_rods.END,
+    name="chain",
+    title="Chain of 100 rods, 1 m in all, from 0.5 rad off the vertical, 1 s",
+    rods=Rods(100, 0.01, 0.01),
+    angle=hundred_rods.START,
+    end=hundred_rods.END,
+    limit=1.5,
 )
 MOTIONS = (DOUBLE_PENDULUM, CHAIN)
 

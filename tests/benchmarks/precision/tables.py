@@ -14,7 +14,7 @@ from rich.table import Table
 from tests.benchmarks.timing import duration
 
 from .contender import OURS
-from .measure import LIMIT, TARGETS, Curve
+from .measure import TARGETS, Curve
 from .motions import Motion
 
 GOALS = {1e-6: 5.0, 1e-9: 10.0}
@@ -60,7 +60,7 @@ def show(console: Console, motion: Motion, curves: Sequence[Curve], missing: Seq
     table.add_row("best of the others / ours", *("" if r is None else f"{r:.2f}  " for r in ratios))
     table.caption = (
         "* fastest of ours and of the others; least seconds of the processor of several turns, on a line between "
-        f"measured neighbours; -: not reached by runs of up to about {LIMIT:g} s"
+        f"measured neighbours; -: not reached by runs of up to about {motion.limit:g} s"
     )
     console.print(table)
     for target, goal in GOALS.items():
