@@ -112,6 +112,11 @@ def test_an_error_that_is_small_by_luck_does_not_count() -> None:
     assert curve.time_at(1e-10) == pytest.approx(16.0)
 
 
+def test_a_finer_setting_that_is_faster_stands_for_coarser_ones() -> None:
+    curve = _curve((1e-2, 8.0), (1e-4, 2.0), (1e-6, 4.0))
+    assert curve.time_at(1e-3) == pytest.approx(2.0)
+
+
 def test_settings_that_do_not_get_to_the_end_are_left_out() -> None:
     curve = _curve((math.nan, 0.1), (1e-4, 2.0), (1e-6, 4.0))
     assert curve.time_at(1e-3) == 2.0

@@ -48,9 +48,10 @@ class Curve:
 
     @property
     def front(self) -> list[tuple[float, float]]:
-        """Return (error, seconds) from coarse to fine, no error smaller than that of any finer setting.
+        """Return (error, seconds) from coarse to fine: errors that only fall, times that only grow.
 
-        An error that is small by luck at one setting is raised to the largest that follows, up to the smallest of all.
+        An error that is small by luck at one setting is raised to the largest that follows, up to the smallest of all,
+        and where a finer setting takes less time, as when too large steps need many iterations, that time stands.
         Settings that did not get to the end, and all coarser ones, are left out.
         """
         errors = [point.error for point in self.points]
@@ -58,9 +59,9 @@ class Curve:
             return []
         best = int(np.nanargmin(errors))
         first = max((k + 1 for k in range(best) if not math.isfinite(errors[k])), default=0)
-        return [
-            (max(errors[k : best + 1]), self.points[k].seconds) for k in range(first, best + 1) if self.points[k].cpu
-        ]
+        timed = [k for k in range(first, best + 1) if self.points[k].cpu]
+        seconds = [self.points[k].seconds for k in timed]
+        return [(max(errors[k : best + 1]), min(seconds[place:])) for place, k in enumerate(timed)]
 
     def time_at(self, target: float) -> float | None:
         """Return the seconds for an error, on a line between neighbours in logarithms; None where not reached.
