@@ -19,10 +19,23 @@ METHODS: dict[str, dict[str, Any]] = {
     "dopri5": {"name": "dopri5"},
     "dop853": {"name": "dop853"},
     **{f"gauss-{stages}": {"name": "gauss", "stages": stages} for stages in (2, 3, 4, 5, 6)},
-    "gauss-6, fixed-point": {"name": "gauss", "stages": 6, "stage_solver": "fixed-point"},
     **{f"radau-iia-{stages}": {"name": "radau-iia", "stages": stages} for stages in (2, 3, 5)},
 }
-"""In fixed steps, by the name in the tables."""
+"""In fixed steps, by the name in the tables; implicit ones iterate to round-off."""
+
+METHODS |= {
+    f"gauss-{stages}, {solver}{f' to {tolerance:.0e}' if tolerance else ''}": {
+        "name": "gauss",
+        "stages": stages,
+        "stage_solver": solver,
+        **({"tolerance": tolerance} if tolerance else {}),
+    }
+    for stages in (4, 6)
+    for solver in ("newton", "fixed-point")
+    for tolerance in (None, 1e-7, 1e-10)
+    if tolerance or solver == "fixed-point"
+}
+"""How far to iterate is a matter of the error that is asked for, and without stiffness tangents do not pay."""
 
 ADAPTIVE: dict[str, dict[str, Any]] = {
     "dopri5, adaptive": {"name": "dopri5", "adaptive": True},
