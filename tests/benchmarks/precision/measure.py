@@ -83,7 +83,7 @@ class Curve:
 def climb(contender: Contender, motion: Motion) -> Curve:
     """Return the errors of a contender's settings from coarse to fine, until it is exact enough or takes too long."""
     points: list[Point] = []
-    best, since = math.inf, 0
+    best, since, slow = math.inf, 0, 0
     for setting in contender.ladder:
         outcome = contender.run(setting)
         error = motion.miss(outcome.centres)
@@ -92,7 +92,8 @@ def climb(contender: Contender, motion: Motion) -> Curve:
             best, since = error, 0
         elif best < TARGETS[0]:
             since += 1
-        if outcome.cpu > motion.limit or best <= ENOUGH or since >= PATIENCE:
+        slow = slow + 1 if outcome.cpu > motion.limit else 0  # once may be a tolerance too coarse to be fast
+        if slow == 2 or best <= ENOUGH or since >= PATIENCE:
             break
     return Curve(contender, points)
 
