@@ -60,10 +60,6 @@ class Contender:
         """Return code and method."""
         return f"{self.code} {self.method}"
 
-    def shown(self, setting: float) -> str:
-        """Return a setting for readers."""
-        return f"{setting:.0f} steps" if setting >= 1 else f"tolerance {setting:.0e}"
-
 
 def steps_from(first: int) -> tuple[float, ...]:
     """Return numbers of steps from `first` on, two to an octave."""
