@@ -145,7 +145,7 @@ def _tree(motion: Motion, method: str, adaptive: bool, setting: float) -> Outcom
         times.relativeTolerance = times.absoluteTolerance = setting
     else:
         times.numberOfSteps = round(setting)
-    exudyn.SuppressWarnings(True)
+    exudyn.config.suppressWarnings = True
     solver = getattr(exudyn.DynamicSolverType, method)
     failed: list[Exception] = []
 
