@@ -1,1 +1,1 @@
-"""Speed and memory, as tables: `python -m tests.benchmarks`. Nothing here is a test, and no test is timed."""
+"""Speed and memory, as tables: `python -m tests.benchmarks`. No test here is timed; they are of what tables rest on."""

@@ -1,4 +1,4 @@
-"""`python -m tests.benchmarks [chain|implicit|memory|plugins|python|race|scale|startup ...]`: print tables."""
+"""`python -m tests.benchmarks [SECTION ...]`: print tables, those of all sections by default."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 import functools
 import platform
 from collections.abc import Callable
+from pathlib import Path
 
 from rich.console import Console
 
@@ -14,12 +15,14 @@ from mbdkit.files import check_suffix
 from mbdkit.report.style import FORMATS
 
 from . import chain, plugins, python_steps, race, scale, startup
+from .precision.race import precision
 
 SECTIONS: dict[str, Callable[[Console], None]] = {
     "chain": chain.explicit,
     "implicit": chain.implicit,
     "memory": chain.memory,
     "plugins": plugins.plugins,
+    "precision": precision,
     "python": python_steps.python_steps,
     "race": race.race,
     "scale": scale.scale,
@@ -31,7 +34,12 @@ def main() -> None:
     """Print the tables that are asked for."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description="Speed and memory, as tables.")
     parser.add_argument("sections", nargs="*", help=f"{', '.join(SECTIONS)}; all by default")
-    parser.add_argument("-o", "--output", metavar="FILE.png", help="where `scale` writes its plot; nowhere by default")
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="PATH",
+        help="the file that `scale` draws into, or the folder for the picture and the numbers of `precision`",
+    )
     asked = parser.parse_args()
     chosen = asked.sections or list(SECTIONS)
     unknown = sorted(set(chosen) - set(SECTIONS))
@@ -39,21 +47,32 @@ def main() -> None:
         parser.error(f"there is no section {unknown[0]!r}; sections are {', '.join(SECTIONS)}")
     sections = dict(SECTIONS)
     if asked.output is not None:
-        if "scale" not in chosen:
-            parser.error("-o is for the plot of the section scale, which is not among those asked for")
+        drawing = [name for name in chosen if name in ("precision", "scale")]
+        if len(drawing) != 1:
+            parser.error("-o is for one of the sections precision and scale; ask for one of them")
         try:
-            output = check_suffix(asked.output, FORMATS, "a plot")
+            sections[drawing[0]] = _with_output(drawing[0], asked.output)
         except SpecError as error:
             parser.error(str(error))
-        if not output.parent.is_dir():
-            parser.error(f"there is no folder {str(output.parent)!r} for the plot")
-        sections["scale"] = functools.partial(scale.scale, output=output)
     console = Console(width=None if Console().is_terminal else 160, markup=False)  # [ns] is a unit
     console.print(
         f"{platform.platform()}, {platform.processor() or platform.machine()}, Python {platform.python_version()}"
     )
     for name in chosen:
         sections[name](console)
+
+
+def _with_output(section: str, output: str) -> Callable[[Console], None]:
+    """Return the section that writes to `output`. Raises SpecError where it cannot."""
+    if section == "precision":
+        folder = Path(output)
+        if not folder.is_dir():
+            raise SpecError(f"there is no folder {output!r} for the picture and the numbers")
+        return functools.partial(precision, output=folder)
+    file = check_suffix(output, FORMATS, "a plot")
+    if not file.parent.is_dir():
+        raise SpecError(f"there is no folder {str(file.parent)!r} for the plot")
+    return functools.partial(scale.scale, output=file)
 
 
 if __name__ == "__main__":

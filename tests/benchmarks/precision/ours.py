@@ -1,0 +1,107 @@
+"""mbdkit's methods; one that this version does not have is left out by name."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+from mbdkit.errors import SpecError
+from mbdkit.integrators.stepping import Timetable
+from mbdkit.simulation import build
+from mbdkit.spec import load_spec
+
+from .contender import OURS, TOLERANCES, Contender, Outcome, centres_of, lost, steps_from, timed
+from .motions import Motion
+from .rods import Array
+
+METHODS: dict[str, dict[str, Any]] = {
+    "rk4": {"name": "rk4"},
+    "dopri5": {"name": "dopri5"},
+    "dop853": {"name": "dop853"},
+    **{f"gauss-{stages}": {"name": "gauss", "stages": stages} for stages in (2, 3, 4, 5, 6)},
+    **{f"radau-iia-{stages}": {"name": "radau-iia", "stages": stages} for stages in (2, 3, 5)},
+}
+"""In fixed steps, by the name in the tables; implicit ones iterate to round-off."""
+
+METHODS |= {
+    f"gauss-{stages}, {solver}{f' to {tolerance:.0e}' if tolerance else ''}": {
+        "name": "gauss",
+        "stages": stages,
+        "stage_solver": solver,
+        **({"tolerance": tolerance} if tolerance else {}),
+    }
+    for stages in (4, 6)
+    for solver in ("newton", "fixed-point")
+    for tolerance in (None, 1e-7, 1e-10)
+    if tolerance or solver == "fixed-point"
+}
+"""How far to iterate is a matter of the error that is asked for, and without stiffness tangents do not pay."""
+
+ADAPTIVE: dict[str, dict[str, Any]] = {
+    "dopri5, adaptive": {"name": "dopri5", "adaptive": True},
+    "dop853, adaptive": {"name": "dop853", "adaptive": True},
+    "gauss-3, adaptive": {"name": "gauss", "stages": 3, "adaptive": True},
+    "radau-iia-3, adaptive": {"name": "radau-iia", "stages": 3, "adaptive": True},
+    "radau-iia-5, adaptive": {"name": "radau-iia", "stages": 5, "adaptive": True},
+}
+"""In steps that follow a tolerance."""
+
+FIRST = {2: 40, 100: 25}
+MOST_STEPS = 10_000_000
+
+
+def ours(motion: Motion) -> tuple[list[Contender], list[str]]:
+    """Return mbdkit's contenders, and the names of those that this version does not have."""
+    found, missing = [], []
+    for method, integrator in (METHODS | ADAPTIVE).items():
+        adaptive = method in ADAPTIVE
+        ladder = TOLERANCES if adaptive else steps_from(FIRST[motion.rods.count])
+        run = functools.partial(_run, motion, integrator, adaptive)
+        try:
+            load_spec(_spec(motion, integrator, adaptive, ladder[0]))
+        except SpecError:
+            missing.append(f"{OURS} {method}")
+        else:
+            found.append(Contender(OURS, method, run, ladder))
+    return found, missing
+
+
+def _spec(motion: Motion, integrator: dict[str, Any], adaptive: bool, setting: float) -> dict[str, Any]:
+    if adaptive:
+        integrator = {**integrator, "rtol": setting, "atol": setting}
+        times, every = {"end": motion.end}, MOST_STEPS
+    else:
+        times, every = {"end": motion.end, "step": motion.end / setting}, round(setting)
+    return {
+        "mbdkit": 1,
+        "model": motion.model,
+        "integrator": integrator,
+        "time": times,
+        "output": {"every": every, "quantities": []},
+    }
+
+
+def _run(motion: Motion, integrator: dict[str, Any], adaptive: bool, setting: float) -> Outcome:
+    """Drive the stepper by hand: as for the others only steps are timed, not the recorder."""
+    spec = load_spec(_spec(motion, integrator, adaptive, setting))
+    problem, _ = build(spec)
+    timetable = Timetable(
+        start=0.0,
+        end=motion.end,
+        step=spec.time.step,
+        steps=spec.time.count or 0,
+        every=spec.output.every or MOST_STEPS,
+        max_steps=MOST_STEPS,
+    )
+    stepper = spec.integrator_plugin.create(spec.integrator).start(problem, timetable)
+    states: list[Array] = []
+
+    def work() -> None:
+        while not (stepper.finished or stepper.failure):
+            states.extend(stepper.advance().q)
+
+    _, wall, cpu = timed(work)
+    count = motion.rods.count
+    if stepper.failure is not None or not states:
+        return lost(count, wall, cpu)
+    return Outcome(wall, cpu, centres_of(states[-1][: 3 * count], count))
