@@ -107,8 +107,12 @@ class Entry:
             _PLAIN[id(self)] = self.function
             return id(self)
         make: Any = cfunc
+        done = FOLDER / f"entry-{self.function.__module__}.{self.function.__name__}"
+        if is_warm() and not done.exists():
+            print("mbdkit compiles the kernels of this method; this happens once ...", file=sys.stderr, flush=True)
         with cached_here():
             self._compiled = make(_ENTRY, cache=True, error_model="numpy", _nrt=False)(self.function)
+        done.touch()
         return int(self._compiled.address)
 
 
