@@ -17,6 +17,7 @@ stage, only its derivatives are frozen, and the contraction of the iteration is 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +27,7 @@ from mbdkit.engine.cache import kernel
 from mbdkit.engine.constraints import constraint_positions
 from mbdkit.engine.lu import Factors
 from mbdkit.engine.observe import tangents_at
+from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.system import (
     DIVERGED,
     NOT_FINITE,
@@ -38,6 +40,7 @@ from mbdkit.engine.system import (
     solve_accelerations,
 )
 from mbdkit.engine.vectors import add_compensated, copy, stays_finite
+from mbdkit.integrators.coupled_newton import CoupledNewton
 from mbdkit.integrators.fixed_step import FixedStepper, State, book_energies, note_misalignment
 from mbdkit.integrators.newton import factorize_all, newton_changes
 from mbdkit.integrators.stages import STAGNANT, extrapolate, is_round_off, relative_change, stage_mean, stage_states
@@ -70,7 +73,7 @@ SLOW = 0.25
 def run_implicit(
     top, w, solver, a, a2, b, b2, c, weights, kind, tolerance, max_iterations, has_power, fresh,
     t_real, t_real_inv, mu_real, t_complex, t_complex_inv, mu_complex, pattern, scatter, real, cplx,
-    t0, h, first, last, every, q, q_low, v, v_low, energy, energy_low,
+    t0, h, first, last, every, q, q_low, v, v_low, energy, energy_low, given,
     acc, lam, f, q_stage, v_stage, change, mean, mean_lam, mean_jac,
     z_real, z_complex, b_real, x_real, b_complex, x_complex,
     worst, iterations, row_q, row_v, row_energy, row_iterations, counts, report,
@@ -79,7 +82,7 @@ def run_implicit(
 
     `counts`: evaluations of the right side, of tangents, factorizations, iterations. `report`: on divergence the
     largest change of an acceleration, its coordinate, and the iterations. `fresh`: no stage values of a step before
-    stand in `acc`.
+    stand in `acc`. `given`: those of the first step stand there.
     """
     s = len(c)
     bodies = len(top.mass) - 1
@@ -91,7 +94,10 @@ def run_implicit(
         constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
         note_misalignment(w.phi, worst)
         begun = fresh
-        if fresh:  # a stiff force may be far from constant over the step: begin with free flight
+        solved = given and k == first
+        if solved:
+            fresh = False
+        elif fresh:  # a stiff force may be far from constant over the step: begin with free flight
             acc[:, :] = 0.0
             lam[:, :, :] = 0.0
             fresh = False
@@ -103,8 +109,8 @@ def run_implicit(
         before = np.inf
         m = 0
         idle = 0
-        settled = False
-        while True:
+        settled = solved
+        while not settled or has_power or m > 0:
             if kind == NEWTON and stale and not settled:
                 stage_mean(q_stage, mean[0])
                 stage_mean(v_stage, mean[1])
@@ -258,6 +264,11 @@ class ImplicitStepper(FixedStepper):
         self.energy = np.zeros(2 + 2 * s)
         self.counts, self.report = np.zeros(4, dtype=np.int64), np.zeros(3)
         self.fresh, self.last_h = True, 0.0
+        self.coupled: CoupledNewton | None = None
+        self.given = 0
+        """Iterations that solved the stages of the step that comes next, whose accelerations stand in `acc`."""
+        self.step_now = (0.0, 0.0)
+        """Start and size of the step that comes next [s]."""
         self.weights = np.zeros((s, s))
         self._pivot(timetable.step or 0.0)
         self.load_kernel()
@@ -313,13 +324,16 @@ class ImplicitStepper(FixedStepper):
             e.t_real, e.t_real_inv, e.mu_real, e.t_complex, e.t_complex_inv, e.mu_complex,
             self.pattern, self.scatter, self.real, self.cplx,
             t0, h, first, last, every, state.q, state.q_low, state.v, state.v_low, self.energy, state.energy_low,
-            self.acc, self.lam, self.f, self.q_stage, self.v_stage, self.change,
+            self.given > 0, self.acc, self.lam, self.f, self.q_stage, self.v_stage, self.change,
             self.mean, self.mean_lam, self.mean_jac, self.z_real, self.z_complex,
             self.b_real, self.x_real, self.b_complex, self.x_complex,
             self.worst_pairs, state.iterations, state.row_q, state.row_v, state.row_energy, state.row_iterations,
             self.counts, self.report,
         )  # fmt: skip
         state.energy[:] = self.energy[:2]
+        self.step_now = (t0 + result[1] * h, h)
+        if result[1] > first:
+            self.given = 0
         if last > first:
             self.fresh = result[0] != OK
         if h != self.last_h:
@@ -328,7 +342,29 @@ class ImplicitStepper(FixedStepper):
         counters = self.counters
         counters.rhs_evaluations, counters.jacobian_evaluations = int(self.counts[0]), int(self.counts[1])
         counters.factorizations, counters.newton_iterations = int(self.counts[2]), int(self.counts[3])
+        if self.coupled is not None:
+            for name in ("rhs_evaluations", "jacobian_evaluations", "factorizations", "newton_iterations"):
+                setattr(counters, name, getattr(counters, name) + getattr(self.coupled.counters, name))
         return result
+
+    def _handle(self, status: int) -> None:
+        """Solve the stages with a tangent each before the run stops because one for all does not serve."""
+        super()._handle(status)
+        if self.kind == FIXED_POINT or self.failure is None or self.failure.code not in ("newton-failed", "singular"):
+            return
+        if self.given == 0:
+            if self.coupled is None:
+                self.coupled = CoupledNewton(self.problem, self.a, self.a2, self.c)
+            t, h = self.step_now
+            self.given = self.coupled.solve(t, h, self.state.q, self.state.v, self.acc, self.lam)
+            if 0 < self.given <= self.method.max_iterations:
+                self.state.iterations += (self.given, 0)
+                self.state.iterations[1] = max(self.state.iterations[1], self.given)
+                self.failure = None
+                return
+        near = describe_nearness(self.problem, self.step_now[0], self.state.q)
+        if near:
+            self.failure = replace(self.failure, sentence=f"{self.failure.sentence.rstrip('.')}; {near}.")
 
 
 def _stack(pattern, count: int, dtype: type) -> Factors:
