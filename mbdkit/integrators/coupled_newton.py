@@ -27,6 +27,12 @@ if TYPE_CHECKING:
 
 MOST_ITERATIONS = 20
 
+SHORT = 0.5
+"""Largest move over a step, in rad or in lengths of the mechanism, for which its equations are tried.
+
+A longer step may have solutions that have nothing to do with the motion.
+"""
+
 CONTRACTION = 0.5
 """Largest ratio of one change to the one before (Deuflhard 2004): beyond it the start is too far away."""
 
@@ -82,11 +88,15 @@ class CoupledNewton:
         Returns
         -------
         int
-            Iterations; 0 where they do not converge: `acc` and `lam` are left as they were.
+            Iterations; 0 where they do not converge or the step is too long: `acc` and `lam` are left as they were.
         """
         p, s = self.view, len(self.c)
         try:
             a0, lam0 = p.accelerations(t, q[: p.n], v[: p.n])
+            move = np.abs(h * v[: p.n]) + h * h * np.abs(a0)
+            lengths = np.arange(p.n) % 3 < 2
+            if not np.max(np.where(lengths, move / self.problem.mechanism.length, move)) <= SHORT:
+                return 0
             stages, multipliers = np.tile(a0, (s, 1)), np.tile(lam0, (s, 1))
             iterations = self._iterate(t, h, q[: p.n], v[: p.n], stages, multipliers)
         except (StepError, SingularSystemError, RuntimeError):
