@@ -164,7 +164,7 @@ INTEGRATORS: list[IntegratorPlugin] = [
     _embedded("dop853", "Dormand-Prince: explicit, 12 stages, order 8, fixed or adaptive steps.", dop853, 8, 12),
     IntegratorPlugin(
         name="gauss",
-        summary="Gauss-Legendre collocation: implicit, 1 to 6 stages, order 2 s, symmetric, symplectic; or adaptive steps.",
+        summary="Gauss-Legendre collocation: implicit, 1 to 6 stages, order 2 s, symmetric, symplectic; or adaptive.",
         options=GaussOptions,
         create=lambda options: _implicit(options, gauss),
         claims=_gauss_claims,
