@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from mbdkit.engine.analysis import SingularSystemError
 from mbdkit.engine.hold import Hold
 from mbdkit.engine.problem import Problem
+from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
 from mbdkit.integrators import driver
 from mbdkit.integrators.common import ALTERED, FACTORIZATIONS, ITERATIONS, JACOBIANS, PROJECTIONS, RHS, new_common
@@ -251,9 +253,23 @@ class CompiledStepper:
                     return
             except SingularSystemError as error:
                 singular = error
+        apart = (done, -1)
+        if (
+            status not in (driver.TOO_SMALL, NOT_FINITE)
+            and self.mode != driver.SYMMETRIC
+            and apart not in self._renewed
+        ):
+            self._renewed.add(apart)
+            if self.family.solve_apart(self.common, self.time, self._size_tried()):
+                self.common = self.common._replace(solver=self.problem.solver)
+                self.hold.replace(self.common)
+                return
         if self.controlled and status != driver.TOO_SMALL and self._shrink():
             return
         self.failure = self._failure(status, singular, where)
+        near = "" if self.failure.code == "not-finite" else describe_nearness(self.problem, self.time, self.common.q)
+        if near:
+            self.failure = replace(self.failure, sentence=f"{self.failure.sentence.rstrip('.')}; {near}.")
 
     def _renew(self, status: int) -> bool:
         """Choose new pivots after `status`; return whether that can help. Raises SingularSystemError."""

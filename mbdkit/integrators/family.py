@@ -63,6 +63,13 @@ class Family(ABC):
     def forget(self) -> None:  # noqa: B027
         """Drop what the last step left for the next."""
 
+    def solve_apart(self, common: Common, t: float, h: float) -> bool:
+        """Solve the equations of the next attempt some other way, dear as it may be; return whether that succeeded.
+
+        The step is from the state in `common` at `t`, of size `h`; asked before a run stops.
+        """
+        return False
+
     def describe_divergence(self, report: np.ndarray) -> str:
         """Return where the equations of a step failed to converge, from a report (3,)."""
         return ""

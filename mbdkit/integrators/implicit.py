@@ -52,6 +52,7 @@ from mbdkit.integrators.common import (
     Common,
     load_common,
 )
+from mbdkit.integrators.coupled_newton import CoupledNewton
 from mbdkit.integrators.dense import collocation_polynomials, dense_gains, weights_at
 from mbdkit.integrators.family import Family
 from mbdkit.integrators.newton import factorize_all, filtered, newton_changes
@@ -121,6 +122,8 @@ class Collocation(NamedTuple):
     """(s, 3 (B + 1)) accelerations of the stages; `begun` tells when the step began that they belong to, and its size:
     NaN where there are none."""
     begun: np.ndarray
+    given: np.ndarray
+    """(1,) iterations that found the stages of the next attempt, which stand in `acc` and `lam`; 0: none did."""
     weights: np.ndarray
     lam: np.ndarray
     f: np.ndarray
@@ -215,6 +218,12 @@ def _iterate(c, m, t, h):
     bodies = len(top.mass) - 1
     n3 = 3 * bodies
     kind, most, tolerance = m.choice[0], m.choice[1], m.tolerance[0]
+    if m.given[0] > 0:
+        c.counts[ITERATIONS] += m.given[0]
+        m.given[0] = 0
+        m.begun[0], m.begun[1] = t, h
+        stage_states(h, m.a, m.a2, m.c, c.from_q, c.from_v, m.acc, m.q_stage, m.v_stage)
+        return OK
     fresh = _predict(m, t, h)
     m.begun[0], m.begun[1] = t, np.nan
     stage_states(h, m.a, m.a2, m.c, c.from_q, c.from_v, m.acc, m.q_stage, m.v_stage)
@@ -409,7 +418,8 @@ def new_collocation(method: ImplicitRungeKutta, problem: Problem, control: Contr
         t_complex=e.t_complex, t_complex_inv=e.t_complex_inv, mu_complex=e.mu_complex,
         pattern=pattern, scatter=problem.solver.scatter,
         real=stacked(pattern, len(e.mu_real), np.float64), cplx=stacked(pattern, len(e.mu_complex), np.complex128),
-        acc=acc, begun=np.array([0.0, np.nan]), weights=np.zeros((s, s)), lam=np.zeros((s, pairs, 2)),
+        acc=acc, begun=np.array([0.0, np.nan]), given=np.array([0]),
+        weights=np.zeros((s, s)), lam=np.zeros((s, pairs, 2)),
         f=f, change=change, q_stage=q_stage, v_stage=v_stage,
         first=np.zeros(size), first_known=np.array([0]), first_lam=np.zeros((pairs, 2)),
         mean=np.zeros((3, size)), mean_lam=np.zeros((pairs, 2)), mean_jac=np.zeros((pairs, 12)),
@@ -429,6 +439,7 @@ class CollocationFamily(Family):
         super().__init__(problem)
         self.own = new_collocation(method, problem, control)
         self.hold = Hold(self.own)
+        self.coupled: CoupledNewton | None = None
         self.has_dense_output = method.tableau.is_collocation
         own = self.own
         self.memory = (own.acc, own.lam, own.begun, own.first, own.first_known, own.power)
@@ -468,6 +479,22 @@ class CollocationFamily(Family):
     def forget(self) -> None:
         """Begin the next step without stage values from before."""
         self.own.begun[1] = np.nan
+
+    def solve_apart(self, common: Common, t: float, h: float) -> bool:
+        """Solve the stages of the next attempt with a tangent each; return whether that succeeded."""
+        own = self.own
+        if own.choice[0] == FIXED_POINT:
+            return False
+        if self.coupled is None:
+            self.coupled = CoupledNewton(self.problem, own.a, own.a2, own.c)
+        iterations = self.coupled.solve(t, h, common.q, common.v, own.acc, own.lam)
+        spent, counts = self.coupled.counters, common.counts
+        counts[RHS] += spent.rhs_evaluations
+        counts[JACOBIANS] += spent.jacobian_evaluations
+        counts[FACTORIZATIONS] += spent.factorizations
+        spent.rhs_evaluations = spent.jacobian_evaluations = spent.factorizations = 0
+        own.given[0] = iterations if iterations <= own.choice[1] else 0
+        return bool(own.given[0] > 0)
 
     def describe_divergence(self, report: np.ndarray) -> str:
         """Return the largest residual and where it is."""

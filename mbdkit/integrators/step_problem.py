@@ -190,6 +190,11 @@ class StepProblem:
             residual_q=self._sparse(classes == view.RESIDUAL_Q, below=True),
         )
 
+    def evaluated_terms(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """Return the value of every term of the tangents at a state, in the order of the problem's list of terms."""
+        self._evaluate_tangents(t, q, v, a, lam)
+        return self.terms_now.copy()
+
     def iteration_matrix(
         self,
         t: float,

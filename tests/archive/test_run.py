@@ -60,6 +60,8 @@ def test_constraint_has_its_residuals_and_multiplier(run: Run) -> None:
     assert row.units == "m"
     with pytest.raises(NotRecordedError):
         row.method_multiplier  # noqa: B018
+    with pytest.raises(NotRecordedError):  # as in the archives of earlier versions
+        run.singularity_distance  # noqa: B018
 
 
 def test_energy_steps_and_time(run: Run) -> None:

@@ -74,3 +74,16 @@ def test_summary_repeats_the_warning() -> None:
 def test_summary_names_the_worst_joints_of_many() -> None:
     with Run(make(None, named=names(9, 9))) as run:
         assert "misalignment  1.01 m at most (J9 1, J8 1, J7 1, J6 1, 5 more)" in run.summary()
+
+
+def test_summary_says_how_near_a_run_came_to_a_singular_position() -> None:
+    path = "constraints/singularity_distance"
+    near = np.array([0.3, 0.2, 0.1, 0.05, 0.002, 0.03, 0.1, 0.2, 0.3, 0.4, 0.3])
+    for distance, told in ((near, True), (near + 0.2, False), (near * 0 + 0.05, False)):
+        into = writer(None, extra_datasets=[path])
+        into.append(rows(11, names()) | {path: distance})
+        into.append_steps(steps(10))
+        with Run(into.finish("complete", "", STATS, np.full(2, 1.0))) as run:
+            np.testing.assert_array_equal(run.singularity_distance, distance)
+            assert ("singularity   as near as 0.002 of 0.4, at 0.04 s" in run.summary()) is told
+            assert ("singularity" in run.summary()) is told

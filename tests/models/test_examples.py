@@ -22,6 +22,7 @@ NAMES = [
     "gravity-balanced-arm",
     "knee",
     "limit-stop",
+    "n-four-bar",
     "pendulum",
     "slider-crank",
     "spring-pendulum",
@@ -121,6 +122,16 @@ def test_crank_of_the_watt_six_bar_goes_round():
     with mbdkit.run("watt-six-bar") as run:
         assert np.ptp(run["crank"].angle) > 4 * np.pi
         assert run["crank"].angular_velocity[0] == 7.0
+
+
+def test_windows_go_round_through_their_flat_positions_and_none_folds_over():
+    # expected: cranks that start parallel stay parallel; angle by quadrature, see tests/witness/n_four_bar.py
+    with mbdkit.run("n-four-bar") as run:
+        cranks = [np.asarray(run[f"crank{k}"].angle) for k in range(3)]
+        for crank in cranks:
+            assert crank[-1] == pytest.approx(-30.179800860191, abs=1e-9)
+        assert np.abs(np.asarray(run["coupler2"].angle)).max() < 1e-9
+        assert np.min(run.singularity_distance) < 1e-3 < 0.3 < np.max(run.singularity_distance)
 
 
 def test_double_wishbone_stands_at_rest_until_the_bump_and_keeps_its_tyre_on_the_road():
