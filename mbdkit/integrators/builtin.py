@@ -127,7 +127,7 @@ def _implicit(options: GaussOptions | RadauOptions, module: Any) -> ImplicitRung
 
 
 def _gauss_claims(options: GaussOptions) -> Claims:
-    """A step that is chosen by what went before undoes no other: adaptive Gauss claims no symmetry, nor symplecticity."""
+    """Steps that are chosen by what went before undo no others: adaptive, it is neither symmetric nor symplectic."""
     fixed = not options.adaptive
     return Claims(
         order=2 * options.stages if fixed else None,

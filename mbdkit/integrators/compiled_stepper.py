@@ -11,7 +11,7 @@ import numpy as np
 from mbdkit.engine.analysis import SingularSystemError
 from mbdkit.engine.hold import Hold
 from mbdkit.engine.problem import Problem
-from mbdkit.engine.singularity import describe_nearness
+from mbdkit.engine.singularity import describe_nearness, nearest_singularity
 from mbdkit.engine.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
 from mbdkit.integrators import driver
 from mbdkit.integrators.common import ALTERED, FACTORIZATIONS, ITERATIONS, JACOBIANS, PROJECTIONS, RHS, new_common
@@ -21,6 +21,9 @@ from mbdkit.integrators.stepping import Counters, Failure, Pace, StepTaken, Stre
 
 if TYPE_CHECKING:
     from mbdkit.integrators.family import Family
+
+SINGULAR, REGULAR = 1e-6, 1e-2
+"""Distance to singularity of a state that counts as singular, and of one where nothing singular is near."""
 
 FLOOR = 16 * float(np.finfo(float).eps)
 """The least size of a step, relative to the largest time of the run."""
@@ -171,6 +174,7 @@ class CompiledStepper:
         done = self._again(step, theta)
         q, v = self.common.new_q.copy(), self.common.new_v.copy()
         self._recall(after)
+        self._count()
         return (q, v) if done else self.inside(theta)
 
     def _again(self, step: StepTaken, theta: float) -> bool:
@@ -297,12 +301,18 @@ class CompiledStepper:
     def _failure(self, status: int, singular: SingularSystemError | None, where: str) -> Failure:
         """Return why the run stops."""
         hint, problem = self.family.hint, self.problem
+        distance, _ = nearest_singularity(problem, self.time, self.common.q)
         if status == driver.TOO_SMALL:
+            if distance < SINGULAR:
+                return Failure("singular", f"steps became smaller without end {where}.")
             return Failure(
                 "step-too-small", f"the step fell below {self.floor:.2g} s {where}; looser tolerances may help."
             )
         if singular is not None:
             name = problem.mechanism.unknown_name(singular.index)
+            if self.family.carries_stages and distance > REGULAR:
+                what = f"{where}: the stage iteration strayed to where no independent equations are left at {name}"
+                return Failure("newton-failed", f"{what}; {hint}.")
             return Failure("singular", f"no independent equations are left at {name} {where}; {hint}.")
         if status == NOT_FINITE:
             return Failure("not-finite", f"numbers overflowed {where}; {hint}.")
