@@ -11,6 +11,7 @@ from mbdkit.engine.analysis import SingularSystemError
 from mbdkit.engine.observe import observe
 from mbdkit.engine.problem import Problem
 from mbdkit.engine.reactions import share_evenly
+from mbdkit.engine.singularity import new_vectors
 from mbdkit.engine.system import OK
 from mbdkit.events.expression import BODY, Quantity
 
@@ -51,6 +52,7 @@ class Observer:
         kinematic = (*BODY[:6], "angle")
         self._dynamic = any(quantity.attribute not in kinematic for quantity in quantities)
         self._buffers: dict[int, tuple[np.ndarray, ...]] = {}
+        self._near = new_vectors(problem)
 
     def values(self, times: Sequence[float], q: np.ndarray, v: np.ndarray) -> list[list[float]]:
         """Return for each of K states its time, and the quantities after it; nan where they have no value.
@@ -91,7 +93,7 @@ class Observer:
 
     def _observed(self, times: np.ndarray, q: np.ndarray, v: np.ndarray) -> Seen:
         """Return what the archive records of states."""
-        acc, lam, phi, rate, reactions, kinetic, potential, stress, its_reactions = self._room(len(times))
+        acc, lam, phi, rate, reactions, kinetic, potential, distance, stress, its_reactions = self._room(len(times))
         done = 0
         while done < len(times):
             some = slice(done, None)
@@ -99,7 +101,7 @@ class Observer:
                 status, reached = observe(
                     self.problem.mechanism.topology, self.problem.scratch, self.problem.solver,
                     times[some], q[some], v[some], acc[some], lam[some], phi[some], rate[some], reactions[some],
-                    kinetic[some], potential[some], stress[some], its_reactions[some],
+                    kinetic[some], potential[some], distance[some], stress[some], its_reactions[some], self._near,
                 )  # fmt: skip
                 if status == OK or reached or attempt or not self._renewed():
                     break
@@ -126,7 +128,7 @@ class Observer:
             topology, size = self.problem.mechanism.topology, self.problem.mechanism.size
             pairs, spare = len(topology.pairs), len(topology.spare)
             shapes = [
-                (count, size), *3 * [(count, pairs, 2)], (count, pairs, 3), (count,), (count,),
+                (count, size), *3 * [(count, pairs, 2)], (count, pairs, 3), (count,), (count,), (count,),
                 (count, spare, pairs, 2), (count, spare, pairs, 3),
             ]  # fmt: skip
             self._buffers[count] = tuple(np.zeros(shape) for shape in shapes)

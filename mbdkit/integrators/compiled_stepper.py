@@ -308,20 +308,19 @@ class CompiledStepper:
             return Failure(
                 "step-too-small", f"the step fell below {self.floor:.2g} s {where}; looser tolerances may help."
             )
-        if singular is not None:
-            name = problem.mechanism.unknown_name(singular.index)
-            if self.family.carries_stages and distance > REGULAR:
-                what = f"{where}: the stage iteration strayed to where no independent equations are left at {name}"
-                return Failure("newton-failed", f"{what}; {hint}.")
-            return Failure("singular", f"no independent equations are left at {name} {where}; {hint}.")
         if status == NOT_FINITE:
             return Failure("not-finite", f"numbers overflowed {where}; {hint}.")
         if status == DIVERGED:
             return Failure("newton-failed", f"{where}{self.family.describe_divergence(self.common.report)}; {hint}.")
-        index = int(problem.solver.failed[0])
-        column = problem.solver.pattern.column_of
-        name = problem.mechanism.unknown_name(int(column[index]) if 0 <= index < len(column) else -1)
-        return Failure("singular", f"the equations lost their last pivot at {name} {where}; {hint}.")
+        if singular is not None:
+            name = problem.mechanism.unknown_name(singular.index)
+        else:
+            index, column = int(problem.solver.failed[0]), problem.solver.pattern.column_of
+            name = problem.mechanism.unknown_name(int(column[index]) if 0 <= index < len(column) else -1)
+        if self.family.carries_stages and distance > REGULAR:
+            what = f"{where}: the stage iteration strayed to where no independent equations are left at {name}"
+            return Failure("newton-failed", f"{what}; {hint}.")
+        return Failure("singular", f"no independent equations are left at {name} {where}; {hint}.")
 
     def _intervals(self, times: np.ndarray, tally: np.ndarray) -> np.ndarray:
         """Return (T, 6) what each recorded interval took, from the driver's tallies (T, 9)."""

@@ -14,7 +14,7 @@ from mbdkit.engine.cache import entry, part
 from mbdkit.engine.hold import Hold, loader
 from mbdkit.engine.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
 from mbdkit.engine.vectors import copy, stays_finite
-from mbdkit.integrators.common import ADVANCED, ALTERED, RHS, load_common
+from mbdkit.integrators.common import ADVANCED, ALTERED, FACTORIZATIONS, RHS, load_common
 from mbdkit.integrators.dense import dense_gains, weights_at
 from mbdkit.integrators.family import Family
 
@@ -124,6 +124,7 @@ def evaluate_stages(common, own, t, h, first, last):
             _stage_state(c.from_v, h, m.a, m.accelerations, i, m.rates[i])
         prepare(c.top, c.w, t + m.c[i] * h, m.q_stage)
         c.counts[RHS] += 1
+        c.counts[FACTORIZATIONS] += 1
         status = solve_accelerations(c.top, c.w, c.solver, m.q_stage, m.rates[i], m.accelerations[i], m.lam, False)
         if status != OK:
             return status
