@@ -21,8 +21,9 @@ COMBINATION = "method"
 """The axis of combinations, by label."""
 LONG = "-long"
 """What the name of the family of long runs has more than that of the short ones of the same mechanism."""
-ROUND_OFF = 1e-11
-"""Errors that are nothing but round-off, as shares of the mechanism's size, of that per second, or of a multiplier."""
+ROUND_OFF = 1e-12
+"""Errors that meet round-off before they follow a power of the step, as shares of the mechanism's size, of that per
+second, or of a multiplier: fine steps do not tell an order, nor do coarse ones alone."""
 EPSILON = 5e-16
 """The floor of rounding under all errors, as such a share: double precision itself."""
 CLOSE = (0.1, 0.25)
@@ -208,7 +209,7 @@ def _order(points: Points, column: str, scale: float) -> float | Undetermined:
         if not math.isnan(found):
             return found
     finite = errors[np.isfinite(errors)]
-    if len(finite) and np.max(finite) <= ROUND_OFF * scale:
+    if len(finite) and np.min(finite) <= ROUND_OFF * scale:
         return "round-off"
     return "no order" if len(finite) >= 3 else "failed"
 
