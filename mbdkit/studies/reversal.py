@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbdkit.engine.problem import Problem
+from mbdkit.engine.stabilization import NONE
 from mbdkit.errors import MbdkitError
 from mbdkit.integrators.step_method import StepError
 from mbdkit.integrators.step_problem import StepProblem
@@ -131,7 +132,8 @@ def _has_direction(problem: Problem, there: Stretch, table: Timetable) -> bool:
 
     The states are compared with themselves, so that it does not matter how far the joints are apart there.
     """
-    view, middle = StepProblem(problem), table.start + 0.381966 * (table.end - table.start)
+    view = StepProblem(replace(problem, stabilization=NONE))  # Baumgarte's terms tell forwards from backwards
+    middle = table.start + 0.381966 * (table.end - table.start)
     size = float(np.max(np.abs(there.q), initial=1e-300))
     for row in np.unique(np.linspace(0, len(there.time) - 1, LOOKS).astype(int)):
         t, q, v = float(there.time[row]), there.q[row][: view.n].copy(), there.v[row][: view.n].copy()

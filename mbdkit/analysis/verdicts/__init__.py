@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 VERDICTS: Mapping[str, tuple[str, str]] = {
     "paper": ("mbdkit.analysis.verdicts.paper", "paper"),
     "drift": ("mbdkit.analysis.verdicts.drift", "drift"),
+    "no-drift": ("mbdkit.analysis.verdicts.no_drift", "no_drift"),
     "textbook-four-bar": ("mbdkit.analysis.verdicts.textbook", "textbook"),
 }
 GENERAL = ("mbdkit.analysis.verdicts.general", "general")

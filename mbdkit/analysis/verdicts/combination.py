@@ -21,10 +21,15 @@ COMBINATION = "method"
 """The axis of combinations, by label."""
 LONG = "-long"
 """What the name of the family of long runs has more than that of the short ones of the same mechanism."""
-ROUND_OFF = 1e-11
-"""Errors that are nothing but round-off, as shares of the mechanism's size, of that per second, or of a multiplier."""
+ROUND_OFF = 1e-12
+"""Errors that meet round-off before they follow a power of the step, as shares of the mechanism's size, of that per
+second, or of a multiplier: fine steps do not tell an order, nor do coarse ones alone."""
 EPSILON = 5e-16
 """The floor of rounding under all errors, as such a share: double precision itself."""
+CLOSE = (0.1, 0.25)
+"""Most by which slopes between neighbouring steps may differ: closely agreeing ones are looked for first."""
+NEIGHBOURS = math.log(2.5)
+"""Most by which neighbouring steps may differ, as a logarithm: a run between them may have failed."""
 SPENT = 1e-12
 """Energy lost over a run, as a share of the largest kinetic energy, that is nothing but round-off."""
 
@@ -198,14 +203,31 @@ def _order(points: Points, column: str, scale: float) -> float | Undetermined:
     if state := state_of(points):
         return state
     steps, errors = points.along(STEP, column)
-    seen = observed_order(steps, errors).floor
-    found = observed_order(steps, errors, floor=max(seen, EPSILON * scale))
-    if found.found:
-        return found.order
+    floor = max(observed_order(steps, errors).floor, EPSILON * scale)
+    for agree in CLOSE:
+        found = _finest(steps, errors, floor, agree)
+        if not math.isnan(found):
+            return found
     finite = errors[np.isfinite(errors)]
-    if len(finite) and np.max(finite) <= ROUND_OFF * scale:
+    if len(finite) and np.min(finite) <= ROUND_OFF * scale:
         return "round-off"
     return "no order" if len(finite) >= 3 else "failed"
+
+
+def _finest(steps: np.ndarray, errors: np.ndarray, floor: float, agree: float) -> float:
+    """Return the order over the three finest neighbouring steps whose slopes agree above the floor; nan of none.
+
+    Of methods whose orders differ from variable to variable the longest run of steps may lie where the error of another
+    variable still shows; the finest one is nearest to the limit.
+    """
+    known = np.isfinite(errors)
+    steps, errors = steps[known], errors[known]
+    for first in range(len(steps) - 2):  # finest first: `along` gives the steps ascending
+        window = slice(first, first + 3)
+        found = observed_order(steps[window], errors[window], floor=floor, agree=agree)
+        if found.found and np.all(np.diff(np.log(steps[window])) <= NEIGHBOURS):
+            return found.order
+    return math.nan
 
 
 def _trend(

@@ -59,8 +59,8 @@ COLUMNS = (
     Column("time", "us"),
 )
 NOTE = (
-    "Orders: errors at several steps against Gauss 6, from the longest run of neighbouring steps that agree above the "
-    "floor of rounding; multipliers are the method's own where it carries them, else those of index 1 at its states. "
+    "Orders: errors against Gauss 6, from the three finest neighbouring steps that agree above the floor of rounding; "
+    "multipliers are the method's own where it carries them, else those of index 1 at its states. "
     "Drift: largest misalignment over every step and velocity misalignment in the recorded rows of the long run, as "
     "shares of the mechanism's size. Energy: least-squares slope of the balance, as a share of the largest kinetic "
     "energy per second, over its standard error, in which correlated oscillation counts; 'none' within three of them "
