@@ -172,25 +172,26 @@ class CompiledStepper:
             return (step.q1, step.v1) if theta else (step.q0, step.v0)
         after = [x.copy() for x in self._memory()]
         done = self._again(step, theta)
-        q, v = self.common.new_q.copy(), self.common.new_v.copy()
+        q, v = self.common.q.copy(), self.common.v.copy()
         self._recall(after)
         self._count()
         return (q, v) if done else self.inside(theta)
 
     def _again(self, step: StepTaken, theta: float) -> bool:
-        """Go back before the last step and try a share of it; return whether that succeeded."""
-        c, stab = self.common, self.problem.stabilization
-        size = float(c.clock[driver.TAKEN])
+        """Go back before the last step and take a share of it instead; return whether that succeeded."""
+        c, stab, family = self.common, self.problem.stabilization, self.family
+        size = theta * float(c.clock[driver.TAKEN])
         self._recall(self._before)
-        c.from_q[:], c.from_v[:] = c.q, c.v
         c.moved[0] = ALTERED
         due = (self.numbers[driver.ACCEPTED] + 1) % stab.every == 0
-        status = driver.probe(
-            self.hold.address, self.family.hold.address, self.family.attempt.address, step.t0, theta * size,
-            self.mode, bool(due), stab.bound or 0.0,
+        worst, numbers = c.worst.copy(), np.zeros(4, dtype=np.int64)
+        status, _ = driver.drive(  # a run of one fixed step
+            self.hold.address, family.hold.address, family.attempt.address, self._dense, numbers, 1, False,
+            step.t0, size, step.t0 + size, 1, size, 2, 0.0, 1.0, 1.0, 1.0, 0.0, 1, 0.0,
+            self.mode, 1 if due else 2, stab.bound or 0.0, False, False,
         )  # fmt: skip
-        self._count()
-        return bool(status == OK)
+        c.worst[:] = worst
+        return bool(status == OK and numbers[driver.ACCEPTED] == 1)
 
     def cut(self, theta: float) -> Stretch:
         """End the run within the last step; see `Stepper.cut`."""
@@ -199,15 +200,14 @@ class CompiledStepper:
         size, ends = float(c.clock[driver.TAKEN]), c.energy.copy()
         inner = self.inside(theta)
         if theta > 0.0:
-            if self._again(step, theta):
-                c.q[:], c.v[:] = c.new_q, c.new_v
-                c.energy[:] += c.gain
-            else:  # the step that led here could be taken, but none to this place
+            if not self._again(step, theta):  # the step that led here could be taken, but none to this place
+                self._recall(self._before)
                 c.q[:], c.v[:] = inner
                 c.energy[:] += theta * (ends - c.energy)
             self.numbers[driver.ACCEPTED] += 1
         else:
             self._recall(self._before)
+        c.tally[:] = self._before[0]
         self.numbers[driver.PENDING] = 0
         c.clock[driver.TIME] = step.time(theta)
         if np.any(self._row_times < step.time(theta)):  # rows inside the step have told of what was before it

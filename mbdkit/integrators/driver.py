@@ -312,15 +312,6 @@ def _book(c, bring):
 
 
 @kernel
-def probe(common, own, attempt, t, h, mode, due, bound):
-    """Take one step from the base state with its projection; its end is left in ``new_q, new_v``; return a status."""
-    status = take(common, own, attempt, t, h, False, mode)
-    if status == OK:
-        status, _ = project(common, t + h, mode, due, bound)
-    return status
-
-
-@kernel
 def look_inside(common, own, dense, t, h, theta):
     """Evaluate dense output of the last attempt into ``point_q, point_v``; return a status."""
     return call_entry(dense, common, own, t, h, theta)
