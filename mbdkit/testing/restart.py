@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,7 +25,7 @@ def stretches(subject: IntegratorSubject) -> Finding:
     ends = []
     for at_a_time in (10**6, 1, 7):
         stepper = subject.stepper(subject.problem(DRIVEN_PENDULUM), END, STEPS, every=STEPS)
-        pace = stepper.pace
+        pace = cast("Any", stepper).pace
 
         def limit(steps: int = at_a_time, pace: object = pace) -> None:
             pace.steps = steps  # type: ignore[attr-defined]
