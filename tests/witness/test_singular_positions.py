@@ -51,10 +51,27 @@ def test_methods_of_every_order_pass_as_accurately_as_elsewhere(integrator, stag
     assert error(result, 2) < accuracy
 
 
-@pytest.mark.parametrize("n", [1, 5])
-def test_one_window_and_five_pass_as_two_do(n):
+def test_five_windows_pass_as_two_do():
     # expected: the angle by quadrature
-    assert error(windows(n, "gauss", 3, 3.0, 0.001).check(), n) < 1e-9
+    assert error(windows(5, "gauss", 3, 3.0, 0.001).check(), 5) < 1e-9
+
+
+@pytest.mark.parametrize("step", [0.001, 0.002, 0.004])
+def test_projected_windows_pass_ten_seconds_with_their_energy(step):
+    # expected: the angle by quadrature, and the energy of the start
+    result = windows(2, "gauss", 3, 10.0, step, stabilization="projection").check()
+    assert np.max(np.abs(result.energy.balance)) < 1e-6
+    assert error(result, 2) < 1e-8
+    assert max(joint.misalignment_max for joint in result.joints.values()) < 1e-12
+
+
+def test_fixed_point_stages_fail_at_a_flat_position_projected_or_not():
+    for stabilization in ("none", "projection"):
+        method = {"name": "gauss", "stages": 3, "stage_solver": "fixed-point"}
+        result = windows(2, "gauss", 3, 10.0, 0.001, integrator=method, stabilization=stabilization)
+        assert result.status == "failed"
+        assert result.status_reason.startswith("newton-failed")
+        assert np.all(np.isfinite(result.array("trajectory/position")))
 
 
 def test_forty_windows_move_as_published():
