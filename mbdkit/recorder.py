@@ -115,8 +115,7 @@ class Recorder:
             some = slice(done, min(done + most, count))
             stress, its_reactions = (np.zeros((some.stop - done, spare, pairs, columns)) for columns in (2, 3))
             status, reached = observe(
-                top, self.problem.scratch, self.problem.solver, *(x[some] for x in arrays),
-                stress, its_reactions, self._near,
+                self.problem.engine, *(x[some] for x in arrays), stress, its_reactions, self._near,
             )  # fmt: skip
             here, there = slice(done, done + reached), slice(0, reached)
             if spare and reached:

@@ -26,6 +26,8 @@ from llvmlite import ir
 from numba import cfunc, config, njit, types
 from numba.extending import intrinsic
 
+from mbdkit.engine.parts import PartCompiler
+
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -153,17 +155,17 @@ def _jit(function: Callable[..., Any], **options: Any) -> Any:
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function that Python calls: cached on disk, releases the interpreter lock, IEEE arithmetic."""
-    return _jit(function, cache=True, nogil=True)
+    return _jit(function, cache=True, nogil=True, no_cfunc_wrapper=True)
 
 
-def part(function: Callable[..., Any]) -> Any:
-    """Compile a function that only kernels call."""
-    return _jit(function)
+def part(function: Callable[..., Any], **options: Any) -> Any:
+    """Compile a function that only kernels call; see `mbdkit.engine.parts`."""
+    return _jit(function, pipeline_class=PartCompiler, no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a function that only kernels call, copied into each of its callers."""
-    return _jit(function, forceinline=True)
+    return part(function, forceinline=True)
 
 
 element = part

@@ -19,8 +19,6 @@ from numba import config, typeof, types
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 
-from mbdkit.engine.cache import kernel
-
 _COMPILED = not vars(config)["DISABLE_JIT"]
 _PLAIN: dict[int, Any] = {}
 """Bundles by the address of their block, where nothing is compiled."""
@@ -67,31 +65,6 @@ def _read(context, builder, kind, value, name):
     return found
 
 
-@intrinsic
-def _size_of(typing_context, bundle):
-    """Return how many bytes a bundle's compiled form takes."""
-
-    def generate(context, builder, signature, arguments):
-        return context.get_constant(types.intp, context.get_abi_sizeof(arguments[0].type))
-
-    return types.intp(bundle), generate
-
-
-@intrinsic
-def _write(typing_context, address, bundle):
-    """Write a bundle's compiled form to an address."""
-
-    def generate(context, builder, signature, arguments):
-        builder.store(arguments[1], builder.inttoptr(arguments[0], arguments[1].type.as_pointer()))
-        return context.get_dummy_value()
-
-    return types.void(types.intp, bundle), generate
-
-
-_size: Any = _size_of  # which a type checker takes for a function that always raises
-_store: Any = _write
-
-
 def loader(example: Callable[[], tuple[Any, ...]]) -> Any:
     """Return what reads a bundle back in compiled code, given its address.
 
@@ -115,19 +88,18 @@ def loader(example: Callable[[], tuple[Any, ...]]) -> Any:
     return load
 
 
-def _keep_plain(address, room, bundle):
-    _PLAIN[address] = bundle
-    return 0
+def _words(bundle: Any) -> list[int]:
+    """Return a bundle's compiled form: of each array owner, parent, numbers of items and bytes, place, shape, strides.
 
-
-def _keep_compiled(address, room, bundle):
-    size = _size(bundle)
-    if size <= room:
-        _store(address, bundle)
-    return size
-
-
-_keep = kernel(_keep_compiled) if _COMPILED else _keep_plain
+    The first two are for arrays that compiled code owns, and stay empty.
+    """
+    words: list[int] = []
+    for x in bundle:
+        if isinstance(x, tuple):
+            words += _words(x)
+        else:
+            words += (0, 0, x.size, x.itemsize, x.__array_interface__["data"][0], *x.shape, *x.strides)
+    return words
 
 
 class Hold:
@@ -146,8 +118,10 @@ class Hold:
     def replace(self, bundle: Any) -> None:
         """Keep another bundle of the same type; `address` may change."""
         self.bundle = bundle
-        size = _keep(self._block.ctypes.data, self._block.nbytes, bundle)
-        if size > self._block.nbytes:
-            self._block = np.zeros(-(-size // 8), dtype=np.int64)
-            _keep(self._block.ctypes.data, self._block.nbytes, bundle)
+        words = _words(bundle)
+        if len(words) != len(self._block):
+            self._block = np.zeros(len(words), dtype=np.int64)
+        self._block[:] = words
         self.address: int = self._block.ctypes.data
+        if not _COMPILED:
+            _PLAIN[self.address] = bundle

@@ -11,6 +11,7 @@ from mbdkit.engine.system import (
     constraint_rows,
     evaluate_powers,
     evaluate_tangents,
+    load_engine,
     prepare,
     solve_accelerations,
     spare_direction,
@@ -34,15 +35,15 @@ def reactions_of(top, w, lam, out):
 
 @kernel
 def observe(
-    top, w, solver, times, q, v, acc, lam, phi, phi_rate, reactions, kinetic, potential, distance,
+    engine, times, q, v, acc, lam, phi, phi_rate, reactions, kinetic, potential, distance,
     self_stress, its_reactions, near,
 ):  # fmt: skip
     """Evaluate recorded states in a row.
 
     Parameters
     ----------
-    top, w, solver
-        Mechanism, working arrays and solver in use.
+    engine
+        Address of an `Engine`: mechanism, working arrays and solver in use.
     times : (T,) array
         Times [s].
     q, v : (T, 3 (B + 1)) arrays
@@ -71,6 +72,8 @@ def observe(
     row : int
         The row at which it stopped.
     """
+    h = load_engine(engine)
+    top, w, solver = h.top, h.w, h.solver
     bodies = len(top.mass) - 1
     for r in range(len(times)):
         prepare(top, w, times[r], q[r])
@@ -110,8 +113,10 @@ def observe(
 
 
 @kernel
-def tangents_at(top, w, solver, t, q, v, acc, lam):
+def tangents_at(engine, t, q, v, acc, lam):
     """Solve for accelerations and multipliers and evaluate all tangents there; return a status."""
+    h = load_engine(engine)
+    top, w, solver = h.top, h.w, h.solver
     prepare(top, w, t, q)
     status = solve_accelerations(top, w, solver, q, v, acc, lam, True)
     if status == OK:
@@ -120,18 +125,21 @@ def tangents_at(top, w, solver, t, q, v, acc, lam):
 
 
 @kernel
-def baumgarte_at(top, w, t, q, v):
+def baumgarte_at(engine, t, q, v):
     """Return the largest of Baumgarte's terms at a state [m/s^2, rad/s^2]; 0 without them."""
-    prepare(top, w, t, q)
-    return constraint_rows(top, w, q, v)
+    h = load_engine(engine)
+    prepare(h.top, h.w, t, q)
+    return constraint_rows(h.top, h.w, q, v)
 
 
 @kernel
-def first_order_rates(top, w, solver, has_power, t, y, acc, lam, rates):
+def first_order_rates(engine, has_power, t, y, acc, lam, rates):
     """Write the right side of the first-order form, y = (q, v, work, dissipated), into `rates`; return a status.
 
     `y` and `rates` are (6 B + 2,); `acc` (3, 3 (B + 1)) and `lam` (P, 2) are scratch.
     """
+    h = load_engine(engine)
+    top, w, solver = h.top, h.w, h.solver
     n3 = 3 * (len(top.mass) - 1)
     q, v, a = acc[0], acc[1], acc[2]
     copy(y[:n3], q)
@@ -162,8 +170,10 @@ def stiffness_at(top, w, t, q, rest, lam):
 
 
 @kernel
-def note_all(top, w, times, q, worst):
+def note_all(engine, times, q, worst):
     """Raise `worst` (P,) by the squared misalignments of the states `q` (T, 3 (B + 1)) at `times` (T,)."""
+    h = load_engine(engine)
+    top, w = h.top, h.w
     for r in range(len(times)):
         prepare(top, w, times[r], q[r])
         constraint_positions(top.pairs, top.pair_parameters, q[r], w.cs, w.u, w.phi, w.phi_t)

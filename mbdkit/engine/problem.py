@@ -19,10 +19,11 @@ from mbdkit.engine.analysis import (
 from mbdkit.engine.compiled import CompiledMechanism
 from mbdkit.engine.constraints import KINDS
 from mbdkit.engine.forces import BODY_FORCE, PATHWAYS, POINT_FORCE
+from mbdkit.engine.hold import Hold
 from mbdkit.engine.lu import Factors, Pattern
 from mbdkit.engine.motions import MAX_DEPTH
 from mbdkit.engine.stabilization import NONE, Stabilization
-from mbdkit.engine.system import Scatter, Scratch, Solver, Topology
+from mbdkit.engine.system import Engine, Scatter, Scratch, Solver, Topology
 
 MOST_COUPLINGS = 60
 """Couplings per pair of rows above which a body has too many joints for the Schur complement."""
@@ -103,6 +104,18 @@ class Problem:
             row_index=self.mechanism.row_index,
             failed=np.array([-1]),
         )
+        self._engine = Hold(Engine(top, self.scratch, self.solver))
+        self._stepping_engine = Hold(Engine(self.stepping_topology, self.scratch, self.solver))
+
+    @property
+    def engine(self) -> int:
+        """Where kernels find the mechanism, the working arrays and the solver in use."""
+        return self._engine.address
+
+    @property
+    def stepping_engine(self) -> int:
+        """Where they find the mechanism as it is stepped, with the same arrays and solver."""
+        return self._stepping_engine.address
 
     @property
     def unknowns(self) -> int:
@@ -189,6 +202,8 @@ class Problem:
         pattern, factors, scatter = self.choose_pivots()
         self.solver.pivoted[0] = 1
         self.solver = self.solver._replace(pattern=pattern, factors=factors, scatter=scatter)
+        for hold in (self._engine, self._stepping_engine):
+            hold.replace(hold.bundle._replace(solver=self.solver))
 
 
 def finite_motions(top: Topology, u: np.ndarray) -> bool:

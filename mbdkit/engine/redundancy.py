@@ -318,9 +318,7 @@ def require_unique_start(problem: Problem) -> None:
     acc, lam = np.zeros(mechanism.size), np.zeros((len(mechanism.topology.pairs), 2))
     try:
         for _ in range(2):
-            status = tangents_at(
-                mechanism.topology, problem.scratch, problem.solver, problem.t0, problem.q0, problem.v0, acc, lam
-            )
+            status = tangents_at(problem.engine, problem.t0, problem.q0, problem.v0, acc, lam)
             if status == OK:
                 break
             problem.use_pivots()

@@ -21,7 +21,7 @@ import numpy as np
 from mbdkit.engine.cache import inlined, kernel, part
 from mbdkit.engine.lu import substitute
 from mbdkit.engine.self_stress import scaled_matrix, smallest_stress
-from mbdkit.engine.system import constraint_rows, independent_rows, prepare
+from mbdkit.engine.system import constraint_rows, independent_rows, load_engine, prepare
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled import CompiledMechanism
@@ -240,8 +240,10 @@ def singularity_distance(top, w, solver, near):
 
 
 @kernel
-def independent_jacobian(top, w, t, q, v, near):
+def independent_jacobian(engine, t, q, v, near):
     """Evaluate the Jacobian of the rows that are solved for into ``w.jac``, and the pairs' factors into `near`."""
+    h = load_engine(engine)
+    top, w = h.top, h.w
     prepare(top, w, t, q)
     constraint_rows(top, w, q, v)
     independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
@@ -275,7 +277,7 @@ def nearest_singularity(problem: Problem, t: float, q: np.ndarray) -> tuple[floa
     full = np.zeros(mechanism.size)
     full[: min(len(q), len(full))] = q[: len(full)]
     near = new_vectors(problem)
-    independent_jacobian(top, w, float(t), full, np.zeros_like(full), near)
+    independent_jacobian(problem.engine, float(t), full, np.zeros_like(full), near)
     pair, place = np.array([row.pair for row in rows]), np.array([row.place for row in rows])
     blocks = w.jac.reshape(-1, 2, 2, 3) * np.sqrt(top.weight[top.pairs[:, 1:3]])[:, None]
     with np.errstate(all="ignore"):

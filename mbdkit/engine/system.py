@@ -15,6 +15,7 @@ import numpy as np
 from mbdkit.engine.cache import inlined, part
 from mbdkit.engine.constraints import constraint_accelerations, constraint_positions, constraint_tangents, turn_bodies
 from mbdkit.engine.forces import applied_forces, force_tangents, powers
+from mbdkit.engine.hold import loader
 from mbdkit.engine.lu import Factors, Pattern, factorize, residual, substitute
 from mbdkit.engine.motions import evaluate_motions
 from mbdkit.engine.schur import Schur
@@ -132,6 +133,24 @@ class Solver(NamedTuple):
     """(P, 2) unknown of each multiplier in the pivoted system; -1 for an empty row."""
     failed: np.ndarray
     """(1,) pair or pivot position at which the last factorization failed."""
+
+
+class Engine(NamedTuple):
+    """All that it takes to solve for accelerations; kernels that Python calls take the address of a held one."""
+
+    top: Topology
+    w: Scratch
+    solver: Solver
+
+
+def _example() -> Engine:
+    from mbdkit.engine.view import example_problem
+
+    problem = example_problem()
+    return Engine(problem.mechanism.topology, problem.scratch, problem.solver)
+
+
+load_engine = loader(_example)
 
 
 @inlined

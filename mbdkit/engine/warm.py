@@ -91,7 +91,7 @@ def _run_everything(check: Callable[[], None]) -> None:
     for method in methods:
         check()
         problem = Problem(compiled, 0.0, q0, v0)
-        baumgarte_at(compiled.topology, problem.scratch, 0.0, q0, v0)
+        baumgarte_at(problem.engine, 0.0, q0, v0)
         stepper = method.start(problem, table)
         stretch = stepper.advance()
         stepper.inside(0.5)
@@ -99,7 +99,7 @@ def _run_everything(check: Callable[[], None]) -> None:
         rows, pairs = len(stretch.time), len(compiled.topology.pairs)
         shape = (rows, pairs, 2)
         observe(
-            compiled.topology, problem.scratch, problem.solver, stretch.time, stretch.q, stretch.v,
+            problem.engine, stretch.time, stretch.q, stretch.v,
             np.zeros_like(stretch.q), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros((rows, pairs, 3)),
             np.zeros(rows), np.zeros(rows), np.zeros(rows),
             np.zeros((rows, 0, pairs, 2)), np.zeros((rows, 0, pairs, 3)), new_vectors(problem),

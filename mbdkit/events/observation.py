@@ -99,7 +99,7 @@ class Observer:
             some = slice(done, None)
             for attempt in range(2):
                 status, reached = observe(
-                    self.problem.mechanism.topology, self.problem.scratch, self.problem.solver,
+                    self.problem.engine,
                     times[some], q[some], v[some], acc[some], lam[some], phi[some], rate[some], reactions[some],
                     kinetic[some], potential[some], distance[some], stress[some], its_reactions[some], self._near,
                 )  # fmt: skip

@@ -69,7 +69,7 @@ class CompiledStepper:
         self.floor = FLOOR * max(abs(timetable.start), abs(timetable.end), span)
         size = timetable.step
         if self.controlled:
-            size = min(span, size if size is not None else first_step(problem, self.common.top, span, self.control))
+            size = min(span, size if size is not None else first_step(problem, span, self.control))
         assert size is not None
         clock[driver.SIZE] = size
         family.start(self.common, size)

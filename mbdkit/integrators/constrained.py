@@ -620,9 +620,7 @@ class ConstrainedFamily(Family):
         own.begun[1] = np.nan
         rate: complex = h * (own.mu_complex[0] if len(own.mu_complex) else max(own.mu_real, key=abs))
         for _ in range(2):
-            status = tangents_at(
-                common.top, problem.scratch, problem.solver, t, common.q, common.v, own.first, own.pairs
-            )
+            status = tangents_at(problem.stepping_engine, t, common.q, common.v, own.first, own.pairs)
             if status == OK:
                 break
             problem.use_pivots()

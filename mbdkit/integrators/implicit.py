@@ -459,9 +459,7 @@ class CollocationFamily(Family):
         else:
             rate = float(h * max(own.mu_real, key=abs))
         for _ in range(2):
-            status = tangents_at(
-                common.top, problem.scratch, problem.solver, t, common.q, common.v, own.f[0], own.lam[0]
-            )
+            status = tangents_at(problem.stepping_engine, t, common.q, common.v, own.f[0], own.lam[0])
             if status == OK:
                 break
             problem.use_pivots()

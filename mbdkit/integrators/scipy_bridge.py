@@ -92,8 +92,7 @@ class SciPyStepper:
         for attempt in range(2):
             problem = self.problem
             status = first_order_rates(
-                problem.stepping_topology, problem.scratch, problem.solver, self.has_power,
-                float(t), full, self._acc, self._lam, out,
+                problem.stepping_engine, self.has_power, float(t), full, self._acc, self._lam, out,
             )  # fmt: skip
             if status == OK:
                 break
@@ -117,9 +116,7 @@ class SciPyStepper:
         n3, problem = self.n3, self.problem
         q, v = np.zeros((2, problem.mechanism.size))
         q[:n3], v[:n3] = y[:n3], y[n3 : 2 * n3]
-        status = tangents_at(
-            problem.stepping_topology, problem.scratch, problem.solver, float(t), q, v, self._acc[2], self._lam
-        )
+        status = tangents_at(problem.stepping_engine, float(t), q, v, self._acc[2], self._lam)
         if status != OK:  # new pivots, if they help
             if not np.all(np.isfinite(self.rates(t, y))):
                 return np.full((len(y), len(y)), np.nan)
@@ -249,16 +246,10 @@ class SciPyStepper:
         if self.finished:
             self.time = self.timetable.end
         problem = self.problem
-        note_all(
-            problem.mechanism.topology,
-            problem.scratch,
-            np.array([self.time]),
-            self._positions(self.y)[None],
-            self.worst_pairs,
-        )
+        note_all(problem.engine, np.array([self.time]), self._positions(self.y)[None], self.worst_pairs)
         if self._stabilized:
             q, v = self._positions(self.y), self._positions(self.y[self.n3 :])
-            pull = baumgarte_at(problem.stepping_topology, problem.scratch, self.time, q, v)
+            pull = baumgarte_at(problem.stepping_engine, self.time, q, v)
             self._pull = max(self._pull, pull)
         return True
 

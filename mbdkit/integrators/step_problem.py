@@ -268,7 +268,7 @@ class StepProblem:
         """Return the largest of Baumgarte's terms ``2 alpha Phi' + beta^2 Phi`` at a state [m/s^2, rad/s^2]."""
         problem, ground = self._problem, np.zeros(3)
         state = (np.concatenate([vector(x, self.n), ground]) for x in (q, v))
-        return float(baumgarte_at(problem.stepping_topology, problem.scratch, float(t), *state))
+        return float(baumgarte_at(problem.stepping_engine, float(t), *state))
 
     def powers(self, t: float, q: np.ndarray, v: np.ndarray, lam: np.ndarray) -> tuple[float, float]:
         """Return the power of loads and drivers under the multipliers `lam`, and the power dissipated [W]."""

@@ -80,9 +80,7 @@ class Compiled:
         near = np.zeros(1), *stresses, new_vectors(self.problem)
         arguments = (acc, lam, phi, rate, reactions, kinetic, potential, *near)
         for _ in range(2):
-            status, _ = observe(
-                self.top, self.scratch, self.problem.solver, np.array([self.t]), self.q[None], self.v[None], *arguments
-            )
+            status, _ = observe(self.problem.engine, np.array([self.t]), self.q[None], self.v[None], *arguments)
             if status == OK:
                 break
             self.problem.use_pivots()
@@ -92,14 +90,14 @@ class Compiled:
     def tangents(self) -> None:
         """Evaluate forces and all tangents into the scratch."""
         acc, lam = np.zeros(len(self.q)), np.zeros((len(self.top.pairs), 2))
-        assert tangents_at(self.top, self.scratch, self.problem.solver, self.t, self.q, self.v, acc, lam) == OK
+        assert tangents_at(self.problem.engine, self.t, self.q, self.v, acc, lam) == OK
 
     def powers(self) -> tuple[float, float]:
         """Return the power of loads and drivers and the dissipated power [W]."""
         y = np.concatenate([self.q[: self.n], self.v[: self.n], np.zeros(2)])
         acc, lam = np.zeros((3, len(self.q))), np.zeros((len(self.top.pairs), 2))
         rates = np.zeros(len(y))
-        assert first_order_rates(self.top, self.scratch, self.problem.solver, True, self.t, y, acc, lam, rates) == OK
+        assert first_order_rates(self.problem.engine, True, self.t, y, acc, lam, rates) == OK
         return float(rates[-2]), float(rates[-1])
 
 

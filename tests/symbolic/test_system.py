@@ -95,7 +95,7 @@ def engine(m: Mechanism, t: float, q: np.ndarray, v: np.ndarray) -> dict[str, np
     acc, lam = np.zeros((1, n + 3)), np.zeros((1, pairs, 2))
     others = np.zeros((1, pairs, 2)), np.zeros((1, pairs, 2)), np.zeros((1, pairs, 3)), np.zeros(1), np.zeros(1)
     none = np.zeros(1), np.zeros((1, 0, pairs, 2)), np.zeros((1, 0, pairs, 3)), new_vectors(problem)
-    status, _ = observe(top, w, problem.solver, np.array([t]), q[None], v[None], acc, lam, *others, *none)
+    status, _ = observe(problem.engine, np.array([t]), q[None], v[None], acc, lam, *others, *none)
     assert status == 0
     rows = [(row.pair, row.place) for row in compiled.rows]
     jacobian = np.zeros((len(rows), n + 3))
