@@ -33,6 +33,10 @@ class Control:
         1, or 2 where a second one of lower order keeps the first in check.
     scale
         Factor of the tolerance of the estimate.
+    memory
+        Share of the last error in the choice of a step (proportional-integral control), over the exponent of the error
+        at hand: 0.2 keeps explicit methods calm at the edge of their stability. Implicit ones have no such edge; for
+        them the errors follow the tolerance most evenly with 0.
     """
 
     rtol: float = 1e-6
@@ -41,6 +45,7 @@ class Control:
     estimate_order: float = 1.0
     estimates: int = 1
     scale: float = 1.0
+    memory: float = 0.0
 
     @property
     def inner_rtol(self) -> float:
@@ -59,8 +64,8 @@ class Control:
 
     @property
     def share(self) -> float:
-        """Exponent of the last error in the choice of a step, beta of Hairer and Wanner (1996), IV.2: PI control."""
-        return 0.2 / self.estimate_order
+        """Exponent of the last error in the choice of a step, beta of Hairer and Wanner (1996), IV.2."""
+        return self.memory / self.estimate_order
 
     @property
     def iteration_tolerance(self) -> float:

@@ -70,6 +70,7 @@ class ExplicitRungeKutta:
                 order=self.tableau.order,
                 estimate_order=self.pair.estimate_order,
                 estimates=len(self.pair.error),
+                memory=0.2,
             )
         return CompiledStepper(ExplicitFamily(self, problem), problem, timetable, control)
 
