@@ -155,6 +155,9 @@ def _symmetric_step(common, own, attempt, t, h):
             status = _newton_on(c, c.miss, c.nu)
         if status != OK:
             return status
+        for k in range(len(c.lam)):  # what pushes velocities before the step moves positions at its end
+            for r in range(c.still.rows[k]):
+                c.mu[k, r] -= 0.5 * h * c.lam[k, r]
     return DIVERGED
 
 
