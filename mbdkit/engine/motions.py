@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from math import acos, asin, atan, atan2, cos, exp, log, sin, sqrt, tan, tanh
 
-from mbdkit.engine.cache import part
+from mbdkit.engine.cache import kernel, part
 
 _NAMES = (
     "const", "t", "add", "sub", "mul", "div", "neg", "pow", "powi", "sin", "cos", "tan", "asin", "acos", "atan",
@@ -166,3 +166,10 @@ def evaluate_motions(t, ptr, ops, values, stack, u):
                     f, d1, d2 = _unary(op, a[0])
                 a[0], a[1], a[2] = f, d1 * a[1], d2 * a[1] * a[1] + d1 * a[2]
         u[i, 0], u[i, 1], u[i, 2] = stack[0, 0], stack[0, 1], stack[0, 2]
+
+
+@kernel
+def motions_at(times, ptr, ops, values, stack, u):
+    """Evaluate every motion at `times` (T,) into `u` (T, motions, 3); see `evaluate_motions`."""
+    for row in range(len(times)):
+        evaluate_motions(times[row], ptr, ops, values, stack, u[row])

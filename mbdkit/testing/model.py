@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.engine.motions import MAX_DEPTH, evaluate_motions
+from mbdkit.engine.motions import MAX_DEPTH, motions_at
 from mbdkit.integrators.step_problem import StepProblem
 from mbdkit.mechanism.elements import Driver
 from mbdkit.mechanism.mechanism import Mechanism
@@ -169,8 +169,7 @@ def drivers(subject: ModelSubject) -> Finding:
     times = np.linspace(0.0, END, 2001)
     values = np.empty((len(times), len(top.motion_start) - 1, 3))
     stack = np.zeros((MAX_DEPTH, 3))
-    for row, t in enumerate(times):
-        evaluate_motions(t, top.motion_start, top.motion_ops, top.motion_values, stack, values[row])
+    motions_at(times, top.motion_start, top.motion_ops, top.motion_values, stack, values)
     worst = 0.0
     for motion in wanted:
         for level, what in ((0, "rate"), (1, "acceleration")):

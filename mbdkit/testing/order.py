@@ -150,8 +150,9 @@ def judged(claimed: float, observed: ObservedOrder, errors: np.ndarray, what: st
 
 def _on(problem: str) -> Check[IntegratorSubject]:
     def observed(subject: IntegratorSubject) -> Finding:
+        claimed = subject.order
         found = convergence(subject, problem)
-        return judged(subject.order, found.observed, found.errors)
+        return judged(claimed, found.observed, found.errors)
 
     observed.__doc__ = (
         f"Its error on the {problem.replace('-', ' ')}, nonlinear and dependent on time, falls with the claimed order."

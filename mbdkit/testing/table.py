@@ -24,6 +24,8 @@ VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
     *(("gauss", {"stages": s}) for s in range(1, 7)),
     ("gauss", {"stage_solver": "fixed-point"}),
     *(("radau-iia", {"stages": s}) for s in (2, 3, 5)),
+    ("dopri5", {}),
+    ("dop853", {}),
     ("rattle", {}),
     ("lobatto-pair", {}),
     ("scipy-radau", {}),

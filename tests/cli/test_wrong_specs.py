@@ -95,7 +95,12 @@ WRONG = {
     "zero step": (small("step: 0.01", "step: 0"), 8, "time.step", "greater than 0"),
     "no step": (small("  step: 0.01\n", ""), 6, "time.step", "fixed-step method 'gauss' needs a step"),
     "a step that time does not feel": (small("step: 0.01", "step: 1e-30"), 8, "time.step", "too small"),
-    "interval without dense output": (SMALL + "output: {interval: 0.1}\n", 9, "output.interval", "no dense output"),
+    "interval without dense output": (
+        SMALL.replace("name: gauss, stages: 2", "name: rk4") + "output: {interval: 0.1}\n",
+        9,
+        "output.interval",
+        "no dense output",
+    ),
     "every and interval": (SMALL + "output: {every: 2, interval: 0.1}\n", 9, "output", "not both"),
     "unknown quantity": (SMALL + "output:\n  quantities: [energi]\n", 10, "output.quantities[0]", "mean 'energy'?"),
     "no steps allowed": (SMALL + "limits: {max_steps: 0}\n", 9, "limits.max_steps", "at least 1"),

@@ -37,11 +37,21 @@ def test_every_built_in_loads_and_states_summary_and_origin():
         "double-pendulum",
         "n-pendulum",
         "four-bar-knee",
+        "n-four-bar",
         "mechanism",
     ]
-    assert {"rk-gill", "rk4", "gauss", "scipy-radau", "scipy-dop853", "scipy-lsoda"} <= {
-        item.name for item in builtin.of_kind("integrator")
-    }
+    assert {
+        "rk-gill",
+        "rk4",
+        "dopri5",
+        "dop853",
+        "gauss",
+        "rattle",
+        "lobatto-pair",
+        "scipy-radau",
+        "scipy-dop853",
+        "scipy-lsoda",
+    } <= {item.name for item in builtin.of_kind("integrator")}
     for item in builtin.items:
         assert item.plugin.summary
         assert item.origin.version == mbdkit.__version__
