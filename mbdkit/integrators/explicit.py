@@ -58,7 +58,6 @@ def new_explicit(method: ExplicitRungeKutta, size: int, pairs: int) -> Explicit:
         if len(method.pair.c) > len(c):
             a, c = method.pair.a, method.pair.c
     stages = len(c)
-    last_is_first = bool(len(b) > 1 and c[len(b) - 1] == 1.0 and np.array_equal(a[len(b) - 1, : len(b)], b))
     return Explicit(
         a=np.ascontiguousarray(a),
         b=b,
@@ -71,7 +70,7 @@ def new_explicit(method: ExplicitRungeKutta, size: int, pairs: int) -> Explicit:
         lam=np.zeros((pairs, 2)),
         power=np.zeros((stages, 2)),
         weights=np.zeros(stages),
-        status=np.array([int(last_is_first), 0]),
+        status=np.array([int(method.tableau.is_first_same_as_last), 0]),
     )
 
 

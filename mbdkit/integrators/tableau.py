@@ -199,6 +199,12 @@ class ButcherTableau:
         return bool(np.linalg.cond(vectors) < 1e8)
 
     @property
+    def is_first_same_as_last(self) -> bool:
+        """Whether the last stage is the first one of the next step: its row of ``a`` is ``b``, and its node 1."""
+        a, b, c = self._numbers
+        return bool(self.stages > 1 and c[-1] == 1 and a[-1] == b)
+
+    @property
     def is_collocation(self) -> bool:
         """Whether it integrates polynomials through distinct nodes: ``sum_j a_ij c_j^(k-1) = c_i^k / k``, k <= s."""
         a, b, c = self._numbers
