@@ -36,8 +36,8 @@ def test_every_built_in_loads_and_states_summary_and_origin():
         "single-pendulum",
         "double-pendulum",
         "n-pendulum",
-        "four-bar-knee",
         "n-four-bar",
+        "four-bar-knee",
         "mechanism",
     ]
     assert {
