@@ -60,8 +60,9 @@ NO_PROJECTION, PLAIN, SYMMETRIC = range(3)
 TOO_SMALL = 5
 """Status: the step would have to be smaller than the floor under it."""
 
-MOST_TRIALS, IDLE = 100, 2
-"""Iterations of a symmetric projection, each with a step of the method, and those without progress that end it."""
+MOST_TRIALS, IDLE, IDLE_RATIO = 100, 2, 0.9
+"""Iterations of a symmetric projection, each with a step of the method; those without progress that end it; and the
+ratio to the best so far that is no progress: on fast linkages it converges slowly."""
 
 SAFETY, LEAST, LARGEST, AFTER_FAILURE = 0.9, 0.2, 6.0, 0.25
 """Control of the step: margin, bounds on its change, and its change where the equations could not be solved."""
@@ -139,7 +140,7 @@ def _symmetric_step(common, own, attempt, t, h):
         )
         if not now < np.inf:
             return NOT_FINITE
-        if m > 1 and now > 0.5 * before and now < STAGNANT:
+        if m > 1 and now > IDLE_RATIO * before and now < STAGNANT:
             idle += 1
         if now <= FEW_ROUNDINGS * EPS or idle >= IDLE:
             return OK
