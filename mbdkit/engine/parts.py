@@ -34,12 +34,12 @@ class _PartLowering(NativeLowering):
 
     def run_pass(self, state: Any) -> bool:
         """Lower the function, and let kernels find its code."""
-        state.library = _PartLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state["library"] = code = _PartLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.flags.no_compile = True
         super().run_pass(state)
-        state.library.finalize()
+        code.finalize()
         entry: Any = {}.__getitem__  # what the code is found by: a builtin of its own, useless from Python
-        state.targetctx.insert_user_function(entry, state.cr.fndesc, [state.library])
+        state.targetctx.insert_user_function(entry, state.cr.fndesc, [code])
         state.cr = state.cr._replace(cfunc=entry)
         return True
 
