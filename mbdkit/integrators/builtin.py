@@ -20,9 +20,6 @@ from mbdkit.registry.items import Claims, IntegratorPlugin, Orders
 _POLYNOMIAL_DRIFT = "constraints hold at acceleration level only: drift of the method's order, growing with time"
 _TOLERANCE_DRIFT = "constraints hold at acceleration level only: drift follows the tolerance and grows with time"
 
-_ALL = ("none", "baumgarte", "projection", "symmetric-projection")
-_PLAIN = _ALL[:3]
-
 _SCIPY = """@article{scipy2020,
   author = {Virtanen, Pauli and others},
   title = {{SciPy} 1.0: fundamental algorithms for scientific computing in {P}ython},
@@ -62,7 +59,6 @@ def _radau_claims(options: RadauOptions) -> Claims:
         order=order if fixed else None,
         stages=s,
         adaptive=options.adaptive,
-        stabilizations=_ALL if fixed else _PLAIN,
         drift=_BY_FORMULATION if newton else index_1,
         needs=("tangents",) if newton else ("accelerations",),
         formulations=("index-1", *orders) if newton else ("index-1",),
@@ -102,7 +98,6 @@ def _embedded(name: str, summary: str, module: Any, order: int, stages: int) -> 
             adaptive=options.adaptive,
             drift=_TOLERANCE_DRIFT if options.adaptive else _POLYNOMIAL_DRIFT,
             needs=("accelerations",),
-            stabilizations=_PLAIN if options.adaptive else _ALL,
         )
 
     return IntegratorPlugin(
@@ -138,7 +133,6 @@ def _gauss_claims(options: GaussOptions) -> Claims:
         adaptive=options.adaptive,
         drift=_POLYNOMIAL_DRIFT if fixed else _TOLERANCE_DRIFT,
         needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
-        stabilizations=_ALL if fixed else _PLAIN,
     )
 
 

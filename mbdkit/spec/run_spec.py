@@ -90,7 +90,10 @@ class RunSpec(StrictSpec):
             )
         self._check_stabilization(item, claims)
         if self.time.step is None and not claims.adaptive:
-            raise SpecError(f"is missing: the fixed-step method '{item.name}' needs a step in seconds", key="time.step")
+            choice = ", or `adaptive: true`" if "adaptive" in type(self.integrator).model_fields else ""
+            raise SpecError(
+                f"is missing: the fixed-step method '{item.name}' needs a step in seconds{choice}", key="time.step"
+            )
         if self.output.interval is not None and not self.integrator_plugin.dense_output:
             dense = [
                 other.name
