@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from mbdkit.mechanism.elements import (
     Body,
@@ -25,7 +25,8 @@ from mbdkit.mechanism.elements import (
 from mbdkit.mechanism.law_element import Law
 
 Joint = Annotated[Revolute | Prismatic | Weld | Distance | Driver, Field(discriminator="type")]
-Force = Annotated[SpringDamper | TorsionSpring | Torque | PointForce | Law, Field(discriminator="type")]
+Force = Annotated[SpringDamper | TorsionSpring | Torque | PointForce | SerializeAsAny[Law], Field(discriminator="type")]
+"""A law's options are fields of the class that its law makes, and are dumped as well."""
 
 
 class Assembly(Element):

@@ -10,10 +10,8 @@ from pydantic import (
     ConfigDict,
     Field,
     ModelWrapValidatorHandler,
-    SerializerFunctionWrapHandler,
     ValidationError,
     ValidationInfo,
-    model_serializer,
     model_validator,
 )
 from pydantic_core import InitErrorDetails, to_json
@@ -119,12 +117,6 @@ class Law(Element):
             return element.model_validate_json(to_json(data, fallback=lambda x: x.tolist()))
         except ValidationError as error:
             raise _below(error, element.law_id) from None
-
-    @model_serializer(mode="wrap")
-    def _with_its_options(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Return the options of the law too, of which the class that the spec names for all laws does not know."""
-        data: dict[str, Any] = handler(self)
-        return data | {name: getattr(self, name) for name in type(self).model_fields if name not in data}
 
     @property
     def bodies(self) -> tuple[str, str]:

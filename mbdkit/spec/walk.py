@@ -71,8 +71,9 @@ def _member(members: list[Any], label: str | int, below: Path, metadata: tuple[A
         (extra.discriminator for extra in metadata if isinstance(extra, FieldInfo) and extra.discriminator), None
     )
     for member in members:
-        if isinstance(tag, str) and isinstance(member, type) and issubclass(member, BaseModel):
-            if label in get_args(member.model_fields[tag].annotation):
+        bare = get_args(member)[0] if get_origin(member) is Annotated else member
+        if isinstance(tag, str) and isinstance(bare, type) and issubclass(bare, BaseModel):
+            if label in get_args(bare.model_fields[tag].annotation):
                 return member
         elif getattr(member, "__name__", None) == label:
             return member
