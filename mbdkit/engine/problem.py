@@ -118,6 +118,12 @@ class Problem:
         return self._stepping_engine.address
 
     @property
+    def has_power(self) -> bool:
+        """Whether loads, drivers, dampers or laws act, so that work and dissipated energy change."""
+        top = self.mechanism.topology
+        return bool(len(top.loads) or np.any(top.pairs[:, 3] >= 0) or np.any(top.linear[:, 1]) or len(top.laws))
+
+    @property
     def unknowns(self) -> int:
         """Number of accelerations and multipliers, 3 B + m."""
         return self.mechanism.unknowns

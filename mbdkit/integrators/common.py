@@ -102,7 +102,7 @@ class Common(NamedTuple):
     """(R, P, 2), or no rows where the method carries no multipliers."""
 
 
-def new_common(problem: Problem, rows: int, *, has_power: bool, own_multipliers: bool = False) -> Common:
+def new_common(problem: Problem, rows: int, *, own_multipliers: bool = False) -> Common:
     """Return the bundle of a run at its start.
 
     Parameters
@@ -111,8 +111,6 @@ def new_common(problem: Problem, rows: int, *, has_power: bool, own_multipliers:
         The mechanism and its start.
     rows
         Room for recorded states.
-    has_power
-        Whether work or dissipated energy can change.
     own_multipliers
         Whether the method carries multipliers that are recorded.
     """
@@ -129,7 +127,7 @@ def new_common(problem: Problem, rows: int, *, has_power: bool, own_multipliers:
     q, v = problem.q0.copy(), problem.v0.copy()
     return Common(
         top=top, still=still, w=problem.scratch, solver=problem.solver,
-        has_power=np.array([int(has_power)]),
+        has_power=np.array([int(problem.has_power)]),
         q=q, q_low=vector(), v=v, v_low=vector(), energy=np.zeros(2), energy_low=np.zeros(2),
         from_q=q.copy(), from_v=v.copy(), moved=np.array([ALTERED]),
         dq=vector(), dv=vector(), gain=np.zeros(2), own_lam=by_pair(),
@@ -146,4 +144,4 @@ def new_common(problem: Problem, rows: int, *, has_power: bool, own_multipliers:
     )  # fmt: skip
 
 
-load_common = loader(lambda: new_common(example_problem(), 1, has_power=False))
+load_common = loader(lambda: new_common(example_problem(), 1))

@@ -16,7 +16,7 @@ from mbdkit.engine.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAG
 from mbdkit.integrators import driver
 from mbdkit.integrators.common import ALTERED, FACTORIZATIONS, ITERATIONS, JACOBIANS, PROJECTIONS, RHS, new_common
 from mbdkit.integrators.control import FIXED_STEPS, Control, first_step
-from mbdkit.integrators.fixed_step import MOST_ROWS, ROW_BYTES, has_power
+from mbdkit.integrators.projected_step import NO_PROJECTION, PLAIN, SYMMETRIC
 from mbdkit.integrators.stepping import Counters, Failure, Pace, StepTaken, Stretch, Timetable, joined
 
 if TYPE_CHECKING:
@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 
 SINGULAR, REGULAR = 1e-6, 1e-2
 """Distance to singularity of a state that counts as singular, and of one where nothing singular is near."""
+
+MOST_ROWS = 4096
+ROW_BYTES = 1 << 24
+"""Bounds on the buffer of recorded states: rows, and bytes."""
 
 FLOOR = 16 * float(np.finfo(float).eps)
 """The least size of a step, relative to the largest time of the run."""
@@ -52,12 +56,7 @@ class CompiledStepper:
         self.failure: Failure | None = None
         self.time = timetable.start
         rows = max(2, min(MOST_ROWS, ROW_BYTES // (16 * problem.mechanism.size)))
-        self.common = new_common(
-            problem,
-            rows,
-            has_power=has_power(problem.mechanism.topology),
-            own_multipliers=family.carries_multipliers,
-        )
+        self.common = new_common(problem, rows, own_multipliers=family.carries_multipliers)
         self.hold = Hold(self.common)
         self.worst_pairs = self.common.worst
         self.numbers = np.zeros(4, dtype=np.int64)
@@ -73,10 +72,11 @@ class CompiledStepper:
         assert size is not None
         clock[driver.SIZE] = size
         family.start(self.common, size)
+        self._take_up_pivots()
         self._dense = family.dense.address if family.dense is not None else 0
-        self.mode, stab = driver.NO_PROJECTION, problem.stabilization
+        self.mode, stab = NO_PROJECTION, problem.stabilization
         if stab.kind == "projection":
-            self.mode = driver.SYMMETRIC if stab.symmetric else driver.PLAIN
+            self.mode = SYMMETRIC if stab.symmetric else PLAIN
         self.last_step: StepTaken | None = None
         self._before: list[np.ndarray] = []
         self._row_times = np.zeros(0)
@@ -152,14 +152,14 @@ class CompiledStepper:
         """Return a state in the last step by dense output, or the cubic through its ends; see `Stepper.inside`."""
         step, c = self.last_step, self.common
         assert step is not None
-        if self._dense == 0 or not self.family.has_dense_output or self.mode == driver.SYMMETRIC:
+        if self._dense == 0 or not self.family.has_dense_output or self.mode == SYMMETRIC:
             return step.hermite(theta)
         h = float(c.clock[driver.TAKEN])
         status = driver.look_inside(self.hold.address, self.family.hold.address, self._dense, step.t0, h, theta)
         if status != OK:
             return step.hermite(theta)
         q, v = c.point_q.copy(), c.point_v.copy()
-        if self.mode == driver.PLAIN:
+        if self.mode == PLAIN:
             fade = theta * theta * (3.0 - 2.0 * theta)
             q, v = q + fade * c.shift_q, v + fade * c.shift_v
         return q, v
@@ -258,15 +258,11 @@ class CompiledStepper:
             except SingularSystemError as error:
                 singular = error
         apart = (done, -1)
-        if (
-            status not in (driver.TOO_SMALL, NOT_FINITE)
-            and self.mode != driver.SYMMETRIC
-            and apart not in self._renewed
-        ):
+        if status not in (driver.TOO_SMALL, NOT_FINITE) and self.mode != SYMMETRIC and apart not in self._renewed:
             self._renewed.add(apart)
-            if self.family.solve_apart(self.common, self.time, self._size_tried()):
-                self.common = self.common._replace(solver=self.problem.solver)
-                self.hold.replace(self.common)
+            solved = self.family.solve_apart(self.common, self.time, self._size_tried())
+            self._take_up_pivots()
+            if solved:
                 return
         if self.controlled and status != driver.TOO_SMALL and self._shrink():
             return
@@ -283,10 +279,16 @@ class CompiledStepper:
         if status == REPIVOT:
             self.problem.use_pivots()
             self.family.forget()
-            self.common = self.common._replace(solver=self.problem.solver)
-            self.hold.replace(self.common)
+            self._take_up_pivots()
             return True
-        return self.family.renew(self.common, self.time, self._size_tried())
+        helped = self.family.renew(self.common, self.time, self._size_tried())
+        self._take_up_pivots()
+        return helped
+
+    def _take_up_pivots(self) -> None:
+        """Go on with the problem's solver as it is now."""
+        self.common = self.common._replace(solver=self.problem.solver)
+        self.hold.replace(self.common)
 
     def _shrink(self) -> bool:
         """Count the step that is being tried as rejected, and try a smaller one; return whether there is room."""

@@ -26,14 +26,14 @@ positions that it moves enter the equations above with the exact K and gamma_v, 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mbdkit.engine.cache import entry, part
 from mbdkit.engine.hold import Hold, loader
-from mbdkit.engine.lu import Factors, Pattern, factorize, substitute
-from mbdkit.engine.observe import tangents_at
+from mbdkit.engine.lu import factorize, substitute
 from mbdkit.engine.projection import position_rows, rate_rows
 from mbdkit.engine.system import (
     DIVERGED,
@@ -46,16 +46,25 @@ from mbdkit.engine.system import (
     evaluate_tangents,
     independent_rows,
     prepare,
-    solve_accelerations,
     solve_system,
     unfold_multipliers,
 )
 from mbdkit.engine.vectors import copy, stays_finite
 from mbdkit.engine.view import DAMPING, GAMMA_V, JACOBIAN, MASS, RESIDUAL_Q, STIFFNESS
+from mbdkit.integrators.collocation import (
+    Coefficients,
+    StageFamily,
+    Systems,
+    add_up,
+    first_acceleration,
+    gap_at_beginning,
+    leading,
+    new_systems,
+    report_divergence,
+    state_inside,
+)
 from mbdkit.integrators.common import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS, SAME, Common, load_common
-from mbdkit.integrators.dense import collocation_polynomials, dense_gains, weights_at
-from mbdkit.integrators.family import Family
-from mbdkit.integrators.implicit import Eigenvalues, stacked, stage_divergence
+from mbdkit.integrators.dense import dense_gains
 from mbdkit.integrators.iteration_matrix import chosen_pivots, classes_of
 from mbdkit.integrators.newton import one_of
 from mbdkit.integrators.settling import (
@@ -84,34 +93,19 @@ FORMULATIONS = {"index-3": INDEX_3, "index-2": INDEX_2, "ggl": GGL}
 class Constrained(NamedTuple):
     """A stiffly accurate method of s stages on a formulation, and its room."""
 
-    a: np.ndarray
-    a2: np.ndarray
-    """(s, s) A and A A: weights of accelerations in velocities and positions of the stages, the last one the end."""
-    inverse: np.ndarray
-    """(s, s) A^-1."""
-    b: np.ndarray
-    c: np.ndarray
-    dense_v: np.ndarray
-    """(s, s) and (s, s + 1) polynomials of dense output (`collocation_polynomials`)."""
-    dense_q: np.ndarray
-    choice: np.ndarray
-    """(2,) INDEX_3, INDEX_2 or GGL, and the most iterations in one step."""
-    tolerance: np.ndarray
-    """(1,) expected change of the state, relative to its size, at which the iteration ends."""
-    t_real: np.ndarray
-    t_real_inv: np.ndarray
-    mu_real: np.ndarray
-    t_complex: np.ndarray
-    t_complex_inv: np.ndarray
-    mu_complex: np.ndarray
-    pattern: Pattern
+    rk: Coefficients
+    """Its last stage is the end of the step."""
+    systems: Systems
     scatter: np.ndarray
     """(N, 3) each term of the matrices: its place in ``Scratch.source`` and among the values, and its class."""
     by_position: np.ndarray
     """(N', 4) the derivatives of the equations by positions: place in ``Scratch.source``, row, column, class."""
-    real: Factors
-    cplx: Factors
-    """Factors of the matrices of all eigenvalues, stacked."""
+    inverse: np.ndarray
+    """(s, s) A^-1."""
+    choice: np.ndarray
+    """(2,) INDEX_3, INDEX_2 or GGL, and the most iterations in one step."""
+    tolerance: np.ndarray
+    """(1,) expected change of the state, relative to its size, at which the iteration ends."""
     acc: np.ndarray
     """(s, 3 (B + 1)) accelerations of the stages; `begun` tells when the step began that they belong to, and its size:
     NaN where there are none."""
@@ -141,10 +135,6 @@ class Constrained(NamedTuple):
     """(P, 2) scratch."""
     spread: np.ndarray
     """(s, 3 (B + 1)) scratch."""
-    b_real: np.ndarray
-    x_real: np.ndarray
-    b_complex: np.ndarray
-    x_complex: np.ndarray
     power: np.ndarray
     """(s, 2) powers of the stages."""
     point: np.ndarray
@@ -156,7 +146,8 @@ def _example() -> Constrained:
     from mbdkit.integrators import radau_iia
     from mbdkit.integrators.methods import ImplicitRungeKutta
 
-    return new_constrained(ImplicitRungeKutta(radau_iia.tableau(2)), example_problem(), INDEX_3)
+    problem = replace(example_problem(), formulation="index-3")
+    return ConstrainedFamily(ImplicitRungeKutta(radau_iia.tableau(2)), problem).own
 
 
 load_constrained = loader(_example)
@@ -172,7 +163,7 @@ def _predict(m, t, h):
         m.mu[:, :, :] = 0.0
         m.push[:, :] = 0.0
         return True
-    extrapolation_weights((t - m.begun[0]) / size, h / size, m.c, m.weights)
+    extrapolation_weights((t - m.begun[0]) / size, h / size, m.rk.c, m.weights)
     extrapolate(m.weights, m.acc, m.spread)
     for r in range(2):
         extrapolate(m.weights, m.lam[:, :, r], m.gap[:, :, r])
@@ -182,11 +173,11 @@ def _predict(m, t, h):
 @part
 def _stages(c, m, h):
     """Evaluate positions and velocities of every stage."""
-    stage_states(h, m.a, m.a2, m.c, c.from_q, c.from_v, m.acc, m.q_stage, m.v_stage)
+    stage_states(h, m.rk.a, m.rk.a2, m.rk.c, c.from_q, c.from_v, m.acc, m.q_stage, m.v_stage)
     if m.choice[0] == GGL:
-        for i in range(len(m.c)):
-            for j in range(len(m.c)):
-                w = h * m.a[i, j]
+        for i in range(len(m.rk.c)):
+            for j in range(len(m.rk.c)):
+                w = h * m.rk.a[i, j]
                 for d in range(len(c.q) - 3):
                     m.q_stage[i, d] -= w * m.push[j, d]
 
@@ -207,33 +198,33 @@ def _gather(c, m, rate, values):
             factor = lower
         values[m.scatter[e, 1]] += factor * c.w.source[m.scatter[e, 0]]
     for x in range(len(values)):
-        values[x] *= m.pattern.weight[x]
+        values[x] *= m.systems.pattern.weight[x]
 
 
 @part
 def _take_tangents(c, m, t, h):
     """Evaluate and factorize the matrices of all eigenvalues at the middle of the stages; return a status."""
-    top, w = c.top, c.w
+    top, w, systems = c.top, c.w, m.systems
     stage_mean(m.q_stage, m.mean[0])
     stage_mean(m.v_stage, m.mean[1])
     stage_mean(m.acc, m.mean[2])
     for r in range(2):
         stage_mean(m.lam[:, :, r], m.pairs[:, r])
     middle = 0.0
-    for i in range(len(m.c)):
-        middle += m.c[i] / len(m.c)
+    for i in range(len(m.rk.c)):
+        middle += m.rk.c[i] / len(m.rk.c)
     prepare(top, w, t + middle * h, m.mean[0])
     unfold_multipliers(top, w.cs, m.pairs)
     evaluate_tangents(top, w, t + middle * h, m.mean[0], m.mean[1], m.mean[2], m.pairs)
     c.counts[JACOBIANS] += 1
-    c.counts[FACTORIZATIONS] += len(m.mu_real) + len(m.mu_complex)
+    c.counts[FACTORIZATIONS] += len(m.rk.mu_real) + len(m.rk.mu_complex)
     failed = -1
-    for e in range(len(m.mu_real)):
-        _gather(c, m, h * m.mu_real[e], m.real.a[e])
-        failed = max(failed, factorize(m.pattern, one_of(m.real, e)))
-    for e in range(len(m.mu_complex)):
-        _gather(c, m, h * m.mu_complex[e], m.cplx.a[e])
-        failed = max(failed, factorize(m.pattern, one_of(m.cplx, e)))
+    for e in range(len(m.rk.mu_real)):
+        _gather(c, m, h * m.rk.mu_real[e], systems.real.a[e])
+        failed = max(failed, factorize(systems.pattern, one_of(systems.real, e)))
+    for e in range(len(m.rk.mu_complex)):
+        _gather(c, m, h * m.rk.mu_complex[e], systems.cplx.a[e])
+        failed = max(failed, factorize(systems.pattern, one_of(systems.cplx, e)))
     if failed >= 0:
         c.solver.failed[0] = failed
         return REPIVOT_STAGES
@@ -246,9 +237,9 @@ def _evaluate(c, m, t, h):
     top, w = c.top, c.w
     n3 = len(c.q) - 3
     has_forces = len(top.springs) + len(top.loads) > 0
-    for i in range(len(m.c)):
+    for i in range(len(m.rk.c)):
         q, v, lack = m.q_stage[i], m.v_stage[i], m.lack[i]
-        position_rows(top, w, t + m.c[i] * h, q)
+        position_rows(top, w, t + m.rk.c[i] * h, q)
         constraint_rows(top, w, q, v)
         independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
         for b in range(len(top.mass) - 1):
@@ -270,14 +261,14 @@ def _evaluate(c, m, t, h):
                 m.gap[i, k, r] = w.phi[k, r]
                 lack[c.solver.row_index[k, r]] = w.phi[k, r] if m.choice[0] == INDEX_3 else m.pairs[k, r]
             copy(w.jac[k], m.jac[i, k])
-    c.counts[RHS] += len(m.c)
+    c.counts[RHS] += len(m.rk.c)
 
 
 @part
 def _push_on(c, m, h):
     """Change mu so that both constraints can be met, and what the equations lack by the positions it moves (ggl)."""
     top, w = c.top, c.w
-    s = len(m.c)
+    s = len(m.rk.c)
     n3 = len(c.q) - 3
     for i in range(s):
         for k in range(len(top.pairs)):
@@ -310,7 +301,7 @@ def _push_on(c, m, h):
         for d in range(n3):
             total = 0.0
             for j in range(s):
-                total -= h * m.a[i, j] * m.push_change[j, d]
+                total -= h * m.rk.a[i, j] * m.push_change[j, d]
             m.spread[i, d] = total
         for e in range(len(m.by_position)):
             factor = 1.0 if m.by_position[e, 3] == STIFFNESS else -0.5
@@ -321,64 +312,67 @@ def _push_on(c, m, h):
 @part
 def _solve(c, m, h):
     """Solve the transformed systems for the change of every stage's accelerations and multipliers."""
+    rk, systems = m.rk, m.systems
+    b_real, x_real = systems.b_real, systems.x_real
+    b_complex, x_complex = systems.b_complex, systems.x_complex
     s, size = m.lack.shape
     n3 = len(c.q) - 3
     m.change[:, :] = 0.0
-    for e in range(len(m.mu_real)):
-        rate = h * m.mu_real[e]
+    for e in range(len(rk.mu_real)):
+        rate = h * rk.mu_real[e]
         scale = rate * rate if m.choice[0] == INDEX_3 else rate
         for d in range(size):
             total = 0.0
             for j in range(s):
-                total += m.t_real_inv[e, j] * m.lack[j, d]
-            m.b_real[d] = total if d < n3 else total / scale
-        substitute(m.pattern, one_of(m.real, e), m.b_real, m.x_real)
+                total += rk.t_real_inv[e, j] * m.lack[j, d]
+            b_real[d] = total if d < n3 else total / scale
+        substitute(systems.pattern, one_of(systems.real, e), b_real, x_real)
         for i in range(s):
             for d in range(size):
-                m.change[i, d] -= m.t_real[i, e] * m.x_real[d]
-    for e in range(len(m.mu_complex)):
-        z = h * m.mu_complex[e]
+                m.change[i, d] -= rk.t_real[i, e] * x_real[d]
+    for e in range(len(rk.mu_complex)):
+        z = h * rk.mu_complex[e]
         lower = z * z if m.choice[0] == INDEX_3 else z
         for d in range(size):
             sum_z = 0.0 * z
             for j in range(s):
-                sum_z += m.t_complex_inv[e, j] * m.lack[j, d]
-            m.b_complex[d] = sum_z if d < n3 else sum_z / lower
-        substitute(m.pattern, one_of(m.cplx, e), m.b_complex, m.x_complex)
+                sum_z += rk.t_complex_inv[e, j] * m.lack[j, d]
+            b_complex[d] = sum_z if d < n3 else sum_z / lower
+        substitute(systems.pattern, one_of(systems.cplx, e), b_complex, x_complex)
         for i in range(s):
-            y = m.t_complex[i, e]
+            y = rk.t_complex[i, e]
             for d in range(size):
-                m.change[i, d] -= 2.0 * (y.real * m.x_complex[d].real - y.imag * m.x_complex[d].imag)
+                m.change[i, d] -= 2.0 * (y.real * x_complex[d].real - y.imag * x_complex[d].imag)
 
 
 @part
 def _change_of_positions(c, m, h):
     """Write the change of every stage's positions into ``m.spread``."""
-    for i in range(len(m.c)):
+    for i in range(len(m.rk.c)):
         for d in range(len(c.q) - 3):
             total = 0.0
-            for j in range(len(m.c)):
-                total += h * h * m.a2[i, j] * m.change[j, d]
+            for j in range(len(m.rk.c)):
+                total += h * h * m.rk.a2[i, j] * m.change[j, d]
                 if m.choice[0] == GGL:
-                    total -= h * m.a[i, j] * m.push_change[j, d]
+                    total -= h * m.rk.a[i, j] * m.push_change[j, d]
             m.spread[i, d] = total
 
 
 @part
 def _change_of_velocities(c, m, h):
     """Write the change of every stage's velocities into ``m.spread``."""
-    for i in range(len(m.c)):
+    for i in range(len(m.rk.c)):
         for d in range(len(c.q) - 3):
             total = 0.0
-            for j in range(len(m.c)):
-                total += h * m.a[i, j] * m.change[j, d]
+            for j in range(len(m.rk.c)):
+                total += h * m.rk.a[i, j] * m.change[j, d]
             m.spread[i, d] = total
 
 
 @part
 def _is_noise(c, m, h, moved):
     """Return whether changes that shrink no more are the round-off of single forces, of stiff springs above all."""
-    last = len(m.c) - 1
+    last = len(m.rk.c) - 1
     return moved <= SMALL and is_round_off(
         c.top, c.w, h, c.from_q, m.v_stage[last], m.lam[last], m.acc[last], len(c.top.mass) - 1, m.change, True
     )
@@ -388,7 +382,7 @@ def _is_noise(c, m, h, moved):
 def _iterate(c, m, t, h):
     """Solve the stage equations; return a status."""
     top = c.top
-    s = len(m.c)
+    s = len(m.rk.c)
     bodies = len(top.mass) - 1
     fresh = _predict(m, t, h)
     m.begun[0], m.begun[1] = t, np.nan
@@ -432,11 +426,7 @@ def _iterate(c, m, t, h):
             if idle >= IDLE and (now <= STAGNANT or _is_noise(c, m, h, moved)):
                 break
         if n >= m.choice[1] or (n > 4 and ratio > 4.0 and now > RUNAWAY) or not now < np.inf:
-            c.report[0], c.report[2] = 0.0, n
-            for i in range(s):
-                for d in range(3 * bodies):
-                    if not abs(m.change[i, d]) <= c.report[0]:
-                        c.report[0], c.report[1] = abs(m.change[i, d]), d
+            report_divergence(c, n, m.change, s)
             return DIVERGED
         stale = (fresh and n == 1) or (n - taken_at >= 3 and ratio > SLOW)
         before = now
@@ -457,8 +447,7 @@ def _own_multipliers(c, t, q, lam, out):
 def attempt(common, own, t, h, want_error):
     """Try a step from the base state; see `mbdkit.integrators.driver`."""
     c, m = load_common(common), load_constrained(own)
-    s = len(m.c)
-    n3 = len(c.q) - 3
+    s = len(m.rk.c)
     if c.moved[0] != SAME:
         m.first_known[0] = 0
     status = _iterate(c, m, t, h)
@@ -467,33 +456,23 @@ def attempt(common, own, t, h, want_error):
     c.gain[0] = c.gain[1] = 0.0
     if c.has_power[0] != 0:
         for i in range(s):
-            _own_multipliers(c, t + m.c[i] * h, m.q_stage[i], m.lam[i], m.pairs)
+            _own_multipliers(c, t + m.rk.c[i] * h, m.q_stage[i], m.lam[i], m.pairs)
             applied(c.top, c.w, m.q_stage[i], m.v_stage[i])
             m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage[i], m.v_stage[i], m.pairs)
         c.counts[RHS] += s
-        dense_gains(h, m.b, m.power, c.gain)
-    c.dq[:] = 0.0
-    c.dv[:] = 0.0
-    for j in range(s):
-        w1, w2 = h * m.a[s - 1, j], h * h * m.a2[s - 1, j]
-        for d in range(n3):
-            c.dv[d] += w1 * m.acc[j, d]
-            c.dq[d] += w2 * m.acc[j, d]
-            if m.choice[0] == GGL:
-                c.dq[d] -= w1 * m.push[j, d]
-    for d in range(n3):
-        c.dq[d] += h * c.from_v[d] + h * c.v_low[d]
+        dense_gains(h, m.rk.b, m.power, c.gain)
+    add_up(c, h, m.rk.a[s - 1], m.rk.a2[s - 1], m.acc)
+    if m.choice[0] == GGL:
+        for j in range(s):
+            w = h * m.rk.a[s - 1, j]
+            for d in range(len(c.q) - 3):
+                c.dq[d] -= w * m.push[j, d]
     if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv)):
         return NOT_FINITE
     if want_error != 0.0:
-        if m.first_known[0] == 0:
-            prepare(c.top, c.w, t, c.from_q)
-            status = solve_accelerations(c.top, c.w, c.solver, c.from_q, c.from_v, m.first, m.pairs, False)
-            if status != OK:
-                return status
-            c.counts[RHS] += 1
-            c.counts[FACTORIZATIONS] += 1
-            m.first_known[0] = 1
+        status = first_acceleration(c, t, m.first, m.first_known, m.pairs)
+        if status != OK:
+            return status
         _estimate(c, m, h)
     _own_multipliers(c, t + h, m.q_stage[s - 1], m.lam[s - 1], c.own_lam)
     return OK
@@ -505,55 +484,42 @@ def _estimate(c, m, h):
 
     The lower right side is zero: what accelerations of the stages miss across the constraints does not add up.
     """
+    systems = m.systems
     n3 = len(c.q) - 3
-    extrapolation_weights(0.0, 0.0, m.c, m.weights)
-    mu = m.mu_real[0] if len(m.mu_real) > 0 else abs(m.mu_complex[0])
+    gap_at_beginning(h, m.rk, m.first, m.acc, m.weights, c.est_v)
     for d in range(n3):
-        gap = m.first[d]
-        for i in range(len(m.c)):
-            gap -= m.weights[0, i] * m.acc[i, d]
-        m.spread[0, d] = h * mu * c.top.mass[d // 3, d % 3] * gap
-    if len(m.mu_real) > 0:
-        for d in range(len(m.b_real)):
-            m.b_real[d] = m.spread[0, d] if d < n3 else 0.0
-        substitute(m.pattern, one_of(m.real, 0), m.b_real, m.x_real)
+        c.est_v[d] *= c.top.mass[d // 3, d % 3]
+    if len(m.rk.mu_real) > 0:
+        for d in range(len(systems.b_real)):
+            systems.b_real[d] = c.est_v[d] if d < n3 else 0.0
+        substitute(systems.pattern, one_of(systems.real, 0), systems.b_real, systems.x_real)
         for d in range(n3):
-            c.est_v[d] = m.x_real[d]
+            c.est_v[d] = systems.x_real[d]
     else:
-        for d in range(len(m.b_complex)):
-            m.b_complex[d] = m.spread[0, d] if d < n3 else 0.0
-        substitute(m.pattern, one_of(m.cplx, 0), m.b_complex, m.x_complex)
+        for d in range(len(systems.b_complex)):
+            systems.b_complex[d] = c.est_v[d] if d < n3 else 0.0
+        substitute(systems.pattern, one_of(systems.cplx, 0), systems.b_complex, systems.x_complex)
         for d in range(n3):
-            c.est_v[d] = m.x_complex[d].real
+            c.est_v[d] = systems.x_complex[d].real
+    rate = h * leading(m.rk)
     for d in range(n3):
-        c.est_q[d] = h * mu * c.est_v[d]
+        c.est_q[d] = rate * c.est_v[d]
 
 
 @entry
 def dense(common, own, t, h, theta):
     """Write the state at ``t + theta h`` within the last attempt, by its collocation polynomial."""
     c, m = load_common(common), load_constrained(own)
-    n3 = len(c.q) - 3
-    copy(c.from_q, c.point_q)
-    copy(c.from_v, c.point_v)
-    weights_at(m.dense_q, theta, m.point)
-    for i in range(len(m.c)):
-        w = h * h * m.point[i]
-        for d in range(n3):
-            c.point_q[d] += w * m.acc[i, d]
-    weights_at(m.dense_v, theta, m.point)
-    for i in range(len(m.c)):
-        w = h * m.point[i]
-        for d in range(n3):
-            c.point_v[d] += w * m.acc[i, d]
-            if m.choice[0] == GGL:
+    state_inside(c, m.rk, h, theta, m.acc, m.point)
+    if m.choice[0] == GGL:
+        for i in range(len(m.rk.c)):
+            w = h * m.point[i]
+            for d in range(len(c.q) - 3):
                 c.point_q[d] -= w * m.push[i, d]
-    for d in range(n3):
-        c.point_q[d] += theta * h * c.from_v[d]
     dense_gains(h, m.point, m.power, c.point_gain)
-    extrapolation_weights(theta, 0.0, m.c, m.weights)
+    extrapolation_weights(theta, 0.0, m.rk.c, m.weights)
     m.pairs[:, :] = 0.0
-    for i in range(len(m.c)):
+    for i in range(len(m.rk.c)):
         for k in range(len(m.pairs)):
             for r in range(2):
                 m.pairs[k, r] += m.weights[0, i] * m.lam[i, k, r]
@@ -561,88 +527,53 @@ def dense(common, own, t, h, theta):
     return OK
 
 
-def new_constrained(method: ImplicitRungeKutta, problem: Problem, formulation: int) -> Constrained:
-    """Return the bundle of a method for a mechanism on INDEX_3, INDEX_2 or GGL, without pivots."""
-    from mbdkit.engine.analysis import empty_pattern
-
-    a, b, c = method.tableau.floats()
-    a2, _ = method.tableau.second_order_floats()
-    e = Eigenvalues(method.tableau)
+def new_constrained(method: ImplicitRungeKutta, problem: Problem, rk: Coefficients, systems: Systems) -> Constrained:
+    """Return the bundle of a method for a mechanism on the problem's formulation, without pivots."""
     s, size, n = method.tableau.stages, problem.mechanism.size, problem.unknowns
     pairs = len(problem.mechanism.topology.pairs)
-    dense_v, dense_q = collocation_polynomials(c)
     tolerance = method.tolerance if method.tolerance is not None else ROUND_OFF
-    pattern = empty_pattern()
     terms, classes = problem.terms, classes_of(problem)
     wanted = (classes == STIFFNESS) | (classes == GAMMA_V)
     by_position = np.column_stack([x[wanted] for x in (terms.source, terms.row, terms.column, classes)])
     acc, push, push_change, q_stage, v_stage, spread = (np.zeros((s, size)) for _ in range(6))
     lam, mu, gap = (np.zeros((s, pairs, 2)) for _ in range(3))
     return Constrained(
-        a=a, a2=a2, inverse=np.ascontiguousarray(np.linalg.inv(a)), b=b, c=c, dense_v=dense_v, dense_q=dense_q,
-        choice=np.array([formulation, method.max_iterations]), tolerance=np.array([tolerance]),
-        t_real=e.t_real, t_real_inv=e.t_real_inv, mu_real=e.mu_real,
-        t_complex=e.t_complex, t_complex_inv=e.t_complex_inv, mu_complex=e.mu_complex,
-        pattern=pattern, scatter=np.zeros((0, 3), dtype=np.int64), by_position=by_position.astype(np.int64),
-        real=stacked(pattern, len(e.mu_real), np.float64), cplx=stacked(pattern, len(e.mu_complex), np.complex128),
+        rk=rk, systems=systems,
+        scatter=np.zeros((0, 3), dtype=np.int64), by_position=by_position.astype(np.int64),
+        inverse=np.ascontiguousarray(np.linalg.inv(rk.a)),
+        choice=np.array([FORMULATIONS[problem.formulation], method.max_iterations]), tolerance=np.array([tolerance]),
         acc=acc, lam=lam, mu=mu, begun=np.array([0.0, np.nan]), weights=np.zeros((s, s)),
         push=push, push_change=push_change, jac=np.zeros((s, pairs, 12)), gap=gap,
         lack=np.zeros((s, n)), change=np.zeros((s, n)), q_stage=q_stage, v_stage=v_stage,
         first=np.zeros(size), first_known=np.array([0]), mean=np.zeros((3, size)), pairs=np.zeros((pairs, 2)),
-        spread=spread, b_real=np.zeros(n), x_real=np.zeros(n),
-        b_complex=np.zeros(n, dtype=complex), x_complex=np.zeros(n, dtype=complex),
-        power=np.zeros((s, 2)), point=np.zeros(s),
+        spread=spread, power=np.zeros((s, 2)), point=np.zeros(s),
     )  # fmt: skip
 
 
-class ConstrainedFamily(Family):
+class ConstrainedFamily(StageFamily):
     """Stiffly accurate collocation on index 3, index 2 or ggl, as the problem's formulation says."""
 
     attempt, dense = attempt, dense
-    carries_stages = True
     carries_multipliers = True
 
     def __init__(self, method: ImplicitRungeKutta, problem: Problem):
-        super().__init__(problem)
-        self.has_dense_output = method.tableau.is_collocation
-        self.own = new_constrained(method, problem, FORMULATIONS[problem.formulation])
+        super().__init__(method, problem)
+        self.own = new_constrained(method, problem, self.rk, self._no_systems())
         self.hold = Hold(self.own)
-        own = self.own
+        own, self.begun = self.own, self.own.begun
         self.memory = (own.acc, own.lam, own.mu, own.push, own.begun, own.first, own.first_known, own.power)
-
-    def start(self, common: Common, h: float) -> None:
-        """Choose pivots for the stage matrix by its numbers at the state in `common`; make room for all eigenvalues."""
-        self.renew(common, self.problem.t0, h)
 
     def renew(self, common: Common, t: float, h: float) -> bool:
         """Choose new pivots for the stage matrix, and start without stage values from before."""
-        own, problem = self.own, self.problem
-        own.begun[1] = np.nan
-        rate: complex = h * (own.mu_complex[0] if len(own.mu_complex) else max(own.mu_real, key=abs))
-        for _ in range(2):
-            status = tangents_at(problem.stepping_engine, t, common.q, common.v, own.first, own.pairs)
-            if status == OK:
-                break
-            problem.use_pivots()
+        own, problem, rate = self.own, self.problem, self._rate(h)
+        self.forget()
+        self._take_tangents(common, t, own.first, own.pairs)
         own.first_known[0] = 0
         coefficients = np.zeros(6, dtype=type(rate))
         coefficients[[MASS, JACOBIAN, DAMPING, STIFFNESS]] = 1.0, 1.0, rate, rate**2
         coefficients[GAMMA_V] = 0.0 if own.choice[0] == INDEX_3 else -0.5 * rate
         coefficients[RESIDUAL_Q] = 0.0
         pivots = chosen_pivots(problem, classes_of(problem), coefficients)
-        self.own = own._replace(
-            pattern=pivots.pattern,
-            scatter=pivots.scatter,
-            real=stacked(pivots.pattern, len(own.mu_real), np.float64),
-            cplx=stacked(pivots.pattern, len(own.mu_complex), np.complex128),
-        )
+        self.own = own._replace(systems=new_systems(self.rk, pivots.pattern, problem.unknowns), scatter=pivots.scatter)
         self.hold.replace(self.own)
         return True
-
-    def forget(self) -> None:
-        """Begin the next step without stage values from before."""
-        self.own.begun[1] = np.nan
-
-    def describe_divergence(self, report: np.ndarray) -> str:
-        """Return the largest change of an acceleration and where it is."""
-        return stage_divergence(self.problem, report)

@@ -37,9 +37,9 @@ from mbdkit.engine.system import (
     unfold_multipliers,
 )
 from mbdkit.engine.vectors import copy, stays_finite
+from mbdkit.integrators.collocation import report_divergence, stage_divergence
 from mbdkit.integrators.common import FACTORIZATIONS, ITERATIONS, RHS, load_common
 from mbdkit.integrators.family import Family
-from mbdkit.integrators.implicit import stage_divergence
 from mbdkit.integrators.lobatto import coefficients
 from mbdkit.integrators.settling import (
     IDLE,
@@ -202,11 +202,7 @@ def _iterate(c, m, t, h):
             if idle >= IDLE:
                 return OK
         if n >= m.choice[0] or (n > 4 and ratio > 4.0 and now > RUNAWAY) or not now < np.inf:
-            c.report[0], c.report[2] = 0.0, n
-            for j in range(s - 1):
-                for d in range(3 * bodies):
-                    if not abs(m.change[j, d]) <= c.report[0]:
-                        c.report[0], c.report[1] = abs(m.change[j, d]), d
+            report_divergence(c, n, m.change, s - 1)
             return DIVERGED
         before = now
 

@@ -16,15 +16,16 @@ def one_of(factors, e):
 
 
 @inlined
-def factorize_all(source, scatter, pattern, real, cplx, mu_real, mu_complex, h):
+def factorize_all(source, scatter, rk, systems, h):
     """Gather and factorize the matrix of every eigenvalue; return the failed pivot position or -1."""
-    for e in range(len(mu_real)):
-        gather_values(source, scatter, h * mu_real[e], pattern.weight, real.a[e])
+    pattern, real, cplx = systems.pattern, systems.real, systems.cplx
+    for e in range(len(rk.mu_real)):
+        gather_values(source, scatter, h * rk.mu_real[e], pattern.weight, real.a[e])
         failed = factorize(pattern, one_of(real, e))
         if failed >= 0:
             return failed
-    for e in range(len(mu_complex)):
-        gather_values(source, scatter, h * mu_complex[e], pattern.weight, cplx.a[e])
+    for e in range(len(rk.mu_complex)):
+        gather_values(source, scatter, h * rk.mu_complex[e], pattern.weight, cplx.a[e])
         failed = factorize(pattern, one_of(cplx, e))
         if failed >= 0:
             return failed
@@ -47,58 +48,54 @@ def _lift(mass, pairs, rows, row_index, jac, x, n3, b):
 
 
 @inlined
-def newton_changes(
-    top, row_index, jac, pattern, real, cplx, t_real, t_real_inv, t_complex, t_complex_inv,
-    defects, z_real, z_complex, b_real, x_real, b_complex, x_complex, change,
-):  # fmt: skip
+def newton_changes(top, row_index, jac, rk, systems, defects, z_real, z_complex, change):
     """Solve the transformed systems for the change of every stage's accelerations; `defects` (s, 3 (B + 1))."""
     s, size = defects.shape
     n3 = size - 3
+    pattern, x_real, x_complex = systems.pattern, systems.x_real, systems.x_complex
     change[:, :] = 0.0
-    for e in range(len(real.a)):
+    for e in range(len(rk.mu_real)):
         z_real[:] = 0.0
         for j in range(s):
-            w = t_real_inv[e, j]
+            w = rk.t_real_inv[e, j]
             for d in range(n3):
                 z_real[d] += w * defects[j, d]
-        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_real, n3, b_real)
-        substitute(pattern, one_of(real, e), b_real, x_real)
+        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_real, n3, systems.b_real)
+        substitute(pattern, one_of(systems.real, e), systems.b_real, x_real)
         for i in range(s):
-            w = t_real[i, e]
+            w = rk.t_real[i, e]
             for d in range(n3):
                 change[i, d] -= w * x_real[d]
-    for e in range(len(cplx.a)):
+    for e in range(len(rk.mu_complex)):
         for d in range(n3):
             z_complex[d] = 0.0
         for j in range(s):
-            z = t_complex_inv[e, j]
+            z = rk.t_complex_inv[e, j]
             for d in range(n3):
                 z_complex[d] += z * defects[j, d]
-        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_complex, n3, b_complex)
-        substitute(pattern, one_of(cplx, e), b_complex, x_complex)
+        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_complex, n3, systems.b_complex)
+        substitute(pattern, one_of(systems.cplx, e), systems.b_complex, x_complex)
         for i in range(s):
-            z = t_complex[i, e]
+            z = rk.t_complex[i, e]
             for d in range(n3):
                 change[i, d] -= 2.0 * (z.real * x_complex[d].real - z.imag * x_complex[d].imag)
 
 
 @inlined
-def filtered(
-    top, row_index, jac, pattern, real, cplx, z_real, z_complex, b_real, x_real, b_complex, x_complex, x,
-):  # fmt: skip
+def filtered(top, row_index, jac, systems, z_real, z_complex, x):
     """Replace `x` (3 (B + 1),) by ``(1 - h mu f_v - h^2 mu^2 f_q)^-1 x`` for the first eigenvalue, or its real part."""
     n3 = len(x) - 3
-    if len(real.a) > 0:
+    if len(systems.real.a) > 0:
         for d in range(n3):
             z_real[d] = x[d]
-        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_real, n3, b_real)
-        substitute(pattern, one_of(real, 0), b_real, x_real)
+        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_real, n3, systems.b_real)
+        substitute(systems.pattern, one_of(systems.real, 0), systems.b_real, systems.x_real)
         for d in range(n3):
-            x[d] = x_real[d]
+            x[d] = systems.x_real[d]
     else:
         for d in range(n3):
             z_complex[d] = x[d]
-        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_complex, n3, b_complex)
-        substitute(pattern, one_of(cplx, 0), b_complex, x_complex)
+        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_complex, n3, systems.b_complex)
+        substitute(systems.pattern, one_of(systems.cplx, 0), systems.b_complex, systems.x_complex)
         for d in range(n3):
-            x[d] = x_complex[d].real
+            x[d] = systems.x_complex[d].real

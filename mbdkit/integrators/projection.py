@@ -1,4 +1,8 @@
-"""Steps written in Python, moved onto the constraints: plainly after a step, or symmetrically around it."""
+"""Steps written in Python, moved onto the constraints: plainly after a step, or symmetrically around it.
+
+`mbdkit.integrators.projected_step` does the same in compiled code, to the steps of compiled methods; here the iteration
+is made of calls of `StepProblem`, because the step in its middle is one of Python.
+"""
 
 from __future__ import annotations
 
@@ -54,15 +58,19 @@ def nearest_velocities(p: StepProblem, t: float, q: np.ndarray, v: np.ndarray) -
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """One step: where the method's own began and what it made, both unprojected, and the state that is gone on from."""
+    """One step: where the method's own began and what it made, both unprojected, and the state that is gone on from.
+
+    `correction` (4,) is what was done to it, as a stretch of a run has it (`mbdkit.integrators.stepping.Stretch`).
+    """
 
     begin: StepState
     made: StepState
     reached: StepState
+    correction: np.ndarray
 
 
 class StabilizedSteps:
-    """Takes the steps of a method written in Python as a run's stabilization wants them, and notes what it changes.
+    """Takes the steps of a method written in Python as a run's stabilization wants them.
 
     *Projection*: positions and velocities go to the nearest ones on the constraints, in the mass metric. *Symmetric
     projection* (Hairer 2000, BIT 40, 726-734): with multipliers mu of positions and nu of velocities,
@@ -87,27 +95,19 @@ class StabilizedSteps:
     def __init__(self, step: Callable[[float, StepState, float], StepState], problem: StepProblem):
         self.step, self.problem, self.wanted = step, problem, problem.stabilization
         self.weight = problem.mass / float(np.sum(problem.mass[::3]))
-        self._since = np.zeros(4)
 
     def take(self, t: float, end: float, state: StepState, h: float, number: int) -> Taken:
         """Take step `number`, counted from 1, from `state` at `t` to `end`; raises StepError."""
         wanted, p = self.wanted, self.problem
         if wanted.symmetric:
             return self._symmetric(t, end, state, h)
-        reached = made = self.step(t, state, h)
+        made = self.step(t, state, h)
         if wanted.kind == "projection" and number % wanted.every == 0 and self._is_off(end, made):
             q = nearest_positions(p, end, made.q)
             v = nearest_velocities(p, end, q, made.v)
-            reached = self._corrected(made, q - made.q, v - made.v)
-        elif wanted.kind == "baumgarte":
-            self._since[3] = max(self._since[3], p.baumgarte_terms(end, made.q, made.v))
-        return Taken(state, made, reached)
-
-    def corrections(self) -> np.ndarray:
-        """Return the row (4,) of a stretch's corrections since the last call."""
-        row = self._since.copy()
-        self._since[:] = 0.0
-        return row
+            return self._corrected(state, made, q - made.q, v - made.v)
+        term = p.baumgarte_terms(end, made.q, made.v) if wanted.kind == "baumgarte" else 0.0
+        return Taken(state, made, made, np.array([0.0, 0.0, 0.0, term]))
 
     def _is_off(self, end: float, made: StepState) -> bool:
         bound, p = self.wanted.bound, self.problem
@@ -137,8 +137,7 @@ class StabilizedSteps:
             now = max(p.relative_change(at, step_q), p.relative_change(v, step_v))
             idle = idle + 1 if now >= 0.5 * before else 0
             if now <= ROUND_OFF or (idle >= 2 and now < STAGNANT):
-                reached = self._corrected(made, dq + step_q, dv + step_v, pushed_q, pushed_v)
-                return Taken(begin, made, reached)
+                return self._corrected(begin, made, dq + step_q, dv + step_v, pushed_q, pushed_v)
             mu, nu = mu - 0.5 * (for_q - 0.5 * h * for_v), nu - 0.5 * for_v
             before = now
         raise StepError("newton-failed", f"the symmetric projection did not converge in {MOST_STEPS} tries of the step")
@@ -147,14 +146,17 @@ class StabilizedSteps:
         return self.problem.constraint_forces(t, q, mu) / self.problem.mass
 
     def _corrected(
-        self, made: StepState, dq: np.ndarray, dv: np.ndarray, before_q: Vector = 0.0, before_v: Vector = 0.0
-    ) -> StepState:
-        """Return what a step made, moved by `dq`, `dv`; noted with what its begin was moved by."""
+        self,
+        begin: StepState,
+        made: StepState,
+        dq: np.ndarray,
+        dv: np.ndarray,
+        before_q: Vector = 0.0,
+        before_v: Vector = 0.0,
+    ) -> Taken:
+        """Return a step whose end is moved by `dq`, `dv`; noted with what its begin was moved by."""
         self.problem.counters.projections += 1
-        self._since[0] += 1
-        self._since[1] = max(self._since[1], np.sqrt(self.weight @ (before_q + dq) ** 2))
-        self._since[2] = max(self._since[2], np.sqrt(self.weight @ (before_v + dv) ** 2))
-        return made.moved(
+        reached = made.moved(
             dq,
             dv,
             multipliers=made.multipliers,
@@ -162,3 +164,5 @@ class StabilizedSteps:
             work=made.work,
             dissipated=made.dissipated,
         )
+        moved_q, moved_v = (np.sqrt(self.weight @ x**2) for x in (before_q + dq, before_v + dv))
+        return Taken(begin, made, reached, np.array([1.0, moved_q, moved_v, 0.0]))

@@ -20,7 +20,6 @@ from mbdkit.engine.problem import Problem
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.system import OK
 from mbdkit.engine.vectors import BEYOND
-from mbdkit.integrators.fixed_step import has_power
 from mbdkit.integrators.stepping import STRETCH, Counters, Failure, StepTaken, Stretch, Timetable
 
 if TYPE_CHECKING:
@@ -51,12 +50,12 @@ class SciPyStepper:
         self.finished = False
         self.failure: Failure | None = None
         self.time = timetable.start
-        top = problem.mechanism.topology
-        self.worst_pairs = np.zeros(len(top.pairs))
-        self.has_power = has_power(top)
+        pairs = len(problem.mechanism.topology.pairs)
+        self.worst_pairs = np.zeros(pairs)
+        self.has_power = problem.has_power
         self.n3 = 3 * len(problem.mechanism.bodies)
         self._acc = np.zeros((3, problem.mechanism.size))
-        self._lam = np.zeros((len(top.pairs), 2))
+        self._lam = np.zeros((pairs, 2))
         self._times: list[float] = []
         self._finite = True
         y0 = np.concatenate([problem.q0[: self.n3], problem.v0[: self.n3], np.zeros(2 * self.has_power)])
