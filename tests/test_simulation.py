@@ -66,12 +66,30 @@ def driven(motion: str) -> Mechanism:
 
 
 RK4, GAUSS = {"name": "rk4"}, {"name": "gauss"}
+DOPRI5 = {"name": "dopri5", "adaptive": True}
 FIXED_POINT = {"name": "gauss", "stage_solver": "fixed-point"}
 ENDINGS: dict[str, tuple[Any, dict[str, Any], dict[str, Any], str, str]] = {
     # name: model, integrator, other sections, status code, words of the sentence
     "max-steps": (DOUBLE, RK4, {"limits": {"max_steps": 7}}, "max-steps", "limits.max_steps = 7"),
     "max-steps gauss": (DOUBLE, GAUSS, {"limits": {"max_steps": 7}}, "max-steps", "7 steps"),
     "max-steps adaptive": (DOUBLE, {"name": "scipy-dop853"}, {"limits": {"max_steps": 3}}, "max-steps", "3 steps"),
+    "max-steps by tolerance": (DOUBLE, DOPRI5, {"limits": {"max_steps": 3}}, "max-steps", "3 steps"),
+    "max-steps by tolerance, rows at times": (
+        DOUBLE,
+        DOPRI5,
+        {"limits": {"max_steps": 3}, "output": {"interval": 1e-3}},
+        "max-steps",
+        "3 steps",
+    ),
+    "blow-up in finite time": (lambda: loaded("(0.3 - t)**-2"), DOPRI5, {}, "step-too-small", "from t = 0.3 s"),
+    "blow-up in finite time, implicit": (
+        lambda: loaded("(0.3 - t)**-2"),
+        {"name": "radau-iia", "adaptive": True},
+        {},
+        "step-too-small",
+        "from t = 0.3 s",
+    ),
+    "load that ends, by tolerance": (lambda: loaded("log(0.055 - t)"), DOPRI5, {}, "not-finite", "from t = 0.055 s"),
     "wall-time": (
         {"name": "n-pendulum", "n": 50},
         RK4,

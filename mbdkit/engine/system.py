@@ -381,6 +381,8 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
 @inlined
 def solve_system(top, w, solver, has_forces, acc, lam, refine):
     """Solve the index-1 system for the forces, independent rows and right side that stand in `w`; return a status."""
+    for i in range(3):  # the ground stands still, even after a solution that was not finite
+        acc[len(acc) - 3 + i] = 0.0
     if solver.pivoted[0] != 0:
         status = pivoted_accelerations(top, w, solver, has_forces, acc, lam)
     else:

@@ -62,7 +62,6 @@ class CompiledStepper:
         self.numbers = np.zeros(4, dtype=np.int64)
         clock = self.common.clock
         clock[driver.TIME], clock[driver.NEXT_ROW] = timetable.start, 1.0
-        self.pace = Pace(max(1, min(16, 100_000 // problem.mechanism.size)))
         self._renewed: set[tuple[int, int]] = set()
         span = timetable.end - timetable.start
         self.floor = FLOOR * max(abs(timetable.start), abs(timetable.end), span)
@@ -77,6 +76,8 @@ class CompiledStepper:
         self.mode, stab = NO_PROJECTION, problem.stabilization
         if stab.kind == "projection":
             self.mode = SYMMETRIC if stab.symmetric else PLAIN
+        iterates = family.carries_stages or self.mode == SYMMETRIC
+        self.pace = Pace(max(1, min(16 if iterates else 256, 100_000 // problem.mechanism.size)))
         self.last_step: StepTaken | None = None
         self._before: list[np.ndarray] = []
         self._row_times = np.zeros(0)
@@ -241,11 +242,9 @@ class CompiledStepper:
         """Renew pivots once a step, try a smaller step where steps are controlled, or note why the run stops."""
         done = int(self.numbers[driver.ACCEPTED])
         where = f"in step {done + 1} from t = {self.time:.6g} s"
-        if not self.problem.motions_are_finite() and status != driver.TOO_SMALL:
-            self.failure = Failure("not-finite", f"a driver or load is not a finite number {where}.")
-            return
-        if (force := self.problem.unusable_law()) and status != driver.TOO_SMALL:
-            self.failure = Failure("not-finite", f"the law of force '{force}' gives no finite number {where}.")
+        if unusable := self._unusable():
+            if not (self.controlled and status != driver.TOO_SMALL and self._shrink()):
+                self.failure = Failure("not-finite", f"{unusable} {where}.")
             return
         if status in (REPIVOT, REPIVOT_STAGES) and not self.problem.is_finite():
             status = DIVERGED if self.family.carries_stages else NOT_FINITE
@@ -270,6 +269,14 @@ class CompiledStepper:
         near = "" if self.failure.code == "not-finite" else describe_nearness(self.problem, self.time, self.common.q)
         if near:
             self.failure = replace(self.failure, sentence=f"{self.failure.sentence.rstrip('.')}; {near}.")
+
+    def _unusable(self) -> str:
+        """Return which force or motion was not finite where it was evaluated last; empty where all were."""
+        if not self.problem.motions_are_finite():
+            return "a driver or load is not a finite number"
+        if force := self.problem.unusable_law():
+            return f"the law of force '{force}' gives no finite number"
+        return ""
 
     def _renew(self, status: int) -> bool:
         """Choose new pivots after `status`; return whether that can help. Raises SingularSystemError."""

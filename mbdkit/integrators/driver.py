@@ -218,6 +218,7 @@ def drive(
                 tally[ACCELERATION] = max(tally[ACCELERATION], _baumgarte_term(c, t))
             due = (numbers[ACCEPTED] + 1) % project_every == 0
             before = c.counts[3]
+            c.w.faulty[0] = -1  # where a run stops, the last attempt counts
             status = take(common, own, attempt, t, h, controlled, mode)
             iterations = c.counts[3] - before
             error = 0.0

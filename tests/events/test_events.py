@@ -23,7 +23,9 @@ from tests.integrators.step_methods import Failing, Remembering, RungeKutta, run
 DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
 GAUSS = {"name": "gauss", "stages": 3}
 DOP853 = {"name": "scipy-dop853"}
+ADAPTIVE = [{"name": name, "adaptive": True, "rtol": 1e-9} for name in ("dopri5", "dop853", "gauss", "radau-iia")]
 METHODS = [GAUSS, {"name": "rk4"}, {"name": "radau-iia"}, DOP853, {"name": "scipy-radau"}, {"name": "scipy-lsoda"}]
+METHODS += ADAPTIVE
 
 
 def run(events: dict[str, Any], integrator: dict[str, Any] = GAUSS, **sections: Any) -> mbdkit.Run:
@@ -38,7 +40,9 @@ def stop(when: str) -> dict[str, str]:
     return {"when": when, "action": "stop"}
 
 
-every_method = pytest.mark.parametrize("integrator", METHODS, ids=lambda one: one["name"])
+every_method = pytest.mark.parametrize(
+    "integrator", METHODS, ids=lambda one: one["name"] + ("-adaptive" if one.get("adaptive") else "")
+)
 
 
 @every_method
@@ -63,6 +67,30 @@ def test_looking_for_events_changes_nothing_in_what_is_recorded(integrator: dict
         np.testing.assert_array_equal(seen.time, unseen.time)
         for name in ("trajectory/position", "trajectory/velocity", "joints/reaction_force", "energy/total"):
             np.testing.assert_array_equal(seen.array(name), unseen.array(name))
+
+
+@pytest.mark.parametrize("stabilization", ["baumgarte", "projection", {"name": "projection", "symmetric": True}])
+@pytest.mark.parametrize("integrator", [GAUSS, ADAPTIVE[1]], ids=["gauss", "dop853-adaptive"])
+def test_events_of_stabilized_runs_stop_on_the_joints_and_change_nothing_before(
+    integrator: dict[str, Any], stabilization: Any
+) -> None:
+    if integrator.get("adaptive") and isinstance(stabilization, dict):
+        pytest.skip("symmetric projection needs fixed steps")
+    bent = {"bent": "J2.angle - 0.2", "enough": stop("t - 0.4321")}
+    with (
+        run(bent, integrator, stabilization=stabilization) as stopped,
+        run({}, integrator, stabilization=stabilization) as whole,
+    ):
+        assert stopped.check().time[-1] == pytest.approx(0.4321, abs=1e-12)
+        if stabilization != "baumgarte":
+            for level in ("position", "velocity"):
+                assert np.abs(stopped.array(f"constraints/{level}_residual")).max() < 1e-14
+        before = int((whole.time < 0.43).sum())
+        last = len(stopped.time) - 1
+        assert before > 3
+        for name, first in (("trajectory/position", 0), ("steps/iterations", 1), ("steps/size", 1)):
+            some, other = (x.array(name) for x in (stopped, whole))
+            np.testing.assert_array_equal(some[: min(before, last) - first], other[: min(before, last) - first])
 
 
 def test_events_come_in_order_of_time_within_a_step_too_and_none_after_a_stop() -> None:

@@ -1,4 +1,4 @@
-"""Steps written in Python are projected as a spec asks: nearest in the mass metric, counted, symmetric if wanted."""
+"""Steps, written in Python above all, are projected as a spec asks: nearest, counted, symmetric if wanted."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mbdkit.integrators.stepping import Timetable
 from mbdkit.simulation import build
 from mbdkit.spec import load_spec
 
-from .running import DOUBLE, driven_chain
+from .running import DOUBLE, driven_chain, spec_run
 from .step_methods import Remembering, RungeKutta, run_with
 from .test_step_problem import parallelogram
 
@@ -62,6 +62,20 @@ def test_every_projected_state_meets_the_joints_to_round_off(name: str, stabiliz
     assert free.records("steps/projections") is False
     off = np.abs(held.array("trajectory/position") - free.array("trajectory/position")).max()
     assert 0 < off < 0.05
+
+
+@pytest.mark.parametrize("name", ["dopri5", "dop853", "gauss", "radau-iia"])
+@pytest.mark.parametrize("adaptive", [False, True], ids=["fixed", "adaptive"])
+def test_projected_states_between_steps_meet_the_joints_too(name: str, adaptive: bool) -> None:
+    time = {"end": 1.0} if adaptive else {"end": 1.0, "step": 0.05}
+    integrator: dict[str, Any] = {"name": name} | ({"adaptive": True, "rtol": 1e-6} if adaptive else {})
+    held = spec_run(DOUBLE, integrator, time, stabilization="projection", output={"interval": 0.013}).check()
+    assert len(held.time) == 78
+    assert held.stats["steps"] < 70
+    assert residuals(held) < ROUND_OFF
+    fine = spec_run(DOUBLE, {"name": "dop853"}, {"end": 1.0, "step": 1e-3}, output={"every": 13}).check()
+    shift = np.abs(held.array("trajectory/position") - fine.array("trajectory/position"))
+    assert shift.max() < 1e-4
 
 
 @models
