@@ -15,7 +15,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -110,11 +110,13 @@ class Entry:
             return id(self)
         make: Any = cfunc
         done = FOLDER / f"entry-{self.function.__module__}.{self.function.__name__}"
-        if is_warm() and not done.exists():
-            print("mbdkit compiles the kernels of this method; this happens once ...", file=sys.stderr, flush=True)
-        with cached_here():
-            self._compiled = make(_ENTRY, cache=True, error_model="numpy", _nrt=False)(self.function)
-        done.touch()
+        with ExitStack() as waiting:
+            if is_warm() and not done.exists():  # else somebody up the stack holds the lock, or nothing is compiled
+                print("mbdkit compiles the kernels of this method; this happens once ...", file=sys.stderr, flush=True)
+                waiting.enter_context(_locked())
+            with cached_here():
+                self._compiled = make(_ENTRY, cache=True, error_model="numpy", _nrt=False)(self.function)
+            done.touch()
         return int(self._compiled.address)
 
 
@@ -183,8 +185,8 @@ def is_warm() -> bool:
 
 
 @contextmanager
-def compiling() -> Iterator[bool]:
-    """Hold the compile lock; yields whether this process has to compile (another may have done it meanwhile)."""
+def _locked() -> Iterator[None]:
+    """Hold the compile lock, once no other process does."""
     with open(FOLDER / "lock", "w", encoding="ascii") as lock:
         if sys.platform == "win32":
             import msvcrt
@@ -194,6 +196,13 @@ def compiling() -> Iterator[bool]:
             import fcntl
 
             fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+@contextmanager
+def compiling() -> Iterator[bool]:
+    """Hold the compile lock; yields whether this process has to compile (another may have done it meanwhile)."""
+    with _locked():
         cold = not is_warm()
         yield cold
         if cold:

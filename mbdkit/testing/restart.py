@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from typing import Any, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,26 +14,28 @@ from mbdkit.testing.outcome import Finding, failed, passed, skipped
 from mbdkit.testing.problems import DRIVEN_PENDULUM
 from mbdkit.testing.subject import IntegratorSubject, drive
 
+if TYPE_CHECKING:
+    from mbdkit.integrators.stepping import Stepper
+
 STEPS, END = 60, 0.6
 
 
 @check("restart.stretches")
 def stretches(subject: IntegratorSubject) -> Finding:
-    """One stretch of many steps gives the same bits as many stretches of one step."""
+    """A run gives the same bits in one piece, step by step, and with every step looked into, as events ask for it."""
     if subject.claims.adaptive:
         raise Skip("it does not go in fixed steps")
-    ends = []
-    for at_a_time in (10**6, 1, 7):
-        stepper = subject.stepper(subject.problem(DRIVEN_PENDULUM), END, STEPS, every=STEPS)
-        pace = cast("Any", stepper).pace
+    whole = subject.moved(subject.problem(DRIVEN_PENDULUM), END, STEPS)
+    for looked_into in (False, True):
+        stepper = subject.stepper(subject.problem(DRIVEN_PENDULUM), END, STEPS, every=STEPS, single=True)
 
-        def limit(steps: int = at_a_time, pace: object = pace) -> None:
-            pace.steps = steps  # type: ignore[attr-defined]
+        def look(stepper: Stepper = stepper, looked_into: bool = looked_into) -> None:
+            if looked_into and stepper.last_step is not None:
+                stepper.within(0.3)
 
-        ends.append(drive(stepper, limit))
-    for q, v in ends[1:]:
-        if not (np.array_equal(q, ends[0][0]) and np.array_equal(v, ends[0][1])):
-            return failed("stopped between steps and gone on from there, it moves differently")
+        if not all(np.array_equal(*ends) for ends in zip(drive(stepper, look), whole, strict=True)):
+            how = "looked into within its steps" if looked_into else "stopped between steps and gone on from there"
+            return failed(f"{how}, it moves differently")
     return passed(steps=STEPS)
 
 

@@ -125,12 +125,22 @@ class IntegratorSubject:
         return build(self.spec(model, {"end": 1.0, "step": 0.5}), _say_nothing)[0]
 
     def stepper(
-        self, problem: Problem, end: float, steps: int, *, every: int = 10**9, method: Method | None = None
+        self,
+        problem: Problem,
+        end: float,
+        steps: int,
+        *,
+        every: int = 10**9,
+        method: Method | None = None,
+        single: bool = False,
     ) -> Stepper:
-        """Return a stepper from the start of `problem` to `end` [s]; an adaptive method chooses its own steps."""
+        """Return a stepper from the start of `problem` to `end` [s]; an adaptive method chooses its own steps.
+
+        With `single` it goes on for one step at a time.
+        """
         step = None if self.claims.adaptive else (end - problem.t0) / steps
         table = Timetable(
-            start=problem.t0, end=end, step=step, steps=steps, every=every, interval=None, max_steps=10**7
+            start=problem.t0, end=end, step=step, steps=steps, every=every, max_steps=10**7, single=single
         )
         return (method or self.method()).start(problem, table)
 

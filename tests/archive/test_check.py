@@ -217,7 +217,7 @@ def test_flipped_bytes_anywhere_are_never_a_traceback(archive: Path) -> None:
     content = archive.read_bytes()
     draw = random.Random(5)
     found = 0
-    for _ in range(300):
+    for _ in range(120):
         flipped = bytearray(content)
         flipped[draw.randrange(len(content))] ^= 1 << draw.randrange(8)
         archive.write_bytes(flipped)
@@ -226,4 +226,4 @@ def test_flipped_bytes_anywhere_are_never_a_traceback(archive: Path) -> None:
             run.summary()
             run.to_xarray()
             describe(archive)
-    assert found > 100  # the rest fell on unused space, timings, statistics and provenance
+    assert found > 40  # the rest fell on unused space, timings, statistics and provenance

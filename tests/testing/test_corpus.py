@@ -92,6 +92,11 @@ WRONG: dict[str, tuple[Any, Registry, str]] = {
         corpus.offer_method(corpus.Forgetful, order=2, needs=("accelerations",)),
         "restart.state",
     ),
+    "a memory that a look inside a step changes": (
+        "integrator",
+        corpus.offer_method(corpus.Forgetful, order=2, needs=("accelerations",)),
+        "restart.stretches",
+    ),
     "a solver that obeys no tolerance": ("integrator", corpus.offer_solver(), "tolerance.forced-pendulum"),
     "a driver with a corner": ("model", corpus.offer_model(motion="0.5*abs(t - 0.4)"), "model.drivers"),
     "a model that is another each time": ("model", corpus.offer_model(random=True), "model.repeatable"),
