@@ -6,6 +6,7 @@ and II.6, as published with their code DOP853, to 30 digits.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 from mbdkit.integrators.tableau import ButcherTableau
@@ -241,6 +242,7 @@ def _matrix(rows: tuple[dict[int, float], ...], columns: int) -> np.ndarray:
     return out
 
 
+@cache
 def tableau() -> ButcherTableau:
     """Return the tableau of the method of order 8."""
     a = [[row.get(j, 0) for j in range(i)] for i, row in enumerate(_A[:STAGES])]
@@ -248,6 +250,7 @@ def tableau() -> ButcherTableau:
     return ButcherTableau("dop853", a, b, _C[:STAGES], order=8, reference=REFERENCE)
 
 
+@cache
 def pair() -> EmbeddedPair:
     """Return its error estimates and dense output."""
     import numpy as np

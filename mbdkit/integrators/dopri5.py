@@ -6,6 +6,7 @@ II.6.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 from mbdkit.integrators.tableau import ButcherTableau
@@ -32,6 +33,7 @@ _D = (
 )
 
 
+@cache
 def tableau() -> ButcherTableau:
     """Return the tableau of the method of order 5."""
     return ButcherTableau(
@@ -52,6 +54,7 @@ def tableau() -> ButcherTableau:
     )
 
 
+@cache
 def pair() -> EmbeddedPair:
     """Return its error estimate and dense output."""
     import numpy as np

@@ -6,6 +6,8 @@ With s = 2 and 3 these are the s2IRK and s3IRK of the source paper. Its Table 4 
 
 from __future__ import annotations
 
+from functools import cache
+
 import mpmath
 
 from mbdkit.integrators.tableau import ButcherTableau, Coefficient, collocation
@@ -35,6 +37,7 @@ _CLOSED_FORMS: dict[int, tuple[list[list[Coefficient]], list[Coefficient], list[
 }
 
 
+@cache
 def tableau(stages: int) -> ButcherTableau:
     """Return the tableau with 1 to 6 `stages`: in closed form up to 3, from the Legendre roots to 75 digits beyond."""
     name = f"gauss-{stages}"

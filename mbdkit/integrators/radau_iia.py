@@ -6,6 +6,8 @@ its constraints drift hundreds of times faster.
 
 from __future__ import annotations
 
+from functools import cache
+
 import mpmath
 
 from mbdkit.integrators.tableau import ButcherTableau, collocation
@@ -29,6 +31,7 @@ _CLOSED_FORMS: dict[int, tuple[list[list[str]], list[str], list[str]]] = {
 }
 
 
+@cache
 def tableau(stages: int) -> ButcherTableau:
     """Return the tableau with 2, 3 (closed forms) or 5 `stages` (nodes to 75 digits)."""
     name = f"radau-iia-{stages}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 from mbdkit.integrators.tableau import ButcherTableau
 
 REFERENCE = """@article{kutta1901,
@@ -10,6 +12,7 @@ REFERENCE = """@article{kutta1901,
   journal = {Zeitschrift f{\\"u}r Mathematik und Physik}, volume = {46}, pages = {435--453}, year = {1901}}"""
 
 
+@cache
 def tableau() -> ButcherTableau:
     """Return the tableau of RK4."""
     return ButcherTableau(

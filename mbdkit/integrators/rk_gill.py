@@ -7,6 +7,8 @@ with compensation as all others are.
 
 from __future__ import annotations
 
+from functools import cache
+
 from mbdkit.integrators.tableau import ButcherTableau
 
 REFERENCE = """@article{gill1951,
@@ -17,6 +19,7 @@ REFERENCE = """@article{gill1951,
   volume = {47}, number = {1}, pages = {96--108}, year = {1951}, doi = {10.1017/S0305004100026414}}"""
 
 
+@cache
 def tableau() -> ButcherTableau:
     """Return the tableau of Runge-Kutta-Gill."""
     return ButcherTableau(

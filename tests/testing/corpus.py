@@ -126,6 +126,20 @@ class Forgetful(StepMethod):
         return state.moved(h * slope[: problem.n], h * slope[problem.n :])
 
 
+class Alternating(StepMethod):
+    """Symplectic Euler in its two forms by turns; whose turn it is, the object counts, and not the state."""
+
+    def __init__(self) -> None:
+        self.taken = 0
+
+    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+        self.taken += 1
+        early = self.taken % 2 == 0
+        q = state.q + h * state.v if early else state.q
+        a, _ = problem.accelerations(t, q, state.v)
+        return state.moved(h * (state.v if early else state.v + h * a), h * a)
+
+
 class Endless(RungeKutta):
     """It tries again for ever where it meets no number."""
 
