@@ -62,6 +62,7 @@ def test_both_ways_lead_to_the_digits_of_the_chain(way: str) -> None:
     assert CHAIN.miss(chain_at(way, CHAIN.end, 400)) < 1e-14
 
 
+@pytest.mark.slow
 def test_both_ways_agree_on_the_beginning_of_the_chains_motion() -> None:
     # expected: two formulations and two methods that share nothing, to the last digits of doubles
     one, other = (chain_at(way, CHAIN.end / 10, 40) for way in WAYS)

@@ -36,7 +36,6 @@ def test_iterations_of_the_run_are_those_of_its_steps(model: Any, integrator: di
     assert result.stats["rejected"] == 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("stages", "solver"), [(0, "-"), (1, "newton"), (3, "newton"), (2, "fixed-point")])
 def test_counters_are_what_an_outside_count_finds(stages: int, solver: str, tmp_path: Path) -> None:
     # expected: every function wrapped and counted, in a process where nothing is compiled

@@ -73,7 +73,6 @@ IMPLICIT = [("radau-iia", 3), ("gauss", 2), ("gauss", 4)]
 EXPLICIT = [("dopri5", 0)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("problem", PROBLEMS)
 @pytest.mark.parametrize(("name", "stages"), IMPLICIT + EXPLICIT)
 def test_errors_follow_the_tolerance(problem: str, name: str, stages: int) -> None:
