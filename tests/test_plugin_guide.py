@@ -58,6 +58,7 @@ def test_a_plugin_runs_as_printed_and_is_no_longer_than_it_says(heading: str, tm
     assert json.loads(done.stdout)["misalignment_max"] < 1e-3
 
 
+@pytest.mark.slow  # CI types them by itself, with all plugins installed
 def test_the_first_steps_work_as_printed(tmp_path: Path) -> None:
     # the installation itself is done in continuous integration, with pip and in an environment of its own
     lines = [line for line in block("From nothing to a verified integrator", "sh").splitlines() if line.strip()]

@@ -213,6 +213,7 @@ def test_flipped_byte_in_the_data_is_found(archive: Path) -> None:
     assert check(archive) == ["the data are not those that were written: data_sha256 does not match"]
 
 
+@pytest.mark.slow
 def test_flipped_bytes_anywhere_are_never_a_traceback(archive: Path) -> None:
     content = archive.read_bytes()
     draw = random.Random(5)

@@ -20,7 +20,9 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(x, marks=[] if x in ("integrator", "force-law") else [pytest.mark.slow]) for x in KINDS]
+)
 def test_a_new_project_passes_its_own_tests_and_runs_its_example(kind, here):
     project = here / new_project(f"mbdkit-new-{kind}", kind)
     install_project(here / "site", project)

@@ -28,7 +28,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
 FULL = [("gauss", {"stages": 3}), ("rk4", {}), ("scipy-dop853", {})]
 
 
-@pytest.mark.parametrize(("name", "options"), VARIANTS, ids=lambda x: str(x))
+BETWEEN = [("gauss", {"stages": s}) for s in (1, 4, 5, 6)] + [("radau-iia", {"stages": s}) for s in (2, 5)]
+"""Members of families of which others are verified as well."""
+EVERY = [pytest.param(*x, marks=[pytest.mark.slow] if x in BETWEEN else []) for x in VARIANTS]
+
+
+@pytest.mark.parametrize(("name", "options"), EVERY, ids=lambda x: str(x))
 def test_every_integrator_of_mbdkit_is_verified(name: str, options: dict[str, Any]) -> None:
     report = verify("integrator", f"mbdkit:{name}", options, quick=True)
     assert report.verified, report.text()
