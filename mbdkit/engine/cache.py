@@ -111,7 +111,7 @@ class Entry:
         make: Any = cfunc
         done = FOLDER / f"entry-{self.function.__module__}.{self.function.__name__}"
         with ExitStack() as waiting:
-            if is_warm() and not done.exists():  # else somebody up the stack holds the lock, or nothing is compiled
+            if is_warm() and not done.exists():  # else it only has to be read, or `compiling` holds the lock already
                 print("mbdkit compiles the kernels of this method; this happens once ...", file=sys.stderr, flush=True)
                 waiting.enter_context(_locked())
             with cached_here():

@@ -69,13 +69,14 @@ def test_looking_for_events_changes_nothing_in_what_is_recorded(integrator: dict
             np.testing.assert_array_equal(seen.array(name), unseen.array(name))
 
 
-@pytest.mark.parametrize("stabilization", ["baumgarte", "projection", {"name": "projection", "symmetric": True}])
-@pytest.mark.parametrize("integrator", [GAUSS, ADAPTIVE[1]], ids=["gauss", "dop853-adaptive"])
+SYMMETRIC = {"name": "projection", "symmetric": True}
+STABILIZED = [(one, how) for one in (GAUSS, ADAPTIVE[1]) for how in ("baumgarte", "projection")] + [(GAUSS, SYMMETRIC)]
+
+
+@pytest.mark.parametrize(("integrator", "stabilization"), STABILIZED)
 def test_events_of_stabilized_runs_stop_on_the_joints_and_change_nothing_before(
     integrator: dict[str, Any], stabilization: Any
 ) -> None:
-    if integrator.get("adaptive") and isinstance(stabilization, dict):
-        pytest.skip("symmetric projection needs fixed steps")
     bent = {"bent": "J2.angle - 0.2", "enough": stop("t - 0.4321")}
     with (
         run(bent, integrator, stabilization=stabilization) as stopped,
@@ -192,6 +193,35 @@ def test_a_method_in_python_is_stopped_by_its_own_step(method: Any) -> None:
             if method.carries_multipliers:  # they count the steps
                 own = stopped.array("constraints/method_multiplier")
                 assert own[-2:, 0].tolist() == [43.0, 44.0]
+
+
+def test_looking_into_projected_steps_of_a_method_in_python_changes_nothing_in_what_is_recorded() -> None:
+    time, every_other = {"end": 0.5, "step": 0.01}, {"name": "projection", "every": 2}
+    looks: dict[str, Any] = {"bent": {"when": "J2.angle - 0.2"}, "loaded": {"when": "J1.force - 20"}}
+    sections: dict[str, Any] = {"stabilization": every_other, "output": {"every": 3}}
+    with (
+        run_with(RungeKutta(), DOUBLE, time, events=looks, **sections) as seen,
+        run_with(RungeKutta(), DOUBLE, time, **sections) as unseen,
+    ):
+        assert len(seen.check().events) > 1
+        for name in ("trajectory/position", "steps/projections", "steps/position_correction", "joints/misalignment"):
+            np.testing.assert_array_equal(seen.array(name), unseen.array(name))
+        assert seen.misalignment_max == unseen.misalignment_max
+
+
+@pytest.mark.parametrize(("when", "due"), [(0.4250, False), (0.4350, True)])
+def test_a_step_that_is_cut_short_is_projected_where_it_is_due(when: float, due: bool) -> None:
+    # expected: the event ends step 43, or step 44, the second of which is projected
+    with run_with(
+        RungeKutta(),
+        DOUBLE,
+        {"end": 1.0, "step": 0.01},
+        stabilization={"name": "projection", "every": 2},
+        events={"enough": stop(f"t - {when}")},
+    ) as stopped:
+        assert stopped.check().steps.projections[-1] == due
+        off = np.abs(stopped.array("constraints/position_residual")[-1]).max()
+        assert (off < 1e-15) is due
 
 
 def test_a_plugin_that_raises_keeps_the_events_found_before() -> None:

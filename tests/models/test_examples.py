@@ -33,6 +33,13 @@ every_example = pytest.mark.parametrize("name", sorted({*NAMES, *example_names()
 
 
 @every_example
+def test_packaged_example_that_is_dumped_and_read_again_is_the_same(name):
+    spec = load_spec(name)
+    for mode in ("python", "json"):
+        assert load_spec(spec.model_dump(mode=mode)).sha256() == spec.sha256()
+
+
+@every_example
 def test_packaged_example_is_a_valid_spec_that_says_what_it_is(name):
     assert name in example_names()
     text = (EXAMPLES / f"{name}.yaml").read_text(encoding="utf-8")
