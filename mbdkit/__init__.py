@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
+    from mbdkit.engine.equations_of_motion import StepProblem
     from mbdkit.errors import MbdkitError, PluginError, RunError, SpecError
-    from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta
-    from mbdkit.integrators.step_method import StepError, StepMethod, StepState
-    from mbdkit.integrators.step_problem import StepProblem
-    from mbdkit.integrators.tableau import ButcherTableau
     from mbdkit.mechanics.equilibrium import Equilibrium, equilibrium
     from mbdkit.mechanics.kinematics import Kinematics, kinematics
     from mbdkit.mechanics.modes import Linearization, Modes, linearize, modes
-    from mbdkit.mechanism.laws import ExpressionLaw, FunctionLaw
+    from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw
     from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
+    from mbdkit.methods.tableau import ButcherTableau
     from mbdkit.registry.hookspecs import hookimpl
     from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, ModelPlugin
     from mbdkit.simulation import run
     from mbdkit.spec import RunSpec, StudySpec
+    from mbdkit.stepping.python_method import StepError, StepMethod, StepState
     from mbdkit.studies.study import Study, load_study, study
 
 __all__ = [
@@ -67,14 +67,14 @@ __all__ = [
 ]
 
 _HOME = {
-    "ButcherTableau": "mbdkit.integrators.tableau",
+    "ButcherTableau": "mbdkit.methods.tableau",
     "Claims": "mbdkit.registry.items",
     "Equilibrium": "mbdkit.mechanics.equilibrium",
-    "ExplicitRungeKutta": "mbdkit.integrators.methods",
-    "ExpressionLaw": "mbdkit.mechanism.laws",
+    "ExplicitRungeKutta": "mbdkit.methods.kinds",
+    "ExpressionLaw": "mbdkit.mechanism.force_law",
     "ForceLawPlugin": "mbdkit.registry.items",
-    "FunctionLaw": "mbdkit.mechanism.laws",
-    "ImplicitRungeKutta": "mbdkit.integrators.methods",
+    "FunctionLaw": "mbdkit.mechanism.force_law",
+    "ImplicitRungeKutta": "mbdkit.methods.kinds",
     "IntegratorPlugin": "mbdkit.registry.items",
     "Kinematics": "mbdkit.mechanics.kinematics",
     "Linearization": "mbdkit.mechanics.modes",
@@ -87,10 +87,10 @@ _HOME = {
     "RunError": "mbdkit.errors",
     "RunSpec": "mbdkit.spec",
     "SpecError": "mbdkit.errors",
-    "StepError": "mbdkit.integrators.step_method",
-    "StepMethod": "mbdkit.integrators.step_method",
-    "StepProblem": "mbdkit.integrators.step_problem",
-    "StepState": "mbdkit.integrators.step_method",
+    "StepError": "mbdkit.stepping.python_method",
+    "StepMethod": "mbdkit.stepping.python_method",
+    "StepProblem": "mbdkit.engine.equations_of_motion",
+    "StepState": "mbdkit.stepping.python_method",
     "Study": "mbdkit.studies.study",
     "StudySpec": "mbdkit.spec",
     "equilibrium": "mbdkit.mechanics.equilibrium",

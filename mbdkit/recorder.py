@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.writer import ArchiveNames, ArchiveWriter, SharedForces
-from mbdkit.engine.analysis import SingularSystemError
-from mbdkit.engine.compiled import CompiledMechanism
-from mbdkit.engine.observe import observe
-from mbdkit.engine.problem import Problem
-from mbdkit.engine.reactions import share_evenly
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.kernels.observe import observe
+from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.redundant_reactions import share_evenly
 from mbdkit.engine.singularity import describe_nearness, new_vectors
-from mbdkit.engine.system import OK
-from mbdkit.integrators.stepping import Failure, Stretch
+from mbdkit.engine.workspace import Problem
+from mbdkit.stepping.interface import Failure, Stretch
 from mbdkit.text import listed
 
 if TYPE_CHECKING:

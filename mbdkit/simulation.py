@@ -20,28 +20,28 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.archive.disk_space import check_room, row_bytes
 from mbdkit.archive.layout import CORRECTIONS, EVENTS
+from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
-from mbdkit.archive.room import check_room, row_bytes
 from mbdkit.archive.run import Run
-from mbdkit.archive.target import check_target
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.engine.analysis import SingularSystemError
 from mbdkit.engine.assembly import AssembledState, assemble
-from mbdkit.engine.compiled import CompiledMechanism
-from mbdkit.engine.compiling import compile_mechanism
-from mbdkit.engine.problem import Problem
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.redundancy import require_unique_start, without_redundancy
-from mbdkit.engine.warm import ensure_compiled, to_stderr
+from mbdkit.engine.workspace import Problem
 from mbdkit.errors import MbdkitError, PluginError, SpecError
-from mbdkit.integrators.methods import ImplicitRungeKutta, Method, SciPySolver
-from mbdkit.integrators.stability import stiff_baumgarte
-from mbdkit.integrators.stepping import Advancing, Counters, Failure, Stepper, Stretch, Timetable
 from mbdkit.mechanism.checks import check_springs
 from mbdkit.mechanism.elements import Body
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.methods.baumgarte_stability import stiff_baumgarte
+from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
 from mbdkit.recorder import SINGULARITY, Recorder, archive_names, shared_forces
 from mbdkit.spec import RunSpec, load_spec
+from mbdkit.stepping.interface import Advancing, Counters, Failure, Stepper, Stretch, Timetable
+from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
 from mbdkit.text import one_line
 
 if TYPE_CHECKING:

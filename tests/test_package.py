@@ -17,7 +17,7 @@ import mbdkit
 MODULES = sorted(
     info.name
     for info in pkgutil.walk_packages(mbdkit.__path__, "mbdkit.")
-    if not info.name.endswith("__main__") and info.name != "mbdkit.engine.elements"
+    if not info.name.endswith("__main__") and info.name != "mbdkit.engine.kernels.element_kernels"
 )
 
 

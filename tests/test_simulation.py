@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.archive.check import check
+from mbdkit.archive.archive_check import check
 from mbdkit.mechanism.mechanism import Mechanism
 
 DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
@@ -348,11 +348,11 @@ def scipy_counts(name: str, options: dict[str, Any]) -> dict[str, int]:
     import scipy.integrate
 
     from mbdkit.engine.assembly import assemble
-    from mbdkit.engine.compiling import compile_mechanism
-    from mbdkit.engine.problem import Problem
-    from mbdkit.integrators.methods import SciPySolver
-    from mbdkit.integrators.stepping import Timetable
+    from mbdkit.engine.compile_mechanism import compile_mechanism
+    from mbdkit.engine.workspace import Problem
+    from mbdkit.methods.kinds import SciPySolver
     from mbdkit.spec import load_spec
+    from mbdkit.stepping.interface import Timetable
 
     solver = {"scipy-radau": "Radau", "scipy-dop853": "DOP853", "scipy-lsoda": "LSODA"}[name]
     mechanism = load_spec(spec(), ()).mechanism()

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from mbdkit.analysis.blocks import BLOCKS, block_maxima, independent
+from mbdkit.analysis.block_statistics import BLOCKS, block_maxima, independent
 
 Law = Literal["none", "bounded", "linear", "quadratic", "exponential", "unclear"]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import h5py
 import numpy as np
 
-from mbdkit.archive.damage import reading
 from mbdkit.archive.fingerprint import blocks, datasets, is_text
+from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import is_timing
 from mbdkit.archive.run import Run
 

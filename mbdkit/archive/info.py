@@ -9,12 +9,12 @@ from typing import Any
 
 import h5py
 
-from mbdkit.archive.damage import reading
 from mbdkit.archive.fingerprint import datasets, is_text
 from mbdkit.archive.hdf5 import dims
+from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import COUNTERS, TEXT, TIMINGS
 from mbdkit.archive.reader import load
-from mbdkit.archive.summary import corrections
+from mbdkit.archive.run_summary import corrections
 
 #: So many of a list are printed.
 NAMES_SHOWN = 32

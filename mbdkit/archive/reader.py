@@ -7,10 +7,10 @@ from pathlib import Path
 
 import h5py
 
-from mbdkit.archive.damage import cause, reading
+from mbdkit.archive.hdf5_errors import cause, reading
 from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
+from mbdkit.archive.part_file import part_path
 from mbdkit.archive.run import Run
-from mbdkit.archive.target import part_path
 from mbdkit.errors import SpecError
 
 

@@ -13,8 +13,8 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.damage import cause, reading
 from mbdkit.archive.fingerprint import is_text
+from mbdkit.archive.hdf5_errors import cause, reading
 from mbdkit.archive.history import (
     BodyHistory,
     ConstraintHistory,
@@ -26,7 +26,7 @@ from mbdkit.archive.history import (
     Steps,
     UnknownNameError,
 )
-from mbdkit.archive.target import Target
+from mbdkit.archive.part_file import Target
 from mbdkit.errors import MbdkitError, RunError, SpecError
 
 if TYPE_CHECKING:
@@ -354,7 +354,7 @@ class Run:
 
     def summary(self) -> str:
         """Return what matters about the run on a few lines of plain text."""
-        from mbdkit.archive.summary import summary
+        from mbdkit.archive.run_summary import summary
 
         return summary(self)
 
@@ -366,7 +366,7 @@ class Run:
         MbdkitError
             If xarray is not installed.
         """
-        from mbdkit.archive.tree import to_datatree
+        from mbdkit.archive.xarray_tree import to_datatree
 
         with reading("something", self.path):
             return to_datatree(self.file)

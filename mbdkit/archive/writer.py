@@ -15,12 +15,12 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.damage import cause
 from mbdkit.archive.fingerprint import digest_lines, line, text_bytes
+from mbdkit.archive.growing_array import Table
 from mbdkit.archive.hdf5 import create, set_text
+from mbdkit.archive.hdf5_errors import cause
 from mbdkit.archive.layout import Array
-from mbdkit.archive.table import Table
-from mbdkit.archive.target import LIBVER, Target
+from mbdkit.archive.part_file import LIBVER, Target
 from mbdkit.errors import MbdkitError
 
 #: Seconds between flushes, after which a crash loses nothing.

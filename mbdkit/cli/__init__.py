@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from mbdkit.cli.archives import archive_app
+from mbdkit.cli.common_options import PLAIN, Debug
 from mbdkit.cli.mechanics import equilibrium, kinematics, modes
-from mbdkit.cli.options import PLAIN, Debug
 from mbdkit.cli.pictures import animate, plot, report
 from mbdkit.cli.plugins import plugins_app
 from mbdkit.cli.runs import rerun, run, validate

@@ -7,7 +7,7 @@ import json
 import typer
 
 from mbdkit import terminal
-from mbdkit.cli.options import PLAIN, Archives, AsJson, Debug, Quiet
+from mbdkit.cli.common_options import PLAIN, Archives, AsJson, Debug, Quiet
 from mbdkit.terminal import say
 
 archive_app = typer.Typer(help="Describe and check run archives.", **PLAIN)
@@ -34,7 +34,7 @@ def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False
 
     Exit status 2 if anything is wrong with one.
     """
-    from mbdkit.archive.check import check
+    from mbdkit.archive.archive_check import check
 
     sound = True
     for archive in archives:

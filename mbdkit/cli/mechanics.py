@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from mbdkit.cli.options import AsJson, Debug, Overwrite, Set, SpecName
-from mbdkit.cli.targets import check_free
+from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Set, SpecName
+from mbdkit.cli.output_paths import check_free
 
 
 def equilibrium(
@@ -28,7 +28,7 @@ def equilibrium(
     The search goes downhill from the start, with drivers and loads held as they
     are at the start time. Velocities do not count.
     """
-    from mbdkit.mechanics import summary
+    from mbdkit.mechanics import mechanics_summary
     from mbdkit.mechanics.equilibrium import equilibrium_of, spec_at
     from mbdkit.mechanics.source import Placed
 
@@ -38,11 +38,13 @@ def equilibrium(
     found = equilibrium_of(placed)
     if write is not None:
         from mbdkit.files import replacing
-        from mbdkit.spec.yaml import write_yaml
+        from mbdkit.spec.yaml_reader import write_yaml
 
         with replacing(write) as temporary:
             temporary.write_text(write_yaml(spec_at(placed, found)), encoding="utf-8")
-    print(json.dumps(summary.equilibrium_data(found)) if as_json else summary.equilibrium_text(found))
+    print(
+        json.dumps(mechanics_summary.equilibrium_data(found)) if as_json else mechanics_summary.equilibrium_text(found)
+    )
 
 
 def modes(
@@ -66,23 +68,23 @@ def modes(
 
     Drivers are held to their motion. A picture of the same name is replaced.
     """
-    from mbdkit.mechanics import summary
+    from mbdkit.mechanics import mechanics_summary
     from mbdkit.mechanics.modes import modes_of
     from mbdkit.mechanics.source import Placed
 
     if output is not None:
         from mbdkit.files import check_suffix
-        from mbdkit.report.style import FORMATS
+        from mbdkit.plot.style import FORMATS
 
         check_suffix(output, FORMATS, "a plot")
     placed = Placed.of(spec, assignments or ())
     found = modes_of(placed, at, count)
     if output is not None:
-        from mbdkit.report.mode_shapes import plot_modes
+        from mbdkit.plot.mode_shapes import plot_modes
 
         mechanism = placed.spec.mechanism()
         plot_modes(found, mechanism, f"Modes: {placed.spec.title or mechanism.name}", output)
-    print(json.dumps(summary.modes_data(found)) if as_json else summary.modes_text(found))
+    print(json.dumps(mechanics_summary.modes_data(found)) if as_json else mechanics_summary.modes_text(found))
 
 
 def kinematics(
@@ -100,7 +102,7 @@ def kinematics(
 
     The mechanism must be fully driven; times are those of the spec, step by step.
     """
-    from mbdkit.mechanics import summary
+    from mbdkit.mechanics import mechanics_summary
     from mbdkit.mechanics.kinematics import kinematics_of
     from mbdkit.mechanics.source import Placed
 
@@ -112,4 +114,4 @@ def kinematics(
 
         with replacing(output) as temporary:
             found.write_csv(temporary)
-    print(json.dumps(summary.kinematics_data(found)) if as_json else summary.kinematics_text(found))
+    print(json.dumps(mechanics_summary.kinematics_data(found)) if as_json else mechanics_summary.kinematics_text(found))

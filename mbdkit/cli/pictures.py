@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from mbdkit.cli.options import Archive, Debug, Overwrite, Quiet
+from mbdkit.cli.common_options import Archive, Debug, Overwrite, Quiet
 
 
 def plot(
@@ -26,7 +26,7 @@ def plot(
 ) -> None:
     """Plot a run. A picture of the same name is replaced."""
     from mbdkit.archive.reader import load
-    from mbdkit.report.plot import plot as draw
+    from mbdkit.plot.save_plot import plot as draw
 
     with load(archive) as loaded:
         target = draw(loaded, kind, output or archive.with_name(f"{archive.stem}-{kind}.png"))
@@ -45,7 +45,7 @@ def animate(
 ) -> None:
     """Animate a run. A film of the same name is replaced."""
     from mbdkit.archive.reader import load
-    from mbdkit.report.animate import animate as draw
+    from mbdkit.plot.animate import animate as draw
 
     with load(archive) as loaded:
         target = draw(loaded, output or archive.with_suffix(".gif"))

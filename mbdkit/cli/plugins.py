@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from mbdkit import terminal
-from mbdkit.cli.options import PLAIN, AsJson, Debug, Overwrite, Quiet
+from mbdkit.cli.common_options import PLAIN, AsJson, Debug, Overwrite, Quiet
 from mbdkit.terminal import count_bar, say, silence
 
 plugins_app = typer.Typer(help="List, verify, diagnose and begin plugins.", **PLAIN)
@@ -75,7 +75,7 @@ def plugins_verify(
     items = describe.find(name)
     options = read_assignments(assignments or ())
     from mbdkit.testing import verify
-    from mbdkit.testing.page import check_page, write_page
+    from mbdkit.testing.verification_page import check_page, write_page
 
     page = (output or Path(f"{name.replace(':', '-')}-verification.html")) if as_html or output is not None else None
     if page is not None:
@@ -127,7 +127,7 @@ def plugins_new(
     It installs as it is, its tests pass, and its README says what to change.
     Nothing that exists is touched.
     """
-    from mbdkit.scaffold.new import new_project
+    from mbdkit.scaffold.new_plugin import new_project
 
     project = new_project(name, kind)
     if as_json:

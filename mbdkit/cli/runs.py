@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mbdkit import terminal
-from mbdkit.cli.options import Archive, AsJson, Debug, Overwrite, Quiet, Set, SpecName
-from mbdkit.cli.targets import check_new, stem
+from mbdkit.cli.common_options import Archive, AsJson, Debug, Overwrite, Quiet, Set, SpecName
+from mbdkit.cli.output_paths import check_new, stem
 from mbdkit.terminal import progress_bar, say, silence
 from mbdkit.text import table
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.engine.assembly import AssembledState
-    from mbdkit.engine.problem import Problem
+    from mbdkit.engine.workspace import Problem
     from mbdkit.spec import RunSpec
 
 BODIES_SHOWN = 20
@@ -128,7 +128,7 @@ def rerun(
     if output is not None:
         check_new(output, str(archive), overwrite)
     from mbdkit.archive.compare import compare
-    from mbdkit.archive.needed import check_plugins_of
+    from mbdkit.archive.missing_plugins import check_plugins_of
     from mbdkit.archive.reader import load
     from mbdkit.errors import SpecError
     from mbdkit.simulation import simulate

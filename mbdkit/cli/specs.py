@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from mbdkit.cli.options import PLAIN, Debug
+from mbdkit.cli.common_options import PLAIN, Debug
 from mbdkit.text import table
 
 schema_app = typer.Typer(help="Print the JSON schema of a spec, for editors.", **PLAIN)

@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from mbdkit.cli.options import AsJson, Debug, Quiet, StudyName
-from mbdkit.cli.targets import stem
+from mbdkit.cli.common_options import AsJson, Debug, Quiet, StudyName
+from mbdkit.cli.output_paths import stem
 from mbdkit.terminal import count_bar, say, silence
 
 
@@ -47,7 +47,7 @@ def study(
     """
     from mbdkit.studies.execute import Shard
     from mbdkit.studies.study import study as carry_out
-    from mbdkit.studies.summary import outcome, summary
+    from mbdkit.studies.study_summary import outcome, summary
 
     part = None if shard is None else Shard.parse(shard)
     path = output if output is not None else Path(stem(spec))
@@ -56,8 +56,8 @@ def study(
         result = carry_out(spec, out=path, workers=workers or _cores(), shard=part, progress=progress, notify=notify)
     page, told, values = None, "", {}
     if with_report:
-        from mbdkit.report.plain import plain_values, terminal
         from mbdkit.report.report import written
+        from mbdkit.report.verdict_text import plain_values, terminal
 
         page, verdict = written(path, overwrite=True)
         told, values = terminal(verdict), plain_values(verdict)

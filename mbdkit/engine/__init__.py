@@ -1,1 +1,1 @@
-"""The engine: a compiled mechanism as flat arrays, and the kernels that assemble, solve and observe it."""
+"""The engine: a mechanism compiled to flat arrays, its equations of motion, a consistent start, and its redundancy."""

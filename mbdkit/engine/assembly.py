@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.engine.compiled import CompiledMechanism
-from mbdkit.engine.compiling import compile_mechanism
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.least_change import LeastChange
-from mbdkit.engine.problem import finite_motions
+from mbdkit.engine.workspace import finite_motions
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.elements import Table
 from mbdkit.mechanism.mechanism import Mechanism

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mbdkit.engine.compiled import CompiledMechanism
-from mbdkit.engine.constraints import KINDS
-from mbdkit.engine.observe import constraints_at, stiffness_at
-from mbdkit.engine.problem import new_scratch
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.kernels.constraints import KINDS
+from mbdkit.engine.kernels.observe import constraints_at, stiffness_at
+from mbdkit.engine.workspace import new_scratch
 
 Entries = tuple[np.ndarray, np.ndarray, np.ndarray]
 """A sparse matrix as (row, column, value)."""

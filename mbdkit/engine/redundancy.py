@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.engine.analysis import SingularSystemError
-from mbdkit.engine.compiled import CompiledMechanism, Redundancy
-from mbdkit.engine.independent import choose_spare, direction_frames
+from mbdkit.engine.compiled_mechanism import CompiledMechanism, Redundancy
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.independent_rows import choose_spare, direction_frames
+from mbdkit.engine.kernels.observe import constraints_at, tangents_at
+from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.least_change import LeastChange
-from mbdkit.engine.observe import constraints_at, tangents_at
-from mbdkit.engine.problem import Problem
 from mbdkit.engine.self_stress import SMALL, looped_rows, scaled_matrix, self_stresses
-from mbdkit.engine.system import OK
+from mbdkit.engine.workspace import Problem
 from mbdkit.errors import SpecError
 from mbdkit.text import listed
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from mbdkit.engine.compiled import CompiledMechanism
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
 
 SMALL = 1e-9
 """Singular values of the scaled Jacobian below this count as zero; round-off leaves 1e-15 to 1e-11."""

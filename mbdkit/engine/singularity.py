@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.engine.cache import inlined, kernel, part
-from mbdkit.engine.lu import substitute
+from mbdkit.engine.jit.cache import inlined, kernel, part
+from mbdkit.engine.kernels.lu import substitute
+from mbdkit.engine.kernels.system import constraint_rows, independent_rows, load_engine, prepare
 from mbdkit.engine.self_stress import scaled_matrix, smallest_stress
-from mbdkit.engine.system import constraint_rows, independent_rows, load_engine, prepare
 
 if TYPE_CHECKING:
-    from mbdkit.engine.compiled import CompiledMechanism
-    from mbdkit.engine.problem import Problem
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.engine.workspace import Problem
 
 CLOSE = 0.03
 """Residual of the Ritz vector, relative to its eigenvalue, that ends the iteration: bounds the error of the square."""
@@ -111,7 +111,7 @@ def _scale(near):
 
 @part
 def _solve_both(start, row, diagonal, below, near):
-    """Solve with the Schur complement for both right sides in place; see `mbdkit.engine.schur.solve`."""
+    """Solve with the Schur complement for both right sides in place; see `mbdkit.engine.kernels.schur.solve`."""
     n = len(diagonal)
     for k in range(n):
         x0, x1, y0, y1 = near[k, 4], near[k, 5], near[k, 6], near[k, 7]

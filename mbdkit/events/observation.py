@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.analysis import SingularSystemError
-from mbdkit.engine.observe import observe
-from mbdkit.engine.problem import Problem
-from mbdkit.engine.reactions import share_evenly
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.kernels.observe import observe
+from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.redundant_reactions import share_evenly
 from mbdkit.engine.singularity import new_vectors
-from mbdkit.engine.system import OK
-from mbdkit.events.expression import BODY, Quantity
+from mbdkit.engine.workspace import Problem
+from mbdkit.events.event_expression import BODY, Quantity
 
 _REACTION = ("force_x", "force_y", "torque")
 

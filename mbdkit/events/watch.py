@@ -9,12 +9,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mbdkit.engine.problem import Problem
+from mbdkit.engine.workspace import Problem
 from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings
-from mbdkit.events.expression import RunExpression
+from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.observation import Observer
-from mbdkit.integrators import stepping
-from mbdkit.integrators.stepping import Counters, Failure, Stepper, StepTaken, Stretch, joined
+from mbdkit.stepping import interface
+from mbdkit.stepping.interface import Counters, Failure, Stepper, StepTaken, Stretch, joined
 
 INSIDE = (0.25, 0.5, 0.75)
 """Places within a step at which dense output is looked at."""
@@ -138,7 +138,7 @@ class Watch:
         """Go on for about `STRETCH` seconds; what the method raised comes out after the rows before it."""
         if self._raised is not None:
             raise self._raised
-        until = time.perf_counter() + stepping.STRETCH
+        until = time.perf_counter() + interface.STRETCH
         parts: list[Stretch] = []
         while True:
             try:

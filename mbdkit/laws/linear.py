@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbdkit.mechanism.elements import Element, NotNegative, Number
-from mbdkit.mechanism.laws import ExpressionLaw
+from mbdkit.mechanism.force_law import ExpressionLaw
 
 if TYPE_CHECKING:
     import sympy

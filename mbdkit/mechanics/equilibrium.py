@@ -9,13 +9,13 @@ import numpy as np
 from scipy.sparse import block_array, diags_array
 from scipy.sparse.linalg import splu
 
-from mbdkit.engine.observe import constraints_at
-from mbdkit.integrators.projection import ROUND_OFF, STAGNANT
-from mbdkit.integrators.step_method import StepError
-from mbdkit.integrators.step_problem import StepProblem
+from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.mechanics.reduced import State, at_rest, least_stiffness, stiffness_scale
 from mbdkit.mechanics.source import Placed
-from mbdkit.spec.plain import plain
+from mbdkit.spec.plain_data import plain
+from mbdkit.stepping.python_method import StepError
+from mbdkit.stepping.python_projection import ROUND_OFF, STAGNANT
 
 MOST_STEPS = 500
 """Steps, refused ones included, after which there is no equilibrium to be found."""

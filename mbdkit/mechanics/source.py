@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.engine.problem import Problem
+from mbdkit.engine.equations_of_motion import StepProblem
 from mbdkit.engine.stabilization import NONE
+from mbdkit.engine.workspace import Problem
 from mbdkit.errors import SpecError
-from mbdkit.integrators.step_method import StepError
-from mbdkit.integrators.step_problem import StepProblem
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.simulation import build
 from mbdkit.spec import RunSpec, load_spec
+from mbdkit.stepping.python_method import StepError
 
 UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
 """Sections that a spec must have and that nothing here depends on, for a mechanism that comes without them."""

@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Container, Iterable, Mapping
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.data import Assembly, Force, Joint
 from mbdkit.mechanism.elements import GROUND, Body, Driver, PointForce, Revolute, SpringDamper, Table, Torque, Weld
 from mbdkit.mechanism.law_element import Law, TwoPoints
+from mbdkit.mechanism.mechanism_data import Assembly, Force, Joint
 from mbdkit.text import did_you_mean, listed
 
 ROUNDING = 1e-9

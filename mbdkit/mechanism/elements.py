@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.expression import Expression
+from mbdkit.mechanism.time_expression import Expression
 
 GROUND = "ground"
 

@@ -18,7 +18,7 @@ from pydantic_core import InitErrorDetails, to_json
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.elements import Attachment, Between, BetweenPoints, Element, Points
-from mbdkit.mechanism.laws import ForceLaw
+from mbdkit.mechanism.force_law import ForceLaw
 
 OptionsClass = type[BaseModel]
 

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism._errors import spec_error
 from mbdkit.mechanism.checks import check_known, check_mechanism, check_name, check_tables
-from mbdkit.mechanism.data import Assembly, Force, Joint, MechanismData
+from mbdkit.mechanism.element_errors import spec_error
 from mbdkit.mechanism.elements import (
     GROUND,
     Body,
@@ -28,10 +27,11 @@ from mbdkit.mechanism.elements import (
     Weld,
 )
 from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.mechanism_data import Assembly, Force, Joint, MechanismData
 from mbdkit.text import counted
 
 if TYPE_CHECKING:
-    from mbdkit.symbolic.system import SymbolicSystem
+    from mbdkit.symbolic.symbolic_system import SymbolicSystem
 
 Pair = Sequence[float]
 Value = float | str | Table | Mapping[str, Any]

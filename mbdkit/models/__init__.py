@@ -1,6 +1,6 @@
 """The built-in models: each file turns a few parameters into a mechanism."""
 
-from mbdkit.models import double_pendulum, four_bar_knee, free, n_four_bar, n_pendulum, single_pendulum
+from mbdkit.models import double_pendulum, four_bar_knee, free_form, n_four_bar, n_pendulum, single_pendulum
 from mbdkit.registry.items import ModelPlugin
 
 MODELS = (
@@ -25,6 +25,6 @@ MODELS = (
         four_bar_knee.build,
         four_bar_knee.REFERENCES,
     ),
-    ModelPlugin("mechanism", free.SUMMARY, free.MechanismOptions, free.build),
+    ModelPlugin("mechanism", free_form.SUMMARY, free_form.MechanismOptions, free_form.build),
 )
 """The models that mbdkit ships, in the order in which `mbdkit plugins list` names them."""

@@ -11,9 +11,9 @@ from pydantic import BaseModel
 
 from mbdkit.errors import PluginError, SpecError
 from mbdkit.registry.catalogue import KINDS, Registered, Registry, Report
+from mbdkit.registry.item_options import named_options
 from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, Orders
 from mbdkit.registry.manager import registry
-from mbdkit.registry.options import named_options
 from mbdkit.registry.policy import API
 from mbdkit.text import did_you_mean, listed, table
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from mbdkit.mechanism.laws import ForceLaw
+    from mbdkit.mechanism.force_law import ForceLaw
     from mbdkit.mechanism.mechanism import Mechanism
 
 

@@ -15,12 +15,12 @@ from typing import Any, Protocol
 import pluggy
 
 from mbdkit.errors import PluginError
+from mbdkit.mechanism.force_law import ForceLaw
 from mbdkit.mechanism.law_element import Law
-from mbdkit.mechanism.laws import ForceLaw
 from mbdkit.registry import hookspecs
 from mbdkit.registry.catalogue import Kind, Origin, Registered, Registry, Report
+from mbdkit.registry.item_options import check_law_options, law_element, named_options
 from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, ModelPlugin, Plugin
-from mbdkit.registry.options import check_law_options, law_element, named_options
 from mbdkit.registry.policy import STRICT, Policy, check_api
 from mbdkit.text import listed, one_line
 

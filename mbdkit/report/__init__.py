@@ -1,1 +1,1 @@
-"""Pictures of a run: figures, animations and the drawing of a mechanism, all pure functions of what was recorded."""
+"""Reports: a run or a study as one self-contained HTML page, with its verdict, figures and tables."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Figure, Line
-from mbdkit.report.style import PALETTE
+from mbdkit.plot.style import PALETTE
 
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 """Styles that tell lines of one colour apart."""

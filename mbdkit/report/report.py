@@ -11,10 +11,10 @@ from mbdkit.analysis.verdict import Verdict
 from mbdkit.archive.reader import load
 from mbdkit.errors import SpecError
 from mbdkit.files import check_suffix, replacing
-from mbdkit.report.document import Document
-from mbdkit.report.plain import markdown
+from mbdkit.report.report_page import Document
 from mbdkit.report.run_report import run_document
 from mbdkit.report.still import still_files, write_stills
+from mbdkit.report.verdict_text import markdown
 
 SUFFIXES = (".html", ".htm", ".md")
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Figure, Line, Mark
-from mbdkit.report.curves import ENERGIES, Quantity, joint_quantity
-from mbdkit.report.geometry import choose_traces, draw_spec, trace_points
-from mbdkit.report.series import bands, evenly, take
-from mbdkit.report.shapes import view_box
-from mbdkit.report.style import PALETTE
-from mbdkit.report.words import length
+from mbdkit.plot.curves import ENERGIES, Quantity, joint_quantity
+from mbdkit.plot.drawing_geometry import choose_traces, draw_spec, trace_points
+from mbdkit.plot.series import bands, evenly, take
+from mbdkit.plot.shapes import view_box
+from mbdkit.plot.style import PALETTE
+from mbdkit.report.quantity_text import length
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

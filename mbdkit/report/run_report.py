@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.analysis.verdict import Cell, Column, Table
-from mbdkit.report.caption import caption
-from mbdkit.report.document import Document
-from mbdkit.report.methods import methods
-from mbdkit.report.player import film_data
+from mbdkit.plot.caption import caption
+from mbdkit.plot.series import require_rows
+from mbdkit.report.methods_used import methods
+from mbdkit.report.player_data import film_data
+from mbdkit.report.report_page import Document
 from mbdkit.report.run_verdict import run_verdict
-from mbdkit.report.series import require_rows
-from mbdkit.spec.yaml import write_yaml
+from mbdkit.spec.yaml_reader import write_yaml
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

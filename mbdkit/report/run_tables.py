@@ -8,7 +8,7 @@ import numpy as np
 
 from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.archive.layout import COUNTERS, TIMINGS
-from mbdkit.report.curves import joint_quantity
+from mbdkit.plot.curves import joint_quantity
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -9,12 +9,12 @@ import numpy as np
 
 from mbdkit.analysis.growth import Growth, growth_law
 from mbdkit.analysis.verdict import Answer, Claim, Verdict
-from mbdkit.report.curves import Quantity, joint_quantity
-from mbdkit.report.geometry import draw_spec
+from mbdkit.plot.curves import Quantity, joint_quantity
+from mbdkit.plot.drawing_geometry import draw_spec
+from mbdkit.plot.series import bands, take
+from mbdkit.report.quantity_text import ROUND_OFF, count, duration, length, proportion
 from mbdkit.report.run_figures import run_figures
 from mbdkit.report.run_tables import run_tables
-from mbdkit.report.series import bands, take
-from mbdkit.report.words import ROUND_OFF, count, duration, length, proportion
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure as Picture
 
 from mbdkit.analysis.verdict import Figure
 from mbdkit.errors import SpecError
-from mbdkit.report.caption import Caption
+from mbdkit.plot.caption import Caption
+from mbdkit.plot.style import FAINT, GRID, PALETTE, dress, legend, new_figure, powers_of_ten, save
 from mbdkit.report.interactive import axis_title, shown, styles
-from mbdkit.report.style import FAINT, GRID, PALETTE, dress, legend, new_figure, powers_of_ten, save
 
 _DASHES: tuple[str | tuple[float, tuple[float, ...]], ...] = ("-", "--", ":", "-.", (0, (8.0, 3.0)))
 _MARKERS = ("o", "s", "D", "^", "P", "X")

@@ -15,13 +15,13 @@ from mbdkit.analysis.verdicts import judge
 from mbdkit.analysis.verdicts.points import value
 from mbdkit.archive.reader import load
 from mbdkit.errors import SpecError
-from mbdkit.report.document import NO_FAILURES, Document
-from mbdkit.report.methods import methods
-from mbdkit.report.player import film_data
+from mbdkit.report.methods_used import methods
+from mbdkit.report.player_data import film_data
+from mbdkit.report.quantity_text import count
+from mbdkit.report.report_page import NO_FAILURES, Document
 from mbdkit.report.run_report import environment
 from mbdkit.report.run_verdict import HOLDS, mechanism_size
 from mbdkit.report.study_figures import study_figures
-from mbdkit.report.words import count
 from mbdkit.text import listed
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from pydantic import BaseModel, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from mbdkit.registry.catalogue import Kind, Registry
+from mbdkit.registry.item_options import item_of, named_options
 from mbdkit.registry.manager import registry
-from mbdkit.registry.options import item_of, named_options
 
 
 @dataclass(frozen=True)

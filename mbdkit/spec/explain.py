@@ -11,11 +11,11 @@ from pydantic_core import ErrorDetails
 from pydantic_core.core_schema import ErrorType
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.expression import Expression
-from mbdkit.registry.options import is_of_item, item_of
+from mbdkit.mechanism.time_expression import Expression
+from mbdkit.registry.item_options import is_of_item, item_of
 from mbdkit.spec.choices import choice_of, registry_of
-from mbdkit.spec.plain import Path, found, parse_path, path_text
-from mbdkit.spec.walk import walk
+from mbdkit.spec.key_path import walk
+from mbdkit.spec.plain_data import Path, found, parse_path, path_text
 from mbdkit.text import did_you_mean, listed
 
 WANTED = {

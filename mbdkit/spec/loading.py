@@ -10,9 +10,9 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from mbdkit.errors import SpecError
-from mbdkit.spec.document import Document
 from mbdkit.spec.reading import read_file, read_stdin, read_text, set_value
 from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.source_document import Document
 from mbdkit.text import did_you_mean, listed
 
 VERSION = 1

@@ -12,9 +12,9 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from mbdkit.errors import SpecError
-from mbdkit.spec.document import Document
-from mbdkit.spec.plain import Path, found, parse_path, path_text
-from mbdkit.spec.yaml import read_yaml
+from mbdkit.spec.plain_data import Path, found, parse_path, path_text
+from mbdkit.spec.source_document import Document
+from mbdkit.spec.yaml_reader import read_yaml
 
 LARGEST_FILE = 64 * 2**20  # bytes
 STDIN = "<stdin>"

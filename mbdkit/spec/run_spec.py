@@ -21,17 +21,17 @@ from mbdkit.engine.stabilization import Stabilization
 from mbdkit.errors import PluginError, SpecError
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Kind, Registered, Registry
+from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin, ModelPlugin
-from mbdkit.registry.options import item_of
 from mbdkit.spec.choices import Choice, choice_of
 from mbdkit.spec.sections import Event, Limits, Output, Time, named_events
-from mbdkit.spec.stabilization import UNSTABILIZED, stabilization_of
-from mbdkit.spec.stabilization import Choice as StabilizationChoice
-from mbdkit.spec.strict import StrictSpec
+from mbdkit.spec.stabilization_section import UNSTABILIZED, stabilization_of
+from mbdkit.spec.stabilization_section import Choice as StabilizationChoice
+from mbdkit.spec.strict_spec import StrictSpec
 from mbdkit.text import listed, one_line
 
 if TYPE_CHECKING:
-    from mbdkit.events.expression import RunExpression
+    from mbdkit.events.event_expression import RunExpression
     from mbdkit.mechanism.mechanism import Mechanism
 
 
@@ -215,7 +215,7 @@ class RunSpec(StrictSpec):
     def _parsed(self, mechanism: Mechanism) -> dict[str, RunExpression]:
         if not self.events:
             return {}
-        from mbdkit.events.expression import RunExpression
+        from mbdkit.events.event_expression import RunExpression
 
         parsed = {}
         for name, event in self.events.items():

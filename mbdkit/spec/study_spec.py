@@ -8,11 +8,11 @@ from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_valid
 from pydantic_core import PydanticCustomError
 
 from mbdkit.errors import SpecError
-from mbdkit.spec.document import Document
-from mbdkit.spec.plain import Path, path_text
+from mbdkit.spec.plain_data import Path, path_text
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.sections import Section
-from mbdkit.spec.strict import StrictSpec
+from mbdkit.spec.source_document import Document
+from mbdkit.spec.strict_spec import StrictSpec
 from mbdkit.spec.value_sets import ValueSet, expand
 from mbdkit.text import listed
 

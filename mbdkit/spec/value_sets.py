@@ -15,7 +15,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, WithJsonSchema
 
 from mbdkit.errors import SpecError
-from mbdkit.spec.plain import found
+from mbdkit.spec.plain_data import found
 from mbdkit.text import did_you_mean, listed
 
 #: More values than this in one set are a slip of the pen.

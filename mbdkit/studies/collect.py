@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.reader import load
 from mbdkit.spec.study_spec import ERRORS, StudySpec
-from mbdkit.studies.index import Index, Row, quartiles
-from mbdkit.studies.ledger import Ledger
+from mbdkit.studies.expand import PlannedPoint
 from mbdkit.studies.measures import MEASURES, SECOND, worst_joint
-from mbdkit.studies.plan import PlannedPoint
 from mbdkit.studies.pool import Outcome
+from mbdkit.studies.run_status import Ledger
+from mbdkit.studies.study_index import Index, Row, quartiles
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

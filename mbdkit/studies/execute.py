@@ -11,12 +11,12 @@ from mbdkit.analysis.verdicts import check_verdict
 from mbdkit.errors import SpecError
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_spec import SECOND_RUN, StudySpec
-from mbdkit.studies import index as table
+from mbdkit.studies import study_index as table
 from mbdkit.studies.collect import collect
+from mbdkit.studies.expand import outline
 from mbdkit.studies.folder import StudyFolder
-from mbdkit.studies.ledger import Ledger
-from mbdkit.studies.plan import outline
 from mbdkit.studies.pool import Outcome, Pool, Task
+from mbdkit.studies.run_status import Ledger
 from mbdkit.text import counted
 
 #: Called with (pieces of work done, pieces in all, runs that failed); a run is one, and so are its repeated timings.

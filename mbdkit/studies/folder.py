@@ -11,7 +11,7 @@ from pathlib import Path
 from mbdkit.errors import SpecError
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
-from mbdkit.spec.yaml import write_yaml
+from mbdkit.spec.yaml_reader import write_yaml
 
 
 class StudyFolder:

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.engine.problem import Problem
+from mbdkit.engine.equations_of_motion import StepProblem
 from mbdkit.engine.stabilization import NONE
+from mbdkit.engine.workspace import Problem
 from mbdkit.errors import MbdkitError
-from mbdkit.integrators.step_method import StepError
-from mbdkit.integrators.step_problem import StepProblem
-from mbdkit.integrators.stepping import Stretch, Timetable
 from mbdkit.simulation import build
 from mbdkit.spec import RunSpec
+from mbdkit.stepping.interface import Stretch, Timetable
+from mbdkit.stepping.python_method import StepError
 
 LOOKS = 16
 """States along the run at which the mechanism is asked whether it tells forwards from backwards."""

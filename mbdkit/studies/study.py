@@ -8,18 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.archive.needed import advised
+from mbdkit.archive.missing_plugins import advised
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
-from mbdkit.studies import index as table
+from mbdkit.studies import study_index as table
 from mbdkit.studies.execute import Execution, Progress, Shard
+from mbdkit.studies.expand import Label, PlannedPoint, outline, point_label
 from mbdkit.studies.folder import StudyFolder
-from mbdkit.studies.index import Row
-from mbdkit.studies.plan import Label, PlannedPoint, outline, point_label
+from mbdkit.studies.study_index import Row
 from mbdkit.terminal import say
 from mbdkit.text import did_you_mean, listed
 

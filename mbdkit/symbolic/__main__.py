@@ -8,7 +8,7 @@ from mbdkit.symbolic.generate import TARGET, source
 
 
 def main(arguments: list[str]) -> int:
-    """Write or check ``mbdkit/engine/elements.py``; return the exit status."""
+    """Write or check ``mbdkit/engine/kernels/element_kernels.py``; return the exit status."""
     fresh = source()
     if "--check" in arguments:
         if TARGET.read_text(encoding="utf-8") == fresh:

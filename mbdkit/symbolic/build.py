@@ -17,21 +17,21 @@ import numpy as np
 import sympy as sp
 from sympy.core.function import UndefinedFunction
 
-from mbdkit.engine.compiled import CompiledMechanism
-from mbdkit.engine.compiling import compile_mechanism, pathway_kind
-from mbdkit.engine.constraints import KINDS
-from mbdkit.engine.law_compiler import law_parameters
+from mbdkit.engine.compile_mechanism import compile_mechanism, pathway_kind
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.jit.law_compiler import law_parameters
+from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.data import Force
 from mbdkit.mechanism.elements import GROUND, PointForce, SpringDamper, Table, Torque, TorsionSpring
-from mbdkit.mechanism.expression import Expression
+from mbdkit.mechanism.force_law import ExpressionLaw
 from mbdkit.mechanism.law_element import Law
-from mbdkit.mechanism.laws import ExpressionLaw
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_data import Force
+from mbdkit.mechanism.time_expression import Expression
 from mbdkit.symbolic import definitions as d
-from mbdkit.symbolic.laws import LENGTH, RATE, law_expressions
-from mbdkit.symbolic.laws import T as LAW_TIME
-from mbdkit.symbolic.system import SymbolicSystem
+from mbdkit.symbolic.symbolic_law import LENGTH, RATE, law_expressions
+from mbdkit.symbolic.symbolic_law import T as LAW_TIME
+from mbdkit.symbolic.symbolic_system import SymbolicSystem
 
 TIME = sp.Symbol("t", real=True)
 

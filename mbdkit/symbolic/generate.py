@@ -1,4 +1,4 @@
-"""Write ``mbdkit/engine/elements.py``: plain Python kernels for every element, reduced by common subexpressions."""
+"""Write ``mbdkit/engine/kernels/element_kernels.py``: a kernel for every element, with common subexpressions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sympy.printing.pycode import PythonCodePrinter
 
 from mbdkit.symbolic import definitions as d
 
-TARGET = Path(__file__).resolve().parent.parent / "engine" / "elements.py"
+TARGET = Path(__file__).resolve().parent.parent / "engine" / "kernels" / "element_kernels.py"
 
 HEADER = '''"""Element kernels, written by ``python -m mbdkit.symbolic`` from its definitions. Do not edit.
 
@@ -29,7 +29,7 @@ Entries that are zero for every argument are never written.
 # fmt: off
 from math import sqrt
 
-from mbdkit.engine.cache import element
+from mbdkit.engine.jit.cache import element
 '''
 
 _READS = {

@@ -7,7 +7,7 @@ from typing import Any
 
 from mbdkit.testing.kit import checks_of, verify
 from mbdkit.testing.outcome import Finding, Report, Result
-from mbdkit.testing.suite import Case, ConformanceWarning, cases, conformance
+from mbdkit.testing.pytest_suite import Case, ConformanceWarning, cases, conformance
 
 __all__ = [
     "Case",

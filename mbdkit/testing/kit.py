@@ -6,46 +6,46 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from mbdkit.engine.warm import ensure_compiled, to_stderr
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.manager import registry
+from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
 from mbdkit.testing import (
-    contract,
-    cost,
-    drift,
-    failure,
-    force_law,
-    geometry,
-    honesty,
-    model,
-    newton,
-    order,
-    restart,
-    tableau,
-    tolerance,
+    contract_checks,
+    cost_checks,
+    counter_checks,
+    drift_checks,
+    failure_checks,
+    force_law_checks,
+    invariant_checks,
+    model_checks,
+    newton_checks,
+    order_checks,
+    restart_checks,
+    tableau_checks,
+    tolerance_checks,
 )
 from mbdkit.testing.check import Check
-from mbdkit.testing.options import plain_options
+from mbdkit.testing.integrator_under_test import IntegratorSubject
+from mbdkit.testing.options_under_test import plain_options
 from mbdkit.testing.outcome import Kind, Report, Result
-from mbdkit.testing.subject import IntegratorSubject
 
 INTEGRATOR_CHECKS: tuple[Check[IntegratorSubject], ...] = (
-    *contract.CHECKS,
-    *tableau.CHECKS,
-    *order.CHECKS,
-    *tolerance.CHECKS,
-    *newton.CHECKS,
-    *geometry.CHECKS,
-    *drift.CHECKS,
-    *honesty.CHECKS,
-    *failure.CHECKS,
-    *restart.CHECKS,
-    *cost.CHECKS,
+    *contract_checks.CHECKS,
+    *tableau_checks.CHECKS,
+    *order_checks.CHECKS,
+    *tolerance_checks.CHECKS,
+    *newton_checks.CHECKS,
+    *invariant_checks.CHECKS,
+    *drift_checks.CHECKS,
+    *counter_checks.CHECKS,
+    *failure_checks.CHECKS,
+    *restart_checks.CHECKS,
+    *cost_checks.CHECKS,
 )
 CHECKS: dict[Kind, tuple[Check[Any], ...]] = {
     "integrator": INTEGRATOR_CHECKS,
-    "model": model.CHECKS,
-    "force-law": force_law.CHECKS,
+    "model": model_checks.CHECKS,
+    "force-law": force_law_checks.CHECKS,
 }
 Watch = Callable[[int, int, str], None]
 
@@ -68,8 +68,8 @@ def subject_of(kind: Kind, name: str, options: Mapping[str, Any], installed: Reg
     chosen = plain_options(item, options)
     subjects: dict[Kind, Callable[[Registered, dict[str, Any], Registry], Any]] = {
         "integrator": IntegratorSubject,
-        "model": model.ModelSubject,
-        "force-law": force_law.LawSubject,
+        "model": model_checks.ModelSubject,
+        "force-law": force_law_checks.LawSubject,
     }
     return subjects[kind](item, chosen, installed)
 

@@ -16,7 +16,7 @@ from mbdkit.analysis.verdict import UNDECIDED, Answer
 from mbdkit.analysis.verdicts import judge
 from mbdkit.analysis.verdicts.combination import combinations
 from mbdkit.analysis.verdicts.drift import COLUMNS, drift, order_meets
-from mbdkit.report.plain import plain_values, terminal
+from mbdkit.report.verdict_text import plain_values, terminal
 from mbdkit.spec.study_loading import load_study_spec
 
 STEPS = (0.1, 0.05, 0.025, 0.0125)

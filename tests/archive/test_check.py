@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 import xarray
 
-from mbdkit.archive.check import check
+from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.archive.info import describe
 from mbdkit.archive.layout import CORRECTIONS
 from mbdkit.archive.reader import load
 from mbdkit.errors import MbdkitError
-from tests.integrators.running import DOUBLE
-from tests.integrators.step_methods import RungeKutta, run_with
+from tests.stepping.running import DOUBLE
+from tests.stepping.step_methods import RungeKutta, run_with
 
 from .making import SPEC, fill, make, names, writer
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mbdkit.archive import document
+from mbdkit.archive import layout_document
 from mbdkit.archive.layout import BY_PATH, GROUPS, LAYOUT, is_timing
 
 DOCUMENT = Path(__file__).parents[2] / "schemas" / "archive.md"
@@ -97,4 +97,4 @@ def test_elapsed_time_is_the_only_timing() -> None:
 
 def test_document_is_fresh() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
-    assert document.renewed(text) == text, "run: python -m mbdkit.archive.document schemas/archive.md"
+    assert layout_document.renewed(text) == text, "run: python -m mbdkit.archive.layout_document schemas/archive.md"

@@ -11,9 +11,9 @@ from pathlib import Path
 import h5py
 import pytest
 
-from mbdkit.archive.check import check
+from mbdkit.archive.archive_check import check
+from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
-from mbdkit.archive.target import check_target
 from mbdkit.errors import MbdkitError, SpecError
 
 from .making import STATS, fill, largest, make, names, writer

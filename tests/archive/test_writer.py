@@ -15,8 +15,8 @@ import h5py
 import numpy as np
 import pytest
 
-from mbdkit.archive import table
-from mbdkit.archive.check import check
+from mbdkit.archive import growing_array
+from mbdkit.archive.archive_check import check
 from mbdkit.archive.layout import LAYOUT
 from mbdkit.archive.reader import load
 
@@ -50,7 +50,7 @@ def test_rows_are_in_the_file_as_appended_over_many_flushes(tmp_path: Path, piec
 
 
 def test_rows_beyond_the_buffer_are_written_as_they_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table, "BUFFER_BYTES", 5000)
+    monkeypatch.setattr(growing_array, "BUFFER_BYTES", 5000)
     make(tmp_path / "run.h5", count=500, piece=170)
     assert_holds(tmp_path / "run.h5", 500)
     assert check(tmp_path / "run.h5") == []
@@ -58,7 +58,7 @@ def test_rows_beyond_the_buffer_are_written_as_they_come(tmp_path: Path, monkeyp
 
 def test_storage_has_no_say_in_the_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make(tmp_path / "one.h5", count=100)
-    monkeypatch.setattr(table, "BUFFER_BYTES", 5000)
+    monkeypatch.setattr(growing_array, "BUFFER_BYTES", 5000)
     make(tmp_path / "two.h5", count=100, piece=7)
     with load(tmp_path / "one.h5") as one, load(tmp_path / "two.h5") as two:
         assert one.data_sha256 == two.data_sha256
@@ -220,17 +220,17 @@ def test_interrupted_write_is_taken_up_again(tmp_path: Path, monkeypatch: pytest
     into._write_more()
     into.append(rows(3, names(), 20))
     into.append_steps(steps(3, 19))
-    extend = table.Series.extend
+    extend = growing_array.Series.extend
 
-    def interrupted(series: table.Series, values: np.ndarray, start: int) -> None:
+    def interrupted(series: growing_array.Series, values: np.ndarray, start: int) -> None:
         if series.array.path == torn:
             raise KeyboardInterrupt
         extend(series, values, start)
 
-    monkeypatch.setattr(table.Series, "extend", interrupted)
+    monkeypatch.setattr(growing_array.Series, "extend", interrupted)
     with pytest.raises(KeyboardInterrupt):
         into._write_more()
-    monkeypatch.setattr(table.Series, "extend", extend)
+    monkeypatch.setattr(growing_array.Series, "extend", extend)
     into.append(rows(2, names(), 23))
     into.append_steps(steps(2, 22))
     into.finish("interrupted", "", STATS, largest(25, names()))

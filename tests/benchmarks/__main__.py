@@ -12,7 +12,7 @@ from rich.console import Console
 
 from mbdkit.errors import SpecError
 from mbdkit.files import check_suffix
-from mbdkit.report.style import FORMATS
+from mbdkit.plot.style import FORMATS
 
 from . import chain, plugins, python_steps, race, scale, startup
 from .precision.race import precision

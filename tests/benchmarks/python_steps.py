@@ -12,14 +12,14 @@ from rich.table import Table
 
 from mbdkit import StepMethod, StepProblem, StepState
 from mbdkit.engine.assembly import assemble
-from mbdkit.engine.compiling import compile_mechanism
-from mbdkit.engine.problem import Problem
-from mbdkit.engine.warm import ensure_compiled
-from mbdkit.integrators import rk4
-from mbdkit.integrators.methods import ExplicitRungeKutta
-from mbdkit.integrators.stepping import Timetable
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.workspace import Problem
+from mbdkit.methods import rk4
+from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.spec import load_spec
-from tests.integrators.step_methods import RungeKutta
+from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.warm_up import ensure_compiled
+from tests.stepping.step_methods import RungeKutta
 
 from .timing import duration, take_turns
 

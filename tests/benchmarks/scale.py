@@ -19,9 +19,9 @@ from rich.console import Console
 from rich.table import Table
 
 import mbdkit
-from mbdkit.engine.compiling import compile_mechanism
-from mbdkit.report.caption import Caption
-from mbdkit.report.style import FAINT, PALETTE, dress, legend, new_figure, save
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.plot.caption import Caption
+from mbdkit.plot.style import FAINT, PALETTE, dress, legend, new_figure, save
 from mbdkit.spec import RunSpec, load_spec
 
 from . import frames

@@ -14,7 +14,7 @@ import h5py
 import pytest
 
 from mbdkit import load_study, terminal
-from mbdkit.archive.check import check
+from mbdkit.archive.archive_check import check
 
 SWEEP = """\
 mbdkit_study: 1

@@ -16,7 +16,7 @@ def test_what_is_verified_leaves_with_0_and_says_so(mbdkit: Any) -> None:
 
 
 def test_what_is_not_verified_leaves_with_1(mbdkit: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mbdkit.testing.force_law.AGREE", -1.0)  # nothing agrees better than that
+    monkeypatch.setattr("mbdkit.testing.force_law_checks.AGREE", -1.0)  # nothing agrees better than that
     result = mbdkit("plugins", "verify", "linear", "--set", "stiffness=20")
     assert result.exit_code == 1
     assert "not verified: " in result.stdout

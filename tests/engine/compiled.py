@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.engine.compiled import CompiledMechanism
-from mbdkit.engine.compiling import compile_mechanism
-from mbdkit.engine.observe import constraints_at, first_order_rates, observe, tangents_at
-from mbdkit.engine.problem import Problem
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.kernels.observe import constraints_at, first_order_rates, observe, tangents_at
 from mbdkit.engine.singularity import new_vectors
+from mbdkit.engine.workspace import Problem
 from mbdkit.mechanism.mechanism import Mechanism
 
 OK = 0

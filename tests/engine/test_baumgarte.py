@@ -11,16 +11,16 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import mbdkit
-from mbdkit.engine.problem import Problem
+from mbdkit.engine.equations_of_motion import StepProblem
 from mbdkit.engine.stabilization import NONE, Stabilization
-from mbdkit.integrators.methods import SciPySolver
-from mbdkit.integrators.scipy_bridge import SciPyStepper
-from mbdkit.integrators.step_problem import StepProblem
-from mbdkit.integrators.stepping import Timetable
+from mbdkit.engine.workspace import Problem
+from mbdkit.methods.kinds import SciPySolver
 from mbdkit.simulation import build
 from mbdkit.spec import load_spec
-from tests.integrators.running import driven_chain
-from tests.integrators.test_step_problem import parallelogram
+from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.scipy_bridge import SciPyStepper
+from tests.stepping.running import driven_chain
+from tests.stepping.test_step_problem import parallelogram
 
 ALPHA, BETA = 3.0, 4.0
 MASS, INERTIA, ARM = 2.0, 0.3, 0.5

@@ -14,14 +14,14 @@ from typing import Any
 import pytest
 
 import mbdkit
-from mbdkit.engine import cache
+from mbdkit.engine.jit import cache
 
 PROGRAM = """\
 import json, sys, warnings
 import mbdkit
 run = mbdkit.run({"mbdkit": 1, "model": {"name": "single-pendulum", "angle": -1.0, "rate": 2.0},
                   "integrator": {"name": "gauss"}, "time": {"end": 0.2, "step": 0.01}})
-from mbdkit.engine.cache import FOLDER
+from mbdkit.engine.jit.cache import FOLDER
 print(json.dumps({"angle": float(run["rod1"].angle[-1]), "folder": str(FOLDER), "package": mbdkit.__file__}))
 """
 

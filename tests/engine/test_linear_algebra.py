@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbdkit.engine import lu, schur
-from mbdkit.engine.analysis import (
+from mbdkit.engine.elimination_order import (
     SingularSystemError,
     minimum_degree,
     neighbours,
@@ -17,6 +16,7 @@ from mbdkit.engine.analysis import (
     schur_schedule,
     symbolic_lu,
 )
+from mbdkit.engine.kernels import lu, schur
 
 Graph = list[tuple[int, int]]
 

@@ -13,8 +13,8 @@ from scipy.interpolate import CubicSpline
 
 from mbdkit.engine.assembly import assemble
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.expression import Expression
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.time_expression import Expression
 
 from .compiled import Compiled
 

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.engine import problem as problem_module
-from mbdkit.engine.analysis import PivotChoice, pivot_order
+from mbdkit.engine import workspace as problem_module
 from mbdkit.engine.assembly import assemble
-from mbdkit.engine.compiling import compile_mechanism
-from mbdkit.engine.observe import constraints_at
-from mbdkit.engine.problem import Problem
-from mbdkit.integrators import gauss, rk4
-from mbdkit.integrators.methods import ExplicitRungeKutta, ImplicitRungeKutta, Method
-from mbdkit.integrators.stepping import Timetable
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.elimination_order import PivotChoice, pivot_order
+from mbdkit.engine.kernels.observe import constraints_at
+from mbdkit.engine.workspace import Problem
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.methods import gauss, rk4
+from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
+from mbdkit.stepping.interface import Timetable
 
 from .random_mechanisms import loop
 

@@ -22,13 +22,13 @@ from ruamel.yaml import YAML
 import mbdkit
 from mbdkit.archive.run import Run
 from mbdkit.engine.assembly import assemble
-from mbdkit.engine.compiling import compile_mechanism
-from mbdkit.engine.observe import tangents_at
-from mbdkit.engine.problem import Problem
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.kernels.observe import tangents_at
+from mbdkit.engine.workspace import Problem
 from mbdkit.mechanism.elements import Revolute, Weld
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
-from mbdkit.spec.yaml import read_yaml
+from mbdkit.spec.yaml_reader import read_yaml
 
 from .by_hand import ByHand, cross, derivatives, first_derivative, second_derivative, steps_along
 from .strategies import LONGEST, Drawn, mechanisms

@@ -11,8 +11,8 @@ import pytest
 
 import mbdkit
 from mbdkit.engine.assembly import assemble
-from mbdkit.engine.compiled import CompiledMechanism
-from mbdkit.engine.compiling import compile_mechanism
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.redundancy import without_redundancy
 from mbdkit.engine.self_stress import MOST_DENSE, looped_rows, scaled_matrix, self_stresses
 from mbdkit.mechanism.mechanism import Mechanism

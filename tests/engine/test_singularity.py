@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.engine.problem import Problem
+from mbdkit.engine.equations_of_motion import StepProblem
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
-from mbdkit.integrators.step_problem import StepProblem
+from mbdkit.engine.workspace import Problem
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
 from tests.engine.random_mechanisms import chain, driven_frame, ladder, loop, slides, tree

@@ -8,7 +8,7 @@ import pytest
 
 import mbdkit
 from mbdkit.errors import SpecError
-from mbdkit.events.expression import Quantity, RunExpression
+from mbdkit.events.event_expression import Quantity, RunExpression
 
 
 def mechanism() -> mbdkit.Mechanism:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.expression import FUNCTIONS, Expression
+from mbdkit.mechanism.time_expression import FUNCTIONS, Expression
 
 BINARY = {
     "add": operator.add,

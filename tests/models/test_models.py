@@ -7,7 +7,7 @@ import pytest
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.models import MODELS
-from mbdkit.models.free import MechanismOptions, build
+from mbdkit.models.free_form import MechanismOptions, build
 
 LEAST = {"n-pendulum": {"n": 2}, "mechanism": {"bodies": {"a": {"mass": 1, "inertia": 1}}}}
 

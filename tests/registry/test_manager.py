@@ -23,10 +23,8 @@ def raising(error):
 
 def test_the_built_ins_arrive_through_an_entry_point_like_any_others():
     ours = [ep for ep in importlib.metadata.entry_points(group="mbdkit") if ep.dist.name == "mbdkit"]
-    assert [ep.value for ep in ours] == ["mbdkit.registry.builtin"]
-    assert {item.origin.entry_point for item in registry().only("mbdkit").items} == {
-        "builtin = mbdkit.registry.builtin"
-    }
+    assert [ep.value for ep in ours] == ["mbdkit.builtin_plugin"]
+    assert {item.origin.entry_point for item in registry().only("mbdkit").items} == {"builtin = mbdkit.builtin_plugin"}
 
 
 def test_every_built_in_loads_and_states_summary_and_origin():

@@ -11,10 +11,10 @@ from matplotlib.animation import FFMpegWriter
 from PIL import Image
 
 from mbdkit.errors import SpecError
-from mbdkit.report import film
-from mbdkit.report.animate import animate
-from mbdkit.report.page import page
-from mbdkit.report.scene import nearest_rows, round_speed, scene
+from mbdkit.plot import film
+from mbdkit.plot.animate import animate
+from mbdkit.plot.scene import nearest_rows, round_speed, scene
+from mbdkit.report.animation_page import page
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> @@DATA@@ & \"q\""
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.report.gaps import gaps
-from mbdkit.report.geometry import draw_spec
-from mbdkit.report.player import film_data
+from mbdkit.plot.drawing_geometry import draw_spec
+from mbdkit.plot.gaps import gaps
+from mbdkit.report.player_data import film_data
 
 ROUND_OFF = 1e-14  # m, of lengths of some metres
 

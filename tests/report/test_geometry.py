@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.report.geometry import (
+from mbdkit.plot.drawing_geometry import (
     GROUND,
     choose_traces,
     draw_mechanism,
     draw_spec,
     trace_points,
 )
-from mbdkit.report.shapes import convex_hull, view_box, zigzag
+from mbdkit.plot.shapes import convex_hull, view_box, zigzag
 
 
 def rods(count: int) -> Mechanism:
@@ -132,7 +132,7 @@ def test_a_weld_is_marked_at_its_point():
 
 @pytest.mark.parametrize("name", ["single-pendulum", "double-pendulum", "four-bar-knee"])
 def test_models_are_drawn_from_the_spec_alone(name):
-    from mbdkit.report.geometry import build_mechanism
+    from mbdkit.plot.drawing_geometry import build_mechanism
 
     spec = {"model": {"name": name}}
     bodies = list(build_mechanism(spec).bodies)

@@ -6,8 +6,8 @@ import json
 import re
 
 from mbdkit.analysis.verdict import Answer, Claim, Column, Table, Verdict
-from mbdkit.report.plain import headlines, plain_values, terminal
 from mbdkit.report.report import report
+from mbdkit.report.verdict_text import headlines, plain_values, terminal
 
 SHOWN = Table(
     "shown", "What it is for", (Column("method"), Column("drift", "m")), (("RK4", 1.23456e-5), ("a | b", None)),
@@ -49,6 +49,6 @@ def test_a_study_is_reported_in_markdown_with_every_cell_in_its_column(study_fol
 
 
 def test_a_bar_in_a_cell_does_not_end_it() -> None:
-    from mbdkit.report.plain import _cells, _piped
+    from mbdkit.report.verdict_text import _cells, _piped
 
     assert _piped(_cells(SHOWN)).splitlines()[-1] == r"| a \| b |  |"

@@ -11,7 +11,7 @@ from PIL import Image
 
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.errors import SpecError
-from mbdkit.report.plot import KINDS, figure, plot
+from mbdkit.plot.save_plot import KINDS, figure, plot
 
 kinds = pytest.mark.parametrize("kind", KINDS)
 
@@ -231,8 +231,8 @@ def test_settings_of_matplotlib_are_left_alone(make_run, tmp_path, kind):
 
 def test_drawing_needs_neither_pyplot_nor_sympy_nor_numba():
     code = (
-        "import sys, mbdkit.report.plot, mbdkit.report.animate\n"
-        "from mbdkit.report.geometry import build_mechanism, draw_mechanism\n"
+        "import sys, mbdkit.plot.save_plot, mbdkit.plot.animate\n"
+        "from mbdkit.plot.drawing_geometry import build_mechanism, draw_mechanism\n"
         "draw_mechanism(build_mechanism({'model': {'name': 'double-pendulum'}}))\n"
         "print([name for name in ('matplotlib.pyplot', 'sympy', 'numba') if name in sys.modules])"
     )

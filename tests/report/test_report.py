@@ -10,12 +10,12 @@ import pytest
 import mbdkit
 from mbdkit.analysis.verdict import Answer
 from mbdkit.errors import SpecError
-from mbdkit.report.methods import methods
+from mbdkit.report.methods_used import methods
 from mbdkit.report.report import report
 from mbdkit.report.run_report import run_document, yaml_text
 from mbdkit.report.run_verdict import run_verdict
 from mbdkit.spec import example_names, load_spec
-from mbdkit.spec.yaml import read_yaml
+from mbdkit.spec.yaml_reader import read_yaml
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""
 

@@ -8,11 +8,11 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 
 import mbdkit
-from mbdkit.report.caption import caption
-from mbdkit.report.html import render
-from mbdkit.report.player import film_data
+from mbdkit.plot.caption import caption
+from mbdkit.report.player_data import film_data
 from mbdkit.report.report import report
 from mbdkit.report.run_report import run_document
+from mbdkit.report.templating import render
 from tests.report.browser import executable, launched, opened, until
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""

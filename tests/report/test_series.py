@@ -4,8 +4,8 @@ import h5py
 import numpy as np
 import pytest
 
-from mbdkit.report import series
-from mbdkit.report.series import bands, evenly, take
+from mbdkit.plot import series
+from mbdkit.plot.series import bands, evenly, take
 
 
 def test_bands_of_a_short_recording_are_its_rows():

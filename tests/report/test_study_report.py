@@ -5,8 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
-from mbdkit.report.document import cell_text
 from mbdkit.report.report import report
+from mbdkit.report.report_page import cell_text
 from mbdkit.report.study_report import study_document
 from mbdkit.studies.execute import Shard
 from mbdkit.studies.study import load_study

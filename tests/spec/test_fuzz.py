@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from mbdkit.errors import SpecError
 from mbdkit.spec import example_names, load_spec
-from mbdkit.spec.yaml import read_yaml
+from mbdkit.spec.yaml_reader import read_yaml
 
 EXAMPLES = [
     read_yaml((files("mbdkit.models") / "examples" / f"{name}.yaml").read_text())[0] for name in example_names()

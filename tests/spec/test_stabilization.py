@@ -10,12 +10,12 @@ import pytest
 import mbdkit
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.errors import SpecError
-from mbdkit.integrators.methods import SciPySolver
+from mbdkit.methods.kinds import SciPySolver
 from mbdkit.simulation import caution
 from mbdkit.spec import load_spec
 from mbdkit.spec.run_spec import spec_type
 from mbdkit.spec.schema import run_schema
-from tests.integrators.step_methods import RungeKutta, offering
+from tests.stepping.step_methods import RungeKutta, offering
 
 CHOICES: list[tuple[Any, Stabilization]] = [
     ("none", NONE),

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbdkit.errors import SpecError
-from mbdkit.spec.yaml import read_yaml, write_yaml
+from mbdkit.spec.yaml_reader import read_yaml, write_yaml
 
 
 @pytest.mark.parametrize(

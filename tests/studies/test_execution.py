@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.archive.check import check
+from mbdkit.archive.archive_check import check
 from mbdkit.errors import SpecError
 from mbdkit.studies import pool
 from mbdkit.studies.execute import Shard

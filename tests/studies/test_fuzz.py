@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mbdkit.errors import SpecError
 from mbdkit.spec import load_study_spec
-from mbdkit.studies.plan import outline
+from mbdkit.studies.expand import outline
 
 STUDY = {
     "mbdkit_study": 1,

@@ -13,7 +13,7 @@ import pytest
 
 import mbdkit
 from mbdkit.report.study_report import study_document
-from mbdkit.studies.summary import outcome, summary
+from mbdkit.studies.study_summary import outcome, summary
 from tests.installing import install_project, python
 
 PROJECT = Path(__file__).parents[2] / "plugins" / "mbdkit-generalized-alpha"

@@ -6,7 +6,7 @@ import pytest
 
 from mbdkit.errors import SpecError
 from mbdkit.spec import load_spec, load_study_spec
-from mbdkit.studies.plan import outline
+from mbdkit.studies.expand import outline
 
 
 def points(study):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mbdkit.engine import elements
+from mbdkit.engine.kernels import element_kernels
 
 
 @pytest.fixture
 def complex_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the square root of uncompiled kernels take complex numbers."""
-    monkeypatch.setattr(elements, "sqrt", np.emath.sqrt)
+    monkeypatch.setattr(element_kernels, "sqrt", np.emath.sqrt)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.engine import elements
+from mbdkit.engine.kernels import element_kernels
 
 STEP = 1e-200
 """Complex step: no subtraction, so the smaller the better."""
@@ -41,9 +41,9 @@ class Element:
 
     def _call(self, kernel: str, q: Any, *arguments: Any) -> None:
         cs = np.column_stack([np.cos(q[2::3]), np.sin(q[2::3])])
-        function = getattr(elements, f"{self.kind}_{kernel}").py_func
+        function = getattr(element_kernels, f"{self.kind}_{kernel}").py_func
         before, after = arguments[:-1], arguments[-1]
-        motion = (0,) if self.kind in elements.CONSTRAINT_KINDS else ()
+        motion = (0,) if self.kind in element_kernels.CONSTRAINT_KINDS else ()
         function(0, self.first, self.second, *motion, q, *before, cs, self.p, *after)
 
     def position(self, q: Any, u: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -81,7 +81,7 @@ class Element:
     def hessian(self) -> np.ndarray:
         """Return a pathway's second derivatives (6, 6)."""
         hessian = np.zeros((1, 36))
-        if hasattr(elements, f"{self.kind}_hessian"):  # a pathway whose length is linear has none
+        if hasattr(element_kernels, f"{self.kind}_hessian"):  # a pathway whose length is linear has none
             self._call("hessian", self.q, (hessian,))
         return hessian.reshape(6, 6)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mbdkit.engine import elements
+from mbdkit.engine.kernels import element_kernels
 
 from .kernels import GROUND, STEP, Element, assert_close, partials
 
@@ -15,7 +15,7 @@ every_constraint = pytest.mark.parametrize(
     "element",
     [
         pytest.param((kind, *ends, seed), id=f"{kind}-{ends[0]}{ends[1]}-{seed}")
-        for kind in elements.CONSTRAINT_KINDS
+        for kind in element_kernels.CONSTRAINT_KINDS
         for ends in ((0, 1), (1, 0), (GROUND, 0), (1, GROUND))
         for seed in range(3)
     ],
@@ -24,7 +24,7 @@ every_pathway = pytest.mark.parametrize(
     "element",
     [
         pytest.param((kind, *ends, seed), id=f"{kind}-{ends[0]}{ends[1]}-{seed}")
-        for kind in elements.PATHWAY_KINDS
+        for kind in element_kernels.PATHWAY_KINDS
         for ends in ((0, 1), (GROUND, 1), (1, GROUND))
         for seed in range(3)
     ],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mbdkit.engine import elements
+from mbdkit.engine.kernels import element_kernels
 from mbdkit.symbolic import __main__ as command
 from mbdkit.symbolic.generate import TARGET, source
 
@@ -22,29 +22,29 @@ def test_the_checked_in_kernels_are_those_that_the_definitions_generate(fresh: s
 def test_check_tells_fresh_kernels_from_stale_ones(
     fresh: str, tmp_path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    target = tmp_path / "elements.py"
+    target = tmp_path / "element_kernels.py"
     target.write_text(fresh.replace("gx", "gy", 1), encoding="utf-8")
     monkeypatch.setattr(command, "TARGET", target)
     monkeypatch.setattr(command, "source", lambda: fresh)
     assert command.main(["--check"]) == 1
-    assert "elements.py is not what mbdkit/symbolic generates" in capsys.readouterr().err
+    assert "element_kernels.py is not what mbdkit/symbolic generates" in capsys.readouterr().err
     assert command.main([]) == 0
     assert command.main(["--check"]) == 0
 
 
 WRITTEN = [
     (kind, kernel, place, masks)
-    for kind in elements.CONSTRAINT_KINDS
+    for kind in element_kernels.CONSTRAINT_KINDS
     for kernel, place, masks in (
-        ("acceleration", -2, elements.JACOBIAN_ENTRIES),
-        ("tangent", -3, elements.STIFFNESS_ENTRIES),
-        ("tangent", -2, elements.GAMMA_V_ENTRIES),
-        ("tangent", -1, elements.RESIDUAL_Q_ENTRIES),
+        ("acceleration", -2, element_kernels.JACOBIAN_ENTRIES),
+        ("tangent", -3, element_kernels.STIFFNESS_ENTRIES),
+        ("tangent", -2, element_kernels.GAMMA_V_ENTRIES),
+        ("tangent", -1, element_kernels.RESIDUAL_Q_ENTRIES),
     )
 ] + [
     (kind, kernel, -1, masks)
-    for kind in elements.PATHWAY_KINDS
-    for kernel, masks in (("gradient", elements.GRADIENT_ENTRIES), ("hessian", elements.HESSIAN_ENTRIES))
+    for kind in element_kernels.PATHWAY_KINDS
+    for kernel, masks in (("gradient", element_kernels.GRADIENT_ENTRIES), ("hessian", element_kernels.HESSIAN_ENTRIES))
     if masks.get(kind)
 ]
 
@@ -54,7 +54,7 @@ def test_a_mask_names_exactly_the_entries_that_its_kernel_writes(
     kind: str, kernel: str, place: int, masks: dict[str, tuple[int, ...]]
 ) -> None:
     # expected: nothing but the mask loses the NaN that the outputs are full of before
-    function = getattr(elements, f"{kind}_{kernel}").py_func
+    function = getattr(element_kernels, f"{kind}_{kernel}").py_func
     names = function.__code__.co_varnames[: function.__code__.co_argcount]
     inputs = {"k": 0, "a": 0, "b": 1, "m": 0}
     rng = np.random.default_rng(3)

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from mbdkit.engine.compiling import compile_mechanism
-from mbdkit.engine.observe import constraints_at, observe
-from mbdkit.engine.problem import Problem
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.kernels.observe import constraints_at, observe
 from mbdkit.engine.singularity import new_vectors
+from mbdkit.engine.workspace import Problem
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.data import Force
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_data import Force
 from mbdkit.spec import load_spec
-from mbdkit.symbolic.system import SymbolicSystem
+from mbdkit.symbolic.symbolic_system import SymbolicSystem
 
 T = 0.7
 STATES = range(5)

@@ -18,8 +18,8 @@ from pydantic import BaseModel, ConfigDict
 
 import mbdkit
 from mbdkit import Claims, ExpressionLaw, FunctionLaw, Mechanism, StepError, StepMethod, StepProblem, StepState
-from mbdkit.integrators import gauss
-from mbdkit.integrators.methods import SciPySolver
+from mbdkit.methods import gauss
+from mbdkit.methods.kinds import SciPySolver
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import load_registry
 

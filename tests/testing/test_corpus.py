@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 import mbdkit
-from mbdkit.engine.warm import ensure_compiled
 from mbdkit.registry.catalogue import Registry
+from mbdkit.stepping.warm_up import ensure_compiled
 from mbdkit.testing import Report, Result, checks_of, verify
 from mbdkit.testing.kit import subject_of
 

@@ -13,9 +13,9 @@ import mbdkit.testing
 from mbdkit.registry.manager import registry
 from mbdkit.testing import Report, Result, conformance
 from mbdkit.testing.kit import subject_of, verify
-from mbdkit.testing.page import html
-from mbdkit.testing.problems import DRIVEN_PENDULUM
-from mbdkit.testing.table import BEGIN, END, VARIANTS, title
+from mbdkit.testing.trial_models import DRIVEN_PENDULUM
+from mbdkit.testing.verification_page import html
+from mbdkit.testing.verification_table import BEGIN, END, VARIANTS, title
 
 README = Path(mbdkit.testing.__file__).with_name("README.md")
 OPTIONS: dict[str, dict[str, Any]] = {

@@ -11,8 +11,8 @@ import pytest
 
 import mbdkit
 from mbdkit.analysis.energy import trend
+from mbdkit.engine.equations_of_motion import StepProblem
 from mbdkit.errors import SpecError
-from mbdkit.integrators.step_problem import StepProblem
 
 from . import constrained as dense
 from .parallelogram import Parallelogram
@@ -109,7 +109,7 @@ def test_the_energy_of_a_pair_has_no_trend_over_a_hundred_thousand_steps(
 @pytest.mark.parametrize("method", PAIRS, ids=str)
 def test_a_pair_leads_back_to_its_start(method: tuple[dict[str, Any], str]) -> None:
     # expected: the start itself; the pairs are symmetric (Hairer, Lubich and Wanner, VII.1.4)
-    from mbdkit.engine.problem import Problem
+    from mbdkit.engine.workspace import Problem
     from mbdkit.testing.kit import subject_of
 
     subject = subject_of("integrator", f"mbdkit:{method[0]['name']}", {})

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.engine.compiling import compile_mechanism
+from mbdkit.engine.compile_mechanism import compile_mechanism
 
 from .parallelogram import Parallelogram
 from .running import gauss, run

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.integrators import gauss
-from mbdkit.integrators.coupled_newton import CoupledNewton
-from mbdkit.integrators.step_problem import StepProblem
+from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.methods import gauss
 from mbdkit.models import n_four_bar
+from mbdkit.stepping.coupled_newton import CoupledNewton
 
 from .n_four_bar import Windows
 from .test_hard import EXPLICIT, every_method, run

@@ -6,9 +6,9 @@ import functools
 from typing import Any
 
 from mbdkit.errors import SpecError
-from mbdkit.integrators.stepping import Timetable
 from mbdkit.simulation import build
 from mbdkit.spec import load_spec
+from mbdkit.stepping.interface import Timetable
 
 from .contender import OURS, TOLERANCES, Contender, Outcome, centres_of, lost, steps_from, timed
 from .motions import Motion

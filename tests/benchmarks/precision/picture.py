@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.report.caption import Caption
-from mbdkit.report.style import PALETTE, dress, legend, new_figure, save
+from mbdkit.plot.caption import Caption
+from mbdkit.plot.style import PALETTE, dress, legend, new_figure, save
 from tests.benchmarks.timing import duration
 
 from .contender import OURS

@@ -13,8 +13,8 @@ import mpmath
 from pydantic import Field
 
 import mbdkit
-from mbdkit.integrators.options import ImplicitOptions
-from mbdkit.integrators.tableau import collocation
+from mbdkit.methods.method_options import ImplicitOptions
+from mbdkit.methods.tableau import collocation
 
 mbdkit_api = 1
 

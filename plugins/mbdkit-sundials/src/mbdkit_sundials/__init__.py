@@ -21,7 +21,7 @@ from sksundae.cvode import CVODE
 from sksundae.ida import IDA
 
 import mbdkit
-from mbdkit.integrators.methods import SciPySolver
+from mbdkit.methods.kinds import SciPySolver
 
 mbdkit_api = 1
 

@@ -1,0 +1,269 @@
+"""Checks a run archive against the layout and against its own hashes; every problem is one sentence."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from mbdkit.archive import layout
+from mbdkit.archive.fingerprint import blocks, data_sha256, datasets, is_text, spec_sha256
+from mbdkit.archive.hdf5_errors import DAMAGE, cause
+from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, Array
+from mbdkit.archive.reader import open_archive
+from mbdkit.errors import SpecError
+
+
+def check(path: str | Path) -> list[str]:
+    """Check a run archive: structure, units, dimension scales, time, finite values and hashes.
+
+    Parameters
+    ----------
+    path
+        The archive.
+
+    Returns
+    -------
+    list of str
+        One sentence for each problem; empty if there is none.
+    """
+    try:
+        file = open_archive(Path(path))
+    except SpecError as error:
+        return [error.message]
+    with contextlib.closing(file):
+        return _Checker(file).problems()
+
+
+class _Checker:
+    """One look through one open archive."""
+
+    def __init__(self, file: h5py.File):
+        self.file = file
+        self.found: list[str] = []
+        self.status = ""
+        self.spec: dict[str, object] = {}
+
+    def problems(self) -> list[str]:
+        with self.reading("the attributes of the file"):
+            self.root()
+        with self.reading("the groups"):
+            arrays = self.expected()
+            for array in arrays:
+                with self.reading(array.path):
+                    self.array(array)
+            self.others(arrays)
+        with self.reading("time"):
+            self.times()
+        with self.reading("the events"):
+            self.events()
+        with self.reading("the names of axes"):
+            self.names()
+        with self.reading("misalignment_max"):
+            self.misalignment()
+        with self.reading("the statistics"):
+            self.stats()
+        if self.status != "running":
+            with self.reading("the data"):
+                if self.file.attrs["data_sha256"] != data_sha256(self.file):
+                    self.say("the data are not those that were written: data_sha256 does not match")
+        return self.found
+
+    def say(self, sentence: str) -> None:
+        self.found.append(sentence)
+
+    @contextlib.contextmanager
+    def reading(self, what: str) -> Iterator[None]:
+        """Report what cannot be read, and go on."""
+        try:
+            yield
+        except DAMAGE as error:
+            self.say(f"{what} cannot be read: {cause(error)}")
+
+    def root(self) -> None:
+        attributes = self.file.attrs
+        values = {}
+        for name in layout.ROOT_ATTRIBUTES:
+            value = attributes.get(name)
+            if not isinstance(value, str):
+                self.say(f"the attribute {name} {'is missing' if value is None else 'is not a string'}")
+            values[name] = value if isinstance(value, str) else ""
+        self.status = values["status"]
+        if self.status not in layout.STATUSES:
+            self.say(f"status is {self.status!r}, not one of {', '.join(layout.STATUSES)}")
+        if self.status == "running":
+            self.say("the run did not end: it crashed, or is still under way; there is no hash to check")
+        code, _, sentence = values["status_reason"].partition(": ")
+        if self.status == "complete" and code and (code != "event" or not sentence):
+            self.say(f"a complete run has the status_reason {code!r}")
+        if self.status == "failed" and (code not in layout.REASONS or not sentence):
+            self.say("status_reason of a failed run is not one of the codes, a colon and a sentence")
+        try:
+            if not values["created_utc"].endswith("Z"):
+                raise ValueError
+            datetime.fromisoformat(values["created_utc"])
+        except ValueError:
+            self.say(f"created_utc is {values['created_utc']!r}, not a time such as 2025-01-31T12:00:00.000Z")
+        if spec_sha256(values["spec"]) != values["spec_sha256"]:
+            self.say("the spec is not the one that was run: spec_sha256 does not match")
+        try:
+            spec = json.loads(values["spec"])
+        except ValueError:
+            spec = None
+        if isinstance(spec, dict):
+            self.spec = spec
+        else:
+            self.say("the attribute spec does not hold a spec in JSON")
+
+    def expected(self) -> tuple[Array, ...]:
+        """Return the arrays that should be there: of the groups that are there or that the spec asks for."""
+        output = self.spec.get("output")
+        asked = output.get("quantities", "all") if isinstance(output, dict) else "all"
+        wanted = layout.QUANTITIES if asked == "all" or not isinstance(asked, list) else frozenset(map(str, asked))
+        present = {name for name in layout.QUANTITIES if name in self.file and name != "joints"}
+        if "joints" in self.file and any(f"joints/{name}" not in layout.ALWAYS for name in self.file["joints"]):
+            present.add("joints")
+        extra = frozenset(path for path, array in BY_PATH.items() if array.optional and path in self.file)
+        if self.spec.get("events") or "events" in self.file:
+            extra |= frozenset(layout.EVENTS)
+        return layout.recorded((wanted & layout.QUANTITIES) | present, extra)
+
+    def array(self, array: Array) -> None:
+        path, dataset = array.path, self.file.get(array.path)
+        if dataset is None and self.status == "running" and array.grows:
+            return  # it crashed before its first flush
+        if not isinstance(dataset, h5py.Dataset):
+            self.say(f"{path} is missing")
+            return
+        dtype = layout.TEXT if is_text(dataset) else dataset.dtype.str
+        if dtype != array.dtype:
+            self.say(f"{path} has the type {dtype}, not {array.dtype}")
+        for name, value in (("units", array.units), ("long_name", array.long_name), ("row_units", array.row_units)):
+            there = dataset.attrs.get(name, "")
+            if there != value:
+                self.say(f"{name} of {path} is {there!r}, not {value!r}")
+        if dataset.ndim != len(array.dims):
+            self.say(f"{path} has {dataset.ndim} axes, not {len(array.dims)}")
+            return
+        if array.is_scale:
+            if not dataset.is_scale:
+                self.say(f"{path} is not a dimension scale")
+        else:
+            self.scales(array, dataset)
+        if self.status != "running" and dtype == layout.FLOAT:
+            bad = sum(int(np.count_nonzero(~np.isfinite(block))) for block in blocks(dataset))
+            if bad:
+                self.say(f"{path} has {bad} values that are not finite")
+
+    def scales(self, array: Array, dataset: h5py.Dataset) -> None:
+        for axis, dim in enumerate(array.dims):
+            scale = self.file.get(f"{array.group}/{dim}")
+            if not isinstance(scale, h5py.Dataset):
+                continue  # said already
+            attached = dataset.dims[axis].values()
+            if len(attached) != 1 or attached[0] != scale:
+                self.say(f"axis {axis} of {array.path} is not attached to its scale {array.group}/{dim}")
+            if scale.shape[:1] != dataset.shape[axis : axis + 1]:
+                self.say(
+                    f"axis {axis} of {array.path} has the length {dataset.shape[axis]}, its scale {array.group}/{dim} "
+                    f"{scale.shape[0] if scale.ndim else 'none'}"
+                )
+
+    def others(self, arrays: tuple[Array, ...]) -> None:
+        if self.file.attrs.get("format_version") != FORMAT_VERSION:
+            return  # a later 1.x may hold more
+        known = {array.path for array in arrays}
+        for dataset in datasets(self.file):
+            if dataset.name.lstrip("/") not in known:
+                self.say(f"{dataset.name.lstrip('/')} is not part of the layout")
+
+    def times(self) -> None:
+        if "trajectory/time" not in self.file:
+            return
+        time = self.file["trajectory/time"][:]
+        if np.any(np.diff(time) <= 0):
+            self.say("trajectory/time does not increase from row to row")
+        for group in ("joints", "constraints", "energy"):
+            if f"{group}/time" in self.file and not np.array_equal(self.file[f"{group}/time"][:], time):
+                self.say(f"{group}/time differs from trajectory/time")
+        elapsed = self.file.get("trajectory/elapsed_s")
+        if elapsed is not None and np.any(np.diff(elapsed[:]) < 0):
+            self.say("trajectory/elapsed_s decreases")
+        if "steps/time" in self.file and "steps/interval" in self.file:
+            ends, numbers = self.file["steps/time"][:], self.file["steps/interval"][:]
+            if not np.array_equal(numbers, np.arange(1, len(numbers) + 1)):
+                self.say("steps/interval does not count from 1")
+            if not np.array_equal(ends, time[1:]):
+                self.say("steps/time differs from trajectory/time after the start")
+
+    def events(self) -> None:
+        if any(f"events/{name}" not in self.file for name in ("event", "name", "time", "direction")):
+            return
+        group = self.file["events"]
+        number, time, direction = (group[name][:] for name in ("event", "time", "direction"))
+        if not np.array_equal(number, np.arange(1, len(number) + 1)):
+            self.say("events/event does not count from 1")
+        if np.any(np.diff(time) < 0):
+            self.say("events/time decreases")
+        if not np.all(np.abs(direction) == 1):
+            self.say("events/direction is neither 1 nor -1")
+        known = self.spec.get("events")
+        if isinstance(known, dict) and (strange := set(group["name"].asstr()[:]) - set(known)):
+            self.say(f"events/name has {', '.join(sorted(strange))}, which the spec does not have")
+
+    def names(self) -> None:
+        fixed = (
+            ("trajectory/coordinate", layout.COORDINATES),
+            ("events/coordinate", layout.COORDINATES),
+            ("joints/axis", layout.AXES),
+        )
+        for path, wanted in fixed:
+            if path in self.file and tuple(self.file[path].asstr()[:]) != wanted:
+                self.say(f"{path} is not {', '.join(wanted)}")
+        for path in ("trajectory/body", "joints/joint", "constraints/constraint"):
+            if path in self.file:
+                names = list(self.file[path].asstr()[:])
+                if len(set(names)) < len(names):
+                    self.say(f"{path} has a name twice")
+        ours = self.file.get("events/body")
+        if ours is not None and list(ours[:]) != list(self.file["trajectory/body"][:]):
+            self.say("events/body differs from trajectory/body")
+
+    def misalignment(self) -> None:
+        if self.status == "running" or "joints/joint" not in self.file:
+            return
+        largest = self.file["joints"].attrs.get("misalignment_max")
+        count = len(self.file["joints/joint"])
+        if largest is None or largest.shape != (count,):
+            self.say(f"the attribute misalignment_max of joints does not hold a number for each of {count} joints")
+            return
+        recorded = self.file.get("joints/misalignment")
+        if recorded is None:
+            return
+        if not np.array_equal(recorded.attrs.get("misalignment_max"), largest, equal_nan=True):
+            self.say("misalignment_max of joints and of joints/misalignment differ")
+        for block in blocks(recorded):
+            if np.any(block.max(axis=0, initial=0.0) > largest):
+                self.say("misalignment_max of joints is less than what joints/misalignment recorded")
+                return
+
+    def stats(self) -> None:
+        for group in ("stats", "provenance"):
+            if not isinstance(self.file.get(group), h5py.Group):
+                self.say(f"the group {group} is missing")
+        if self.status == "running" or "stats" not in self.file:
+            return
+        attributes = self.file["stats"].attrs
+        for names, kind, words in (
+            (layout.COUNTERS, np.integer, "an integer"),
+            (layout.TIMINGS, np.floating, "a time in s"),
+        ):
+            for name in names:
+                value = attributes.get(name)
+                if not isinstance(value, kind):
+                    self.say(f"{name} of stats {'is missing' if value is None else f'is not {words}'}")

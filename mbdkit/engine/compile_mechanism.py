@@ -1,0 +1,304 @@
+"""From a mechanism by name to the flat arrays of a compiled one."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.engine.compiled_mechanism import CompiledMechanism, Row
+from mbdkit.engine.elimination_order import minimum_degree, neighbours
+from mbdkit.engine.jit.law_compiler import CompiledLaw, bind_law
+from mbdkit.engine.kernels.constraints import KINDS
+from mbdkit.engine.kernels.forces import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQUE
+from mbdkit.engine.kernels.motions import OPCODES
+from mbdkit.engine.kernels.system import Topology
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.elements import (
+    Distance,
+    Driver,
+    Motion,
+    PointForce,
+    Prismatic,
+    SpringDamper,
+    Table,
+    Torque,
+    TorsionSpring,
+    Weld,
+)
+from mbdkit.mechanism.law_element import Coordinate, Law, Pathway, RelativeAngle, TwoPoints
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_data import Force
+from mbdkit.mechanism.time_expression import Expression, Program
+
+Numbers = tuple[float, ...]
+
+WELL_SCALED = 1e6
+"""Largest ratio of masses (and of inertias over squared arms) at which the Schur complement keeps its digits."""
+
+
+class _Motions:
+    """Collects the motions of a mechanism as one program store; equal motions share a number."""
+
+    def __init__(self) -> None:
+        self.numbers: dict[Motion, int] = {}
+        self.start, self.ops, self.constants = [0], [], []  # type: list[int], list[int], list[float]
+        self.tables: list[float] = []
+
+    def add(self, motion: Motion) -> int:
+        if motion not in self.numbers:
+            program = self._program(motion)
+            self.ops += [OPCODES[name] for name, _ in program]
+            self.constants += [float(value) for _, value in program]
+            self.start.append(len(self.ops))
+            self.numbers[motion] = len(self.start) - 2
+        return self.numbers[motion]
+
+    def _program(self, motion: Motion) -> Program:
+        if isinstance(motion, str):
+            return Expression.parse(motion).program
+        if not isinstance(motion, Table):
+            return (("const", float(motion)),)
+        begin = len(self.tables)
+        self.tables += _piecewise_cubic(motion)
+        return (("table", float(begin)),)
+
+    @property
+    def values(self) -> list[float]:
+        """The constants of the programs, and behind them the tables."""
+        ops = zip(self.ops, self.constants, strict=True)
+        return [x + len(self.ops) if op == OPCODES["table"] else x for op, x in ops] + self.tables
+
+
+def _piecewise_cubic(table: Table) -> list[float]:
+    """Return a table's cubic spline as the kernel reads it: number of pieces, their ends, coefficients of each."""
+    from scipy.interpolate import CubicSpline
+
+    times, values = (np.array(column) for column in table.table)
+    coefficients = np.full((len(times) - 1, 4), np.nan)  # which the check of the start will tell
+    with np.errstate(all="ignore"), suppress(ValueError, np.linalg.LinAlgError):
+        found = CubicSpline(times, values).c[::-1].T
+        coefficients = found if np.all(np.isfinite(found)) else coefficients
+    return [float(len(times) - 1), *times.tolist(), *coefficients.ravel().tolist()]
+
+
+def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
+    """Compile a validated mechanism to flat arrays.
+
+    Parameters
+    ----------
+    mechanism
+        Bodies, joints and forces by name.
+
+    Returns
+    -------
+    CompiledMechanism
+        With the pairs of constraint rows numbered in order of elimination.
+    """
+    bodies = tuple(mechanism.bodies)
+    number = {name: i for i, name in enumerate(bodies)}
+    ground = number["ground"] = len(bodies)
+    motions = _Motions()
+    pairs = _pairs(mechanism, number, motions)
+    order, below = minimum_degree(neighbours([pair.bodies for pair in pairs], ground))
+    place = {pair: k for k, pair in enumerate(order)}
+
+    joint_pairs: list[list[int]] = [[] for _ in mechanism.joints]
+    joints = list(mechanism.joints.items())
+    rows = []
+    for written, pair in enumerate(pairs):
+        joint_pairs[pair.joint].append(place[written])
+        name, joint = joints[pair.joint]
+        for r in range(pair.rows):
+            row = pair.first_row + r
+            rows.append(Row(place[written], r, f"{name}.{joint.rows[row]}", joint.units[row]))
+
+    forces = _Forces(mechanism, number, motions)
+    mass = np.ones((len(bodies) + 1, 3))
+    for i, body in enumerate(mechanism.bodies.values()):
+        mass[i] = (body.mass, body.mass, 1.0 if body.inertia is None else body.inertia)
+    weight = 1 / mass
+    weight[ground] = 0.0
+    topology = Topology(
+        mass=mass,
+        weight=weight,
+        gravity=np.array(mechanism.gravity, dtype=float),
+        pairs=np.array(
+            [(KINDS[pairs[k].kind], *pairs[k].bodies, pairs[k].motion) for k in order], dtype=np.int64
+        ).reshape(-1, 4),
+        rows=np.array([pairs[k].rows for k in order], dtype=np.int64),
+        pair_parameters=np.array([pairs[k].parameters for k in order], dtype=float).reshape(-1, 6),
+        spare=np.zeros((0, 2), dtype=np.int64),
+        spare_axes=np.zeros((0, 2)),
+        springs=np.array(forces.springs, dtype=np.int64).reshape(-1, 4),
+        spring_points=np.array(forces.spring_points, dtype=float).reshape(-1, 6),
+        linear=np.array(forces.linear, dtype=float).reshape(-1, 3),
+        laws=np.array(forces.law_rows, dtype=np.int64).reshape(-1, 3),
+        law_parameters=np.array(forces.law_parameters, dtype=float),
+        loads=np.array(forces.loads, dtype=np.int64).reshape(-1, 5),
+        load_points=np.array(forces.load_points, dtype=float).reshape(-1, 2),
+        motion_start=np.array(motions.start, dtype=np.int64),
+        motion_ops=np.array(motions.ops, dtype=np.int64),
+        motion_values=np.array(motions.values, dtype=float),
+        baumgarte=np.zeros(2),
+    )
+    return CompiledMechanism(
+        topology=topology,
+        bodies=bodies,
+        joints=tuple(mechanism.joints),
+        joint_bodies=tuple(joint.bodies for joint in mechanism.joints.values()),
+        rows=tuple(rows),
+        joint_pairs=tuple(tuple(members) for members in joint_pairs),
+        drivers=frozenset(name for name, joint in joints if isinstance(joint, Driver)),
+        coordinates=sum(2 if body.inertia is None else 3 for body in mechanism.bodies.values()),
+        length=_length(mechanism),
+        motions=tuple(motions.numbers),
+        laws=tuple(forces.laws),
+        order=tuple(order),
+        below=tuple(frozenset(b) for b in below),
+        well_scaled=_is_well_scaled(mechanism),
+    )
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """One or two constraint rows of a joint: `first_row` is the first of them among the joint's rows."""
+
+    joint: int
+    first_row: int
+    rows: int
+    kind: str
+    bodies: tuple[int, int]
+    parameters: Numbers
+    motion: int = -1
+
+
+def _pairs(mechanism: Mechanism, number: dict[str, int], motions: _Motions) -> list[_Pair]:
+    """Return the pairs of rows of every joint; rows that measure metres and rows that measure radians stay apart."""
+    pairs: list[_Pair] = []
+    for j, joint in enumerate(mechanism.joints.values()):
+        a, b = joint.bodies
+        ends = (number[a], number[b])
+        if isinstance(joint, Driver):
+            kind, motion = f"driver_{joint.coordinate}", motions.add(joint.motion)
+            pairs.append(_Pair(j, 0, 1, kind, ends, (0.0, 0.0, *joint.point, 0.0, 0.0), motion))
+            continue
+        points = (*joint.points[0], *joint.points[1])
+        if isinstance(joint, Distance):
+            pairs.append(_Pair(j, 0, 1, "distance", ends, (*points, joint.length, 0.0)))
+            continue
+        if isinstance(joint, Prismatic):
+            pairs.append(_Pair(j, 0, 1, "point_on_line", ends, (*points, *joint.direction)))
+        else:
+            pairs.append(_Pair(j, 0, 2, "revolute", ends, (*points, 0.0, 0.0)))
+        if isinstance(joint, Prismatic | Weld):
+            angle = mechanism.relative_angle(a, b) if joint.angle is None else joint.angle
+            pairs.append(_Pair(j, len(joint.rows) - 1, 1, "fixed_angle", ends, (*points, angle, 0.0)))
+    return pairs
+
+
+class _Forces:
+    """Collects force elements on pathways (springs) and loads, each by its topology and its numbers."""
+
+    def __init__(self, mechanism: Mechanism, number: dict[str, int], motions: _Motions):
+        self.number, self.motions = number, motions
+        self.springs: list[Numbers] = []
+        self.spring_points: list[Numbers] = []
+        self.linear: list[Numbers] = []
+        self.laws: list[tuple[str, CompiledLaw]] = []
+        self.law_rows: list[Numbers] = []
+        self.law_parameters: list[float] = []
+        self.loads: list[Numbers] = []
+        self.load_points: list[Numbers] = []
+        for name, force in mechanism.forces.items():
+            self.add(name, force)
+
+    def add(self, name: str, force: Force) -> None:
+        match force:
+            case SpringDamper():
+                points = (*force.points[0], *force.points[1])
+                self.add_spring("two_points", force.bodies, points, (force.stiffness, force.damping, force.free_length))
+            case TorsionSpring():
+                numbers = (force.stiffness, force.damping, force.free_angle)
+                self.add_spring("relative_angle", force.bodies, (0.0,) * 4, numbers)
+            case Law():
+                self.add_law(name, force)
+            case Torque():
+                reaction = self.number[force.reaction_body or "ground"]
+                self.add_load(TORQUE, force.body, reaction, (force.value,), (0.0, 0.0))
+            case PointForce():
+                kind = BODY_FORCE if force.frame == "body" else POINT_FORCE
+                self.add_load(kind, force.body, self.number["ground"], force.value, force.point)
+
+    def add_spring(
+        self, pathway: str, bodies: tuple[str, str], points: Numbers, linear: Numbers, law: int = -1
+    ) -> None:
+        self.springs.append((PATHWAYS[pathway], *(self.number[name] for name in bodies), law))
+        self.spring_points.append((*points, 0.0, 0.0))
+        self.linear.append(linear)
+
+    def add_law(self, name: str, force: Law) -> None:
+        try:
+            compiled, block = bind_law(force.force_law, force, force.law_id)
+        except SpecError as error:
+            raise error.located(prefix=f"model.forces.{name}") from None
+        self.add_spring(*pathway_kind(force.pathway), (0.0, 0.0, 0.0), len(self.laws))
+        self.laws.append((name, compiled))
+        self.law_rows.append((compiled.address, len(self.law_parameters), compiled.claims))
+        self.law_parameters += block
+
+    def add_load(
+        self, kind: int, body: str, reaction: int, values: tuple[Motion, ...], point: tuple[float, float]
+    ) -> None:
+        motions = [self.motions.add(value) for value in values]
+        self.loads.append((kind, self.number[body], reaction, *motions, *[-1] * (2 - len(motions))))
+        self.load_points.append(point)
+
+
+def pathway_kind(pathway: Pathway) -> tuple[str, tuple[str, str], Numbers]:
+    """Return a pathway's kind among the definitions, its bodies, and the points (x_a, y_a, x_b, y_b) on them [m]."""
+    match pathway:
+        case TwoPoints():
+            return "two_points", pathway.bodies, (*pathway.points[0], *pathway.points[1])
+        case RelativeAngle():
+            return "relative_angle", pathway.bodies, (0.0,) * 4
+        case Coordinate():
+            return f"coordinate_{pathway.coordinate}", pathway.bodies, (0.0, 0.0, *pathway.point)
+
+
+def _length(mechanism: Mechanism) -> float:
+    """Return the largest distance on one body between joint points, its centre of mass included [m]; 1 if all are 0."""
+    points: dict[str, set[tuple[float, float]]] = {name: {(0.0, 0.0)} for name in mechanism.bodies}
+    for joint in mechanism.joints.values():
+        for _, name, point in joint.attachments():
+            if name in points:
+                points[name].add(point)
+    longest = 0.0
+    for held in points.values():
+        if len(held) > 1:
+            places = np.array(sorted(held))
+            longest = max(longest, *(float(np.max(np.hypot(*(places - place).T))) for place in places))
+    return longest or 1.0
+
+
+def _is_well_scaled(mechanism: Mechanism) -> bool:
+    """Return whether masses, and inertias over squared arms, lie within `WELL_SCALED` of each other.
+
+    So do the inertias of bodies whose angles are tied to each other.
+    """
+    arms = dict.fromkeys(mechanism.bodies, 0.0)
+    for joint in mechanism.joints.values():
+        for _, name, (x, y) in joint.attachments():
+            if name in arms:
+                arms[name] = max(arms[name], x * x + y * y)
+        a = joint.bodies[0]
+        if isinstance(joint, Prismatic | Driver) and a in arms:  # the body is pushed at the other's point, on its frame
+            for _, name, point in joint.attachments()[-1:]:
+                x, y = mechanism.to_local(a, mechanism.to_global(name, point))
+                arms[a] = max(arms[a], x * x + y * y)
+    scales = [body.mass for body in mechanism.bodies.values()]
+    scales += [body.inertia / arms[name] for name, body in mechanism.bodies.items() if body.inertia and arms[name] > 0]
+    tied = {name for joint in mechanism.joints.values() if len(joint.angles()) == 2 for _, name in joint.angles()}
+    inertias = [inertia for name in tied if name in arms and (inertia := mechanism.bodies[name].inertia)]
+    return all(not sizes or max(sizes) <= WELL_SCALED * min(sizes) for sizes in (scales, inertias))

@@ -1,0 +1,320 @@
+"""Orders of elimination, worked out once per mechanism: for the Schur complement and for pivoted sparse LU."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.kernels.lu import Factors, Pattern
+from mbdkit.engine.kernels.schur import Schur
+
+PIVOT_STRATEGIES = (("NATURAL", 1e-3), ("MMD_AT_PLUS_A", 1e-3), ("COLAMD", 0.1), ("COLAMD", 1.0))
+"""SuperLU's column order, and how small a diagonal pivot may be against its column; in order of preference."""
+
+ACCURATE = 1e-11
+"""Largest residual of a trial solution, relative to its right side, with pivots that are fit for use."""
+
+LITTLE_FILL = 4
+"""Entries of the factors, relative to those of the matrix, below which no further strategy is tried."""
+
+GOOD_CONDITION = 1e8
+"""Condition of the equilibrated matrix, in the 1-norm, below which no other scaling is tried."""
+
+WORST_CONDITION = 1e13
+"""Condition above which the matrix counts as singular."""
+
+
+class SingularSystemError(Exception):
+    """A matrix has no pivots left; `index` is the unknown at which they ran out, -1 where that is not known."""
+
+    def __init__(self, index: int = -1):
+        super().__init__(index)
+        self.index = index
+
+
+def neighbours(pairs: Sequence[tuple[int, int]], ground: int) -> list[set[int]]:
+    """Return for every pair of constraint rows the others that share a body with it (ground is not shared)."""
+    on_body: dict[int, list[int]] = {}
+    for k, bodies in enumerate(pairs):
+        for body in set(bodies) - {ground}:
+            on_body.setdefault(body, []).append(k)
+    adjacent: list[set[int]] = [set() for _ in pairs]
+    for members in on_body.values():
+        for k in members:
+            adjacent[k].update(members)
+    for k, others in enumerate(adjacent):
+        others.discard(k)
+    return adjacent
+
+
+def minimum_degree(adjacent: Sequence[set[int]]) -> tuple[list[int], list[set[int]]]:
+    """Order the nodes of a graph by minimum degree.
+
+    Returns
+    -------
+    order : list of int
+        Nodes in order of elimination.
+    below : list of set
+        For each node, those eliminated later that are adjacent to it at its turn: the rows of its column.
+    """
+    graph = [set(others) for others in adjacent]
+    heap = [(len(others), node) for node, others in enumerate(graph)]
+    heapq.heapify(heap)
+    done = [False] * len(graph)
+    order: list[int] = []
+    while heap:
+        degree, node = heapq.heappop(heap)
+        if done[node] or degree != len(graph[node]):
+            continue
+        done[node] = True
+        order.append(node)
+        rest = graph[node]
+        for other in rest:
+            if len(rest) > 1:
+                graph[other] |= rest
+                graph[other].discard(other)
+            graph[other].discard(node)
+            heapq.heappush(heap, (len(graph[other]), other))
+    return order, graph
+
+
+def schur_schedule(
+    pairs: Sequence[tuple[int, int]], ground: int, order: Sequence[int], below: Sequence[set[int]]
+) -> Schur:
+    """Work out storage and schedule of the block LDL^T.
+
+    Parameters
+    ----------
+    pairs
+        First and second body of each pair of rows, already numbered in elimination order.
+    ground
+        Number of the ground body.
+    order, below
+        What `minimum_degree` returned for the numbering before.
+    """
+    place = {node: k for k, node in enumerate(order)}
+    columns = [sorted(place[other] for other in below[node]) for node in order]
+    start = np.concatenate([[0], np.cumsum([len(c) for c in columns])]).astype(np.int64)
+    block = {(i, k): int(start[k]) + e for k, rows in enumerate(columns) for e, i in enumerate(rows)}
+    update = [block[i, j] for rows in columns for e, i in enumerate(rows) for j in rows[:e]]
+    on_body: dict[int, list[tuple[int, int]]] = {}
+    for k, (a, b) in enumerate(pairs):
+        for body, column in ((a, 0), (b, 3)):
+            if body != ground:
+                on_body.setdefault(body, []).append((k, column))
+    coupling = [
+        (block[r, k], r, i0, k, j0, body)
+        for body, members in on_body.items()
+        for x, (k, j0) in enumerate(members)
+        for r, i0 in members[x + 1 :]
+        if r != k
+    ]
+    blocks = len(block)
+    return Schur(
+        start=start,
+        row=np.array([i for rows in columns for i in rows], dtype=np.int64),
+        update=np.array(update, dtype=np.int64),
+        coupling=np.array(coupling, dtype=np.int64).reshape(-1, 6),
+        diagonal=np.zeros((len(pairs), 3)),
+        whole=np.zeros((len(pairs), 2)),
+        below=np.zeros((blocks, 4)),
+        scaled=np.zeros((blocks, 4)),
+    )
+
+
+def empty_schur() -> Schur:
+    """Return a schedule of nothing, for mechanisms that always take the pivoted path."""
+    return schur_schedule([], -1, [], [])
+
+
+class PivotChoice(NamedTuple):
+    """An order of elimination with the scaling it was chosen under; all (n,), scales in original order."""
+
+    row_of: np.ndarray
+    column_of: np.ndarray
+    row_scale: np.ndarray
+    column_scale: np.ndarray
+
+
+def pivot_order(
+    n: int, row: np.ndarray, column: np.ndarray, values: np.ndarray, natural: np.ndarray, scales: Sequence[np.ndarray]
+) -> PivotChoice:
+    """Choose pivots of a sparse matrix by its numbers: SuperLU on the equilibrated matrix, the sparsest fit factors.
+
+    Parameters
+    ----------
+    n
+        Number of unknowns.
+    row, column, values
+        (nnz,) the entries.
+    natural
+        (n,) an order of the unknowns that gives little fill where its diagonal pivots will do.
+    scales
+        Symmetric scalings (n,) to begin equilibration with; the first that leaves the matrix well conditioned is
+        taken, or else the best. Small inertias ask for another than small masses.
+
+    Returns
+    -------
+    PivotChoice
+        Row and column at each pivot position, and the scaling.
+
+    Raises
+    ------
+    SingularSystemError
+        Where no pivot is left, or none that carries digits.
+    """
+    from scipy.sparse import csc_array
+
+    place = np.empty(n, dtype=np.int64)
+    place[natural] = np.arange(n)
+    best, least = None, WORST_CONDITION
+    for scale in scales:
+        row_scale, column_scale = equilibrate(n, row, column, np.abs(values) * scale[row] * scale[column])
+        row_scale, column_scale = row_scale * scale, column_scale * scale
+        # entries that are zero just now stay in the pattern: a product of sparse matrices would drop them
+        entries = values * row_scale[row] * column_scale[column]
+        scaled = csc_array((entries, (place[row], place[column])), shape=(n, n))
+        lu, condition = _sparsest(scaled)
+        if condition < least:
+            best, least = PivotChoice(lu.perm_r, lu.perm_c, row_scale, column_scale), condition
+        if least < GOOD_CONDITION:
+            break
+    if best is None:
+        raise SingularSystemError
+    row_of, column_of = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    row_of[best.row_of], column_of[best.column_of] = natural, natural
+    return best._replace(row_of=row_of, column_of=column_of)
+
+
+def _sparsest(matrix: Any) -> tuple[Any, float]:
+    """Return SuperLU's factors of an equilibrated matrix with little fill, and the condition in the 1-norm."""
+    from scipy.sparse.linalg import LinearOperator, onenormest, splu
+
+    probe = matrix @ np.ones(matrix.shape[0])
+    best = None
+    for ordering, threshold in PIVOT_STRATEGIES:
+        try:
+            options = {"SymmetricMode": threshold < 1}
+            lu = splu(matrix, permc_spec=ordering, diag_pivot_thresh=threshold, options=options)
+        except RuntimeError:
+            continue
+        error = np.max(np.abs(matrix @ lu.solve(probe) - probe), initial=0.0)
+        if error <= ACCURATE * np.max(np.abs(probe), initial=1.0) and (best is None or lu.nnz < 0.9 * best.nnz):
+            best = lu
+        if best is not None and best.nnz <= LITTLE_FILL * matrix.nnz:
+            break
+    if best is None:
+        return None, np.inf
+    inverse = LinearOperator(
+        matrix.shape,
+        matvec=lambda x: best.solve(x.ravel()),
+        rmatvec=lambda x: best.solve(x.ravel(), "H"),
+        dtype=matrix.dtype,
+    )
+    return best, float(onenormest(inverse) * abs(matrix).sum(axis=0).max())
+
+
+def equilibrate(n: int, row: np.ndarray, column: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return factors, powers of two, that bring the largest entry of every row and column near 1 (Ruiz 2001).
+
+    Raises
+    ------
+    SingularSystemError
+        Where a row or column is empty, or an entry not finite.
+    """
+    if not np.all(np.isfinite(sizes)):
+        raise SingularSystemError
+    row_scale, column_scale = np.ones(n), np.ones(n)
+    for _ in range(4):
+        scaled = sizes * row_scale[row] * column_scale[column]
+        row_largest, column_largest = np.zeros(n), np.zeros(n)
+        np.maximum.at(row_largest, row, scaled)
+        np.maximum.at(column_largest, column, scaled)
+        empty = (row_largest == 0) | (column_largest == 0)
+        if np.any(empty):
+            raise SingularSystemError(int(np.argmax(empty)))
+        row_scale /= np.sqrt(row_largest)
+        column_scale /= np.sqrt(column_largest)
+    return power_of_two(row_scale), power_of_two(column_scale)
+
+
+def power_of_two(x: np.ndarray) -> np.ndarray:
+    """Return the nearest powers of two: scaling by them rounds nothing."""
+    return np.exp2(np.round(np.log2(x)))
+
+
+def symbolic_lu(n: int, row: np.ndarray, column: np.ndarray, choice: PivotChoice) -> tuple[Pattern, np.ndarray]:
+    """Work out the pattern of the factors for a fixed order of pivots.
+
+    Returns
+    -------
+    Pattern
+        Patterns of A and of its factors in pivot order.
+    position : (nnz,) int array
+        Where each given entry stands among the values of A.
+    """
+    row_of, column_of, row_scale, column_scale = choice
+    row_place, column_place = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    row_place[row_of] = np.arange(n)
+    column_place[column_of] = np.arange(n)
+    i, j = row_place[row], column_place[column]
+    sort = np.lexsort((j, i))
+    position = np.empty(len(row), dtype=np.int64)
+    position[sort] = np.arange(len(row))
+    a_start = np.searchsorted(i[sort], np.arange(n + 1)).astype(np.int64)
+    a_column = j[sort].astype(np.int64)
+    lower: list[list[int]] = []
+    upper: list[list[int]] = []
+    columns = a_column.tolist()
+    bounds = a_start.tolist()
+    for r in range(n):
+        pattern = set(columns[bounds[r] : bounds[r + 1]])
+        pattern.add(r)
+        todo = [c for c in pattern if c < r]
+        heapq.heapify(todo)
+        below: list[int] = []
+        while todo:
+            k = heapq.heappop(todo)
+            below.append(k)
+            for c in upper[k]:
+                if c not in pattern:
+                    pattern.add(c)
+                    if c < r:
+                        heapq.heappush(todo, c)
+        lower.append(below)
+        upper.append(sorted(c for c in pattern if c > r))
+    l_start, l_column = _flat(lower)
+    u_start, u_column = _flat(upper)
+    weight = (row_scale[row] * column_scale[column])[sort]
+    found = Pattern(
+        a_start, a_column, l_start, l_column, u_start, u_column, row_of, column_of, row_scale, column_scale, weight
+    )
+    return found, position
+
+
+def _flat(rows: list[list[int]]) -> tuple[np.ndarray, np.ndarray]:
+    start = np.concatenate([[0], np.cumsum([len(r) for r in rows])]).astype(np.int64)
+    return start, np.array([c for r in rows for c in r], dtype=np.int64)
+
+
+def empty_pattern() -> Pattern:
+    """Return the pattern of a matrix without unknowns."""
+    none = np.zeros(0, dtype=np.int64)
+    zero, scale = np.zeros(1, dtype=np.int64), np.zeros(0)
+    return Pattern(zero, none, zero, none, zero, none, none, none, scale, scale, scale)
+
+
+def new_factors(pattern: Pattern, dtype: type) -> Factors:
+    """Return storage for the values that go with `pattern`."""
+    n = len(pattern.row_of)
+    return Factors(
+        a=np.zeros(len(pattern.a_column), dtype),
+        lower=np.zeros(len(pattern.l_column), dtype),
+        upper=np.zeros(len(pattern.u_column), dtype),
+        pivot=np.zeros(n, dtype),
+        reference=np.zeros(n),
+        work=np.zeros(n, dtype),
+    )

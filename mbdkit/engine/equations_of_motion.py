@@ -1,0 +1,411 @@
+"""A mechanism as a method written in NumPy sees it: its equations, their tangents and their solutions, all counted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.iteration_matrix import IterationMatrix, Pivots, chosen_pivots, classes_of, vector
+from mbdkit.engine.jit.bundle import Hold
+from mbdkit.engine.kernels import equations
+from mbdkit.engine.kernels.observe import baumgarte_at
+from mbdkit.engine.kernels.system import NOT_FINITE, OK
+from mbdkit.engine.workspace import Problem
+from mbdkit.stepping.interface import Counters
+from mbdkit.stepping.python_method import StepError
+from mbdkit.stepping.python_projection import nearest_positions, nearest_velocities
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from scipy.sparse import csr_array
+
+    from mbdkit.mechanism.mechanism import Mechanism
+
+
+@dataclass(frozen=True)
+class Tangents:
+    """The derivatives that implicit methods need, each a sparse array."""
+
+    stiffness: csr_array
+    """(n, n) K = d(Phi_q^T lam - Q)/dq."""
+    damping: csr_array
+    """(n, n) C = -dQ/dv."""
+    gamma_v: csr_array
+    """(m, n) d gamma/dv, which is -2 d(Phi_q v + Phi_t)/dq, and with Baumgarte's terms less 2 alpha Phi_q."""
+    residual_q: csr_array
+    """(m, n) d(Phi_q a - gamma)/dq."""
+
+
+class StepProblem:
+    """The equations of motion of one mechanism, for the `step` of a method.
+
+        M q'' + Phi_q^T lam = Q(t, q, v),      Phi(t, q) = 0,      Phi_q v + Phi_t = 0,      Phi_q q'' = gamma(t, q, v)
+
+    Vectors are NumPy arrays without ground: q, v, a, Q are (n,) with n = 3 B (x, y, theta of each body in turn, SI
+    units and radians), multipliers and constraint rows are (m,) in the order of ``/constraints`` in the archive. Of a
+    redundant mechanism only the independent rows are seen; `recorded_multipliers` gives those of all.
+    Every array that is returned is new. Everything is compiled underneath, and costs time linear in the number of
+    bodies.
+
+    Every method raises `StepError`: ``singular`` where there is no unique solution, ``not-finite`` where numbers
+    overflow. What is done is counted in `counters`: an evaluation of forces or accelerations is one of the right side;
+    tangents are one Jacobian; a solve with an iteration matrix is one Newton iteration.
+
+    Parameters
+    ----------
+    problem
+        The compiled mechanism at its consistent start.
+
+    Attributes
+    ----------
+    n, m
+        Number of coordinates and of constraint rows.
+    bodies, constraint_names
+        Names of the bodies, and of the constraint rows as ``joint.row``.
+    mass : (n,) array
+        Diagonal of the mass matrix M [kg, kg m^2].
+    t0
+        Time of the start [s].
+    q0, v0 : (n,) arrays
+        The consistent start.
+    formulation, stabilization
+        What the run asks for: the formulation of the equations by name, and what is done against drift. Baumgarte's
+        terms are part of gamma, of the accelerations and of the tangents already; projections are made around `step`.
+    counters
+        What was done so far.
+    address
+        Where the kernels find the mechanism; not for use.
+    """
+
+    def __init__(self, problem: Problem):
+        mechanism = problem.mechanism
+        self._problem = problem
+        self._view = equations.new_view(problem)
+        self._hold = Hold(self._view)
+        self.address = self._hold.address
+        self.n, self.m = 3 * len(mechanism.bodies), len(mechanism.solved_rows)
+        self.bodies = mechanism.bodies
+        self.constraint_names = tuple(row.label for row in mechanism.solved_rows)
+        self.formulation, self.stabilization = problem.formulation, problem.stabilization
+        self.mass = mechanism.topology.mass[:-1].ravel()
+        self.t0, self.q0, self.v0 = problem.t0, problem.q0[: self.n].copy(), problem.v0[: self.n].copy()
+        self.counters = Counters()
+        self._no_force, self._no_rows = np.zeros(self.n), np.zeros(self.m)
+        self._classes = classes_of(problem)
+        self._pivots: dict[tuple[bool, ...], Pivots] = {}
+
+    @classmethod
+    def of(cls, mechanism: Mechanism, t0: float = 0.0) -> StepProblem:
+        """Return the problem of a mechanism with its start made consistent, to try a method on.
+
+        Parameters
+        ----------
+        mechanism
+            As a model builds it.
+        t0
+            Time of the start [s].
+        """
+        from mbdkit.engine.assembly import assemble
+        from mbdkit.engine.compile_mechanism import compile_mechanism
+        from mbdkit.engine.redundancy import without_redundancy
+        from mbdkit.stepping.warm_up import ensure_compiled
+
+        ensure_compiled()
+        compiled = compile_mechanism(mechanism)
+        start = assemble(mechanism, t0, compiled)
+        q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
+        compiled = without_redundancy(compiled, t0, start.q.ravel(), start.v.ravel(), t0)
+        return cls(Problem(compiled, t0, q0, v0))
+
+    @property
+    def terms_now(self) -> np.ndarray:
+        """The terms of the tangents that were evaluated last."""
+        return self._problem.scratch.source
+
+    def accelerations(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the index-1 accelerations (n,) and multipliers (m,) at a state."""
+        self.counters.rhs_evaluations += 1
+        return self._solved(t, q, v, False, self._no_force, self._no_rows)
+
+    def solve(self, t: float, q: np.ndarray, force: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Solve ``M x + Phi_q^T mu = force``, ``Phi_q x = rows`` at the position `q`.
+
+        Parameters
+        ----------
+        t, q
+            Time [s] and position (n,).
+        force, rows
+            (n,) and (m,) right sides.
+
+        Returns
+        -------
+        x, mu
+            (n,) and (m,) solution.
+        """
+        return self._solved(t, q, self._no_force, True, vector(force, self.n), vector(rows, self.m))
+
+    def forces(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the generalized applied forces Q (n,), gravity included."""
+        return 0.0 - self.residual(t, q, v, self._no_force, self._no_rows)
+
+    def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """Return ``M a + Phi_q^T lam - Q(t, q, v)`` (n,), what the equations of motion lack."""
+        self.counters.rhs_evaluations += 1
+        return self._residual(t, q, v, a, lam, with_forces=True)
+
+    def constraint_forces(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """Return ``Phi_q^T lam`` (n,)."""
+        return self._residual(t, q, self._no_force, self._no_force, lam, with_forces=False)
+
+    def constraints(self, t: float, q: np.ndarray) -> np.ndarray:
+        """Return Phi (m,) [m, rad]."""
+        return self._rows(t, q, self._no_force)[0]
+
+    def constraint_rates(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the time derivative of the constraints, ``Phi_q v + Phi_t`` (m,) [m/s, rad/s]."""
+        return self._rows(t, q, v)[1]
+
+    def gamma(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the right side of ``Phi_q a = gamma`` (m,) [m/s^2, rad/s^2], Baumgarte's terms included."""
+        return self._rows(t, q, v)[2]
+
+    def constraint_jacobian(self, t: float, q: np.ndarray) -> csr_array:
+        """Return Phi_q, a sparse (m, n) array; ``.toarray()`` makes it dense."""
+        self._rows(t, q, self._no_force)
+        terms, n = self._problem.terms, self.n
+        return self._sparse((terms.factor == 0) & (terms.row >= n), below=True)
+
+    def tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
+        """Return all derivatives of the equations at a state with accelerations `a` (n,) and multipliers `lam` (m,)."""
+        self._evaluate_tangents(t, q, v, a, lam)
+        classes = self._classes
+        return Tangents(
+            stiffness=self._sparse(classes == equations.STIFFNESS),
+            damping=self._sparse(classes == equations.DAMPING),
+            gamma_v=self._sparse(classes == equations.GAMMA_V, below=True),
+            residual_q=self._sparse(classes == equations.RESIDUAL_Q, below=True),
+        )
+
+    def evaluated_terms(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """Return the value of every term of the tangents at a state, in the order of the problem's list of terms."""
+        self._evaluate_tangents(t, q, v, a, lam)
+        return self.terms_now.copy()
+
+    def iteration_matrix(
+        self,
+        t: float,
+        q: np.ndarray,
+        v: np.ndarray,
+        a: np.ndarray,
+        lam: np.ndarray,
+        *,
+        mass: complex = 1.0,
+        damping: complex = 0.0,
+        stiffness: complex = 0.0,
+        gamma_v: complex = 0.0,
+        residual_q: complex = 0.0,
+    ) -> IterationMatrix:
+        """Return the matrix of a Newton iteration, factorized.
+
+        ::
+
+            [ mass M + damping C + stiffness K                     Phi_q^T ]
+            [ Phi_q + gamma_v gamma_v + residual_q residual_q      0       ]
+
+        The unknowns are best scaled as accelerations and multipliers: with dv = c1 da and dq = c2 da, index 3 takes
+        ``damping=c1, stiffness=c2`` and the lower right side -Phi / c2; index 2 takes -(Phi_q v + Phi_t) / c1 and
+        ``gamma_v=-c2 / (2 c1)``; index 1 takes ``gamma_v=-c1, residual_q=c2``. Rows and columns are equilibrated.
+
+        Parameters
+        ----------
+        t, q, v, a, lam
+            Time [s], state, accelerations and multipliers at which the tangents are taken.
+        mass, damping, stiffness, gamma_v, residual_q
+            Coefficients; complex ones make a complex matrix.
+        """
+        dtype = (
+            complex if any(isinstance(x, complex) for x in (mass, damping, stiffness, gamma_v, residual_q)) else float
+        )
+        coefficients = np.array([mass, 1.0, damping, stiffness, gamma_v, residual_q], dtype=dtype)
+        key = (dtype is complex, *(coefficients != 0).tolist())
+        if key not in self._pivots:
+            self._choose_at_start(key, coefficients)
+        self._evaluate_tangents(t, q, v, a, lam)
+        if key in self._pivots:
+            matrix = self._factorized(key, coefficients)
+            if matrix.failed_at < 0:
+                return matrix
+        try:
+            self._pivots[key] = chosen_pivots(self._problem, self._classes, coefficients)
+        except SingularSystemError as error:
+            raise self._singular(error) from None
+        matrix = self._factorized(key, coefficients)
+        if matrix.failed_at >= 0:
+            raise self._singular(matrix.lost())
+        return matrix
+
+    def project_positions(self, t: float, q: np.ndarray) -> np.ndarray:
+        """Return the positions (n,) nearest to `q` in the mass metric that meet all constraints at time `t`.
+
+        Solves ``M (p - q) + Phi_q(p)^T mu = 0``, ``Phi(t, p) = 0`` to round-off; counts as one projection.
+        """
+        self.counters.projections += 1
+        return nearest_positions(self, t, vector(q, self.n))
+
+    def project_velocities(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the velocities (n,) nearest to `v` in the mass metric with ``Phi_q v + Phi_t = 0`` at `t`, `q`.
+
+        The equations are linear; a second solve takes their round-off away. Counts as one projection.
+        """
+        self.counters.projections += 1
+        return nearest_velocities(self, t, vector(q, self.n), vector(v, self.n))
+
+    def baumgarte_terms(self, t: float, q: np.ndarray, v: np.ndarray) -> float:
+        """Return the largest of Baumgarte's terms ``2 alpha Phi' + beta^2 Phi`` at a state [m/s^2, rad/s^2]."""
+        problem, ground = self._problem, np.zeros(3)
+        state = (np.concatenate([vector(x, self.n), ground]) for x in (q, v))
+        return float(baumgarte_at(problem.stepping_engine, float(t), *state))
+
+    def powers(self, t: float, q: np.ndarray, v: np.ndarray, lam: np.ndarray) -> tuple[float, float]:
+        """Return the power of loads and drivers under the multipliers `lam`, and the power dissipated [W]."""
+        q, v, lam = vector(q, self.n), vector(v, self.n), vector(lam, self.m)
+        work, lost = equations.powers_of(self.address, float(t), q, v, lam)
+        return work, lost
+
+    def recorded_multipliers(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """Return the multipliers (rows,) of every row of ``/constraints``: independent ones alone carry a force."""
+        rows = self._problem.mechanism.rows
+        pairs = np.zeros((len(self._problem.mechanism.topology.pairs), 2))
+        equations.pair_multipliers_of(self.address, float(t), vector(q, self.n), vector(lam, self.m), pairs)
+        return np.array([pairs[row.pair, row.place] for row in rows])
+
+    def relative_change(self, q: np.ndarray, dq: np.ndarray) -> float:
+        """Return the largest change of a coordinate relative to the largest of its kind.
+
+        Lengths are compared with the largest length (1 m at least), angles with the largest angle (1 rad at least); a
+        Newton iteration has converged where this is a few roundings, or shrinks no more.
+        """
+        size, change = np.abs(q).reshape(-1, 3), np.abs(dq).reshape(-1, 3)
+        lengths = change[:, :2].max() / max(1.0, size[:, :2].max())
+        return float(max(lengths, change[:, 2].max() / max(1.0, size[:, 2].max())))
+
+    def arrive(self, t: float, q: np.ndarray, v: np.ndarray, worst: np.ndarray) -> bool:
+        """Raise `worst` (P,) by the squared misalignments of a state; return whether the state stays finite."""
+        finite: bool = equations.arrive_at(self.address, float(t), vector(q, self.n), vector(v, self.n), worst)
+        return finite
+
+    def _solved(
+        self, t: float, q: np.ndarray, v: np.ndarray, given: bool, force: np.ndarray, rows: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Solve a system with the matrix of index 1, if need be with newly chosen pivots."""
+        x, mu = np.empty(self.n), np.empty(self.m)
+        state = float(t), vector(q, self.n), vector(v, self.n)
+        self.counters.factorizations += 1
+        if self._view.solver is not self._problem.solver:  # the recorder has chosen other pivots
+            self._refresh()
+        status = equations.solution_of(self.address, *state, given, force, rows, x, mu)
+        if status == OK:
+            return x, mu
+        if status != NOT_FINITE and self._problem.is_finite():
+            try:
+                self._problem.use_pivots()
+            except SingularSystemError as error:
+                raise self._singular(error) from None
+            self._refresh()
+            self.counters.factorizations += 1
+            status = equations.solution_of(self.address, *state, given, force, rows, x, mu)
+            if status == OK:
+                return x, mu
+            if status != NOT_FINITE:
+                failed, order = int(self._problem.solver.failed[0]), self._problem.solver.pattern.column_of
+                raise self._singular(SingularSystemError(int(order[failed]) if 0 <= failed < len(order) else -1))
+        raise self._not_finite()
+
+    def _refresh(self) -> None:
+        """Let the kernels see the solver that is in use now."""
+        self._view = self._view._replace(solver=self._problem.solver)
+        self._hold.replace(self._view)
+        self.address = self._hold.address
+
+    def _residual(
+        self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, *, with_forces: bool
+    ) -> np.ndarray:
+        out = np.empty(self.n)
+        q, v, a = vector(q, self.n), vector(v, self.n), vector(a, self.n)
+        if equations.residual_of(self.address, float(t), q, v, a, vector(lam, self.m), with_forces, out) != OK:
+            raise self._not_finite()
+        return out
+
+    def _rows(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return Phi, its rate and gamma, each (m,)."""
+        phi, rate, gamma = np.empty(self.m), np.empty(self.m), np.empty(self.m)
+        if equations.rows_of(self.address, float(t), vector(q, self.n), vector(v, self.n), phi, rate, gamma) != OK:
+            raise self._not_finite()
+        return phi, rate, gamma
+
+    def _evaluate_tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> None:
+        self.counters.jacobian_evaluations += 1
+        q, v, a = vector(q, self.n), vector(v, self.n), vector(a, self.n)
+        if equations.tangents_of(self.address, float(t), q, v, a, vector(lam, self.m)) != OK:
+            raise self._not_finite()
+
+    def _sparse(self, keep: np.ndarray, *, below: bool = False) -> csr_array:
+        """Return the sum of some of the terms that were evaluated last: of upper rows, or of those `below`."""
+        from scipy.sparse import csr_array
+
+        terms = self._problem.terms.kept(keep)
+        values = self._problem.scratch.source[terms.source]
+        row, rows = (terms.row - self.n, self.m) if below else (terms.row, self.n)
+        return csr_array((values, (row, terms.column)), shape=(rows, self.n))
+
+    def _choose_at_start(self, key: tuple[bool, ...], coefficients: np.ndarray) -> None:
+        """Choose pivots by the numbers at the start, if they will do: so a run that goes on later has the same ones."""
+        try:
+            a, lam = self.accelerations(self.t0, self.q0, self.v0)
+            self._evaluate_tangents(self.t0, self.q0, self.v0, a, lam)
+            self._pivots[key] = chosen_pivots(self._problem, self._classes, coefficients)
+        except (StepError, SingularSystemError):
+            return
+        self._factorized(key, coefficients)
+
+    def _factorized(self, key: tuple[bool, ...], coefficients: np.ndarray) -> IterationMatrix:
+        self.counters.factorizations += 1
+        return IterationMatrix(self, self._pivots[key], coefficients)
+
+    def _singular(self, error: SingularSystemError) -> StepError:
+        name = self._problem.mechanism.unknown_name(error.index)
+        return StepError("singular", f"no independent equations are left at {name}")
+
+    def _not_finite(self) -> StepError:
+        if not self._problem.motions_are_finite():
+            return StepError("not-finite", "a driver or load is not a finite number")
+        if force := self._problem.unusable_law():
+            return StepError("not-finite", f"the law of force {force!r} gave no finite number")
+        return StepError("not-finite", "numbers overflowed")
+
+
+def call_everything(p: StepProblem, check: Callable[[], None] = lambda: None) -> None:
+    """Call every kernel that there is for methods written in Python, so that it stands compiled and loaded.
+
+    Parameters
+    ----------
+    p
+        Any problem; its counters count.
+    check
+        Called now and then.
+    """
+    a, lam = p.accelerations(p.t0, p.q0, p.v0)
+    check()
+    p.residual(p.t0, p.q0, p.v0, a, lam)
+    p.constraints(p.t0, p.q0)
+    p.powers(p.t0, p.q0, p.v0, lam)
+    p.arrive(p.t0, p.q0, p.v0, np.zeros(0))
+    p.recorded_multipliers(p.t0, p.q0, lam)
+    check()
+    for mass in (1.0, 1.0 + 0.0j):
+        p.iteration_matrix(p.t0, p.q0, p.v0, a, lam, mass=mass).solve(a, lam)
+        check()

@@ -1,0 +1,136 @@
+"""The matrix of a Newton iteration on a mechanism's equations: sparse, factorized in compiled code, pivots kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.engine.elimination_order import SingularSystemError, new_factors
+from mbdkit.engine.jit.bundle import Hold
+from mbdkit.engine.kernels.equations import (
+    DAMPING,
+    GAMMA_V,
+    JACOBIAN,
+    MASS,
+    RESIDUAL_Q,
+    STIFFNESS,
+    factorize_complex,
+    factorize_real,
+    new_matrix,
+    solve_complex,
+    solve_real,
+)
+from mbdkit.engine.kernels.system import KKT_TOLERANCE
+from mbdkit.stepping.python_method import StepError
+
+if TYPE_CHECKING:
+    from mbdkit.engine.equations_of_motion import StepProblem
+    from mbdkit.engine.kernels.lu import Pattern
+    from mbdkit.engine.workspace import Problem, Terms
+
+
+REAL, COMPLEX = np.dtype(float), np.dtype(complex)
+
+
+def vector(x: np.ndarray, size: int, dtype: np.dtype[Any] = REAL) -> np.ndarray:
+    """Return `x` as the kernels take it; raises ValueError where it is no vector of that size."""
+    if type(x) is np.ndarray and x.dtype is dtype and x.flags.carray and x.shape == (size,):
+        return x
+    array: np.ndarray = np.array(x, dtype=dtype)
+    if array.shape != (size,):
+        raise ValueError(f"an array of shape {array.shape} was given where ({size},) is wanted")
+    return array
+
+
+def classes_of(problem: Problem) -> np.ndarray:
+    """Return the class of each of a problem's terms: M, Phi_q, C, K, gamma_v or residual_q."""
+    terms, n = problem.terms, 3 * len(problem.mechanism.bodies)
+    plain = np.where(terms.source < n, MASS, JACOBIAN)
+    level = np.where(terms.row < n, STIFFNESS, RESIDUAL_Q)
+    return np.choose(terms.factor, [plain, np.full_like(plain, DAMPING), np.full_like(plain, GAMMA_V), level])
+
+
+@dataclass
+class Pivots:
+    """A choice of pivots for all matrices whose terms are of the same classes, and room for their numbers."""
+
+    pattern: Pattern
+    scatter: np.ndarray
+    reference: np.ndarray
+    """(N,) sizes of the pivots when they were chosen."""
+    free: list[Hold] = field(default_factory=list)
+    """Matrices that are no longer in use."""
+
+    def take(self, dtype: type) -> Hold:
+        """Return a matrix that nobody uses."""
+        if self.free:
+            return self.free.pop()
+        factors = new_factors(self.pattern, dtype)._replace(reference=self.reference)
+        return Hold(new_matrix(self.pattern, factors, self.scatter))
+
+
+def chosen_pivots(problem: Problem, classes: np.ndarray, coefficients: np.ndarray) -> Pivots:
+    """Choose pivots by the tangents that were evaluated last; raises SingularSystemError."""
+    used = coefficients[classes] != 0
+    terms: Terms = problem.terms.kept(used)
+    pattern, position = problem.pivots_of(terms, coefficients[classes[used]])
+    scatter = np.column_stack([terms.source, position, classes[used]]).astype(np.int64)
+    return Pivots(pattern, scatter, np.zeros(len(pattern.row_of)))
+
+
+class IterationMatrix:
+    """A factorized matrix; `StepProblem.iteration_matrix` makes it.
+
+    It stays valid whatever is evaluated afterwards, other matrices included.
+    """
+
+    def __init__(self, problem: StepProblem, pivots: Pivots, coefficients: np.ndarray):
+        self._problem, self._pivots = problem, pivots
+        self._complex = coefficients.dtype == complex
+        self._hold = pivots.take(coefficients.dtype.type)
+        kernel = factorize_complex if self._complex else factorize_real
+        self.failed_at: int = kernel(problem.terms_now, self._hold.address, coefficients)
+        """Pivot that was lost in the factorization, -1 if none."""
+
+    def __del__(self) -> None:
+        self._pivots.free.append(self._hold)
+
+    def solve(self, force: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Solve the system, with one step of refinement; counts as one Newton iteration.
+
+        Parameters
+        ----------
+        force
+            (n,) upper right side, in the order of the coordinates.
+        rows
+            (m,) lower right side, in the order of the constraints.
+
+        Returns
+        -------
+        x : (n,) array
+            Change of the coordinates.
+        mu : (m,) array
+            Change of the multipliers.
+
+        Raises
+        ------
+        StepError
+            Where the right side is not finite, or the matrix is too close to singular for the residual to vanish.
+        """
+        problem = self._problem
+        dtype = COMPLEX if self._complex else REAL
+        x, mu = np.empty(problem.n, dtype), np.empty(problem.m, dtype)
+        force, rows = vector(force, problem.n, dtype), vector(rows, problem.m, dtype)
+        kernel = solve_complex if self._complex else solve_real
+        problem.counters.newton_iterations += 1
+        if not kernel(self._hold.address, force, rows, x, mu) < KKT_TOLERANCE:
+            if not (np.all(np.isfinite(force)) and np.all(np.isfinite(rows))):
+                raise StepError("not-finite", "the right side of an iteration is no finite number")
+            raise StepError("singular", "the matrix of the iteration is too close to singular")
+        return x, mu
+
+    def lost(self) -> SingularSystemError:
+        """Return the error that tells which unknown the factorization failed at."""
+        return SingularSystemError(int(self._pivots.pattern.column_of[self.failed_at]))

@@ -1,0 +1,1 @@
+"""Everything that depends on the internals of Numba: compilation, its cache, and calls by address."""

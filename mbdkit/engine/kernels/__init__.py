@@ -1,0 +1,1 @@
+"""Compiled kernels: functions on flat arrays that evaluate, assemble, solve and observe a mechanism."""

@@ -1,0 +1,1190 @@
+"""Element kernels, written by ``python -m mbdkit.symbolic`` from its definitions. Do not edit.
+
+Every kernel writes the values of element `k` into rows of flat arrays. Arguments that all of them share:
+
+k : element number; a, b : first and second body; m : number of the motion that drives it
+q, v, acc : (3 (B + 1),) coordinates x, y, theta of every body, their rates and accelerations; ground comes last
+cs : (B + 1, 2) cosine and sine of every theta
+p : (K, 6) parameters, points in body frames first; u : (motions, 3) value, rate and second derivative of each motion
+lam : (K, 2) multipliers
+
+Columns of a Jacobian are (x_a, y_a, theta_a, x_b, y_b, theta_b); a square tangent is stored by rows in 36 columns.
+Entries that are zero for every argument are never written.
+"""
+
+# fmt: off
+from math import sqrt
+
+from mbdkit.engine.jit.cache import element
+
+
+
+CONSTRAINT_KINDS = ('revolute', 'distance', 'driver_angle', 'driver_x', 'driver_y', 'point_on_line', 'fixed_angle')
+
+
+PATHWAY_KINDS = ('two_points', 'relative_angle', 'coordinate_x', 'coordinate_y')
+
+
+JACOBIAN_ENTRIES = {
+    "revolute": (0, 2, 3, 5, 7, 8, 10, 11),
+    "distance": (0, 1, 2, 3, 4, 5),
+    "driver_angle": (2, 5),
+    "driver_x": (0, 1, 2, 3, 4, 5),
+    "driver_y": (0, 1, 2, 3, 4, 5),
+    "point_on_line": (0, 1, 2, 3, 4, 5),
+    "fixed_angle": (2, 5),
+}
+
+
+STIFFNESS_ENTRIES = {
+    "revolute": (14, 35),
+    "distance": (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35),
+    "driver_angle": (),
+    "driver_x": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
+    "driver_y": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
+    "point_on_line": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
+    "fixed_angle": (),
+}
+
+
+GAMMA_V_ENTRIES = {
+    "revolute": (2, 5, 8, 11),
+    "distance": (0, 1, 2, 3, 4, 5),
+    "driver_angle": (),
+    "driver_x": (0, 1, 2, 3, 4, 5),
+    "driver_y": (0, 1, 2, 3, 4, 5),
+    "point_on_line": (0, 1, 2, 3, 4, 5),
+    "fixed_angle": (),
+}
+
+
+RESIDUAL_Q_ENTRIES = {
+    "revolute": (2, 5, 8, 11),
+    "distance": (0, 1, 2, 3, 4, 5),
+    "driver_angle": (),
+    "driver_x": (0, 1, 2, 3, 4, 5),
+    "driver_y": (0, 1, 2, 3, 4, 5),
+    "point_on_line": (0, 1, 2, 3, 4, 5),
+    "fixed_angle": (),
+}
+
+
+GRADIENT_ENTRIES = {
+    "two_points": (0, 1, 2, 3, 4, 5),
+    "relative_angle": (2, 5),
+    "coordinate_x": (0, 1, 2, 3, 4, 5),
+    "coordinate_y": (0, 1, 2, 3, 4, 5),
+}
+
+
+HESSIAN_ENTRIES = {
+    "two_points": (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35),
+    "relative_angle": (),
+    "coordinate_x": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
+    "coordinate_y": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
+}
+
+
+@element
+def revolute_position(k, a, b, m, q, cs, p, u, phi, phi_t):
+    """Two points coincide: Phi = p_b - p_a; and its partial derivative by time."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    phi[k, 0] = gx
+    phi[k, 1] = gy
+
+
+@element
+def revolute_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
+    """Jacobian and right side of Phi_q a = gamma."""
+    wa = v[3*a+2]
+    wb = v[3*b+2]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = (wa*wa)
+    t1 = (wb*wb)
+    jac[k, 0] = -1.0
+    jac[k, 2] = ay
+    jac[k, 3] = 1.0
+    jac[k, 5] = -by
+    jac[k, 7] = -1.0
+    jac[k, 8] = -ax
+    jac[k, 10] = 1.0
+    jac[k, 11] = bx
+    gamma[k, 0] = -ax*t0 + bx*t1
+    gamma[k, 1] = -ay*t0 + by*t1
+
+
+@element
+def revolute_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
+    """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
+    wa = v[3*a+2]
+    wb = v[3*b+2]
+    ala = acc[3*a+2]
+    alb = acc[3*b+2]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    lam0 = lam[k, 0]
+    lam1 = lam[k, 1]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = 2*wa
+    t1 = 2*wb
+    t2 = (wa*wa)
+    t3 = (wb*wb)
+    stiff[k, 14] = ax*lam0 + ay*lam1
+    stiff[k, 35] = -bx*lam0 - by*lam1
+    gamma_v[k, 2] = -ax*t0
+    gamma_v[k, 5] = bx*t1
+    gamma_v[k, 8] = -ay*t0
+    gamma_v[k, 11] = by*t1
+    res_q[k, 2] = ala*ax - ay*t2
+    res_q[k, 5] = -alb*bx + by*t3
+    res_q[k, 8] = ala*ay + ax*t2
+    res_q[k, 11] = -alb*by - bx*t3
+
+
+@element
+def distance_position(k, a, b, m, q, cs, p, u, phi, phi_t):
+    """Phi = |p_b - p_a| - length; and its partial derivative by time."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    p4 = p[k, 4]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    length = sqrt((gx*gx) + (gy*gy))
+    phi[k, 0] = length - p4
+
+
+@element
+def distance_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
+    """Jacobian and right side of Phi_q a = gamma."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    vxa = v[3*a+0]
+    vya = v[3*a+1]
+    wa = v[3*a+2]
+    vxb = v[3*b+0]
+    vyb = v[3*b+1]
+    wb = v[3*b+2]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    length = sqrt((gx*gx) + (gy*gy))
+    t0 = (1.0/length)
+    t1 = gx*t0
+    t2 = gy*t0
+    t3 = ax*gy - ay*gx
+    t4 = bx*gy - by*gx
+    t5 = (1.0/(length*length))
+    t6 = -gx*vxa + gx*vxb - gy*vya + gy*vyb - t3*wa + t4*wb
+    t7 = -t5*t6
+    t8 = ay*wa
+    t9 = by*wb
+    t10 = t8 - t9 - vxa + vxb
+    t11 = t5*t6
+    t12 = bx*wb
+    t13 = ax*wa
+    t14 = -bx*wb + t13 + vya - vyb
+    jac[k, 0] = -t1
+    jac[k, 1] = -t2
+    jac[k, 2] = -t0*t3
+    jac[k, 3] = t1
+    jac[k, 4] = t2
+    jac[k, 5] = t0*t4
+    gamma[k, 0] = t0*(vxa*(gx*t7 + t10) - vxb*(ay*wa - gx*t11 - t9 - vxa + vxb) + vya*(gy*t7 + t12 - t13 - vya + vyb) - vyb*(-gy*t11 - t14) - wa*(ax*t14 + ay*t10 + gx*t13 + gy*t8 + t11*t3) + wb*(bx*t14 + by*t10 + gx*t12 + gy*t9 - t4*t7))
+
+
+@element
+def distance_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
+    """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    vxa = v[3*a+0]
+    vya = v[3*a+1]
+    wa = v[3*a+2]
+    vxb = v[3*b+0]
+    vyb = v[3*b+1]
+    wb = v[3*b+2]
+    axa = acc[3*a+0]
+    aya = acc[3*a+1]
+    ala = acc[3*a+2]
+    axb = acc[3*b+0]
+    ayb = acc[3*b+1]
+    alb = acc[3*b+2]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    lam0 = lam[k, 0]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    length = sqrt((gx*gx) + (gy*gy))
+    t0 = (1.0/(length*length))
+    t1 = (gx*gx)*t0 - 1
+    t2 = (1.0/length)
+    t3 = lam0*t2
+    t4 = -t1*t3
+    t5 = gx*gy*lam0/(length*length*length)
+    t6 = -t5
+    t7 = ax*gy - ay*gx
+    t8 = gx*t0
+    t9 = ay + t7*t8
+    t10 = t3*t9
+    t11 = -t10
+    t12 = t1*t3
+    t13 = bx*gy - by*gx
+    t14 = by + t13*t8
+    t15 = t14*t3
+    t16 = (gy*gy)*t0 - 1
+    t17 = -t16*t3
+    t18 = gy*t0
+    t19 = ax - t18*t7
+    t20 = t19*t3
+    t21 = t16*t3
+    t22 = bx - gy*t0*t13
+    t23 = -t22*t3
+    t24 = ax*gx
+    t25 = ay*gy
+    t26 = (ax*ax) + (ay*ay) - t0*(t7*t7) + t24 + t25
+    t27 = -t19*t3
+    t28 = ax*bx + ay*by
+    t29 = t3*(t0*t13*t7 - t28)
+    t30 = -t15
+    t31 = t22*t3
+    t32 = bx*gx
+    t33 = by*gy
+    t34 = -(bx*bx) - (by*by) + t0*(t13*t13) + t32 + t33
+    t35 = -t7
+    t36 = ay - t35*t8
+    t37 = t1*vxb
+    t38 = t14*wb
+    t39 = t1*vxa
+    t40 = gy*vyb
+    t41 = gy*vya
+    t42 = by*wb
+    t43 = ay*wa
+    t44 = gx*vxb
+    t45 = gx*vxa
+    t46 = t13*wb
+    t47 = t35*wa + t40 - t41 + t44 - t45 + t46
+    t48 = t47*t8
+    t49 = t42 - t43 + t48 + vxa - vxb
+    t50 = t37 + t38 - t39 + t40*t8 - t41*t8 + t49
+    t51 = t16*vyb
+    t52 = t16*vya
+    t53 = t22*wb
+    t54 = t18*t47
+    t55 = ax*wa
+    t56 = -vyb
+    t57 = bx*wb
+    t58 = t56 - t57 + vya
+    t59 = t55 + t58
+    t60 = t54 + t59
+    t61 = t18*t44 - t18*t45 + t51 - t52 - t53 + t60
+    t62 = ax + t18*t35
+    t63 = t0*t13
+    t64 = t28 + t35*t63
+    t65 = -vxa
+    t66 = -t42 + t65 + vxb
+    t67 = t43 + t66
+    t68 = t0*t7
+    t69 = ax*t59 + t24*wa + t25*wa
+    t70 = ay*t67 + t47*t68 + t69
+    t71 = t62*wa
+    t72 = bx*t59 + by*t67 + t32*wb + t33*wb
+    t73 = t47*t63 + t72
+    t74 = axb*gx
+    t75 = ayb*gy
+    t76 = alb*t13
+    t77 = t7*wa
+    t78 = -t40 + t41 - t44 + t45 - t46 + t77
+    t79 = -t78
+    t80 = t18*t79
+    t81 = t60 + 2*t80
+    t82 = 2*t79
+    t83 = t49 + t8*t82
+    t84 = -t83
+    t85 = -t47
+    t86 = t8*t85
+    t87 = -t18*t85
+    t88 = t63*t79
+    t89 = -t67
+    t90 = t0*t85
+    t91 = t0*t47
+    t92 = ala*t7 + axa*gx + aya*gy - t74 - t75 - t76 + t81*vyb + t84*vxa - vxb*(-2*t48 + t67 + t86) - vya*(2*t54 + t59 + t87) - wa*(-ay*t89 + t35*t90 - 2*t35*t91 + t69) + wb*(t73 + 2*t88)
+    t93 = alb*by
+    t94 = ala*ay
+    t95 = t0*t67
+    t96 = t40*t95
+    t97 = t41*t95
+    t98 = gx*t67 + t47
+    t99 = t0*t98*vxb
+    t100 = t0*vxa
+    t101 = t55 + t67*t68
+    t102 = axa - axb + t100*(gx*t89 - t47) + t93 - t94 + t96 - t97 + t99 - wa*(-ay*t91 + t101) + wb*(by*t90 + t57 - t63*t89)
+    t103 = t43 - t59*t68
+    t104 = bx*t91 - t0*t13*t59 + t42
+    t105 = t0*(gy*t59 - t47)
+    t106 = alb*bx
+    t107 = ala*ax
+    t108 = t105*vya
+    t109 = t0*t59
+    t110 = t109*t44
+    t111 = t109*t45
+    t112 = -aya + ayb + t106 - t107 - t108 + t110 - t111
+    t113 = -t104*wb + t105*vyb + t112 + wa*(ax*t91 + t103)
+    t114 = gx*wa
+    t115 = t0*t114
+    t116 = gy*wa
+    t117 = 2*t78
+    t118 = ala*t7 + axa*gx + aya*gy - t74 - t75 - t76 - t81*vya - t83*vxa - t84*vxb + vyb*(-t117*t18 + t59 + t80) - wa*(t68*t82 + t70) + wb*(-t117*t63 + t72 + t88)
+    t119 = t0*t79
+    t120 = -axa + axb + t100*t98 - t93 + t94 - t96 + t97 - t99 + wa*(-ay*t119 + t101) - wb*(-by*t91 + t57 + t63*t67)
+    t121 = ax*t119 + t103
+    t122 = t104*wb
+    t123 = gy*t59 + t78
+    t124 = gy*wb
+    t125 = t0*t124
+    t126 = gx*wb
+    t127 = t0*t126
+    stiff[k, 0] = t4
+    stiff[k, 1] = t6
+    stiff[k, 2] = t11
+    stiff[k, 3] = t12
+    stiff[k, 4] = t5
+    stiff[k, 5] = t15
+    stiff[k, 6] = t6
+    stiff[k, 7] = t17
+    stiff[k, 8] = t20
+    stiff[k, 9] = t5
+    stiff[k, 10] = t21
+    stiff[k, 11] = t23
+    stiff[k, 12] = t11
+    stiff[k, 13] = t20
+    stiff[k, 14] = t26*t3
+    stiff[k, 15] = t10
+    stiff[k, 16] = t27
+    stiff[k, 17] = t29
+    stiff[k, 18] = t12
+    stiff[k, 19] = t5
+    stiff[k, 20] = t10
+    stiff[k, 21] = t4
+    stiff[k, 22] = t6
+    stiff[k, 23] = t30
+    stiff[k, 24] = t5
+    stiff[k, 25] = t21
+    stiff[k, 26] = t27
+    stiff[k, 27] = t6
+    stiff[k, 28] = t17
+    stiff[k, 29] = t31
+    stiff[k, 30] = t15
+    stiff[k, 31] = t23
+    stiff[k, 32] = t29
+    stiff[k, 33] = t30
+    stiff[k, 34] = t31
+    stiff[k, 35] = -t3*t34
+    gamma_v[k, 0] = t2*(t36*wa - t50)
+    gamma_v[k, 1] = t2*(-t19*wa - t61)
+    gamma_v[k, 2] = t2*(-t19*vya - t26*wa + t36*vxa + t62*vyb + t64*wb - t70 - t9*vxb)
+    gamma_v[k, 3] = t2*(t50 - t9*wa)
+    gamma_v[k, 4] = t2*(t61 + t71)
+    gamma_v[k, 5] = t2*(-t14*vxa + t14*vxb + t22*vya - t22*vyb + t34*wb + t64*wa + t73)
+    res_q[k, 0] = t2*(t102 - t8*t92)
+    res_q[k, 1] = t2*(-t113 - t18*t92)
+    res_q[k, 2] = t2*(-ax*t113 + ax*(ala*gx - t115*t40 + t115*t41 - t37*wa - t38*wa + t39*wa + wa*(t116 + 2*t43 - t48 + t66 + t77*t8)) - ay*t102 - ay*(-ala*gy + gx*gy*t0*vxb*wa - t0*t116*t45 + t16*vyb*wa - t52*wa - t53*wa + wa*(t114 - t18*t77 + t54 + 2*t55 + t58)) - t68*t92)
+    res_q[k, 3] = t2*(t118*t8 + t120)
+    res_q[k, 4] = t2*(t0*t123*vyb + t112 + t118*t18 + t121*wa - t122)
+    res_q[k, 5] = t2*(-bx*(alb*gx - t127*t40 + t127*t41 + t36*wa*wb - t37*wb + t39*wb + wb*(t124 - 2*t42 + t43 - t46*t8 + t65 + t86 + vxb)) + bx*(-aya + ayb + t0*t123*vyb + t106 - t107 - t108 + t110 - t111 + t121*wa - t122) - by*t120 + by*(-alb*gy + t125*t44 - t125*t45 + t51*wb - t52*wb + t71*wb + wb*(t126 + t18*t46 + t55 + t56 - 2*t57 + t87 + vya)) + t118*t63)
+
+
+@element
+def driver_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t):
+    """Phi = theta_b - theta_a - u(t); and its partial derivative by time."""
+    tha = q[3*a+2]
+    thb = q[3*b+2]
+    u_value = u[m, 0]
+    u_dot = u[m, 1]
+    phi[k, 0] = -tha + thb - u_value
+    phi_t[k, 0] = -u_dot
+
+
+@element
+def driver_angle_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
+    """Jacobian and right side of Phi_q a = gamma."""
+    u_ddot = u[m, 2]
+    jac[k, 2] = -1.0
+    jac[k, 5] = 1.0
+    gamma[k, 0] = u_ddot
+
+
+@element
+def driver_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
+    """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
+
+
+@element
+def driver_x_position(k, a, b, m, q, cs, p, u, phi, phi_t):
+    """Phi = x of b's point in a's frame - u(t); and its partial derivative by time."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    u_value = u[m, 0]
+    u_dot = u[m, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    phi[k, 0] = ca*(bx - xa + xb) + sa*(by - ya + yb) - u_value
+    phi_t[k, 0] = -u_dot
+
+
+@element
+def driver_x_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
+    """Jacobian and right side of Phi_q a = gamma."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    vxa = v[3*a+0]
+    vya = v[3*a+1]
+    wa = v[3*a+2]
+    vxb = v[3*b+0]
+    vyb = v[3*b+1]
+    wb = v[3*b+2]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    u_ddot = u[m, 2]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = by - ya + yb
+    t1 = bx - xa + xb
+    jac[k, 0] = -ca
+    jac[k, 1] = -sa
+    jac[k, 2] = ca*t0 - sa*t1
+    jac[k, 3] = ca
+    jac[k, 4] = sa
+    jac[k, 5] = bx*sa - by*ca
+    gamma[k, 0] = ca*vya*wa - ca*vyb*wa - sa*vxa*wa + sa*vxb*wa + u_ddot - wa*(ca*(bx*wb - t1*wa - vya + vyb) + sa*(by*wb - t0*wa + vxa - vxb)) - wb*(wa - wb)*(bx*ca + by*sa)
+
+
+@element
+def driver_x_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
+    """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    vxa = v[3*a+0]
+    vya = v[3*a+1]
+    wa = v[3*a+2]
+    vxb = v[3*b+0]
+    vyb = v[3*b+1]
+    wb = v[3*b+2]
+    axa = acc[3*a+0]
+    aya = acc[3*a+1]
+    ala = acc[3*a+2]
+    axb = acc[3*b+0]
+    ayb = acc[3*b+1]
+    alb = acc[3*b+2]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    lam0 = lam[k, 0]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = lam0*sa
+    t1 = ca*lam0
+    t2 = -t1
+    t3 = bx - xa + xb
+    t4 = by - ya + yb
+    t5 = ca*t3 + sa*t4
+    t6 = -t0
+    t7 = bx*ca
+    t8 = by*sa
+    t9 = t7 + t8
+    t10 = lam0*t9
+    t11 = 2*wa
+    t12 = sa*t11
+    t13 = ca*t11
+    t14 = t9*wb
+    t15 = bx*wb
+    t16 = t15 - t3*wa - vya + vyb
+    t17 = by*wb
+    t18 = t17 - t4*wa + vxa - vxb
+    t19 = wa - wb
+    t20 = ala*sa
+    t21 = (wa*wa)
+    t22 = ca*t21 + t20
+    t23 = ala*ca
+    t24 = -sa*t21 + t23
+    t25 = sa*t19
+    t26 = ca*t19
+    stiff[k, 2] = t0
+    stiff[k, 8] = t2
+    stiff[k, 12] = t0
+    stiff[k, 13] = t2
+    stiff[k, 14] = -lam0*t5
+    stiff[k, 15] = t6
+    stiff[k, 16] = t1
+    stiff[k, 17] = t10
+    stiff[k, 20] = t6
+    stiff[k, 26] = t1
+    stiff[k, 32] = t10
+    stiff[k, 35] = -t10
+    gamma_v[k, 0] = -t12
+    gamma_v[k, 1] = t13
+    gamma_v[k, 2] = -ca*t16 + ca*vya - ca*vyb - sa*t18 - sa*vxa + sa*vxb - t14 + t5*wa
+    gamma_v[k, 3] = t12
+    gamma_v[k, 4] = -t13
+    gamma_v[k, 5] = t14 - t19*t7 - t19*t8 - t9*wa
+    res_q[k, 0] = t22
+    res_q[k, 1] = -t24
+    res_q[k, 2] = ca*(-ala*t3 + alb*bx - aya + ayb + t17*t19 + t18*wa + vxa*wa - vxb*wa) - sa*(ala*t4 - alb*by - axa + axb + t15*t19 + t16*wa - vya*wa + vyb*wa)
+    res_q[k, 3] = -t22
+    res_q[k, 4] = t24
+    res_q[k, 5] = bx*(-alb*ca + t23 - t25*wa + t25*wb) + by*(-alb*sa + t20 + t26*wa - t26*wb)
+
+
+@element
+def driver_y_position(k, a, b, m, q, cs, p, u, phi, phi_t):
+    """Phi = y of b's point in a's frame - u(t); and its partial derivative by time."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    u_value = u[m, 0]
+    u_dot = u[m, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    phi[k, 0] = ca*(by - ya + yb) - sa*(bx - xa + xb) - u_value
+    phi_t[k, 0] = -u_dot
+
+
+@element
+def driver_y_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
+    """Jacobian and right side of Phi_q a = gamma."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    vxa = v[3*a+0]
+    vya = v[3*a+1]
+    wa = v[3*a+2]
+    vxb = v[3*b+0]
+    vyb = v[3*b+1]
+    wb = v[3*b+2]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    u_ddot = u[m, 2]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = bx - xa + xb
+    t1 = by - ya + yb
+    jac[k, 0] = sa
+    jac[k, 1] = -ca
+    jac[k, 2] = -ca*t0 - sa*t1
+    jac[k, 3] = -sa
+    jac[k, 4] = ca
+    jac[k, 5] = bx*ca + by*sa
+    gamma[k, 0] = -ca*vxa*wa + ca*vxb*wa - sa*vya*wa + sa*vyb*wa + u_ddot - wa*(ca*(by*wb - t1*wa + vxa - vxb) - sa*(bx*wb - t0*wa - vya + vyb)) - wb*(wa - wb)*(-bx*sa + by*ca)
+
+
+@element
+def driver_y_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
+    """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    vxa = v[3*a+0]
+    vya = v[3*a+1]
+    wa = v[3*a+2]
+    vxb = v[3*b+0]
+    vyb = v[3*b+1]
+    wb = v[3*b+2]
+    axa = acc[3*a+0]
+    aya = acc[3*a+1]
+    ala = acc[3*a+2]
+    axb = acc[3*b+0]
+    ayb = acc[3*b+1]
+    alb = acc[3*b+2]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    lam0 = lam[k, 0]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = ca*lam0
+    t1 = lam0*sa
+    t2 = by - ya + yb
+    t3 = bx - xa + xb
+    t4 = -ca*t2 + sa*t3
+    t5 = -t0
+    t6 = -t1
+    t7 = bx*sa
+    t8 = -by*ca + t7
+    t9 = -lam0*t8
+    t10 = 2*wa
+    t11 = ca*t10
+    t12 = sa*t10
+    t13 = -t8*wb
+    t14 = by*wb
+    t15 = t14 - t2*wa + vxa - vxb
+    t16 = bx*wb
+    t17 = t16 - vya + vyb
+    t18 = wa - wb
+    t19 = ala*ca
+    t20 = (wa*wa)
+    t21 = -sa*t20 + t19
+    t22 = ala*sa
+    t23 = ca*t20 + t22
+    t24 = ca*t18
+    t25 = sa*t18
+    stiff[k, 2] = t0
+    stiff[k, 8] = t1
+    stiff[k, 12] = t0
+    stiff[k, 13] = t1
+    stiff[k, 14] = lam0*t4
+    stiff[k, 15] = t5
+    stiff[k, 16] = t6
+    stiff[k, 17] = t9
+    stiff[k, 20] = t5
+    stiff[k, 26] = t6
+    stiff[k, 32] = t9
+    stiff[k, 35] = lam0*t8
+    gamma_v[k, 0] = -t11
+    gamma_v[k, 1] = -t12
+    gamma_v[k, 2] = -ca*t15 - ca*vxa + ca*vxb - sa*vya + sa*vyb + sa*(t17 - t3*wa) - t13 - t4*wa
+    gamma_v[k, 3] = t11
+    gamma_v[k, 4] = t12
+    gamma_v[k, 5] = -by*ca*t18 + t13 + t18*t7 + t8*wa
+    res_q[k, 0] = t21
+    res_q[k, 1] = t23
+    res_q[k, 2] = -ca*(ala*t2 - alb*by - axa + axb + t16*t18 - vya*wa + vyb*wa + wa*(t17 - t3*wa)) - sa*(-ala*t3 + alb*bx - aya + ayb + t14*t18 + t15*wa + vxa*wa - vxb*wa)
+    res_q[k, 3] = -t21
+    res_q[k, 4] = -t23
+    res_q[k, 5] = -bx*(-alb*sa + t22 + t24*wa - t24*wb) + by*(-alb*ca + t19 - t25*wa + t25*wb)
+
+
+@element
+def point_on_line_position(k, a, b, m, q, cs, p, u, phi, phi_t):
+    """Phi = distance of b's point from the line through a's; and its partial derivative by time."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    p4 = p[k, 4]
+    p5 = p[k, 5]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    nx = -ca*p5 - p4*sa
+    ny = ca*p4 - p5*sa
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    phi[k, 0] = gx*nx + gy*ny
+
+
+@element
+def point_on_line_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
+    """Jacobian and right side of Phi_q a = gamma."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    vxa = v[3*a+0]
+    vya = v[3*a+1]
+    wa = v[3*a+2]
+    vxb = v[3*b+0]
+    vyb = v[3*b+1]
+    wb = v[3*b+2]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    p4 = p[k, 4]
+    p5 = p[k, 5]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    nx = -ca*p5 - p4*sa
+    ny = ca*p4 - p5*sa
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    t0 = nx*wa
+    t1 = ny*wa
+    t2 = bx*wb
+    t3 = by*wb
+    jac[k, 0] = -nx
+    jac[k, 1] = -ny
+    jac[k, 2] = -ax*ny + ay*nx - gx*ny + gy*nx
+    jac[k, 3] = nx
+    jac[k, 4] = ny
+    jac[k, 5] = bx*ny - by*nx
+    gamma[k, 0] = nx*vya*wa + ny*vxb*wa - t0*vyb - t1*vxa - wa*(nx*(t2 - vya + vyb - wa*(ax + gx)) + ny*(t3 + vxa - vxb - wa*(ay + gy))) - wb*(bx*t0 + by*t1 - nx*t2 - ny*t3)
+
+
+@element
+def point_on_line_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
+    """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    vxa = v[3*a+0]
+    vya = v[3*a+1]
+    wa = v[3*a+2]
+    vxb = v[3*b+0]
+    vyb = v[3*b+1]
+    wb = v[3*b+2]
+    axa = acc[3*a+0]
+    aya = acc[3*a+1]
+    ala = acc[3*a+2]
+    axb = acc[3*b+0]
+    ayb = acc[3*b+1]
+    alb = acc[3*b+2]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    p4 = p[k, 4]
+    p5 = p[k, 5]
+    lam0 = lam[k, 0]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    nx = -ca*p5 - p4*sa
+    ny = ca*p4 - p5*sa
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    t0 = lam0*ny
+    t1 = lam0*nx
+    t2 = -t1
+    t3 = ax + gx
+    t4 = ay + gy
+    t5 = nx*t3 + ny*t4
+    t6 = -t0
+    t7 = bx*nx
+    t8 = by*ny
+    t9 = t7 + t8
+    t10 = lam0*t9
+    t11 = 2*wa
+    t12 = ny*t11
+    t13 = nx*t11
+    t14 = t9*wb
+    t15 = bx*wb
+    t16 = t15 - t3*wa - vya + vyb
+    t17 = by*wb
+    t18 = t17 - t4*wa + vxa - vxb
+    t19 = (wa*wa)
+    t20 = ala*ny + nx*t19
+    t21 = ala*nx - ny*t19
+    t22 = wa - wb
+    t23 = ny*wb
+    t24 = nx*wb
+    stiff[k, 2] = t0
+    stiff[k, 8] = t2
+    stiff[k, 12] = t0
+    stiff[k, 13] = t2
+    stiff[k, 14] = -lam0*t5
+    stiff[k, 15] = t6
+    stiff[k, 16] = t1
+    stiff[k, 17] = t10
+    stiff[k, 20] = t6
+    stiff[k, 26] = t1
+    stiff[k, 32] = t10
+    stiff[k, 35] = -t10
+    gamma_v[k, 0] = -t12
+    gamma_v[k, 1] = t13
+    gamma_v[k, 2] = -nx*t16 + nx*vya - nx*vyb - ny*t18 - ny*vxa + ny*vxb - t14 + t5*wa
+    gamma_v[k, 3] = t12
+    gamma_v[k, 4] = -t13
+    gamma_v[k, 5] = bx*nx*wb + by*ny*wb + t14 - t7*wa - t8*wa - t9*wa
+    res_q[k, 0] = t20
+    res_q[k, 1] = -t21
+    res_q[k, 2] = nx*(-ala*t3 + alb*bx - aya + ayb + t17*t22 + t18*wa + vxa*wa - vxb*wa) - ny*(ala*t4 - alb*by - axa + axb + t15*t22 + t16*wa - vya*wa + vyb*wa)
+    res_q[k, 3] = -t20
+    res_q[k, 4] = t21
+    res_q[k, 5] = bx*t21 + bx*(-alb*nx + t22*t23 + t23*wa) + by*t20 - by*(alb*ny + t22*t24 + t24*wa)
+
+
+@element
+def fixed_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t):
+    """Phi = theta_b - theta_a - angle; and its partial derivative by time."""
+    tha = q[3*a+2]
+    thb = q[3*b+2]
+    p4 = p[k, 4]
+    phi[k, 0] = -p4 - tha + thb
+
+
+@element
+def fixed_angle_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
+    """Jacobian and right side of Phi_q a = gamma."""
+    jac[k, 2] = -1.0
+    jac[k, 5] = 1.0
+
+
+@element
+def fixed_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
+    """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
+
+
+@element
+def two_points_gradient(k, a, b, q, cs, p, s, grad):
+    """s = |p_b - p_a| [m] and its gradient."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    length = sqrt((gx*gx) + (gy*gy))
+    t0 = (1.0/length)
+    t1 = gx*t0
+    t2 = gy*t0
+    s[k, 0] = length
+    grad[k, 0] = -t1
+    grad[k, 1] = -t2
+    grad[k, 2] = -t0*(ax*gy - ay*gx)
+    grad[k, 3] = t1
+    grad[k, 4] = t2
+    grad[k, 5] = t0*(bx*gy - by*gx)
+
+
+@element
+def two_points_hessian(k, a, b, q, cs, p, hess):
+    """Second derivatives of s = |p_b - p_a| [m]."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    length = sqrt((gx*gx) + (gy*gy))
+    t0 = (1.0/length)
+    t1 = (1.0/(length*length))
+    t2 = (gx*gx)*t1 - 1
+    t3 = -t0*t2
+    t4 = gx*gy/(length*length*length)
+    t5 = -t4
+    t6 = ax*gy - ay*gx
+    t7 = gx*t1
+    t8 = t0*(ay + t6*t7)
+    t9 = -t8
+    t10 = t0*t2
+    t11 = bx*gy - by*gx
+    t12 = t0*(by + t11*t7)
+    t13 = (gy*gy)*t1 - 1
+    t14 = -t0*t13
+    t15 = ax - gy*t1*t6
+    t16 = t0*t15
+    t17 = t0*t13
+    t18 = bx - gy*t1*t11
+    t19 = -t0*t18
+    t20 = -t0*t15
+    t21 = t0*(-ax*bx - ay*by + t1*t11*t6)
+    t22 = -t12
+    t23 = t0*t18
+    hess[k, 0] = t3
+    hess[k, 1] = t5
+    hess[k, 2] = t9
+    hess[k, 3] = t10
+    hess[k, 4] = t4
+    hess[k, 5] = t12
+    hess[k, 6] = t5
+    hess[k, 7] = t14
+    hess[k, 8] = t16
+    hess[k, 9] = t4
+    hess[k, 10] = t17
+    hess[k, 11] = t19
+    hess[k, 12] = t9
+    hess[k, 13] = t16
+    hess[k, 14] = t0*((ax*ax) + ax*gx + (ay*ay) + ay*gy - t1*(t6*t6))
+    hess[k, 15] = t8
+    hess[k, 16] = t20
+    hess[k, 17] = t21
+    hess[k, 18] = t10
+    hess[k, 19] = t4
+    hess[k, 20] = t8
+    hess[k, 21] = t3
+    hess[k, 22] = t5
+    hess[k, 23] = t22
+    hess[k, 24] = t4
+    hess[k, 25] = t17
+    hess[k, 26] = t20
+    hess[k, 27] = t5
+    hess[k, 28] = t14
+    hess[k, 29] = t23
+    hess[k, 30] = t12
+    hess[k, 31] = t19
+    hess[k, 32] = t21
+    hess[k, 33] = t22
+    hess[k, 34] = t23
+    hess[k, 35] = t0*((bx*bx) - bx*gx + (by*by) - by*gy - t1*(t11*t11))
+
+
+@element
+def relative_angle_gradient(k, a, b, q, cs, p, s, grad):
+    """s = theta_b - theta_a [rad] and its gradient."""
+    tha = q[3*a+2]
+    thb = q[3*b+2]
+    s[k, 0] = -tha + thb
+    grad[k, 2] = -1.0
+    grad[k, 5] = 1.0
+
+
+@element
+def coordinate_x_gradient(k, a, b, q, cs, p, s, grad):
+    """s = x of b's point in a's frame [m] and its gradient."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = bx - xa + xb
+    t1 = by - ya + yb
+    s[k, 0] = ca*t0 + sa*t1
+    grad[k, 0] = -ca
+    grad[k, 1] = -sa
+    grad[k, 2] = ca*t1 - sa*t0
+    grad[k, 3] = ca
+    grad[k, 4] = sa
+    grad[k, 5] = bx*sa - by*ca
+
+
+@element
+def coordinate_x_hessian(k, a, b, q, cs, p, hess):
+    """Second derivatives of s = x of b's point in a's frame [m]."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = -ca
+    t1 = -sa
+    t2 = bx*ca + by*sa
+    hess[k, 2] = sa
+    hess[k, 8] = t0
+    hess[k, 12] = sa
+    hess[k, 13] = t0
+    hess[k, 14] = -ca*(bx - xa + xb) - sa*(by - ya + yb)
+    hess[k, 15] = t1
+    hess[k, 16] = ca
+    hess[k, 17] = t2
+    hess[k, 20] = t1
+    hess[k, 26] = ca
+    hess[k, 32] = t2
+    hess[k, 35] = -t2
+
+
+@element
+def coordinate_y_gradient(k, a, b, q, cs, p, s, grad):
+    """s = y of b's point in a's frame [m] and its gradient."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = by - ya + yb
+    t1 = bx - xa + xb
+    s[k, 0] = ca*t0 - sa*t1
+    grad[k, 0] = sa
+    grad[k, 1] = -ca
+    grad[k, 2] = -ca*t1 - sa*t0
+    grad[k, 3] = -sa
+    grad[k, 4] = ca
+    grad[k, 5] = bx*ca + by*sa
+
+
+@element
+def coordinate_y_hessian(k, a, b, q, cs, p, hess):
+    """Second derivatives of s = y of b's point in a's frame [m]."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = -ca
+    t1 = -sa
+    t2 = bx*sa - by*ca
+    t3 = -t2
+    hess[k, 2] = ca
+    hess[k, 8] = sa
+    hess[k, 12] = ca
+    hess[k, 13] = sa
+    hess[k, 14] = -ca*(by - ya + yb) + sa*(bx - xa + xb)
+    hess[k, 15] = t0
+    hess[k, 16] = t1
+    hess[k, 17] = t3
+    hess[k, 20] = t0
+    hess[k, 26] = t1
+    hess[k, 32] = t3
+    hess[k, 35] = t2

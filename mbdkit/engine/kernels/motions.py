@@ -1,0 +1,175 @@
+"""Motions of time: a postfix program run on truncated Taylor series, so that rate and second derivative are exact.
+
+A table is one instruction of such a program: a piecewise cubic, whose numbers stand behind those of all programs.
+Departs from a symbolic derivative on purpose: a second-order jet needs no SymPy at run time and compiles nothing for a
+new expression. Each stack entry is (value, first, second derivative by t).
+"""
+
+from __future__ import annotations
+
+from math import acos, asin, atan, atan2, cos, exp, log, sin, sqrt, tan, tanh
+
+from mbdkit.engine.jit.cache import kernel, part
+
+_NAMES = (
+    "const", "t", "add", "sub", "mul", "div", "neg", "pow", "powi", "sin", "cos", "tan", "asin", "acos", "atan",
+    "atan2", "exp", "log", "sqrt", "abs", "tanh", "min", "max", "table",
+)  # fmt: skip
+OPCODES = {name: code for code, name in enumerate(_NAMES)}
+MAX_DEPTH = 32
+
+(
+    _CONST, _T, _ADD, _SUB, _MUL, _DIV, _NEG, _POW, _POWI, _SIN, _COS, _TAN, _ASIN, _ACOS, _ATAN,
+    _ATAN2, _EXP, _LOG, _SQRT, _ABS, _TANH, _MIN, _MAX, _TABLE,
+) = range(len(OPCODES))  # fmt: skip
+
+
+@part
+def _power(x: float, n: float) -> tuple[float, float, float]:
+    """Return x**n and its first two derivatives by x, for a constant exponent."""
+    value = x**n
+    first = 0.0 if n == 0.0 else n * x ** (n - 1.0)
+    second = 0.0 if n == 0.0 or n == 1.0 else n * (n - 1.0) * x ** (n - 2.0)
+    return value, first, second
+
+
+@part
+def _unary(op: int, x: float) -> tuple[float, float, float]:
+    """Return a function's value and its first two derivatives by its argument."""
+    if op == _SIN:
+        return sin(x), cos(x), -sin(x)
+    if op == _COS:
+        return cos(x), -sin(x), -cos(x)
+    if op == _TAN:
+        f = tan(x)
+        return f, 1.0 + f * f, 2.0 * f * (1.0 + f * f)
+    if op == _ASIN:
+        d = 1.0 / sqrt(1.0 - x * x)
+        return asin(x), d, x * d * d * d
+    if op == _ACOS:
+        d = 1.0 / sqrt(1.0 - x * x)
+        return acos(x), -d, -x * d * d * d
+    if op == _ATAN:
+        d = 1.0 / (1.0 + x * x)
+        return atan(x), d, -2.0 * x * d * d
+    if op == _EXP:
+        f = exp(x)
+        return f, f, f
+    if op == _LOG:
+        return log(x), 1.0 / x, -1.0 / (x * x)
+    if op == _SQRT:
+        f = sqrt(x)
+        return f, 0.5 / f, -0.25 / (f * x)
+    if op == _TANH:
+        f = tanh(x)
+        return f, 1.0 - f * f, -2.0 * f * (1.0 - f * f)
+    if op == _NEG:
+        return -x, -1.0, 0.0
+    sign = 1.0 if x >= 0.0 else -1.0
+    return abs(x), sign, 0.0
+
+
+@part
+def _binary(op, a0, a1, a2, b0, b1, b2):
+    """Combine two jets."""
+    if op == _ADD:
+        return a0 + b0, a1 + b1, a2 + b2
+    if op == _SUB:
+        return a0 - b0, a1 - b1, a2 - b2
+    if op == _MUL:
+        return a0 * b0, a1 * b0 + a0 * b1, a2 * b0 + 2.0 * a1 * b1 + a0 * b2
+    if op == _DIV:
+        f0 = a0 / b0
+        f1 = (a1 - f0 * b1) / b0
+        return f0, f1, (a2 - 2.0 * f1 * b1 - f0 * b2) / b0
+    if op == _ATAN2:
+        r2 = a0 * a0 + b0 * b0
+        cross = b0 * a1 - a0 * b1
+        return (
+            atan2(a0, b0),
+            cross / r2,
+            (b0 * a2 - a0 * b2) / r2 - 2.0 * cross * (a0 * a1 + b0 * b1) / (r2 * r2),
+        )
+    if op == _MIN:
+        return (a0, a1, a2) if a0 <= b0 else (b0, b1, b2)
+    if op == _MAX:
+        return (a0, a1, a2) if a0 >= b0 else (b0, b1, b2)
+    if b1 == 0.0 and b2 == 0.0:
+        f0, d1, d2 = _power(a0, b0)
+        return f0, d1 * a1, d2 * a1 * a1 + d1 * a2
+    f0 = a0**b0
+    ln = log(a0)
+    g1 = b1 * ln + b0 * a1 / a0
+    g2 = b2 * ln + 2.0 * b1 * a1 / a0 + b0 * (a2 / a0 - a1 * a1 / (a0 * a0))
+    return f0, f0 * g1, f0 * (g2 + g1 * g1)
+
+
+@part
+def _piecewise_cubic(t, values, start):
+    """Return the jet of a piecewise cubic, whose end pieces go on beyond its ends.
+
+    From `start` on, `values` holds the number of pieces n, the n + 1 ends of the pieces, and for each piece its four
+    coefficients by rising powers of the time since its beginning.
+    """
+    pieces = int(values[start])
+    low, high = 0, pieces
+    while high - low > 1:
+        middle = (low + high) // 2
+        if values[start + 1 + middle] <= t:
+            low = middle
+        else:
+            high = middle
+    x = t - values[start + 1 + low]
+    c = start + pieces + 2 + 4 * low
+    c0, c1, c2, c3 = values[c], values[c + 1], values[c + 2], values[c + 3]
+    return c0 + x * (c1 + x * (c2 + x * c3)), c1 + x * (2.0 * c2 + x * (3.0 * c3)), 2.0 * c2 + 6.0 * x * c3
+
+
+@part
+def evaluate_motions(t, ptr, ops, values, stack, u):
+    """Evaluate every motion at time `t`.
+
+    Parameters
+    ----------
+    t : float
+        Time [s].
+    ptr, ops, values
+        Program of motion i: ``ops[ptr[i]:ptr[i+1]]`` with the constants beside them; for a table the constant is
+        where its numbers begin, further on in `values`.
+    stack : (MAX_DEPTH, 3) array
+        Scratch.
+    u : (motions, 3) array
+        Receives value, first and second derivative by time.
+    """
+    for i in range(len(ptr) - 1):
+        top = 0
+        for j in range(ptr[i], ptr[i + 1]):
+            op = ops[j]
+            if op == _CONST:
+                stack[top, 0], stack[top, 1], stack[top, 2] = values[j], 0.0, 0.0
+                top += 1
+            elif op == _T:
+                stack[top, 0], stack[top, 1], stack[top, 2] = t, 1.0, 0.0
+                top += 1
+            elif op == _TABLE:
+                stack[top, 0], stack[top, 1], stack[top, 2] = _piecewise_cubic(t, values, int(values[j]))
+                top += 1
+            elif op in (_ADD, _SUB, _MUL, _DIV, _POW, _ATAN2, _MIN, _MAX):
+                top -= 1
+                a, b = stack[top - 1], stack[top]
+                a[0], a[1], a[2] = _binary(op, a[0], a[1], a[2], b[0], b[1], b[2])
+            else:
+                a = stack[top - 1]
+                if op == _POWI:
+                    f, d1, d2 = _power(a[0], values[j])
+                else:
+                    f, d1, d2 = _unary(op, a[0])
+                a[0], a[1], a[2] = f, d1 * a[1], d2 * a[1] * a[1] + d1 * a[2]
+        u[i, 0], u[i, 1], u[i, 2] = stack[0, 0], stack[0, 1], stack[0, 2]
+
+
+@kernel
+def motions_at(times, ptr, ops, values, stack, u):
+    """Evaluate every motion at `times` (T,) into `u` (T, motions, 3); see `evaluate_motions`."""
+    for row in range(len(times)):
+        evaluate_motions(times[row], ptr, ops, values, stack, u[row])

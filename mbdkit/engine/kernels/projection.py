@@ -1,0 +1,155 @@
+"""Bring positions and velocities back onto the constraints, by the smallest change in the mass metric."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.engine.jit.cache import part
+from mbdkit.engine.kernels.constraints import constraint_positions
+from mbdkit.engine.kernels.system import (
+    DIVERGED,
+    OK,
+    constraint_rows,
+    fold_values,
+    independent_rows,
+    prepare,
+    solve_system,
+)
+from mbdkit.engine.kernels.vectors import copy
+
+EPS = float(np.finfo(float).eps)
+
+FEW_ROUNDINGS = 4.0
+"""Constraints are met where what they lack is so many roundings of the largest coordinate (1 m and 1 rad at least)."""
+
+MOST_ITERATIONS = 20
+STAGNANT = 1e-9
+"""A residual that shrinks no more, and is below this of the largest coordinate, has met round-off."""
+
+
+@part
+def largest_size(q):
+    """Return the largest coordinate of a state, 1 at least."""
+    size = 1.0
+    for d in range(len(q)):
+        size = max(size, abs(q[d]))
+    return size
+
+
+@part
+def largest_residual(top, phi):
+    """Return the largest of the rows that are solved for; infinite where one is not a number."""
+    worst = 0.0
+    for k in range(len(phi)):
+        for r in range(top.rows[k]):
+            if not abs(phi[k, r]) < np.inf:
+                return np.inf
+            worst = max(worst, abs(phi[k, r]))
+    return worst
+
+
+@part
+def position_rows(top, w, t, q):
+    """Evaluate Phi and Phi_t of the rows that are solved for; prepares the position."""
+    prepare(top, w, t, q)
+    constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
+    fold_values(top, w.cs, w.phi)
+    fold_values(top, w.cs, w.phi_t)
+
+
+@part
+def rate_rows(top, jac, phi_t, v, rate):
+    """Write ``Phi_q v + Phi_t`` of the rows that are solved for into `rate` (P, 2), 0 in the others."""
+    for k in range(len(top.pairs)):
+        a, b = 3 * top.pairs[k, 1], 3 * top.pairs[k, 2]
+        for r in range(2):
+            total = 0.0
+            if r < top.rows[k]:
+                total = phi_t[k, r]
+                for i in range(3):
+                    total += jac[k, 6 * r + i] * v[a + i] + jac[k, 6 * r + 3 + i] * v[b + i]
+            rate[k, r] = total
+
+
+@part
+def project_positions(still, w, solver, t, q, p, rest, x, lam):
+    """Write the positions nearest to `q` in the mass metric that meet the constraints at `t` into `p`; return a status.
+
+    Solves ``M (p - q) + Phi_q(p)^T mu = 0``, ``Phi(t, p) = 0`` to round-off.
+
+    Parameters
+    ----------
+    still
+        The mechanism without gravity.
+    q, p : (3 (B + 1),) arrays
+        Where it starts from, and receives the result; ground last.
+    rest, x : (3 (B + 1),) arrays
+        Zeros, and scratch.
+    lam : (P, 2) array
+        Scratch.
+    """
+    copy(q, p)
+    before = np.inf
+    for m in range(MOST_ITERATIONS):
+        position_rows(still, w, t, p)
+        now = largest_residual(still, w.phi)
+        size = largest_size(p)
+        if now <= FEW_ROUNDINGS * EPS * size or (m > 1 and now > 0.5 * before and now < STAGNANT * size):
+            return OK
+        if not now < np.inf:
+            return DIVERGED
+        before = now
+        constraint_rows(still, w, p, rest)
+        independent_rows(still, w.cs, w.jac, w.gamma, w.loose)
+        for k in range(len(w.phi)):
+            for r in range(2):
+                w.gamma[k, r] = -w.phi[k, r]
+        if m > 0:
+            for b in range(len(still.mass) - 1):
+                for i in range(3):
+                    w.force[3 * b + i] = still.mass[b, i] * (q[3 * b + i] - p[3 * b + i])
+        status = solve_system(still, w, solver, m > 0, x, lam, False)
+        if status != OK:
+            return status
+        for d in range(len(p) - 3):
+            p[d] += x[d]
+    return DIVERGED
+
+
+@part
+def project_velocities(still, w, solver, t, q, v, x, lam):
+    """Change `v` to the nearest velocities in the mass metric with ``Phi_q v + Phi_t = 0`` at `t`, `q`; give a status.
+
+    The equations are linear; they are solved again while that takes round-off away. `x` and `lam` are scratch.
+    """
+    before = np.inf
+    position_rows(still, w, t, q)
+    size = largest_size(v)
+    for m in range(3):
+        constraint_rows(still, w, q, v)
+        independent_rows(still, w.cs, w.jac, w.gamma, w.loose)
+        rate_rows(still, w.jac, w.phi_t, v, w.refinement)
+        now = largest_residual(still, w.refinement)
+        if now <= FEW_ROUNDINGS * EPS * size or (m > 1 and now > 0.5 * before):
+            return OK
+        before = now
+        for k in range(len(w.gamma)):
+            for r in range(2):
+                w.gamma[k, r] = -w.refinement[k, r]
+        status = solve_system(still, w, solver, False, x, lam, True)
+        if status != OK:
+            return status
+        for d in range(len(v) - 3):
+            v[d] += x[d]
+    return OK
+
+
+@part
+def mass_norm(mass, total, x, y):
+    """Return ``sqrt((x - y)^T M (x - y) / total)`` for vectors (3 (B + 1),) and a mass matrix (B + 1, 3)."""
+    square = 0.0
+    for b in range(len(mass) - 1):
+        for i in range(3):
+            change = x[3 * b + i] - y[3 * b + i]
+            square += mass[b, i] * change * change
+    return np.sqrt(square / total)

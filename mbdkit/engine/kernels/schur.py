@@ -1,0 +1,120 @@
+"""Accelerations through the Schur complement ``S = Phi_q M^-1 Phi_q^T``: sparse LDL^T in blocks of 2 x 2.
+
+The pairs of constraint rows are numbered in elimination order, so that the factor needs no permutation. Which blocks
+exist and which block an update hits is worked out once per mechanism (`mbdkit.engine.elimination_order`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.jit.cache import part
+
+TOO_SMALL = 1e-10
+"""A pivot block this much smaller than before elimination has lost ten digits: time for the pivoted solver."""
+
+
+class Schur(NamedTuple):
+    """Schedule and storage of the block factorization; P pairs, E blocks below the diagonal."""
+
+    start: np.ndarray
+    """(P + 1,) first block of each column."""
+    row: np.ndarray
+    """(E,) block row of each block."""
+    update: np.ndarray
+    """For each column and each two of its blocks, in order, the block that their product is subtracted from."""
+    coupling: np.ndarray
+    """(C, 6): block, row pair, its side's first column, column pair, its side's first column, shared body."""
+    diagonal: np.ndarray
+    """(P, 3) inverse diagonal blocks (xx, xy, yy)."""
+    whole: np.ndarray
+    """(P, 2) diagonal before elimination."""
+    below: np.ndarray
+    """(E, 4) blocks of the unit lower factor."""
+    scaled: np.ndarray
+    """(E, 4) scratch: blocks before division by the pivot."""
+
+
+@part
+def factor(pairs, rows, jac, weight, start, row, update, coupling, diagonal, whole, below, scaled):
+    """Assemble and factorize S; return the pair at which a pivot lost its digits, or -1.
+
+    `rows` (P,) tells how many rows of a pair are solved for, `weight` (B + 1, 3) is the inverse mass matrix's diagonal.
+    """
+    n = len(pairs)
+    for k in range(n):
+        a, b = pairs[k, 1], pairs[k, 2]
+        d00 = d01 = d11 = 0.0
+        for i in range(3):
+            wa, wb = weight[a, i], weight[b, i]
+            d00 += wa * jac[k, i] * jac[k, i] + wb * jac[k, 3 + i] * jac[k, 3 + i]
+            d01 += wa * jac[k, i] * jac[k, 6 + i] + wb * jac[k, 3 + i] * jac[k, 9 + i]
+            d11 += wa * jac[k, 6 + i] * jac[k, 6 + i] + wb * jac[k, 9 + i] * jac[k, 9 + i]
+        if rows[k] < 2:  # a row that is not solved for holds zeros
+            d11 = 1.0
+            if rows[k] == 0:
+                d00 = 1.0
+        diagonal[k, 0], diagonal[k, 1], diagonal[k, 2] = d00, d01, d11
+        whole[k, 0], whole[k, 1] = d00, d11
+    for e in range(len(row)):
+        scaled[e, 0] = scaled[e, 1] = scaled[e, 2] = scaled[e, 3] = 0.0
+    for c in range(len(coupling)):
+        e, r, i0, k, j0, body = coupling[c]
+        for i in range(3):
+            w = weight[body, i]
+            r0, r1 = w * jac[r, i0 + i], w * jac[r, i0 + 6 + i]
+            k0, k1 = jac[k, j0 + i], jac[k, j0 + 6 + i]
+            scaled[e, 0] += r0 * k0
+            scaled[e, 1] += r0 * k1
+            scaled[e, 2] += r1 * k0
+            scaled[e, 3] += r1 * k1
+    u = 0
+    for k in range(n):
+        d00, d01, d11 = diagonal[k, 0], diagonal[k, 1], diagonal[k, 2]
+        det = d00 * d11 - d01 * d01
+        if not (d00 > TOO_SMALL * whole[k, 0] and det > TOO_SMALL * whole[k, 0] * whole[k, 1]):
+            return k
+        inverse = 1.0 / det
+        p00, p01, p11 = d11 * inverse, -d01 * inverse, d00 * inverse
+        diagonal[k, 0], diagonal[k, 1], diagonal[k, 2] = p00, p01, p11
+        for e in range(start[k], start[k + 1]):
+            s00, s01, s10, s11 = scaled[e, 0], scaled[e, 1], scaled[e, 2], scaled[e, 3]
+            l00, l01 = s00 * p00 + s01 * p01, s00 * p01 + s01 * p11
+            l10, l11 = s10 * p00 + s11 * p01, s10 * p01 + s11 * p11
+            below[e, 0], below[e, 1], below[e, 2], below[e, 3] = l00, l01, l10, l11
+            for f in range(start[k], e):
+                t = update[u]
+                u += 1
+                f00, f01, f10, f11 = scaled[f, 0], scaled[f, 1], scaled[f, 2], scaled[f, 3]
+                scaled[t, 0] -= l00 * f00 + l01 * f01
+                scaled[t, 1] -= l00 * f10 + l01 * f11
+                scaled[t, 2] -= l10 * f00 + l11 * f01
+                scaled[t, 3] -= l10 * f10 + l11 * f11
+            i = row[e]
+            diagonal[i, 0] -= l00 * s00 + l01 * s01
+            diagonal[i, 1] -= l00 * s10 + l01 * s11
+            diagonal[i, 2] -= l10 * s10 + l11 * s11
+    return -1
+
+
+@part
+def solve(start, row, diagonal, below, x):
+    """Solve S x = b in place; `x` (P, 2)."""
+    n = len(diagonal)
+    for k in range(n):
+        x0, x1 = x[k, 0], x[k, 1]
+        for e in range(start[k], start[k + 1]):
+            i = row[e]
+            x[i, 0] -= below[e, 0] * x0 + below[e, 1] * x1
+            x[i, 1] -= below[e, 2] * x0 + below[e, 3] * x1
+    for k in range(n - 1, -1, -1):
+        b0, b1 = x[k, 0], x[k, 1]
+        x0 = diagonal[k, 0] * b0 + diagonal[k, 1] * b1
+        x1 = diagonal[k, 1] * b0 + diagonal[k, 2] * b1
+        for e in range(start[k], start[k + 1]):
+            i = row[e]
+            x0 -= below[e, 0] * x[i, 0] + below[e, 2] * x[i, 1]
+            x1 -= below[e, 1] * x[i, 0] + below[e, 3] * x[i, 1]
+        x[k, 0], x[k, 1] = x0, x1

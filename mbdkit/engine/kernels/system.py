@@ -1,0 +1,486 @@
+"""The index-1 system of a whole mechanism: accelerations, residuals of the stage equations, and their tangents.
+
+    [ M      Phi_q^T ] [ a      ]   [ Q     ]
+    [ Phi_q  0       ] [ lambda ] = [ gamma ]
+
+State vectors are flat, (3 (B + 1),), ground last and at rest; multipliers are (P, 2), a row a pair of constraints.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.jit.bundle import loader
+from mbdkit.engine.jit.cache import inlined, part
+from mbdkit.engine.kernels.constraints import (
+    constraint_accelerations,
+    constraint_positions,
+    constraint_tangents,
+    turn_bodies,
+)
+from mbdkit.engine.kernels.forces import applied_forces, force_tangents, powers
+from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, residual, substitute
+from mbdkit.engine.kernels.motions import evaluate_motions
+from mbdkit.engine.kernels.schur import Schur
+from mbdkit.engine.kernels.schur import factor as schur_factor
+from mbdkit.engine.kernels.schur import solve as schur_solve
+
+OK, REPIVOT, REPIVOT_STAGES, NOT_FINITE, DIVERGED = range(5)
+"""What a kernel reports: done; the index-1 system or the stage matrix needs new pivots; overflow; no convergence."""
+
+KKT_TOLERANCE = 1e-9
+"""Largest residual, relative to the largest row of terms, that a solution of the pivoted system may have."""
+
+
+class Topology(NamedTuple):
+    """A compiled mechanism: what does not change while it moves. B bodies and ground, P pairs, S springs, L loads.
+
+    Springs are all force elements on a pathway, whatever their law.
+    """
+
+    mass: np.ndarray
+    """(B + 1, 3) diagonal of the mass matrix; ground has ones."""
+    weight: np.ndarray
+    """(B + 1, 3) its inverse; ground has zeros."""
+    gravity: np.ndarray
+    pairs: np.ndarray
+    """(P, 4) kind, first body, second body, motion (-1: none)."""
+    rows: np.ndarray
+    """(P,) number of rows that are solved for, 0, 1 or 2."""
+    pair_parameters: np.ndarray
+    spare: np.ndarray
+    """(D, 2) each redundant direction, which is not solved for: its pair, and the body whose frame it is fixed in."""
+    spare_axes: np.ndarray
+    """(D, 2) the direction among the two rows of the pair, a unit vector in that frame; (1, 0) of a single row."""
+    springs: np.ndarray
+    """(S, 4) pathway, first body, second body, row of `laws` (-1: linear)."""
+    spring_points: np.ndarray
+    linear: np.ndarray
+    """(S, 3) stiffness, damping, free length of the linear ones."""
+    laws: np.ndarray
+    """(W, 3) of the others: the law's address, where its parameters begin, what it claims."""
+    law_parameters: np.ndarray
+    """(N,) for each law in use the number of its parameters, and these."""
+    loads: np.ndarray
+    """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
+    load_points: np.ndarray
+    motion_start: np.ndarray
+    motion_ops: np.ndarray
+    motion_values: np.ndarray
+    baumgarte: np.ndarray
+    """(2,) alpha, beta [1/s] of Baumgarte's stabilization, which takes the place of gamma; zeros for the equations
+    as they are."""
+
+
+class Scratch(NamedTuple):
+    """Working arrays of one run. `source` holds every term of the stage matrix; the others are views or apart."""
+
+    time: np.ndarray
+    """(1,) time of the last `prepare` [s]."""
+    cs: np.ndarray
+    u: np.ndarray
+    stack: np.ndarray
+    force: np.ndarray
+    phi: np.ndarray
+    phi_t: np.ndarray
+    gamma: np.ndarray
+    refinement: np.ndarray
+    s: np.ndarray
+    grad: np.ndarray
+    hess: np.ndarray
+    tension: np.ndarray
+    """(S + 1, 4) force, derivatives by length and rate, potential of each spring; the last row is to spare."""
+    faulty: np.ndarray
+    """(1,) row of the last law that gave a force, or derivatives asked for, that were not finite; -1 for none."""
+    source: np.ndarray
+    jac: np.ndarray
+    stiff: np.ndarray
+    gamma_v: np.ndarray
+    res_q: np.ndarray
+    spring_stiff: np.ndarray
+    spring_damp: np.ndarray
+    load_stiff: np.ndarray
+    loose: np.ndarray
+    """(D, 6) Jacobian of the redundant directions."""
+    push: np.ndarray
+    """(3 (B + 1),) accelerations by a single multiplier."""
+    right: np.ndarray
+    """(n,) right side of the pivoted system."""
+    solution: np.ndarray
+    correction: np.ndarray
+
+
+class Scatter(NamedTuple):
+    """Where each entry of `Scratch.source` goes in the values of a sparse matrix, by its factor."""
+
+    one: np.ndarray
+    """(n1, 2) source, target: factor 1."""
+    rate: np.ndarray
+    """(n2, 2) source, target: factor h mu (damping)."""
+    minus_rate: np.ndarray
+    """(n3, 2) source, target: factor -h mu (gamma_v)."""
+    level: np.ndarray
+    """(n4, 2) source, target: factor h^2 mu^2 (stiffness, residual_q)."""
+
+
+class Solver(NamedTuple):
+    """How accelerations are solved for: by the Schur complement, or by the pivoted whole."""
+
+    pivoted: np.ndarray
+    """(1,) whether the pivoted system is in use."""
+    schur: Schur
+    pattern: Pattern
+    factors: Factors
+    scatter: Scatter
+    row_index: np.ndarray
+    """(P, 2) unknown of each multiplier in the pivoted system; -1 for an empty row."""
+    failed: np.ndarray
+    """(1,) pair or pivot position at which the last factorization failed."""
+
+
+class Engine(NamedTuple):
+    """All that it takes to solve for accelerations; kernels that Python calls take the address of a held one."""
+
+    top: Topology
+    w: Scratch
+    solver: Solver
+
+
+def _example() -> Engine:
+    from mbdkit.engine.kernels.equations import example_problem
+
+    problem = example_problem()
+    return Engine(problem.mechanism.topology, problem.scratch, problem.solver)
+
+
+load_engine = loader(_example)
+
+
+@inlined
+def prepare(top, w, t, q):
+    """Evaluate what depends on time and positions alone: motions, cosines and sines."""
+    w.time[0] = t
+    evaluate_motions(t, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
+    turn_bodies(q, w.cs)
+
+
+@inlined
+def applied(top, w, q, v):
+    """Evaluate the applied forces into ``w.force``; needs `prepare`."""
+    applied_forces(
+        top.springs, top.spring_points, top.linear, top.laws, top.law_parameters, top.loads, top.load_points,
+        q, v, w.cs, w.u, w.time, w.s, w.grad, w.tension, w.faulty, w.force,
+    )  # fmt: skip
+
+
+@inlined
+def evaluate_powers(top, w, q, v, lam):
+    """Return (power of loads, drivers and active laws, dissipated power) [W]; needs `prepare` and `applied`."""
+    constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
+    return powers(
+        top.springs, top.linear, top.laws, top.law_parameters, top.loads, top.load_points, top.pairs,
+        v, w.cs, w.u, w.time, w.s, w.grad, w.tension, w.phi_t, lam,
+    )  # fmt: skip
+
+
+@part
+def subtract_baumgarte(pairs, baumgarte, jac, v, phi, phi_t, gamma):
+    """Subtract ``2 alpha (Phi_q v + Phi_t) + beta^2 Phi`` from gamma; return the largest of these terms."""
+    rate_factor, factor = 2.0 * baumgarte[0], baumgarte[1] * baumgarte[1]
+    largest = 0.0
+    for k in range(len(pairs)):
+        a, b = 3 * pairs[k, 1], 3 * pairs[k, 2]
+        for r in range(2):
+            rate = phi_t[k, r]
+            for i in range(3):
+                rate += jac[k, 6 * r + i] * v[a + i] + jac[k, 6 * r + 3 + i] * v[b + i]
+            term = rate_factor * rate + factor * phi[k, r]
+            gamma[k, r] -= term
+            largest = max(largest, abs(term))
+    return largest
+
+
+@inlined
+def constraint_rows(top, w, q, v):
+    """Evaluate the Jacobian and gamma of every row, redundant ones included; needs `prepare`.
+
+    Where the mechanism is stabilized after Baumgarte, gamma is the stabilized one, and ``w.phi`` and ``w.phi_t`` are
+    evaluated on the way; returns the largest of Baumgarte's terms.
+    """
+    for i in range(len(top.spare)):
+        for c in range(12):  # elements never write the entries that are zero for them
+            w.jac[top.spare[i, 0], c] = 0.0
+    constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
+    largest = 0.0
+    if top.baumgarte[0] != 0.0 or top.baumgarte[1] != 0.0:
+        constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
+        largest = subtract_baumgarte(top.pairs, top.baumgarte, w.jac, v, w.phi, w.phi_t, w.gamma)
+    return largest
+
+
+@inlined
+def spare_direction(top, cs, i):
+    """Return redundant direction `i` among the rows of its pair, (x, y)."""
+    c, s = cs[top.spare[i, 1], 0], cs[top.spare[i, 1], 1]
+    x, y = top.spare_axes[i, 0], top.spare_axes[i, 1]
+    return c * x - s * y, s * x + c * y
+
+
+@part
+def fold(top, cs, x):
+    """Reduce the two rows of six columns of every pair, `x` (P, 12), to those that are solved for.
+
+    Of a pair with one redundant direction the row across it is left, in the first place.
+    """
+    for i in range(len(top.spare)):
+        k = top.spare[i, 0]
+        dx, dy = spare_direction(top, cs, i)
+        for c in range(6):
+            x[k, c] = dx * x[k, 6 + c] - dy * x[k, c] if top.rows[k] == 1 else 0.0
+            x[k, 6 + c] = 0.0
+
+
+@part
+def fold_values(top, cs, x):
+    """Reduce the two values of every pair, `x` (P, 2), to those of the rows that are solved for, as `fold` does."""
+    for i in range(len(top.spare)):
+        k = top.spare[i, 0]
+        dx, dy = spare_direction(top, cs, i)
+        x[k, 0] = dx * x[k, 1] - dy * x[k, 0] if top.rows[k] == 1 else 0.0
+        x[k, 1] = 0.0
+
+
+@part
+def independent_rows(top, cs, jac, gamma, loose):
+    """Reduce the Jacobian and gamma to the rows that are solved for; the Jacobian of the others goes to `loose`."""
+    for i in range(len(top.spare)):
+        k = top.spare[i, 0]
+        dx, dy = spare_direction(top, cs, i)
+        for c in range(6):
+            loose[i, c] = dx * jac[k, c] + dy * jac[k, 6 + c]
+    fold(top, cs, jac)
+    fold_values(top, cs, gamma)
+
+
+@part
+def unfold_multipliers(top, cs, lam):
+    """Turn the multipliers of the rows that are solved for into those of the pairs' own rows."""
+    for i in range(len(top.spare)):
+        k = top.spare[i, 0]
+        dx, dy = spare_direction(top, cs, i)
+        across = lam[k, 0] if top.rows[k] == 1 else 0.0
+        lam[k, 0] = -dy * across
+        lam[k, 1] = dx * across
+
+
+@part
+def free_accelerations(mass, weight, gravity, has_forces, force, acc):
+    """Write the accelerations that the bodies would have without joints."""
+    for b in range(len(mass) - 1):
+        acc[3 * b] = gravity[0]
+        acc[3 * b + 1] = gravity[1]
+        acc[3 * b + 2] = 0.0
+        if has_forces:
+            for i in range(3):
+                acc[3 * b + i] += weight[b, i] * force[3 * b + i]
+
+
+@part
+def joint_right_side(pairs, rows, jac, gamma, acc, lam):
+    """Write ``Phi_q a_free - gamma`` into `lam`."""
+    for k in range(len(pairs)):
+        a, b = 3 * pairs[k, 1], 3 * pairs[k, 2]
+        r0, r1 = -gamma[k, 0], -gamma[k, 1]
+        for i in range(3):
+            r0 += jac[k, i] * acc[a + i] + jac[k, 3 + i] * acc[b + i]
+            r1 += jac[k, 6 + i] * acc[a + i] + jac[k, 9 + i] * acc[b + i]
+        lam[k, 0] = r0
+        lam[k, 1] = r1 if rows[k] == 2 else 0.0
+
+
+@part
+def apply_multipliers(pairs, jac, weight, lam, acc):
+    """Subtract ``M^-1 Phi_q^T lambda`` from the accelerations."""
+    for k in range(len(pairs)):
+        a, b = pairs[k, 1], pairs[k, 2]
+        l0, l1 = lam[k, 0], lam[k, 1]
+        for i in range(3):
+            acc[3 * a + i] -= weight[a, i] * (jac[k, i] * l0 + jac[k, 6 + i] * l1)
+            acc[3 * b + i] -= weight[b, i] * (jac[k, 3 + i] * l0 + jac[k, 9 + i] * l1)
+
+
+@inlined
+def gather_values(source, scatter, rate, weight, values):
+    """Fill the scaled values of a sparse matrix from the element terms; `rate` is h mu, 0 for the bare KKT matrix."""
+    values[:] = 0.0
+    for e in range(len(scatter.one)):
+        values[scatter.one[e, 1]] += source[scatter.one[e, 0]]
+    if rate != 0.0:
+        level = rate * rate
+        for e in range(len(scatter.rate)):
+            values[scatter.rate[e, 1]] += rate * source[scatter.rate[e, 0]]
+        for e in range(len(scatter.minus_rate)):
+            values[scatter.minus_rate[e, 1]] -= rate * source[scatter.minus_rate[e, 0]]
+        for e in range(len(scatter.level)):
+            values[scatter.level[e, 1]] += level * source[scatter.level[e, 0]]
+    for x in range(len(values)):
+        values[x] *= weight[x]
+
+
+@part
+def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
+    """Solve the whole index-1 system by pivoted sparse LU with one step of refinement; return a status."""
+    n3 = 3 * (len(top.mass) - 1)
+    pattern, factors, row_index = solver.pattern, solver.factors, solver.row_index
+    right, solution, correction = w.right, w.solution, w.correction
+    if len(pattern.row_of) != len(right):  # no pivots have been chosen yet
+        return REPIVOT
+    for b in range(len(top.mass) - 1):
+        right[3 * b] = top.mass[b, 0] * top.gravity[0]
+        right[3 * b + 1] = top.mass[b, 1] * top.gravity[1]
+        right[3 * b + 2] = 0.0
+    if has_forces:
+        for i in range(n3):
+            right[i] += w.force[i]
+    for k in range(len(top.pairs)):
+        for r in range(top.rows[k]):
+            right[row_index[k, r]] = w.gamma[k, r]
+    gather_values(w.source, solver.scatter, 0.0, pattern.weight, factors.a)
+    solver.failed[0] = factorize(pattern, factors)
+    if solver.failed[0] >= 0:
+        return REPIVOT
+    substitute(pattern, factors, right, solution)
+    residual(pattern, factors, right, solution, correction)
+    substitute(pattern, factors, correction, correction)
+    for i in range(len(solution)):
+        solution[i] += correction[i]
+    worst = residual(pattern, factors, right, solution, correction)
+    if not worst < KKT_TOLERANCE:
+        return REPIVOT
+    for i in range(n3):
+        acc[i] = solution[i]
+    for k in range(len(top.pairs)):
+        for r in range(top.rows[k]):
+            lam[k, r] = solution[row_index[k, r]]
+    return OK
+
+
+@inlined
+def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
+    """Solve for accelerations and multipliers at a prepared position; return a status.
+
+    With `refine`, one step of iterative refinement brings ``Phi_q a = gamma`` down to round-off.
+    """
+    has_forces = len(top.springs) + len(top.loads) > 0
+    if has_forces:
+        applied(top, w, q, v)
+    constraint_rows(top, w, q, v)
+    independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
+    status = solve_system(top, w, solver, has_forces, acc, lam, refine)
+    unfold_multipliers(top, w.cs, lam)
+    return status
+
+
+@inlined
+def solve_system(top, w, solver, has_forces, acc, lam, refine):
+    """Solve the index-1 system for the forces, independent rows and right side that stand in `w`; return a status."""
+    for i in range(3):  # the ground stands still, even after a solution that was not finite
+        acc[len(acc) - 3 + i] = 0.0
+    if solver.pivoted[0] != 0:
+        status = pivoted_accelerations(top, w, solver, has_forces, acc, lam)
+    else:
+        free_accelerations(top.mass, top.weight, top.gravity, has_forces, w.force, acc)
+        joint_right_side(top.pairs, top.rows, w.jac, w.gamma, acc, lam)
+        s = solver.schur
+        solver.failed[0] = schur_factor(
+            top.pairs, top.rows, w.jac, top.weight,
+            s.start, s.row, s.update, s.coupling, s.diagonal, s.whole, s.below, s.scaled,
+        )  # fmt: skip
+        status = OK
+        if solver.failed[0] >= 0:
+            status = REPIVOT
+        else:
+            schur_solve(s.start, s.row, s.diagonal, s.below, lam)
+            apply_multipliers(top.pairs, w.jac, top.weight, lam, acc)
+            if refine:
+                joint_right_side(top.pairs, top.rows, w.jac, w.gamma, acc, w.refinement)
+                schur_solve(s.start, s.row, s.diagonal, s.below, w.refinement)
+                apply_multipliers(top.pairs, w.jac, top.weight, w.refinement, acc)
+                for k in range(len(lam)):
+                    lam[k, 0] += w.refinement[k, 0]
+                    lam[k, 1] += w.refinement[k, 1]
+    return status
+
+
+@inlined
+def transferred(top, w, solver, i, lam):
+    """Write into `lam` (P, 2) how the rows that are solved for take over a unit force of redundant direction `i`.
+
+    Call it right after `solve_accelerations`, whose factors it uses; ``w.gamma`` is lost.
+    """
+    n3 = 3 * (len(top.mass) - 1)
+    a, b = top.pairs[top.spare[i, 0], 1], top.pairs[top.spare[i, 0], 2]
+    lam[:, :] = 0.0
+    if solver.pivoted[0] != 0:
+        right, solution, correction = w.right, w.solution, w.correction
+        right[:] = 0.0
+        for d in range(3):
+            if 3 * a < n3:
+                right[3 * a + d] = w.loose[i, d]
+            if 3 * b < n3:
+                right[3 * b + d] = w.loose[i, 3 + d]
+        substitute(solver.pattern, solver.factors, right, solution)
+        residual(solver.pattern, solver.factors, right, solution, correction)
+        substitute(solver.pattern, solver.factors, correction, correction)
+        for k in range(len(top.pairs)):
+            for r in range(top.rows[k]):
+                at = solver.row_index[k, r]
+                lam[k, r] = solution[at] + correction[at]
+    else:
+        s = solver.schur
+        w.push[:] = 0.0
+        w.gamma[:, :] = 0.0
+        for d in range(3):
+            w.push[3 * a + d] = top.weight[a, d] * w.loose[i, d]
+            w.push[3 * b + d] = top.weight[b, d] * w.loose[i, 3 + d]
+        for _ in range(2):  # once more for round-off
+            joint_right_side(top.pairs, top.rows, w.jac, w.gamma, w.push, w.refinement)
+            schur_solve(s.start, s.row, s.diagonal, s.below, w.refinement)
+            apply_multipliers(top.pairs, w.jac, top.weight, w.refinement, w.push)
+            for k in range(len(lam)):
+                lam[k, 0] += w.refinement[k, 0]
+                lam[k, 1] += w.refinement[k, 1]
+    unfold_multipliers(top, w.cs, lam)
+
+
+@part
+def stabilize_tangents(baumgarte, jac, gamma_v, res_q):
+    """Turn the derivatives of gamma into those of the stabilized one; d(Phi_q v + Phi_t)/dq is -gamma_v / 2."""
+    alpha, factor = baumgarte[0], baumgarte[1] * baumgarte[1]
+    for k in range(len(jac)):
+        for c in range(12):
+            res_q[k, c] += factor * jac[k, c] - alpha * gamma_v[k, c]
+            gamma_v[k, c] -= 2.0 * alpha * jac[k, c]
+
+
+@inlined
+def evaluate_tangents(top, w, t, q, v, acc, lam):
+    """Evaluate every term of the stage matrix into ``w.source`` (the masses stand there from the start)."""
+    prepare(top, w, t, q)
+    constraint_rows(top, w, q, v)
+    independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
+    stabilized = top.baumgarte[0] != 0.0 or top.baumgarte[1] != 0.0
+    if stabilized:  # elements never write the entries that are zero for them
+        w.gamma_v[:, :] = 0.0
+        w.res_q[:, :] = 0.0
+    constraint_tangents(top.pairs, top.pair_parameters, q, v, acc, w.cs, w.u, lam, w.stiff, w.gamma_v, w.res_q)
+    fold(top, w.cs, w.gamma_v)
+    fold(top, w.cs, w.res_q)
+    if stabilized:
+        stabilize_tangents(top.baumgarte, w.jac, w.gamma_v, w.res_q)
+    force_tangents(
+        top.springs, top.spring_points, top.linear, top.laws, top.law_parameters, top.loads, top.load_points,
+        q, v, w.cs, w.u, w.time, w.s, w.grad, w.hess, w.tension, w.faulty, w.spring_stiff, w.spring_damp, w.load_stiff,
+    )  # fmt: skip

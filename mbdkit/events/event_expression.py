@@ -1,0 +1,260 @@
+"""Expressions over a run: of time, bodies, joints and energies, parsed by the whitelist of expressions of time.
+
+Beside ``t``, ``pi``, numbers, operators and functions there are
+
+    NAME.x .y .angle   .vx .vy .angular_velocity   .ax .ay .angular_acceleration       of a body
+    NAME.force .force_x .force_y .torque .misalignment .angle                          of a joint
+    energy.kinetic .potential .total
+
+in SI units, as the archive records them: accelerations and reactions are those of index 1 at the state. The force of a
+joint is the magnitude; its angle is that of the second body against the first. A name that a body shares with a joint
+is written ``bodies.NAME`` or ``joints.NAME``, one with other characters ``bodies["NAME"]`` or ``joints["NAME"]``.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NoReturn
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.elements import GROUND
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.time_expression import FUNCTIONS, Compiler, Program
+from mbdkit.text import did_you_mean, listed
+
+BODY = ("x", "y", "angle", "vx", "vy", "angular_velocity", "ax", "ay", "angular_acceleration")
+JOINT = ("force", "force_x", "force_y", "torque", "misalignment", "angle")
+ENERGY = ("kinetic", "potential", "total")
+
+Code = list[tuple[str, float]]
+_ATTRIBUTES: Mapping[str, Sequence[str]] = {"bodies": BODY, "joints": JOINT, "energy": ENERGY}
+_ONE = {"bodies": "body", "joints": "joint"}
+_NOT_NEGATIVE = {("joints", "force"), ("joints", "misalignment"), ("energy", "kinetic")}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One scalar of a run: an attribute of one of the `bodies` or `joints`, or of the `energy`, which has no name."""
+
+    kind: str
+    name: str
+    attribute: str
+
+
+@dataclass(frozen=True)
+class RunExpression:
+    """A scalar over a run that may cross zero.
+
+    Attributes
+    ----------
+    text
+        As the user wrote it.
+    program
+        Postfix instructions as those of `mbdkit.mechanism.time_expression.Expression`, and ``get``, which pushes the
+        quantity of that number.
+    quantities
+        What it is made of, beside the time.
+    """
+
+    text: str
+    program: Program
+    quantities: tuple[Quantity, ...]
+
+    @staticmethod
+    def parse(text: str, mechanism: Mechanism) -> RunExpression:
+        """Return the expression that `text` says of a mechanism.
+
+        Raises
+        ------
+        SpecError
+            What cannot be read, is not there, or cannot cross zero.
+        """
+        compiler = _RunCompiler(text, mechanism)
+        program = tuple(compiler.program())
+        _check_crossing(program, compiler.quantities)
+        return RunExpression(text, program, tuple(compiler.quantities))
+
+    def function(self, places: Mapping[Quantity, int]) -> Callable[[Sequence[float]], float]:
+        """Return what evaluates the expression: nan where it has no value.
+
+        Parameters
+        ----------
+        places
+            Where each quantity stands in the values that the function takes; the time is at 0.
+        """
+        stack: list[Callable[[Sequence[float]], float]] = []
+        for operation, number in self.program:
+            if operation == "const":
+                stack.append(_constant(number))
+            elif operation == "t":
+                stack.append(operator.itemgetter(0))
+            elif operation == "get":
+                stack.append(operator.itemgetter(places[self.quantities[int(number)]]))
+            elif operation == "powi":
+                stack.append(_power(stack.pop(), int(number)))
+            elif operation in _BINARY:
+                right = stack.pop()
+                stack.append(_binary(_BINARY[operation], stack.pop(), right))
+            else:
+                stack.append(_unary(_UNARY[operation], stack.pop()))
+        return _total(stack.pop())
+
+
+Values = Sequence[float]
+_BINARY: dict[str, Callable[[float, float], float]] = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": operator.truediv,
+    "pow": math.pow,
+    "atan2": math.atan2,
+    "min": min,
+    "max": max,
+}
+_UNARY: dict[str, Callable[[float], float]] = {
+    "neg": operator.neg,
+    **{name: function for name, function in FUNCTIONS.items() if name not in _BINARY},
+}
+
+
+def _constant(number: float) -> Callable[[Values], float]:
+    return lambda values: number
+
+
+def _power(of: Callable[[Values], float], exponent: int) -> Callable[[Values], float]:
+    return lambda values: of(values) ** exponent
+
+
+def _unary(function: Callable[[float], float], of: Callable[[Values], float]) -> Callable[[Values], float]:
+    return lambda values: function(of(values))
+
+
+def _binary(
+    function: Callable[[float, float], float], left: Callable[[Values], float], right: Callable[[Values], float]
+) -> Callable[[Values], float]:
+    return lambda values: function(left(values), right(values))
+
+
+def _total(function: Callable[[Values], float]) -> Callable[[Values], float]:
+    """Return the function with nan for what has no value, such as the root of a negative number."""
+
+    def evaluated(values: Values) -> float:
+        try:
+            return function(values)
+        except (ArithmeticError, ValueError):
+            return math.nan
+
+    return evaluated
+
+
+def _check_crossing(program: Program, quantities: Sequence[Quantity]) -> None:
+    """Raise SpecError for an expression that is seen to keep its sign."""
+    last, number = program[-1]
+    if len(program) == 1 and last == "const":
+        raise SpecError(
+            f"the expression is the constant {number:.6g}, which never crosses zero; name something of the run in it, "
+            "such as NAME.angle of a body"
+        )
+    alone = quantities[0] if len(program) == 1 and last == "get" else None
+    if (alone is not None and (alone.kind, alone.attribute) in _NOT_NEGATIVE) or (
+        last in ("abs", "sqrt", "exp") or (last == "powi" and int(number) % 2 == 0)
+    ):
+        raise SpecError(
+            "the expression is never negative, so that it cannot cross zero; subtract the value that matters from it"
+        )
+
+
+class _RunCompiler(Compiler):
+    """Compiles one text, with the names of a run in it."""
+
+    wanted = "an expression of a run, which has numbers, t, pi, NAME.ATTRIBUTE of bodies and joints, energy.total"
+
+    def __init__(self, text: str, mechanism: Mechanism):
+        self.mechanism = mechanism
+        self.known: dict[str, list[str]] = {"bodies": list(mechanism.bodies), "joints": list(mechanism.joints)}
+        self.quantities: list[Quantity] = []
+        self.quoted = {name: kind for kind, names in self.known.items() for name in names if not name.isidentifier()}
+        if self.quoted:
+            self.hint = self.spelling(next(iter(self.quoted)))
+        super().__init__(text)
+
+    def unquoted(self) -> str:
+        """Return the text with blanks for names in quotes."""
+        return re.sub(r"\"[^\"\\]*\"|'[^'\\]*'", lambda match: " " * len(match[0]), self.source)
+
+    def operand(self, node: ast.expr) -> Code:
+        """Return the program of a quantity."""
+        match node:
+            case ast.Attribute(value=ast.Name(id="energy"), attr=attribute):
+                return self.get(Quantity("energy", "", self.checked(attribute, ["energy"], "", node)))
+            case ast.Attribute(
+                ast.Attribute(ast.Name(id="bodies" | "joints" as kind), attr=name), attr=attribute
+            ) | ast.Attribute(
+                ast.Subscript(ast.Name(id="bodies" | "joints" as kind), ast.Constant(value=str() as name)),
+                attr=attribute,
+            ):
+                return self.of(kind, name, attribute, node)
+            case ast.Attribute(value=ast.Name(id=name), attr=attribute) if name not in self.known:
+                return self.of(self.kind(name, attribute, node), name, attribute, node)
+            case ast.Name(id="energy" | "bodies" | "joints" as group):
+                example = f"{group}.{'NAME.' * (group in self.known)}{_ATTRIBUTES[group][-1]}"
+                self.refuse(f"'{group}' is no quantity by itself; write {example}, for example", node)
+            case ast.Name(id=name) if any(name in names for names in self.known.values()):
+                what, attribute = ("body", "angle") if name in self.known["bodies"] else ("joint", "force")
+                self.refuse(
+                    f"'{name}' is a {what} and no number; name a quantity of it, such as {name}.{attribute}", node
+                )
+            case ast.Name(id=name) if meant := [quoted for quoted in self.quoted if re.match(rf"{name}\W", quoted)]:
+                self.refuse(f"unknown name '{name}'{self.spelling(meant[0])}", node)
+        return super().operand(node)
+
+    def spelling(self, name: str) -> str:
+        """Return how a name is written that is not made of letters, digits and underscores."""
+        return f"; a name such as {name!r} is written {self.quoted[name]}[{name!r}]"
+
+    def kind(self, name: str, attribute: str, node: ast.expr) -> str:
+        """Return whether a name means a body or a joint."""
+        kinds = [kind for kind, names in self.known.items() if name in names]
+        if not kinds:
+            self.unknown(name, [*self.known["bodies"], *self.known["joints"]], "body or joint", node)
+        fitting = [kind for kind in kinds if self.checked(attribute, kinds, name, node) in _ATTRIBUTES[kind]]
+        if len(fitting) > 1:
+            both = " or ".join(f"{kind}.{name}.{attribute}" for kind in fitting)
+            self.refuse(f"'{name}' is both a body and a joint; write {both}", node)
+        return fitting[0]
+
+    def of(self, kind: str, name: str, attribute: str, node: ast.expr) -> Code:
+        """Return the program of a quantity of a body or a joint."""
+        if name not in self.known[kind]:
+            self.unknown(name, self.known[kind], _ONE[kind], node)
+        self.checked(attribute, [kind], name, node)
+        if attribute.startswith("ang"):
+            for body in (name,) if kind == "bodies" else self.mechanism.joints[name].bodies:
+                if body != GROUND and self.mechanism.bodies[body].inertia is None:
+                    self.refuse(f"'{body}' is a point mass (it has no inertia), so it has no angle", node)
+        return self.get(Quantity(kind, name, attribute))
+
+    def get(self, quantity: Quantity) -> Code:
+        """Return the program of a quantity that is there."""
+        if quantity not in self.quantities:
+            self.quantities.append(quantity)
+        return [("get", float(self.quantities.index(quantity)))]
+
+    def checked(self, attribute: str, kinds: Sequence[str], name: str, node: ast.expr) -> str:
+        """Return an attribute that one of the kinds has; refuse others."""
+        known = [word for kind in kinds for word in _ATTRIBUTES[kind]]
+        if attribute not in known:
+            whose = " and ".join(f"{_ONE[kind]} '{name}'" for kind in kinds) if name else "energy"
+            hint = f"{did_you_mean(attribute, known)}; it has {listed(known, 'and')}"
+            self.refuse(f"{whose} has no '{attribute}'{hint}", node)
+        return attribute
+
+    def unknown(self, name: str, known: Sequence[str], what: str, node: ast.expr) -> NoReturn:
+        """Refuse a name that is not there."""
+        hint = did_you_mean(name, known) or f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}"
+        self.refuse(f"there is no {what} '{name}'{', for the ground stands still' if name == GROUND else hint}", node)

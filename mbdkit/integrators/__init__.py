@@ -1,1 +1,0 @@
-"""Integrators: tableaus as exact data, one stepping algorithm a family, and the bridge to SciPy's solvers."""

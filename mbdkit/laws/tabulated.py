@@ -1,0 +1,87 @@
+"""The tabulated spring: its force by points over its length, with a linear damper beside it."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BeforeValidator, Field
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.elements import Element, NotNegative, Number, columns_of
+from mbdkit.mechanism.force_law import FunctionLaw
+
+SUMMARY = "A spring whose force is a table over its length: a cubic spline, linear beyond its ends."
+
+_columns = partial(columns_of, at="lengths", of="forces", shown="length, force")
+
+
+def _check(value: Any) -> Any:
+    return _columns(value)
+
+
+class TableOptions(Element):
+    """Options of `table`: a spring whose force over its length is given by points, and a linear damper.
+
+    The force is the cubic spline through the points, with the not-a-knot condition at both ends (three points give a
+    parabola and two a line). Beyond the ends it goes on in a straight line, with the slope that it has there.
+    """
+
+    table: Annotated[
+        tuple[tuple[Number, ...], tuple[Number, ...]],
+        BeforeValidator(_check),
+        Field(json_schema_extra={"examples": [[[0.0, 0.1, 0.3], [0.0, 20.0, 90.0]]]}),
+    ]
+    """Lengths, angles or coordinates [m or rad], strictly increasing, and the force at each [N or N m], positive where
+    it pulls: ``[[length, ...], [force, ...]]``."""
+    damping: NotNegative = 0.0
+    """Damping [N s/m or N m s/rad]."""
+
+
+def law(length: float, rate: float, time: float, parameters: Any) -> tuple[float, float, float, float]:
+    """Return force, derivatives and potential; the potential is zero at the first length of the table."""
+    damping, pieces = parameters[0], int(parameters[1])
+    low, high = 0, pieces
+    while high - low > 1:
+        middle = (low + high) // 2
+        if parameters[2 + middle] <= length:
+            low = middle
+        else:
+            high = middle
+    begin, end = parameters[2 + low], parameters[3 + low]
+    inside = min(max(length, begin), end)  # beyond the ends of the table it is the end itself
+    x, beyond = inside - begin, length - inside
+    row = 3 + pieces + 5 * low
+    c0, c1, c2, c3, stored = (
+        parameters[row],
+        parameters[row + 1],
+        parameters[row + 2],
+        parameters[row + 3],
+        parameters[row + 4],
+    )
+    force = c0 + x * (c1 + x * (c2 + x * c3))
+    slope = c1 + x * (2.0 * c2 + x * 3.0 * c3)
+    potential = stored + x * (c0 + x * (c1 / 2.0 + x * (c2 / 3.0 + x * c3 / 4.0)))
+    potential += beyond * (force + 0.5 * beyond * slope)
+    return force + slope * beyond + damping * rate, slope, damping, potential
+
+
+def parameters(options: TableOptions) -> list[float]:
+    """Return damping, number of pieces, their ends, and for each piece its coefficients and the potential before it."""
+    from scipy.interpolate import CubicSpline
+
+    lengths, forces = (np.array(column) for column in options.table)
+    try:
+        with np.errstate(all="raise"):
+            coefficients = CubicSpline(lengths, forces).c[::-1].T
+            h = np.diff(lengths)[:, None]
+            areas = np.sum(coefficients * h ** np.arange(1, 5) / np.arange(1, 5), axis=1)
+    except (FloatingPointError, ValueError, np.linalg.LinAlgError):
+        raise SpecError("no spline goes through these points in double precision", key="table") from None
+    stored = np.concatenate([[0.0], np.cumsum(areas)[:-1]])
+    pieces = np.column_stack([coefficients, stored])
+    return [options.damping, float(len(pieces)), *lengths.tolist(), *pieces.ravel().tolist()]
+
+
+LAW = FunctionLaw(law, potential=True, passive=True, parameters=parameters)

@@ -1,0 +1,80 @@
+"""Turn what pydantic says about an element into one SpecError with a key path and a suggestion."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from pydantic import BaseModel, ValidationError
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.elements import (
+    Body,
+    Distance,
+    Driver,
+    PointForce,
+    Prismatic,
+    Revolute,
+    SpringDamper,
+    Torque,
+    TorsionSpring,
+    Weld,
+)
+from mbdkit.mechanism.law_element import Coordinate, Law, RelativeAngle, TwoPoints, find_law
+from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
+from mbdkit.text import did_you_mean, listed
+
+_BY_TYPE: dict[str, type[BaseModel]] = {
+    cls.model_fields["type"].default: cls
+    for cls in (Revolute, Prismatic, Weld, Distance, Driver, SpringDamper, TorsionSpring, Torque, PointForce, Law)
+}
+_PATHWAYS: dict[str, type[BaseModel]] = {
+    get_args(cls.model_fields["type"].annotation)[0]: cls for cls in (TwoPoints, RelativeAngle, Coordinate)
+}
+
+
+def spec_error(error: ValidationError, prefix: str, root: type[BaseModel]) -> SpecError:
+    """Return the first complaint of `error` about a `root` at key path `prefix` as a SpecError."""
+    complaints = error.errors(include_url=False)
+    # An unknown key comes after the missing ones but is often the reason for one.
+    first = next((one for one in complaints if one["type"] == "extra_forbidden"), complaints[0])
+    owner, location = _owner(root, list(first["loc"]))
+    if first["type"].startswith("union_tag"):
+        location.append("type")
+    key = prefix
+    for part in location:
+        key += f"[{part}]" if isinstance(part, int) else "" if part == "[key]" else f".{part}"
+    context = first.get("ctx", {})
+    last = str(location[-1]) if location else ""
+    message = first["msg"]
+    match first["type"]:
+        case "value_error" if isinstance(inner := context["error"], SpecError):
+            return SpecError(inner.message, key=inner.key).located(prefix=key)
+        case "extra_forbidden":
+            fields = list(owner.model_fields)
+            message = f"unknown key '{last}'{did_you_mean(last, fields)}; known: {listed(fields)}"
+        case "missing":
+            message = f"'{last}' is missing"
+        case "union_tag_invalid":
+            given, known = str(context["tag"]), [tag.strip("' ") for tag in context["expected_tags"].split(",")]
+            message = f"there is no type '{given}'{did_you_mean(given, known)}; known: {listed(known)}"
+        case "union_tag_not_found":
+            message = "'type' is missing, which says what this is"
+        case _:
+            message = f"{message[:1].lower()}{message[1:]}, not {first['input']!r}"
+    return SpecError(message, key=key)
+
+
+def _owner(root: type[BaseModel], location: list[int | str]) -> tuple[type[BaseModel], list[int | str]]:
+    """Return the model that the end of `location` belongs to, and the location without pydantic's union tag."""
+    if root is MechanismData and len(location) > 2:
+        kind, _, part = location[:3]
+        if kind in ("joints", "forces") and part in _BY_TYPE:
+            owner, inside = _owner(_BY_TYPE[str(part)], location[3:])
+            return owner, location[:2] + inside
+        return Body, location
+    if root is Law and location and location[0] not in Law.model_fields:
+        owner, inside = find_law(str(location[0])), location[1:]
+        if inside[:1] == ["pathway"] and len(inside) > 1 and inside[1] in _PATHWAYS:
+            return _PATHWAYS[str(inside[1])], [inside[0], *inside[2:]]
+        return owner, inside
+    return (Assembly if location[:1] == ["assembly"] else root), location

@@ -1,0 +1,1 @@
+"""Integration methods as data: tableaus with exact coefficients, options, claims and references; no kernels."""

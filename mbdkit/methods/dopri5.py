@@ -1,0 +1,67 @@
+"""The method of Dormand and Prince of order 5, its estimate of order 4, and dense output of order 4.
+
+Seven stages, of which the last is the first of the next step. Dense output after Hairer, Norsett and Wanner (1993),
+II.6.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING
+
+from mbdkit.methods.tableau import ButcherTableau
+
+if TYPE_CHECKING:
+    from mbdkit.methods.embedded_estimate import EmbeddedPair
+
+REFERENCE = """@article{dormand1980,
+  author = {Dormand, John R. and Prince, Peter J.},
+  title = {A family of embedded {R}unge-{K}utta formulae},
+  journal = {Journal of Computational and Applied Mathematics},
+  volume = {6}, pages = {19--26}, year = {1980}, doi = {10.1016/0771-050X(80)90013-3}}"""
+
+_B = ["35/384", 0, "500/1113", "125/192", "-2187/6784", "11/84", 0]
+_ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
+_D = (
+    -12715105075 / 11282082432,
+    0.0,
+    87487479700 / 32700410799,
+    -10690763975 / 1880347072,
+    701980252875 / 199316789632,
+    -1453857185 / 822651844,
+    69997945 / 29380423,
+)
+
+
+@cache
+def tableau() -> ButcherTableau:
+    """Return the tableau of the method of order 5."""
+    return ButcherTableau(
+        "dopri5",
+        a=[
+            [],
+            ["1/5"],
+            ["3/40", "9/40"],
+            ["44/45", "-56/15", "32/9"],
+            ["19372/6561", "-25360/2187", "64448/6561", "-212/729"],
+            ["9017/3168", "-355/33", "46732/5247", "49/176", "-5103/18656"],
+            _B[:6],
+        ],
+        b=_B,
+        c=[0, "1/5", "3/10", "4/5", "8/9", 1, 1],
+        order=5,
+        reference=REFERENCE,
+    )
+
+
+@cache
+def pair() -> EmbeddedPair:
+    """Return its error estimate and dense output."""
+    import numpy as np
+
+    from mbdkit.methods.embedded_estimate import EmbeddedPair, nested_polynomials
+
+    a, b, c = tableau().floats()
+    first, last = np.eye(7)[0], np.eye(7)[6]
+    parts = [b, first - b, 2 * b - first - last, np.array(_D)]
+    return EmbeddedPair(np.array([_ERROR]), 5, a, c, nested_polynomials(parts))

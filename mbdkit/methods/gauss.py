@@ -1,0 +1,51 @@
+"""Gauss-Legendre collocation, s stages, order 2 s: symmetric and symplectic.
+
+With s = 2 and 3 these are the s2IRK and s3IRK of the source paper. Its Table 4 misprints three coefficients of s = 3
+(a_12 = 2/9 + sqrt15/15, a_13 = 5/36 + sqrt15/30, b_2 = 4/19); a tableau with them is refused by its own row sums.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import mpmath
+
+from mbdkit.methods.tableau import ButcherTableau, Coefficient, collocation
+
+REFERENCE = """@article{butcher1964,
+  author = {Butcher, John C.},
+  title = {Implicit {R}unge-{K}utta processes},
+  journal = {Mathematics of Computation}, volume = {18}, pages = {50--64}, year = {1964},
+  doi = {10.1090/S0025-5718-1964-0159424-9}}"""
+
+_CLOSED_FORMS: dict[int, tuple[list[list[Coefficient]], list[Coefficient], list[Coefficient]]] = {
+    1: ([["1/2"]], [1], ["1/2"]),
+    2: (
+        [["1/4", "1/4 - sqrt(3)/6"], ["1/4 + sqrt(3)/6", "1/4"]],
+        ["1/2", "1/2"],
+        ["1/2 - sqrt(3)/6", "1/2 + sqrt(3)/6"],
+    ),
+    3: (
+        [
+            ["5/36", "2/9 - sqrt(15)/15", "5/36 - sqrt(15)/30"],
+            ["5/36 + sqrt(15)/24", "2/9", "5/36 - sqrt(15)/24"],
+            ["5/36 + sqrt(15)/30", "2/9 + sqrt(15)/15", "5/36"],
+        ],
+        ["5/18", "4/9", "5/18"],
+        ["1/2 - sqrt(15)/10", "1/2", "1/2 + sqrt(15)/10"],
+    ),
+}
+
+
+@cache
+def tableau(stages: int) -> ButcherTableau:
+    """Return the tableau with 1 to 6 `stages`: in closed form up to 3, from the Legendre roots to 75 digits beyond."""
+    name = f"gauss-{stages}"
+    if stages in _CLOSED_FORMS:
+        a, b, c = _CLOSED_FORMS[stages]
+        return ButcherTableau(name, a, b, c, order=2 * stages, reference=REFERENCE)
+    with mpmath.workdps(75):
+        legendre = mpmath.taylor(lambda x: mpmath.legendre(stages, x), 0, stages)
+        roots = sorted(mpmath.re(x) for x in mpmath.polyroots(legendre[::-1], maxsteps=200, extraprec=200))
+        nodes = [(1 + x) / 2 for x in roots]
+    return collocation(name, nodes, order=2 * stages, reference=REFERENCE)

@@ -1,0 +1,25 @@
+"""The classical Runge-Kutta method of order 4."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from mbdkit.methods.tableau import ButcherTableau
+
+REFERENCE = """@article{kutta1901,
+  author = {Kutta, Wilhelm},
+  title = {Beitrag zur n{\\"a}herungsweisen Integration totaler Differentialgleichungen},
+  journal = {Zeitschrift f{\\"u}r Mathematik und Physik}, volume = {46}, pages = {435--453}, year = {1901}}"""
+
+
+@cache
+def tableau() -> ButcherTableau:
+    """Return the tableau of RK4."""
+    return ButcherTableau(
+        "rk4",
+        a=[[], ["1/2"], [0, "1/2"], [0, 0, 1]],
+        b=["1/6", "1/3", "1/3", "1/6"],
+        c=[0, "1/2", "1/2", 1],
+        order=4,
+        reference=REFERENCE,
+    )

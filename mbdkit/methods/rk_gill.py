@@ -1,0 +1,32 @@
+"""Gill's variant of the four-stage Runge-Kutta method of order 4.
+
+Gill (1951) chose the free parameters, with 1/sqrt(2), so that a step needs three storage registers and corrects its
+own rounding. Both served machines of his day: here the tableau is one of the explicit family, whose steps are summed
+with compensation as all others are.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+from mbdkit.methods.tableau import ButcherTableau
+
+REFERENCE = """@article{gill1951,
+  author = {Gill, Stanley},
+  title = {A process for the step-by-step integration of differential equations
+    in an automatic digital computing machine},
+  journal = {Mathematical Proceedings of the Cambridge Philosophical Society},
+  volume = {47}, number = {1}, pages = {96--108}, year = {1951}, doi = {10.1017/S0305004100026414}}"""
+
+
+@cache
+def tableau() -> ButcherTableau:
+    """Return the tableau of Runge-Kutta-Gill."""
+    return ButcherTableau(
+        "rk-gill",
+        a=[[], ["1/2"], ["sqrt(2)/2 - 1/2", "1 - sqrt(2)/2"], [0, "-sqrt(2)/2", "1 + sqrt(2)/2"]],
+        b=["1/6", "(2 - sqrt(2))/6", "(2 + sqrt(2))/6", "1/6"],
+        c=[0, "1/2", "1/2", 1],
+        order=4,
+        reference=REFERENCE,
+    )

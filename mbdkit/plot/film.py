@@ -1,0 +1,145 @@
+"""A run as a film: the still parts of the picture drawn once, the mechanism in every frame; as GIF or MP4."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.animation import FFMpegWriter
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from numpy.typing import NDArray
+from PIL import Image
+
+from mbdkit.errors import SpecError
+from mbdkit.plot.caption import caption
+from mbdkit.plot.pose import Pose, body_colors
+from mbdkit.plot.scene import Scene, scene
+from mbdkit.plot.series import evenly
+from mbdkit.plot.style import ALARM, INK, PALETTE, PAPER, SPRING, dress, new_figure, quietly
+from mbdkit.plot.trajectory import trace_colors
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+RATE = 25
+"""Frames a second."""
+_LENGTH = {"shortest": 2.0, "longest": 16.0}  # seconds
+_MOST = 401
+_WIDTH = 6.4  # inches, at 100 dpi
+_TAIL = 1.5  # seconds of the animation for which a path stays to be seen
+_STILL = 1.0  # seconds for which the last frame stays
+_COLORS = 96
+
+
+class Film:
+    """Draws the frames of a scene, one after the other, on one canvas.
+
+    Parameters
+    ----------
+    run
+        The run, for the heading.
+    shown
+        What to show of it.
+    """
+
+    def __init__(self, run: Run, shown: Scene):
+        self.scene = shown
+        (x0, x1), (y0, y1) = shown.xlim, shown.ylim
+        height = float(np.clip((_WIDTH - 0.8) * (y1 - y0) / (x1 - x0), 2.2, 5.6)) + 1.2
+        figure = new_figure(caption(run), _WIDTH, round(height * 50) / 50, dpi=100)
+        axes = dress(figure.add_subplot(), "x [m]", "y [m]")
+        axes.set_aspect("equal", adjustable="box")
+        axes.set(xlim=(x0, x1), ylim=(y0, y1))
+        axes.set_title(shown.pace, size=8.5, color=INK, loc="left")
+        self._clock = axes.set_title(" ", size=8.5, color=INK, loc="right", family="monospace")
+        self._tails = [
+            axes.plot([], [], color=color, linewidth=1.3, alpha=0.7, zorder=2.5)[0]
+            for color in trace_colors(shown.drawing, shown.traces)
+        ]
+        self._pose = Pose(axes, shown.drawing, body_colors(shown.drawing), max(x1 - x0, y1 - y0))
+        self._moving = [*self._tails, *self._pose.artists, self._clock]
+        for artist in self._moving:
+            artist.set_animated(True)
+        assert isinstance(figure.canvas, FigureCanvasAgg)
+        self._canvas, self._axes = figure.canvas, axes
+        quietly(self._canvas.draw)
+        self._still = self._canvas.copy_from_bbox(figure.bbox)  # type: ignore[no-untyped-call]
+
+    def __len__(self) -> int:
+        return len(self.scene.time)
+
+    def picture(self, frame: int) -> NDArray[np.uint8]:
+        """Return one frame as red, green and blue, shape (height, width, 3)."""
+        shown, time = self.scene, self.scene.time[frame]
+        self._pose.move(shown.drawing.world(shown.poses[frame]))
+        first, last = np.searchsorted(shown.path_time, [time - _TAIL * shown.speed, time], side="right")
+        for number, tail in enumerate(self._tails):
+            tail.set_data(shown.paths[first:last, number].T)
+        self._clock.set_text(f"t = {time:.{_digits(shown)}f} s")
+        self._canvas.restore_region(self._still)  # type: ignore[no-untyped-call]
+        for artist in self._moving:
+            self._axes.draw_artist(artist)
+        return np.array(self._canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
+
+
+def _digits(shown: Scene) -> int:
+    """Digits after the point that tell one frame from the next."""
+    return int(np.clip(np.ceil(-np.log10(shown.speed / RATE)), 0, 9))
+
+
+def write_gif(run: Run, target: Path) -> None:
+    """Write a run as an animated GIF that repeats for ever."""
+    film = Film(run, scene(run, rate=RATE, most=_MOST, **_LENGTH))
+    palette = _palette([film.picture(frame) for frame in evenly(len(film), 4)])
+    pictures = (
+        Image.fromarray(film.picture(frame)).quantize(palette=palette, dither=Image.Dither.NONE)
+        for frame in range(len(film))
+    )
+    durations = [1000 // RATE] * (len(film) - 1) + [int(1000 * _STILL)]
+    next(pictures).save(
+        target, format="GIF", save_all=True, append_images=pictures, duration=durations, loop=0, disposal=1
+    )
+
+
+def _palette(samples: list[NDArray[np.uint8]]) -> Image.Image:
+    """Return the lines' own colours and the commonest others of some frames: the paper stays as white as it is."""
+    own = np.array([list(bytes.fromhex(color[1:])) for color in (PAPER, INK, SPRING, ALARM, *PALETTE)])
+    pixels = np.concatenate([sample.reshape(-1, 3) for sample in samples])
+    colors, counts = np.unique(pixels, axis=0, return_counts=True)
+    # Pillow's search is coarse: what lies close to a line's own colour would take its place
+    apart = np.abs(colors[:, None, :].astype(int) - own).max(axis=2).min(axis=1) > 8
+    common = colors[apart][np.argsort(-counts[apart], kind="stable")[:_COLORS]]
+    image = Image.new("P", (1, 1))
+    image.putpalette(np.concatenate([own, common]).reshape(-1).tolist())
+    return image
+
+
+def write_mp4(run: Run, target: Path) -> None:
+    """Write a run as an MP4 video by ffmpeg.
+
+    Raises
+    ------
+    SpecError
+        Matplotlib finds no ffmpeg, or ffmpeg fails.
+    """
+    if not FFMpegWriter.isAvailable():
+        raise SpecError(
+            "an .mp4 file needs the program ffmpeg, which is not installed; install it, or write .gif or .html instead"
+        )
+    film = Film(run, scene(run, rate=RATE, most=_MOST, **_LENGTH))
+    first = film.picture(0)
+    command = [FFMpegWriter.bin_path(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "rgb24"]
+    command += ["-video_size", f"{first.shape[1]}x{first.shape[0]}", "-framerate", str(RATE), "-i", "-"]
+    command += ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+    with subprocess.Popen([*command, str(target)], stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        try:
+            for frame in range(len(film)):
+                process.stdin.write(film.picture(frame).tobytes())
+            _, complaint = process.communicate()
+        except BrokenPipeError:
+            _, complaint = process.communicate()
+    if process.returncode:
+        raise SpecError(f"ffmpeg could not make the .mp4 file: {complaint.decode(errors='replace').strip()}")

@@ -1,0 +1,147 @@
+"""A mechanism in one pose on Matplotlib axes, built once and then moved from frame to frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.lines import Line2D
+from matplotlib.path import Path
+from numpy.typing import NDArray
+
+from mbdkit.plot.drawing_geometry import Drawing
+from mbdkit.plot.shapes import Array, zigzag
+from mbdkit.plot.style import FAINT, INK, PALETTE, PAPER, SPRING
+
+_CROWD = 40  # bodies from which on pins and centres of mass would only hide the picture
+_GROUND_MARK = Path(
+    [(0, 0), (-0.6, -1), (0.6, -1), (0, 0)]
+    + [(-1, -1), (1, -1)]
+    + [point for x in (-0.9, -0.45, 0.0, 0.45, 0.9) for point in ((x, -1), (x - 0.35, -1.45))],
+    [Path.MOVETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY] + [Path.MOVETO, Path.LINETO] * 6,
+)
+
+
+def body_colors(drawing: Drawing) -> list[str]:
+    """Return a colour for each body: one of its own where there are few bodies, else the ink's."""
+    if len(drawing.bodies) > len(PALETTE):
+        return [INK] * len(drawing.bodies)
+    return list(PALETTE[: len(drawing.bodies)])
+
+
+class Pose:
+    """The artists of one mechanism.
+
+    Parameters
+    ----------
+    axes
+        Where to draw.
+    drawing
+        What to draw.
+    colors
+        Colour of each body.
+    size
+        Size of the mechanism [m], for the width of the springs.
+    alpha
+        1 for a mechanism in full strength, less for one that stays in the background.
+    """
+
+    def __init__(self, axes: Axes, drawing: Drawing, colors: Sequence[str], size: float, alpha: float = 1.0):
+        self.drawing = drawing
+        self.artists: list[Artist] = []
+        self._tooth = 0.018 * size
+        self._fills: list[tuple[PolyCollection, tuple[int, ...]]] = []
+        self._lines: list[tuple[Line2D, NDArray[np.intp]]] = []
+        crowd = len(drawing.bodies) > _CROWD
+        weight = 1.2 if crowd else 3.0
+
+        def line(points: Sequence[int], **look: Any) -> None:
+            (artist,) = axes.plot([], [], alpha=alpha, **look)
+            self.artists.append(artist)
+            self._lines.append((artist, np.asarray(points, dtype=np.intp)))
+
+        if drawing.grounds:
+            line(
+                drawing.grounds,
+                linestyle="",
+                marker=_GROUND_MARK,
+                markersize=14,
+                color=FAINT,
+                fillstyle="none",
+                zorder=2,
+            )
+        for index, outline in enumerate(drawing.outlines):
+            if len(outline) > 2:
+                fill = PolyCollection([], facecolors=colors[index], alpha=0.25 * alpha, linewidths=0, zorder=3)
+                axes.add_collection(fill, autolim=False)
+                self.artists.append(fill)
+                self._fills.append((fill, outline))
+        for color in dict.fromkeys(colors):
+            own = [outline for outline, mine in zip(drawing.outlines, colors, strict=True) if mine == color]
+            discs = [outline[0] for outline in own if len(outline) == 1]
+            line(self._strokes(own), color=color, linewidth=weight, solid_capstyle="round", zorder=4)
+            if discs:
+                line(discs, color=color, linestyle="", marker="o", markersize=3 if crowd else 9, zorder=4)
+        if drawing.guides:
+            line(self._strokes(drawing.guides), color=FAINT, linewidth=1.2, zorder=2.2)
+        if drawing.bars:
+            line(self._strokes(drawing.bars), color=INK, linewidth=1.2, zorder=4)
+        (self._springs,) = axes.plot(
+            [], [], color=SPRING, linewidth=1.3, alpha=alpha, zorder=5, solid_joinstyle="round"
+        )
+        self.artists.append(self._springs)
+        if not crowd:
+            line(
+                [centre for centre, outline in zip(drawing.centres, drawing.outlines, strict=True) if len(outline) > 1],
+                linestyle="",
+                marker=r"$\oplus$",
+                markersize=7,
+                markeredgewidth=0,
+                color=INK,
+                zorder=6,
+            )
+            line(
+                drawing.pins,
+                linestyle="",
+                marker="o",
+                markersize=5.5,
+                color=INK,
+                markerfacecolor=PAPER,
+                zorder=7,
+            )
+            line(
+                drawing.sliders,
+                linestyle="",
+                marker="s",
+                markersize=8,
+                color=INK,
+                markerfacecolor=PAPER,
+                zorder=6.5,
+            )
+            line(drawing.welds, linestyle="", marker="s", markersize=5, color=INK, zorder=7)
+
+    def _strokes(self, strokes: Sequence[Sequence[int]]) -> list[int]:
+        """Indices of one polyline through all strokes, with a gap (the row after the last point) between them."""
+        gap = len(self.drawing.owner)
+        points: list[int] = []
+        for stroke in strokes:
+            if len(stroke) > 1:
+                points += [*stroke, *([stroke[0]] if len(stroke) > 2 else []), gap]
+        return points
+
+    def move(self, world: Array) -> None:
+        """Put the mechanism to the global coordinates `world` (P, 2) of its points [m]."""
+        points = np.vstack([world, [[np.nan, np.nan]]])
+        for artist, indices in self._lines:
+            artist.set_data(points[indices].T)
+        for fill, outline in self._fills:
+            fill.set_verts([world[list(outline)]])
+        if self.drawing.springs:
+            ends = world[np.asarray(self.drawing.springs)]
+            coils = zigzag(ends[:, 0], ends[:, 1], self._tooth)
+            gaps = np.full((len(coils), 1, 2), np.nan)
+            self._springs.set_data(np.concatenate([coils, gaps], axis=1).reshape(-1, 2).T)

@@ -1,0 +1,113 @@
+"""What an animation shows: a choice of recorded rows, the poses in them, the paths, and the part of the plane to see.
+
+Every frame is a recorded row, nothing is made up between rows: joints that come apart in a picture did so in the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbdkit.plot.drawing_geometry import Drawing, Trace, choose_traces, draw_spec, trace_points
+from mbdkit.plot.series import evenly, take
+from mbdkit.plot.shapes import Array, view_box
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+_PATH_ROWS = 4_000
+_SPEEDS = [digit * 10.0**power for power in range(-9, 10) for digit in (1.0, 2.0, 5.0)]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A run made ready for animation.
+
+    Parameters
+    ----------
+    drawing
+        What to draw.
+    speed
+        Seconds of the run in a second of the animation.
+    time
+        Time of each frame [s], shape (F,).
+    poses
+        x [m], y [m] and angle [rad] of each body in each frame, shape (F, B, 3).
+    traces
+        The points whose paths are shown.
+    path_time, paths
+        Times [s], shape (R,), and global coordinates [m] of those points, shape (R, K, 2).
+    xlim, ylim
+        Part of the plane to see [m].
+    """
+
+    drawing: Drawing
+    speed: float
+    time: Array
+    poses: Array
+    traces: tuple[Trace, ...]
+    path_time: Array
+    paths: Array
+    xlim: tuple[float, float]
+    ylim: tuple[float, float]
+
+    @property
+    def pace(self) -> str:
+        """How time runs, in words."""
+        if self.speed == 1.0:
+            return "real time"
+        faster = self.speed > 1.0
+        return f"{self.speed if faster else 1.0 / self.speed:g} times {'faster' if faster else 'slower'} than real time"
+
+
+def scene(run: Run, *, rate: float, most: int, shortest: float, longest: float) -> Scene:
+    """Choose and read what an animation of a run shows.
+
+    Parameters
+    ----------
+    run
+        The run.
+    rate
+        Frames a second.
+    most
+        Largest number of frames.
+    shortest, longest
+        Durations [s] between which the animation runs in real time; a shorter run is slowed down, a longer one is made
+        faster, by a round factor.
+    """
+    time = np.asarray(run.time, dtype=np.float64)
+    duration = float(time[-1] - time[0])
+    speed = round_speed(duration, shortest, longest)
+    count = int(np.clip(round(duration / speed * rate), 0, most - 1))
+    rows = nearest_rows(time, np.linspace(time[0], time[-1], count + 1))
+    positions = run.dataset("trajectory/position")
+    poses = take(positions, np.unique(rows))[np.searchsorted(np.unique(rows), rows)]
+    drawing = draw_spec(run.spec, tuple(run.bodies))
+    traces = choose_traces(drawing)
+    fixed, owners = trace_points(drawing, traces)
+    path_rows = evenly(len(time), _PATH_ROWS)
+    paths = fixed.world(take(positions, path_rows, owners))
+    xlim, ylim, _ = view_box(paths, drawing.world(poses[evenly(len(poses), 60)]))
+    return Scene(drawing, speed, time[rows], poses, traces, time[path_rows], paths, xlim, ylim)
+
+
+def round_speed(duration: float, shortest: float, longest: float) -> float:
+    """Return the round factor by which a run is made faster or slower, so that it lasts between two times [s]."""
+    if duration > longest:
+        return min(speed for speed in _SPEEDS if duration / speed <= longest)
+    if 0.0 < duration < shortest:
+        return max(speed for speed in _SPEEDS if duration / speed >= shortest)
+    return 1.0
+
+
+def nearest_rows(time: Array, wanted: Array | Sequence[float]) -> NDArray[np.intp]:
+    """Return the row whose `time` (T,), increasing, is nearest to each of the times `wanted` (F,)."""
+    wanted = np.asarray(wanted)
+    if len(time) == 1:
+        return np.zeros(len(wanted), dtype=np.intp)
+    after = np.clip(np.searchsorted(time, wanted), 1, len(time) - 1)
+    return np.where(wanted - time[after - 1] <= time[after] - wanted, after - 1, after)

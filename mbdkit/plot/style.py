@@ -1,0 +1,120 @@
+"""How every picture looks: palette, axes, heading and the way a file is written."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
+
+from mbdkit.files import replacing
+from mbdkit.plot.caption import Caption
+
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9")
+"""Six colours that stay apart for colour-blind readers (Okabe and Ito, with a darker purple)."""
+INK, FAINT, GRID, PAPER = "#222222", "#666666", "#E4E4E4", "#FFFFFF"
+ALARM, SPRING = "#B00020", "#7A4FBF"
+DPI = 150
+FORMATS = (".png", ".svg", ".pdf")
+_LINE = 0.2  # inches of a heading line
+
+
+def new_figure(caption: Caption, width: float = 7.2, height: float = 4.8, dpi: int = DPI) -> Figure:
+    """Return an empty figure of `width` x `height` inches with the heading of a run, on a canvas of its own.
+
+    The axes added to it are laid out below the heading; no global state of Matplotlib is read or changed.
+    """
+    figure = Figure(figsize=(width, height), dpi=dpi, facecolor=PAPER, layout="constrained")
+    FigureCanvasAgg(figure)
+    room = heading(figure, caption)
+    engine = figure.get_layout_engine()
+    assert engine is not None
+    engine.set(rect=(0.0, 0.0, 1.0, 1.0 - room / height), w_pad=0.12, h_pad=0.06)  # type: ignore[call-arg]
+    return figure
+
+
+def heading(figure: Figure, caption: Caption) -> float:
+    """Write the heading of a run into the top left corner of a figure and return its height in inches."""
+    width, height = figure.get_size_inches()
+    room = int(width / 0.069)  # characters of 8.5 points
+    lines = [
+        (_cut(caption.title, int(width / 0.099)), 11.0, "bold", INK),
+        (_cut(caption.settings, room), 8.5, "normal", FAINT),
+    ]
+    lines += [
+        (line, 8.5, "bold", ALARM) for line in wrap(caption.alarm, int(0.88 * room), max_lines=3, placeholder=" ...")
+    ]
+    for row, (text, size, weight, color) in enumerate(lines):
+        label = figure.text(
+            0.12 / width, 1.0 - (0.12 + row * _LINE) / height, text, size=size, weight=weight, color=color
+        )
+        label.set(va="top", ha="left", parse_math=False, in_layout=False)
+    return 0.2 + len(lines) * _LINE
+
+
+def _cut(text: str, length: int) -> str:
+    return text if len(text) <= length else text[: length - 4].rstrip() + " ..."
+
+
+def dress(axes: Axes, xlabel: str = "", ylabel: str = "") -> Axes:
+    """Give `axes` the common look and its labels (with units) and return it."""
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(FAINT)
+    axes.set_facecolor(PAPER)
+    axes.grid(True, color=GRID, linewidth=0.7)
+    axes.set_axisbelow(True)
+    axes.tick_params(colors=FAINT, labelcolor=INK, labelsize=8.5)
+    axes.set_xlabel(xlabel, size=9, color=INK)
+    axes.set_ylabel(ylabel, size=9, color=INK)
+    return axes
+
+
+def powers_of_ten(axes: Axes) -> None:
+    """Write the y ticks of `axes` with one power of ten above the axis where they are large or small."""
+    formatter = ScalarFormatter(useOffset=False, useMathText=True)
+    formatter.set_powerlimits((-3, 4))
+    axes.yaxis.set_major_formatter(formatter)
+    axes.yaxis.get_offset_text().set(size=8.5, color=INK)
+
+
+def legend(axes: Axes, handles: Sequence[Any], labels: Sequence[str], title: str | None = None) -> None:
+    """Put a legend to the right of `axes`, its text taken literally (no mathematics, no hidden names)."""
+    if not handles:
+        return
+    box = axes.legend(
+        list(handles),
+        [f" {label}" if label.startswith("_") else label for label in labels],
+        loc="upper left",
+        bbox_to_anchor=(1.01, 1.0),
+        borderaxespad=0.0,
+        frameon=False,
+        fontsize=8.5,
+        labelcolor=INK,
+        title=title,
+        title_fontsize=8.5,
+        alignment="left",
+        handlelength=1.6,
+    )
+    for text in box.get_texts():
+        text.set_parse_math(False)
+
+
+def save(figure: Figure, target: Path) -> None:
+    """Write `figure` to `target` in the format of its suffix, atomically."""
+    with replacing(target) as temporary:
+        quietly(lambda: figure.savefig(temporary, format=target.suffix[1:].lower(), dpi=DPI))
+
+
+def quietly(draw: Callable[[], Any]) -> Any:
+    """Call `draw` without Matplotlib's warnings of characters that its font lacks (a title may be in any script)."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        return draw()

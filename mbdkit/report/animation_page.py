@@ -1,0 +1,25 @@
+"""A run as one HTML page that plays it on a canvas: no network, all data inside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mbdkit.plot.caption import caption
+from mbdkit.report.player_data import film_data
+from mbdkit.report.templating import render
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+_NUMBERS = 450_000  # of poses in a page, about three megabytes
+
+
+def write_html(run: Run, target: Path) -> None:
+    """Write a run as a page with controls."""
+    target.write_text(page(run), encoding="utf-8")
+
+
+def page(run: Run) -> str:
+    """Return the page of a run."""
+    return render("animation.html", {"caption": caption(run), "films": [film_data(run, _NUMBERS)]})

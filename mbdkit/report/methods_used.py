@@ -1,0 +1,123 @@
+"""What was used, in words and with references: formulation, models and integrators of one or several specs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mbdkit.errors import SpecError
+from mbdkit.plot.caption import plain_name
+from mbdkit.registry.catalogue import Kind, Registered
+from mbdkit.registry.items import Claims, IntegratorPlugin
+from mbdkit.registry.manager import registry
+from mbdkit.text import listed
+
+_EQUATIONS = (
+    "Planar motion in absolute coordinates: x, y and the angle of every body. The equations of motion are solved in "
+    "their index-1 form, M q'' + \u03a6_q\u1d40 \u03bb = Q and \u03a6_q q'' = \u03b3, at every evaluation."
+)
+_UNSTABILIZED = (
+    "Nothing pulls the joints back together: they are held at the level of accelerations, so that the errors of the "
+    "integration show as misalignment, the distance by which the two points of a joint fail to meet."
+)
+
+
+@dataclass(frozen=True)
+class Methods:
+    """A methods section: `paragraphs` of text, and `bibtex`, the entries of exactly what was used."""
+
+    paragraphs: tuple[str, ...]
+    bibtex: tuple[str, ...]
+
+
+def methods(specs: Iterable[Mapping[str, Any]]) -> Methods:
+    """Return the methods section of some run specs.
+
+    Parameters
+    ----------
+    specs
+        Run specs as plain mappings, each with the names of its model and integrator.
+    """
+    specs = list(specs)
+    paragraphs = [_EQUATIONS, _stabilization(specs)]
+    references = [_own_reference()]
+    for kind in ("model", "integrator"):
+        for name, options in _used(specs, kind).items():
+            item = _find(kind, name)
+            if item is None:
+                paragraphs.append(f"The {kind} {name} is not installed here, so its references are missing.")
+                continue
+            paragraphs.append(_paragraph(item, options))
+            references += item.plugin.references
+    return Methods(tuple(paragraphs), tuple(dict.fromkeys(entry.strip() for entry in references)))
+
+
+def _used(specs: Iterable[Mapping[str, Any]], kind: str) -> dict[str, list[dict[str, Any]]]:
+    """Return the names that occur in a section of the specs, each with the different options it occurs with."""
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for spec in specs:
+        options = {key: value for key, value in spec[kind].items() if key != "name"} if kind == "integrator" else {}
+        found.setdefault(str(spec[kind]["name"]), {}).setdefault(json.dumps(options, sort_keys=True), options)
+    return {name: list(options.values()) for name, options in found.items()}
+
+
+def _find(kind: Kind, name: str) -> Registered | None:
+    try:
+        return registry().get(kind, name)
+    except SpecError:
+        return None
+
+
+def _paragraph(item: Registered, used: list[dict[str, Any]]) -> str:
+    """Return what an item is and with which settings it was used: each setting once, with all its values."""
+    values: dict[str, dict[str, None]] = {}
+    for options in used:
+        for key, value in options.items():
+            if value is not None:
+                values.setdefault(key.replace("_", " "), {})[
+                    f"{value:g}" if isinstance(value, float) else str(value)
+                ] = None
+    settings = "; ".join(f"{key} {listed(given, 'and')}" for key, given in values.items())
+    origin = f"{item.origin.distribution} {item.origin.version}"
+    parts = [
+        f"{item.kind.capitalize()} {item.name} ({origin}): {item.plugin.summary}",
+        f"Settings: {settings}." if settings else "",
+    ]
+    if isinstance(item.plugin, IntegratorPlugin):
+        plugin = item.plugin
+        parts += dict.fromkeys(_claims(plugin, options, alone=len(used) == 1) for options in used)
+    return " ".join(filter(None, parts))
+
+
+def _claims(plugin: IntegratorPlugin, options: Mapping[str, Any], *, alone: bool) -> str:
+    """Return what an integrator claims of itself with these options; its order only where they are `alone`."""
+    try:
+        claims = plugin.claims(plugin.options.model_validate_json(json.dumps(options)))
+    except Exception:  # a plugin of another version may refuse them, or fail in any way
+        return ""
+    return _claim_words(claims, alone) if isinstance(claims, Claims) else ""
+
+
+def _claim_words(claims: Claims, alone: bool) -> str:
+    told = [f"order {claims.order:g}"] if alone and claims.order is not None else []
+    told += [word for word, held in (("symmetric", claims.symmetric), ("symplectic", claims.symplectic)) if held]
+    text = f"As used here: {listed(told, 'and')}." if told else ""
+    return f"{text} Drift: {claims.drift}.".strip() if claims.drift else text
+
+
+def _stabilization(specs: Iterable[Mapping[str, Any]]) -> str:
+    names = {plain_name(spec.get("stabilization") or "none", "none") for spec in specs}
+    if names == {"none"}:
+        return _UNSTABILIZED
+    return f"Stabilization of the constraints: {listed(sorted(names), 'and')}; what is said of drift holds without it."
+
+
+def _own_reference() -> str:
+    from mbdkit import __version__
+
+    return (
+        "@software{mbdkit,\n  author = {{The mbdkit authors}},\n  title = {mbdkit: planar multibody dynamics with "
+        f"constraints}},\n  version = {{{__version__}}}\n}}"
+    )

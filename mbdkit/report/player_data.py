@@ -1,0 +1,98 @@
+"""The data of an animation in a page: poses, paths and the gaps of the joints, as `templates/player.js` reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.plot.gaps import Gaps, gaps
+from mbdkit.plot.pose import body_colors
+from mbdkit.plot.scene import Scene, scene
+from mbdkit.plot.shapes import Array
+from mbdkit.plot.style import PALETTE
+from mbdkit.plot.trajectory import trace_colors
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+RATE = 50
+"""Frames a second, where there are not too many bodies."""
+_GRAIN = 1.0 / 20_000  # of the view: a fourteenth of a pixel on a wide screen
+_ANGLE = 2e-4  # rad
+_JOINTS = 40  # whose gaps are worth magnifying
+
+
+def film_data(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
+    """Return what a page needs to play a run.
+
+    Parameters
+    ----------
+    run
+        The run; it has rows.
+    numbers
+        About so many numbers of poses, six bytes each.
+    label
+        What the run is called where a page plays several.
+    """
+    most = int(np.clip(numbers // (3 * max(1, len(run.bodies))), 30, 1_000))
+    shown = scene(run, rate=RATE, most=most, shortest=2.0, longest=30.0)
+    return {"label": label} | _scene_data(shown) | {"gaps": _gap_data(run.spec, shown)}
+
+
+def _scene_data(shown: Scene) -> dict[str, Any]:
+    """Return the drawing and its poses: integers in grains of the view, angles in units of `_ANGLE`."""
+    drawing = shown.drawing
+    (x0, x1), (y0, y1) = shown.xlim, shown.ylim
+    size = max(x1 - x0, y1 - y0)
+    grain = size * _GRAIN
+    centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
+    with np.errstate(invalid="ignore", over="ignore"):
+        poses = np.clip((shown.poses - centre) / (grain, grain, _ANGLE), -2e9, 2e9).round()
+    flat = [None if value != value else int(value) for value in poses.reshape(-1).tolist()]
+    return {
+        "time": _short(shown.time, 9),
+        "speed": shown.speed,
+        "view": [x0, x1, y0, y1],
+        "grain": [grain, _ANGLE],
+        "bodies": list(drawing.bodies),
+        "colors": [_color_key(color) for color in body_colors(drawing)],
+        "owner": drawing.owner.tolist(),
+        "local": _short(drawing.local, 6),
+        "outlines": [list(outline) for outline in drawing.outlines],
+        "pins": list(drawing.pins),
+        "grounds": list(drawing.grounds),
+        "centres": list(drawing.centres),
+        "springs": [list(ends) for ends in drawing.springs],
+        "bars": [list(ends) for ends in drawing.bars],
+        "guides": [list(ends) for ends in drawing.guides],
+        "sliders": list(drawing.sliders),
+        "welds": list(drawing.welds),
+        "traces": [
+            {"label": trace.label, "point": trace.point, "color": _color_key(color)}
+            for trace, color in zip(shown.traces, trace_colors(drawing, shown.traces), strict=True)
+        ],
+        "poses": flat,
+    }
+
+
+def _gap_data(spec: Mapping[str, Any], shown: Scene) -> dict[str, Any]:
+    """Return the gaps of the joints that come apart the most, in metres, and the largest of all that are shown."""
+    found: Gaps = gaps(spec, shown.drawing, shown.poses).largest(_JOINTS)
+    size = np.hypot(found.vectors[..., 0], found.vectors[..., 1])
+    return {
+        "joints": list(found.joints),
+        "ends": [list(ends) for ends in found.ends],
+        "largest": float(np.max(size[np.isfinite(size)], initial=0.0)),
+        "vectors": _short(found.vectors, 3),
+    }
+
+
+def _short(values: Array, digits: int) -> list[float | None]:
+    return [float(f"{value:.{digits}g}") if abs(value) < np.inf else None for value in values.reshape(-1).tolist()]
+
+
+def _color_key(color: str) -> int | str:
+    """Return the page's name of a colour: its place in the palette, or the ink."""
+    return PALETTE.index(color) if color in PALETTE else "ink"

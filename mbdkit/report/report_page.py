@@ -1,0 +1,128 @@
+"""A report as a page: what it holds, whatever it is about, and how it is written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mbdkit.analysis.verdict import Answer, Cell, Column, Figure, Table, Verdict
+from mbdkit.report.interactive import axis_title, figure_data, shown
+from mbdkit.report.methods_used import Methods
+from mbdkit.report.templating import render
+
+_MARKS = {Answer.YES: "\u2713", Answer.NO: "\u2717", Answer.PARTLY: "\u25d0", Answer.OPEN: "?"}
+NO_FAILURES = Table("failures", "Runs that failed", (Column("run"), Column("why")), ())
+
+
+@dataclass(frozen=True)
+class Document:
+    """What a report holds.
+
+    Parameters
+    ----------
+    title, settings, alarm
+        Its heading, a line on what it is about, and what went wrong (empty if nothing did).
+    verdict
+        The verdict with its figures and tables.
+    films
+        Data of animations, as `film_data` returns it; none where nothing moves.
+    failures
+        The runs that failed, with reasons.
+    methods
+        What was used.
+    environment
+        Where it was run: versions and platform.
+    reproduce, commands, spec
+        How to get the same again: a sentence, the commands, and the spec.
+    """
+
+    title: str
+    settings: str
+    verdict: Verdict
+    methods: Methods
+    environment: Table
+    reproduce: str
+    commands: str
+    spec: str
+    alarm: str = ""
+    films: tuple[dict[str, Any], ...] = ()
+    failures: Table = field(default=NO_FAILURES)
+
+    @property
+    def contents(self) -> list[tuple[str, str]]:
+        """The sections below the verdict: anchor and title."""
+        sections = [
+            ("failed", "Runs that failed", bool(self.failures.rows)),
+            ("motion", "Motion", bool(self.films)),
+            ("figures", "Figures", bool(self.verdict.figures)),
+            ("tables", "Tables", bool(self.verdict.tables)),
+            ("methods", "Methods", True),
+            ("environment", "Environment", True),
+            ("reproduce", "Reproduce", True),
+        ]
+        return [(anchor, title) for anchor, title, there in sections if there]
+
+    @property
+    def figure_data(self) -> dict[str, Any]:
+        """The figures as the page draws them, by name."""
+        return {figure.name: figure_data(figure) for figure in self.verdict.figures}
+
+    @property
+    def summaries(self) -> dict[str, Table]:
+        """For each figure the ends and extremes of its curves, for those who do not see them."""
+        return {figure.name: _summary(figure) for figure in self.verdict.figures}
+
+    def html(self) -> str:
+        """Return the page."""
+        from mbdkit import __version__
+
+        filters: dict[str, Callable[..., Any]] = {"cell": cell_text, "mark": _MARKS.__getitem__, "numeric": _is_numeric}
+        return render("report.html", {"page": self, "version": __version__}, filters)
+
+
+def cell_text(value: Cell) -> str:
+    """Return a table's cell as text."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        if math.isnan(value):
+            return "-"
+        return f"{value:,.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.4g}"
+    return f"{value:,}" if isinstance(value, int) else value
+
+
+def _is_numeric(table: Table, column: int) -> bool:
+    cells = [row[column] for row in table.rows if row[column] is not None]
+    return bool(cells) and all(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in cells)
+
+
+def _summary(figure: Figure) -> Table:
+    """Return a table of the curves of a figure: few points as they are, many by their ends and extremes."""
+    x, y = axis_title(figure.x), axis_title(figure.y)
+    seen = [(line, shown(line, figure)) for line in figure.lines]
+    if sum(int(np.sum(mask)) for _, mask in seen) <= 60:
+        rows: Sequence[tuple[Cell, ...]] = [
+            (line.label, float(a), float(b))
+            for line, mask in seen
+            for a, b in zip(line.x[mask], line.y[mask], strict=True)
+        ]
+        return Table(figure.name, f"Points of {figure.title}", (Column("curve"), Column(x), Column(y)), tuple(rows))
+    rows = []
+    for line, mask in seen:
+        if np.any(mask):
+            at, values = line.x[mask], line.y[mask]
+            rows.append(
+                (
+                    line.label,
+                    *(float(v) for v in (values[0], values[-1], values.min(), values.max(), at[values.argmax()])),
+                )
+            )
+    columns = ("curve", "first", "last", "smallest", "largest", f"largest at {x}")
+    title = f"Ends and extremes of {figure.title}, {y}"
+    return Table(figure.name, title, tuple(Column(name) for name in columns), tuple(rows))

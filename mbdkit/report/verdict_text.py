@@ -1,0 +1,80 @@
+"""What a verdict says, as plain text for a terminal and as Markdown for a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from mbdkit.analysis.verdict import Table, Verdict
+from mbdkit.report.report_page import Document, cell_text
+from mbdkit.text import table as aligned
+
+
+def headlines(verdict: Verdict) -> tuple[Table, ...]:
+    """Return the tables that a verdict is made for; none where it names none."""
+    return tuple(table for table in verdict.tables if table.headline)
+
+
+def terminal(verdict: Verdict) -> str:
+    """Return claims and headline tables for a terminal; empty where there is no headline table.
+
+    Parameters
+    ----------
+    verdict
+        The verdict.
+    """
+    shown = headlines(verdict)
+    if not shown:
+        return ""
+    parts = []
+    for table in shown:
+        parts += [table.title, aligned(_cells(table), "  "), table.note]
+    parts += [f"{claim.answer!s:<6} {claim.statement} Found: {claim.computed}." for claim in verdict.claims]
+    return "\n".join(filter(None, parts))
+
+
+def plain_values(verdict: Verdict) -> dict[str, Any]:
+    """Return sentence, claims and headline tables of a verdict for JSON; empty where there is no headline table.
+
+    Parameters
+    ----------
+    verdict
+        The verdict.
+    """
+    shown = headlines(verdict)
+    if not shown:
+        return {}
+    values = verdict.to_dict()
+    names = [table.name for table in shown]
+    tables = [table for table in values["tables"] if table["name"] in names]
+    return {"sentence": values["sentence"], "claims": values["claims"], "tables": tables}
+
+
+def markdown(document: Document) -> str:
+    """Return a report as Markdown: its verdict, the claims, and its headline tables, or all where it has none.
+
+    Parameters
+    ----------
+    document
+        The report.
+    """
+    verdict = document.verdict
+    parts = [f"# {document.title}", document.settings, document.alarm, verdict.sentence]
+    if verdict.claims:
+        rows = [["claim", "expected or published", "found", ""], ["---"] * 4]
+        rows += [[claim.statement, claim.published, claim.computed, str(claim.answer)] for claim in verdict.claims]
+        parts += ["## Claims", _piped(rows)]
+    for table in headlines(verdict) or verdict.tables:
+        heading, *rows = _cells(table)
+        parts += [f"## {table.title}", table.note, _piped([heading, ["---"] * len(heading), *rows])]
+    parts += verdict.notes
+    return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def _cells(table: Table) -> list[list[str]]:
+    heading = [f"{column.label} [{column.unit}]" if column.unit else column.label for column in table.columns]
+    return [heading, *([cell_text(cell) for cell in row] for row in table.rows)]
+
+
+def _piped(rows: Sequence[Sequence[str]]) -> str:
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows)

@@ -1,0 +1,51 @@
+"""A spec as it was written: plain data, and on which line each key stands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from mbdkit.errors import SpecError
+from mbdkit.spec.plain_data import Path, parse_path
+
+
+@dataclass
+class Document:
+    """Plain data with its origin.
+
+    Parameters
+    ----------
+    data
+        The top-level mapping.
+    file
+        Where it was read from; empty for data from Python.
+    lines
+        Finds the line of a key path, as far as it can; called only when there is an error to place.
+    overridden
+        Key paths set on the command line, with what was typed.
+    keywords
+        Top-level sections that a Python keyword replaced.
+    """
+
+    data: dict[str, Any]
+    file: str = ""
+    lines: Callable[[], Mapping[Path, int]] = dict
+    overridden: dict[Path, str] = field(default_factory=dict)
+    keywords: frozenset[str] = frozenset()
+
+    def place(self, error: SpecError) -> SpecError:
+        """Return the error with the file and line of its key, or with the override that set it."""
+        if error.file is not None:
+            return error
+        path = parse_path(error.key)
+        for length in range(len(path), 0, -1):
+            if path[:length] in self.overridden:
+                return error.located(file=f"--set {self.overridden[path[:length]]}")
+        if self.file and path and path[0] in self.keywords:
+            return error.located(file=f"keyword {path[0]}")
+        if not self.file or error.line is not None:
+            return error.located(file=self.file or None)
+        lines = self.lines()
+        nearest = next((lines[path[:length]] for length in range(len(path), 0, -1) if path[:length] in lines), None)
+        return error.located(file=self.file, line=nearest)

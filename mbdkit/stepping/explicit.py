@@ -1,0 +1,204 @@
+"""Explicit Runge-Kutta methods: one compiled step for every tableau, with error estimates and dense output.
+
+A tableau may have more rows than the step needs: those stages are evaluated where a state between two steps is asked
+for, and only there.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.jit.bundle import Hold, loader
+from mbdkit.engine.jit.cache import entry, part
+from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
+from mbdkit.engine.kernels.vectors import copy, stays_finite
+from mbdkit.stepping.compiled_method import Family
+from mbdkit.stepping.dense_output import dense_gains, weights_at
+from mbdkit.stepping.run_state import ADVANCED, ALTERED, FACTORIZATIONS, RHS, load_common
+
+if TYPE_CHECKING:
+    from mbdkit.engine.workspace import Problem
+    from mbdkit.methods.kinds import ExplicitRungeKutta
+
+
+class Explicit(NamedTuple):
+    """An explicit method and its stages: S of them make the step, E with those of dense output."""
+
+    a: np.ndarray
+    """(E, E) coefficients."""
+    b: np.ndarray
+    """(S,) weights of the step."""
+    c: np.ndarray
+    """(E,) nodes."""
+    error: np.ndarray
+    """(0, 1 or 2, S) weights of the error estimates, the finer one first."""
+    dense: np.ndarray
+    """(E, degree) dense output: weight i at theta is ``sum_k dense[i, k] theta^(k + 1)``; no rows without it."""
+    rates: np.ndarray
+    """(E, 3 (B + 1)) velocities and accelerations of the stages."""
+    accelerations: np.ndarray
+    q_stage: np.ndarray
+    lam: np.ndarray
+    power: np.ndarray
+    """(E, 2) power of loads and drivers, and dissipated, at the stages."""
+    weights: np.ndarray
+    """(E,) scratch: weights of dense output."""
+    status: np.ndarray
+    """(2,) whether the last stage of a step is the first of the next; how many stages are known."""
+
+
+def new_explicit(method: ExplicitRungeKutta, size: int, pairs: int) -> Explicit:
+    """Return the bundle of a method for a mechanism."""
+    a, b, c = method.tableau.floats()
+    error, dense = np.zeros((0, len(b))), np.zeros((0, 1))
+    if method.pair is not None:
+        error, dense = method.pair.error, method.pair.dense
+        if len(method.pair.c) > len(c):
+            a, c = method.pair.a, method.pair.c
+    stages = len(c)
+    return Explicit(
+        a=np.ascontiguousarray(a),
+        b=b,
+        c=np.ascontiguousarray(c),
+        error=np.ascontiguousarray(error),
+        dense=np.ascontiguousarray(dense),
+        rates=np.zeros((stages, size)),
+        accelerations=np.zeros((stages, size)),
+        q_stage=np.zeros(size),
+        lam=np.zeros((pairs, 2)),
+        power=np.zeros((stages, 2)),
+        weights=np.zeros(stages),
+        status=np.array([int(method.tableau.is_first_same_as_last), 0]),
+    )
+
+
+def _example() -> Explicit:
+    from mbdkit.methods import rk4
+    from mbdkit.methods.kinds import ExplicitRungeKutta
+
+    return new_explicit(ExplicitRungeKutta(rk4.tableau()), 6, 0)
+
+
+load_explicit = loader(_example)
+
+
+@part
+def _stage_state(base, h, weights, slopes, i, out):
+    """Write ``base + h sum_{j < i} weights[i, j] slopes[j]`` into `out`."""
+    out[:] = 0.0
+    for j in range(i):
+        w = weights[i, j]
+        if w != 0.0:
+            k = slopes[j]
+            for d in range(len(out)):
+                out[d] += w * k[d]
+    for d in range(len(out)):
+        out[d] = base[d] + h * out[d]
+
+
+@part
+def _increment(h, weights, slopes, out):
+    """Write ``h sum_j weights[j] slopes[j]`` into `out`."""
+    out[:] = 0.0
+    for j in range(len(weights)):
+        w = h * weights[j]
+        if w != 0.0:
+            k = slopes[j]
+            for d in range(len(out)):
+                out[d] += w * k[d]
+
+
+@part
+def evaluate_stages(common, own, t, h, first, last):
+    """Evaluate stages `first` to `last - 1`; return a status."""
+    c, m = load_common(common), load_explicit(own)
+    for i in range(first, last):
+        if i == 0:
+            copy(c.from_v, m.rates[0])
+            copy(c.from_q, m.q_stage)
+        else:
+            _stage_state(c.from_q, h, m.a, m.rates, i, m.q_stage)
+            _stage_state(c.from_v, h, m.a, m.accelerations, i, m.rates[i])
+        prepare(c.top, c.w, t + m.c[i] * h, m.q_stage)
+        c.counts[RHS] += 1
+        c.counts[FACTORIZATIONS] += 1
+        status = solve_accelerations(c.top, c.w, c.solver, m.q_stage, m.rates[i], m.accelerations[i], m.lam, False)
+        if status != OK:
+            return status
+        if c.has_power[0] != 0:
+            m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage, m.rates[i], m.lam)
+    return OK
+
+
+@entry
+def attempt(common, own, t, h, want_error):
+    """Try a step from the base state; see `mbdkit.stepping.driver`."""
+    c, m = load_common(common), load_explicit(own)
+    stages = len(m.b)
+    first = 0
+    if m.status[1] > 0 and c.moved[0] != ALTERED:
+        if c.moved[0] == ADVANCED:
+            if m.status[0] != 0 and m.status[1] >= stages:
+                copy(m.rates[stages - 1], m.rates[0])
+                copy(m.accelerations[stages - 1], m.accelerations[0])
+                m.power[0, 0], m.power[0, 1] = m.power[stages - 1, 0], m.power[stages - 1, 1]
+                first = 1
+        else:
+            first = 1
+    m.status[1] = 0
+    status = evaluate_stages(common, own, t, h, first, stages)
+    if status != OK:
+        return status
+    m.status[1] = stages
+    _increment(h, m.b, m.rates, c.dq)
+    _increment(h, m.b, m.accelerations, c.dv)
+    if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv)):
+        return NOT_FINITE
+    if c.has_power[0] != 0:
+        for k in range(2):
+            c.gain[k] = 0.0
+            for i in range(stages):
+                c.gain[k] += h * m.b[i] * m.power[i, k]
+    if want_error != 0.0:
+        _increment(h, m.error[0], m.rates, c.est_q)
+        _increment(h, m.error[0], m.accelerations, c.est_v)
+        if len(m.error) > 1:
+            _increment(h, m.error[1], m.rates, c.second_q)
+            _increment(h, m.error[1], m.accelerations, c.second_v)
+    return OK
+
+
+@entry
+def dense(common, own, t, h, theta):
+    """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.stepping.driver`."""
+    c, m = load_common(common), load_explicit(own)
+    stages = len(m.c)
+    if m.status[1] < stages:
+        status = evaluate_stages(common, own, t, h, len(m.b), stages)
+        if status != OK:
+            return status
+        m.status[1] = stages
+    weights_at(m.dense, theta, m.weights)
+    _increment(h, m.weights, m.rates, c.point_q)
+    _increment(h, m.weights, m.accelerations, c.point_v)
+    for d in range(len(c.point_q)):
+        c.point_q[d] += c.from_q[d]
+        c.point_v[d] += c.from_v[d]
+    dense_gains(h, m.weights, m.power, c.point_gain)
+    return OK
+
+
+class ExplicitFamily(Family):
+    """Explicit tableaus."""
+
+    attempt, dense = attempt, dense
+    hint = "a smaller time.step or an implicit integrator may help"
+
+    def __init__(self, method: ExplicitRungeKutta, problem: Problem):
+        super().__init__(problem)
+        self.own = new_explicit(method, problem.mechanism.size, len(problem.mechanism.topology.pairs))
+        self.hold = Hold(self.own)
+        self.memory = (self.own.rates, self.own.accelerations, self.own.power, self.own.status)
+        self.has_dense_output = len(self.own.dense) > 0

@@ -1,0 +1,179 @@
+"""A step of a compiled method with its projection: none, onto the constraints after it, or symmetrically around it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.engine.jit.cache import call_entry, part
+from mbdkit.engine.kernels.projection import (
+    EPS,
+    FEW_ROUNDINGS,
+    STAGNANT,
+    largest_residual,
+    largest_size,
+    position_rows,
+    project_positions,
+    project_velocities,
+    rate_rows,
+)
+from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_rows, independent_rows, solve_system
+from mbdkit.engine.kernels.vectors import copy
+from mbdkit.stepping.run_state import ALTERED, PROJECTIONS, load_common
+
+NO_PROJECTION, PLAIN, SYMMETRIC = range(3)
+
+MOST_TRIALS, IDLE, IDLE_RATIO = 100, 2, 0.9
+"""Iterations of a symmetric projection, each with a step of the method; those without progress that end it; and the
+ratio to the best so far that is no progress: on fast linkages it converges slowly."""
+
+
+@part
+def _push(c, t, q, push_q, push_v):
+    """Write ``M^-1 Phi_q(q)^T mu`` into `push_q` and the same with nu into `push_v`."""
+    position_rows(c.still, c.w, t, q)
+    constraint_rows(c.still, c.w, q, c.rest)
+    independent_rows(c.still, c.w.cs, c.w.jac, c.w.gamma, c.w.loose)
+    pairs, jac, weight = c.still.pairs, c.w.jac, c.still.weight
+    push_q[:] = 0.0
+    push_v[:] = 0.0
+    for k in range(len(pairs)):
+        for r in range(c.still.rows[k]):
+            for side in range(2):
+                b = pairs[k, 1 + side]
+                for i in range(3):
+                    g = weight[b, i] * jac[k, 6 * r + 3 * side + i]
+                    push_q[3 * b + i] += g * c.mu[k, r]
+                    push_v[3 * b + i] += g * c.nu[k, r]
+
+
+@part
+def _newton_on(c, residual, multipliers):
+    """Change `multipliers` by ``-(Phi_q M^-1 Phi_q^T)^-1 residual / 2`` with the rows that stand evaluated."""
+    for k in range(len(residual)):
+        for r in range(2):
+            c.w.gamma[k, r] = 0.5 * residual[k, r]
+    status = solve_system(c.still, c.w, c.solver, False, c.x, c.lam, True)
+    if status == OK:
+        for k in range(len(multipliers)):
+            for r in range(c.still.rows[k]):
+                multipliers[k, r] += c.lam[k, r]
+    return status
+
+
+@part
+def _symmetric_step(common, own, attempt, t, h):
+    """Take a step with symmetric projection: the same multipliers push off the constraints before it and back after it.
+
+    Leaves the end in ``new_q, new_v``, and both pushes together in ``shift_q, shift_v``. Hairer (2000): simplified
+    Newton on the multipliers, which at the end meet twice the matrix ``Phi_q M^-1 Phi_q^T``.
+    """
+    c = load_common(common)
+    before = np.inf
+    idle = 0
+    for m in range(MOST_TRIALS):
+        _push(c, t, c.q, c.shift_q, c.shift_v)
+        for d in range(len(c.q)):
+            c.from_q[d] = c.q[d] + c.shift_q[d]
+            c.from_v[d] = c.v[d] + c.shift_v[d]
+        c.moved[0] = ALTERED
+        status = call_entry(attempt, common, own, t, h, 0.0)
+        if status != OK:
+            return status
+        for d in range(len(c.q)):
+            c.new_q[d] = c.from_q[d] + c.dq[d]
+        for _ in range(2):  # the rows are those of the end itself
+            _push(c, t + h, c.new_q, c.est_q, c.est_v)
+            for d in range(len(c.q)):
+                c.new_q[d] = c.from_q[d] + c.dq[d] + c.est_q[d]
+                c.new_v[d] = c.from_v[d] + c.dv[d] + c.est_v[d]
+        for d in range(len(c.q)):
+            c.shift_q[d] += c.est_q[d]
+            c.shift_v[d] += c.est_v[d]
+        position_rows(c.still, c.w, t + h, c.new_q)
+        constraint_rows(c.still, c.w, c.new_q, c.rest)
+        independent_rows(c.still, c.w.cs, c.w.jac, c.w.gamma, c.w.loose)
+        rate_rows(c.still, c.w.jac, c.w.phi_t, c.new_v, c.miss)
+        now = max(
+            largest_residual(c.still, c.w.phi) / largest_size(c.new_q),
+            largest_residual(c.still, c.miss) / largest_size(c.new_v),
+        )
+        if not now < np.inf:
+            return NOT_FINITE
+        if m > 1 and now > IDLE_RATIO * before and now < STAGNANT:
+            idle += 1
+        if now <= FEW_ROUNDINGS * EPS or idle >= IDLE:
+            return OK
+        before = min(before, now)
+        status = _newton_on(c, c.w.phi, c.mu)
+        if status == OK:  # velocities are corrected for where the positions are going
+            for d in range(len(c.q)):
+                c.est_q[d] = c.new_q[d] - 2.0 * c.x[d]
+            position_rows(c.still, c.w, t + h, c.est_q)
+            constraint_rows(c.still, c.w, c.est_q, c.rest)
+            independent_rows(c.still, c.w.cs, c.w.jac, c.w.gamma, c.w.loose)
+            rate_rows(c.still, c.w.jac, c.w.phi_t, c.new_v, c.miss)
+            status = _newton_on(c, c.miss, c.nu)
+        if status != OK:
+            return status
+        for k in range(len(c.lam)):  # what pushes velocities before the step moves positions at its end
+            for r in range(c.still.rows[k]):
+                c.mu[k, r] -= 0.5 * h * c.lam[k, r]
+    return DIVERGED
+
+
+@part
+def _passes_bound(c, t, q, v, bound):
+    """Return whether positions or velocities at `t` miss the constraints by more than `bound`."""
+    position_rows(c.still, c.w, t, q)
+    if not largest_residual(c.still, c.w.phi) <= bound:
+        return True
+    constraint_rows(c.still, c.w, q, c.rest)
+    independent_rows(c.still, c.w.cs, c.w.jac, c.w.gamma, c.w.loose)
+    rate_rows(c.still, c.w.jac, c.w.phi_t, v, c.miss)
+    return not largest_residual(c.still, c.miss) <= bound
+
+
+@part
+def take(common, own, attempt, t, h, want_error, mode):
+    """Take one step with its projection, without going there: its end is left in ``new_q, new_v``; return a status.
+
+    ``shift_q, shift_v`` is what the projection adds to ``dq, dv``.
+    """
+    c = load_common(common)
+    if mode == SYMMETRIC:
+        status = _symmetric_step(common, own, attempt, t, h)
+        c.counts[PROJECTIONS] += 1
+        return status
+    status = call_entry(attempt, common, own, t, h, 1.0 if want_error else 0.0)
+    if status != OK:
+        return status
+    for d in range(len(c.q)):
+        c.new_q[d] = c.from_q[d] + c.dq[d]
+        c.new_v[d] = c.from_v[d] + c.dv[d]
+    if mode == PLAIN:
+        c.shift_q[:] = 0.0
+        c.shift_v[:] = 0.0
+    return OK
+
+
+@part
+def project(common, t, mode, due, bound):
+    """Project the end of a step where that is due; return a status and whether it was."""
+    c = load_common(common)
+    if mode != PLAIN or not due or (bound > 0.0 and not _passes_bound(c, t, c.new_q, c.new_v, bound)):
+        return OK, mode == SYMMETRIC
+    status = project_positions(c.still, c.w, c.solver, t, c.new_q, c.shift_q, c.rest, c.x, c.lam)
+    if status != OK:
+        return status, False
+    copy(c.new_v, c.shift_v)
+    status = project_velocities(c.still, c.w, c.solver, t, c.shift_q, c.shift_v, c.x, c.lam)
+    if status != OK:
+        return status, False
+    for d in range(len(c.q)):
+        projected_q, projected_v = c.shift_q[d], c.shift_v[d]
+        c.shift_q[d] = projected_q - c.new_q[d]
+        c.shift_v[d] = projected_v - c.new_v[d]
+        c.new_q[d] = projected_q
+        c.new_v[d] = projected_v
+    c.counts[PROJECTIONS] += 1
+    return OK, True

@@ -1,0 +1,168 @@
+"""Steps written in Python, moved onto the constraints: plainly after a step, or symmetrically around it.
+
+`mbdkit.stepping.projected_step` does the same in compiled code, to the steps of compiled methods; here the iteration
+is made of calls of `StepProblem`, because the step in its middle is one of Python.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.stepping.python_method import StepError, StepState
+
+if TYPE_CHECKING:
+    from mbdkit.engine.equations_of_motion import StepProblem
+
+Vector = np.ndarray | float
+
+MOST_PROJECTIONS = 20
+"""Iterations after which a projection counts as failed."""
+
+MOST_STEPS = 100
+"""Steps tried for one symmetric projection after which it counts as failed."""
+
+ROUND_OFF = 4 * float(np.finfo(float).eps)
+"""Relative change of the coordinates that is nothing but rounding."""
+
+STAGNANT = 1e-9
+"""Relative change below which a projection that comes no nearer has met round-off."""
+
+
+def nearest_positions(p: StepProblem, t: float, q: np.ndarray) -> np.ndarray:
+    """Return the positions (n,) nearest to `q` in the mass metric that meet all constraints at time `t`; uncounted."""
+    given, before = q, np.inf
+    for _ in range(MOST_PROJECTIONS):
+        step, _ = p.solve(t, q, p.mass * (given - q), -p.constraints(t, q))
+        q = q + step
+        now = p.relative_change(q, step)
+        if now <= ROUND_OFF or (now >= 0.5 * before and now < STAGNANT):
+            return q
+        before = now
+    raise StepError("newton-failed", f"no position that meets the joints was found in {MOST_PROJECTIONS} iterations")
+
+
+def nearest_velocities(p: StepProblem, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return the velocities (n,) nearest to `v` in the mass metric that keep the constraints; uncounted.
+
+    The equations are linear; a second solve takes their round-off away.
+    """
+    none = np.zeros(p.n)
+    for _ in range(2):
+        v = v + p.solve(t, q, none, -p.constraint_rates(t, q, v))[0]
+    return v
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """One step: where the method's own began and what it made, both unprojected, and the state that is gone on from.
+
+    `correction` (4,) is what was done to it, as a stretch of a run has it (`mbdkit.stepping.interface.Stretch`).
+    """
+
+    begin: StepState
+    made: StepState
+    reached: StepState
+    correction: np.ndarray
+
+
+class StabilizedSteps:
+    """Takes the steps of a method written in Python as a run's stabilization wants them.
+
+    *Projection*: positions and velocities go to the nearest ones on the constraints, in the mass metric. *Symmetric
+    projection* (Hairer 2000, BIT 40, 726-734): with multipliers mu of positions and nu of velocities,
+
+        q_0~ = q_0 + M^-1 Phi_q(q_0)^T mu,    (q_1~, v_1~) = step(q_0~, v_0~),    q_1 = q_1~ + M^-1 Phi_q(q_1)^T mu
+        v_0~ = v_0 + M^-1 Phi_q(q_0)^T nu,                                        v_1 = v_1~ + M^-1 Phi_q(q_1)^T nu
+
+    so that Phi(q_1) = 0 and Phi_q(q_1) v_1 + Phi_t = 0: a step back leads back. The multipliers are found by Newton
+    iterations, each with the method's step and a matrix simplified to that of a step that moves q by h v.
+
+    What a state carries beside q and v, multipliers and memory, is handed on as the method made it: a memory that has
+    to fit the velocities, such as that of generalized-alpha, no longer does, and can cost an order of the multipliers.
+
+    Parameters
+    ----------
+    step
+        The method's own step: (t, state, h) to state.
+    problem
+        The equations; its counters count, and its stabilization says what is wanted.
+    """
+
+    def __init__(self, step: Callable[[float, StepState, float], StepState], problem: StepProblem):
+        self.step, self.problem, self.wanted = step, problem, problem.stabilization
+        self.weight = problem.mass / float(np.sum(problem.mass[::3]))
+
+    def take(self, t: float, end: float, state: StepState, h: float, number: int) -> Taken:
+        """Take step `number`, counted from 1, from `state` at `t` to `end`; raises StepError."""
+        wanted, p = self.wanted, self.problem
+        if wanted.symmetric:
+            return self._symmetric(t, end, state, h)
+        made = self.step(t, state, h)
+        if wanted.kind == "projection" and number % wanted.every == 0 and self._is_off(end, made):
+            q = nearest_positions(p, end, made.q)
+            v = nearest_velocities(p, end, q, made.v)
+            return self._corrected(state, made, q - made.q, v - made.v)
+        term = p.baumgarte_terms(end, made.q, made.v) if wanted.kind == "baumgarte" else 0.0
+        return Taken(state, made, made, np.array([0.0, 0.0, 0.0, term]))
+
+    def _is_off(self, end: float, made: StepState) -> bool:
+        bound, p = self.wanted.bound, self.problem
+        if bound is None:
+            return True
+        rows = p.constraints(end, made.q), p.constraint_rates(end, made.q, made.v)
+        return bool(np.max(np.abs(rows), initial=0.0) > bound)
+
+    def _symmetric(self, t: float, end: float, state: StepState, h: float) -> Taken:
+        p, none = self.problem, np.zeros(self.problem.n)
+        mu, nu = np.zeros((2, p.m))
+        at: np.ndarray | None = None
+        before, idle = np.inf, 0
+        for _ in range(MOST_STEPS):
+            begin, pushed_q, pushed_v = state, none, none
+            if at is not None:
+                pushed_q, pushed_v = self._push(t, state.q, mu), self._push(t, state.q, nu)
+                begin = state.moved(pushed_q, pushed_v, multipliers=state.multipliers, memory=state.memory)
+            made = self.step(t, begin, h)
+            dq = none if at is None else self._push(end, at, mu)
+            at = made.q + dq
+            step_q, for_q = p.solve(end, at, none, -p.constraints(end, at))
+            at = at + step_q
+            dv = self._push(end, at, nu)
+            v = made.v + dv
+            step_v, for_v = p.solve(end, at, none, -p.constraint_rates(end, at, v))
+            now = max(p.relative_change(at, step_q), p.relative_change(v, step_v))
+            idle = idle + 1 if now >= 0.5 * before else 0
+            if now <= ROUND_OFF or (idle >= 2 and now < STAGNANT):
+                return self._corrected(begin, made, dq + step_q, dv + step_v, pushed_q, pushed_v)
+            mu, nu = mu - 0.5 * (for_q - 0.5 * h * for_v), nu - 0.5 * for_v
+            before = now
+        raise StepError("newton-failed", f"the symmetric projection did not converge in {MOST_STEPS} tries of the step")
+
+    def _push(self, t: float, q: np.ndarray, mu: np.ndarray) -> np.ndarray:
+        return self.problem.constraint_forces(t, q, mu) / self.problem.mass
+
+    def _corrected(
+        self,
+        begin: StepState,
+        made: StepState,
+        dq: np.ndarray,
+        dv: np.ndarray,
+        before_q: Vector = 0.0,
+        before_v: Vector = 0.0,
+    ) -> Taken:
+        """Return a step whose end is moved by `dq`, `dv`; noted with what its begin was moved by."""
+        self.problem.counters.projections += 1
+        reached = made.moved(
+            dq,
+            dv,
+            multipliers=made.multipliers,
+            memory=made.memory,
+            work=made.work,
+            dissipated=made.dissipated,
+        )
+        moved_q, moved_v = (np.sqrt(self.weight @ x**2) for x in (before_q + dq, before_v + dv))
+        return Taken(begin, made, reached, np.array([1.0, moved_q, moved_v, 0.0]))

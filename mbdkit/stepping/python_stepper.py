@@ -1,0 +1,269 @@
+"""Drives a method that is written in Python: one step after the other, checked, booked and recorded."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.engine.equations_of_motion import StepProblem, call_everything
+from mbdkit.engine.iteration_matrix import vector
+from mbdkit.engine.kernels.equations import example_problem
+from mbdkit.engine.workspace import Problem
+from mbdkit.stepping import interface
+from mbdkit.stepping.interface import Counters, Failure, StepTaken, Stretch, Timetable
+from mbdkit.stepping.python_method import StepError, StepMethod, StepState
+from mbdkit.stepping.python_projection import StabilizedSteps, Taken
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+@cache
+def _load_kernels() -> None:
+    """Load every kernel once in a process, before the first step is timed."""
+    call_everything(StepProblem(example_problem()))
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """What happened since the last recorded row: steps, the size of the last, iterations, and corrections (4,)."""
+
+    steps: int = 0
+    size: float = 0.0
+    iterations: int = 0
+    most_iterations: int = 0
+    correction: np.ndarray = field(default_factory=lambda: np.zeros(4))
+
+    def after(self, size: float, iterations: int, correction: np.ndarray) -> Interval:
+        """Return the interval with one more step."""
+        largest = np.maximum(self.correction, correction)
+        largest[0] = self.correction[0] + correction[0]
+        most = max(self.most_iterations, iterations)
+        return Interval(self.steps + 1, size, self.iterations + iterations, most, largest)
+
+
+@dataclass(frozen=True, slots=True)
+class Reached:
+    """What lies between two steps: all that it takes to go on from there, as often as is wanted."""
+
+    done: int
+    """Steps so far."""
+    time: float
+    state: StepState
+    energy: np.ndarray
+    """(2,) work of loads and drivers, and dissipated energy [J]; then the low parts of these sums."""
+    energy_low: np.ndarray
+    interval: Interval
+
+
+class StepStepper:
+    """Runs a `StepMethod` over a timetable; see `mbdkit.stepping.interface.Stepper`.
+
+    Work and dissipated energy that the method does not book are integrated by Simpson's rule, of order 4, over the
+    cubic through both ends of the step, with the powers under the index-1 multipliers; its three solves a step count.
+    Projections are made around the method's steps, and book nothing.
+    """
+
+    def __init__(self, method: StepMethod, problem: Problem, timetable: Timetable):
+        self.method, self.problem, self.timetable = method, problem, timetable
+        self.counters = Counters()
+        self.finished = False
+        self.failure: Failure | None = None
+        self.last_step: StepTaken | None = None
+        self.raised: Exception | None = None
+        self.worst_pairs = np.zeros(len(problem.mechanism.topology.pairs))
+        self.has_power = problem.has_power
+        self.view = StepProblem(problem)
+        self.view.counters = self.counters
+        self.stabilized = StabilizedSteps(self._own_step, self.view)
+        begin = StepState(self.view.q0.copy(), self.view.v0.copy())
+        self.now = Reached(0, timetable.start, begin, np.zeros(2), np.zeros(2), Interval())
+        self.time = timetable.start
+        self._before = self.now
+        _load_kernels()
+
+    def advance(self) -> Stretch:
+        """Go on for about `interface.STRETCH` seconds; what the method raised comes out after the rows before it."""
+        if self.raised is not None:
+            raise self.raised
+        until, table = time.perf_counter() + interface.STRETCH, self.timetable
+        rows: list[Reached] = []
+        self.last_step = None
+        while not self.finished and self.failure is None:
+            if self.now.done >= table.max_steps:
+                self.failure = Failure("max-steps", f"stopped after limits.max_steps = {table.max_steps} steps.")
+                break
+            before = self.now
+            try:
+                self._go_to(self._after(before, 1.0, self.worst_pairs))
+            except StepError as error:
+                where = f"in step {before.done + 1} from t = {before.time:.6g} s"
+                self.failure = Failure(error.code, f"{error} {where}; {self.method.hint}.")
+                break
+            except Exception as error:
+                self.raised = error
+                break
+            if self.now.done % table.every == 0 or self.finished:
+                rows.append(self._recorded())
+            if table.single:
+                self._before = before
+                ends = (*self._with_ground(before.state), *self._with_ground(self.now.state))
+                self.last_step = StepTaken(before.time, self.now.time, *ends)
+            if table.single or time.perf_counter() > until:
+                break
+        return self._stretch(rows)
+
+    def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return a state in the last step by the cubic through its ends; see `Stepper.inside`."""
+        assert self.last_step is not None
+        return self.last_step.hermite(theta)
+
+    def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return a state in the last step by a step of the method to there; see `Stepper.within`."""
+        step = self.last_step
+        assert step is not None
+        if theta in (0.0, 1.0):
+            return (step.q1, step.v1) if theta else (step.q0, step.v0)
+        there = self._again(theta)
+        return self._with_ground(there.state) if there is not None else self.inside(theta)
+
+    def cut(self, theta: float) -> Stretch:
+        """End the run within the last step; see `Stepper.cut`."""
+        assert self.last_step is not None
+        before, after = self._before, self.now
+        there = self._again(theta) if theta > 0.0 else before
+        if there is None:  # the step that led here could be taken, but none to this place
+            q, v = (x[: self.view.n] for x in self.inside(theta))
+            there = replace(
+                after,
+                state=replace(before.state, q=q, v=v),
+                energy=before.energy + theta * (after.energy - before.energy),
+                interval=before.interval.after(theta * self._size(before), 0, np.zeros(4)),
+            )
+        self._go_to(replace(there, time=self.last_step.time(theta)))
+        self.finished, self.failure = True, None
+        return self.last_state()
+
+    def last_state(self) -> Stretch:
+        """Return the state reached as one row; see `Stepper.last_state`."""
+        return self._stretch([self._recorded()])
+
+    def _size(self, begin: Reached) -> float:
+        """Return the size of the step from `begin`."""
+        table = self.timetable
+        assert table.step is not None
+        return table.last_step if begin.done == table.steps - 1 else table.step
+
+    def _after(self, begin: Reached, theta: float, worst: np.ndarray) -> Reached:
+        """Return where a share of the step from `begin` leads, and raise `worst` (P,) by its misalignments.
+
+        Raises StepError, and whatever the method raises.
+        """
+        table, view, iterations = self.timetable, self.view, self.counters.newton_iterations
+        assert table.step is not None
+        done, h = begin.done + 1, theta * self._size(begin)
+        end = table.start + done * table.step if h == table.step else begin.time + h  # time is not summed up
+        taken = self.stabilized.take(begin.time, end, begin.state, h, done)
+        new = taken.reached
+        if not view.arrive(end, new.q, new.v, worst):
+            raise StepError("not-finite", "positions or velocities overflowed")
+        energy, low = begin.energy, begin.energy_low
+        if self.has_power:
+            energy, low = self._booked(begin, h, taken)
+        interval = begin.interval.after(h, self.counters.newton_iterations - iterations, taken.correction)
+        return Reached(done, table.end if done == table.steps else end, new, energy, low, interval)
+
+    def _again(self, theta: float) -> Reached | None:
+        """Take a share of the last step instead; None where that fails. Raises what the method raises."""
+        try:
+            return self._after(self._before, theta, self.worst_pairs.copy())
+        except StepError:
+            return None
+
+    def _go_to(self, there: Reached) -> None:
+        self.now, self.time = there, there.time
+        self.counters.steps = self.counters.accepted = there.done
+        self.finished = there.done == self.timetable.steps
+
+    def _recorded(self) -> Reached:
+        """Return the state reached, to be recorded, and begin a new interval."""
+        recorded = self.now
+        self.now = replace(recorded, interval=Interval())
+        return recorded
+
+    def _with_ground(self, state: StepState) -> tuple[np.ndarray, np.ndarray]:
+        ground = np.zeros(3)
+        return np.concatenate([state.q, ground]), np.concatenate([state.v, ground])
+
+    def _own_step(self, t: float, state: StepState, h: float) -> StepState:
+        """Return what the method makes of a step, checked; raises TypeError or ValueError by name."""
+        try:
+            new = self.method.step(self.view, t, state, h)
+        except SystemExit:
+            raise RuntimeError("SystemExit") from None
+        name, view = type(self.method).__name__, self.view
+        if not isinstance(new, StepState):
+            raise TypeError(f"{name}.step returned {type(new).__name__}, not a StepState")
+        wanted: list[tuple[str, Any, int]] = [("q", new.q, view.n), ("v", new.v, view.n)]
+        if self.method.carries_multipliers:
+            wanted.append(("multipliers", new.multipliers, view.m))
+        found: list[np.ndarray] = []
+        for field_name, value, size in wanted:
+            try:
+                found.append(vector(value, size))
+            except (TypeError, ValueError) as error:
+                raise ValueError(f"{name}.step returned `{field_name}` amiss: {error}") from None
+        if len(found) == 3 and not np.all(np.isfinite(found[2])):
+            raise StepError("not-finite", "multipliers overflowed")
+        return new if found[0] is new.q and found[1] is new.v else replace(new, q=found[0], v=found[1])
+
+    def _booked(self, begin: Reached, h: float, taken: Taken) -> tuple[np.ndarray, np.ndarray]:
+        """Return work and dissipated energy after the method's own step, with compensation; projections add none."""
+        gains: Sequence[float | None] = (taken.made.work, taken.made.dissipated)
+        if None in gains:
+            ours = self._gains(begin.time, h, taken)
+            gains = [own if own is not None else gain for own, gain in zip(gains, ours, strict=True)]
+        y = np.array(gains) + begin.energy_low
+        total = begin.energy + y
+        return total, y - (total - begin.energy)
+
+    def _gains(self, t: float, h: float, taken: Taken) -> np.ndarray:
+        """Return work and dissipated energy of a step by Simpson's rule over the cubic through its ends."""
+        view, old, new = self.view, taken.begin, taken.made
+        a0, lam0 = view.accelerations(t, old.q, old.v)
+        a1, lam1 = view.accelerations(t + h, new.q, new.v)
+        q = 0.5 * (old.q + new.q) + h / 8 * (old.v - new.v)
+        v = 0.5 * (old.v + new.v) + h / 8 * (a0 - a1)
+        _, lam = view.accelerations(t + h / 2, q, v)
+        begin = np.array(view.powers(t, old.q, old.v, lam0))
+        middle = np.array(view.powers(t + h / 2, q, v, lam))
+        return h / 6 * (begin + 4 * middle + np.array(view.powers(t + h, new.q, new.v, lam1)))
+
+    def _stretch(self, rows: list[Reached]) -> Stretch:
+        """Return recorded states as a stretch; `mbdkit.stepping.interface.Stretch` says what stands where."""
+        n, count = self.view.n, len(rows)
+        q, v = np.zeros((2, count, self.problem.mechanism.size))
+        intervals = np.zeros((count, 6))
+        energy, corrections = np.zeros((count, 2)), np.zeros((count, 4))
+        own = np.zeros((count, len(self.problem.mechanism.rows))) if self.method.carries_multipliers else None
+        for i, row in enumerate(rows):
+            q[i, :n], v[i, :n] = row.state.q, row.state.v
+            energy[i], corrections[i] = row.energy, row.interval.correction
+            took = row.interval
+            intervals[i, :5] = row.time, took.steps, took.size, took.iterations, took.most_iterations
+            if own is not None and row.state.multipliers is not None:
+                own[i] = self.view.recorded_multipliers(row.time, row.state.q, row.state.multipliers)
+        return Stretch(
+            intervals[:, 0].copy(),
+            q,
+            v,
+            energy[:, 0].copy(),
+            energy[:, 1].copy(),
+            intervals,
+            multipliers=own,
+            corrections=corrections if self.problem.stabilization.kind != "none" else None,
+        )

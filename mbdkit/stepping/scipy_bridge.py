@@ -1,0 +1,330 @@
+"""SciPy's adaptive solvers on the first-order form y = (q, v) of the index-1 equations.
+
+Where loads, drivers or dampers act, work and dissipated energy [J] are two more states, so that they are integrated by
+the method's own weights. The exact Jacobian of the accelerations goes to the solvers that take one. Events are located
+on the solvers' dense output, whose order may be lower than that of the steps.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.kernels.observe import baumgarte_at, first_order_rates, note_all, tangents_at
+from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.kernels.vectors import BEYOND
+from mbdkit.engine.singularity import describe_nearness
+from mbdkit.engine.workspace import Problem
+from mbdkit.stepping.interface import STRETCH, Counters, Failure, StepTaken, Stretch, Timetable
+
+if TYPE_CHECKING:
+    from mbdkit.methods.kinds import SciPySolver
+
+_RADAU_FIRST_NODE = (4 - 6**0.5) / 10
+
+Row = tuple[float, np.ndarray, np.ndarray, float]
+"""A state to be recorded: time, y, the interval that ends there, and the largest of Baumgarte's terms in it."""
+
+
+class _StoppedError(Exception):
+    """The right side cannot be evaluated; carries why."""
+
+    def __init__(self, failure: Failure):
+        super().__init__(failure.sentence)
+        self.failure = failure
+
+
+class SciPyStepper:
+    """Runs an `OdeSolver` of SciPy over a timetable; see `mbdkit.stepping.interface.Stepper`."""
+
+    def __init__(self, method: SciPySolver, problem: Problem, timetable: Timetable):
+        import scipy.integrate
+
+        self.problem, self.timetable = problem, timetable
+        self.counters = Counters()
+        self.finished = False
+        self.failure: Failure | None = None
+        self.time = timetable.start
+        pairs = len(problem.mechanism.topology.pairs)
+        self.worst_pairs = np.zeros(pairs)
+        self.has_power = problem.has_power
+        self.n3 = 3 * len(problem.mechanism.bodies)
+        self._acc = np.zeros((3, problem.mechanism.size))
+        self._lam = np.zeros((pairs, 2))
+        self._times: list[float] = []
+        self._finite = True
+        y0 = np.concatenate([problem.q0[: self.n3], problem.v0[: self.n3], np.zeros(2 * self.has_power)])
+        solver = getattr(scipy.integrate, method.solver) if isinstance(method.solver, str) else method.solver
+        options: dict[str, Any] = {"rtol": method.rtol, "atol": method.atol}
+        if method.needs_jacobian:
+            options["jac"] = self.jacobian
+        if timetable.step is not None:
+            options["first_step"] = min(timetable.step, timetable.end - timetable.start)
+        self.solver: Any = None
+        try:
+            self.solver = solver(self.rates, timetable.start, y0, timetable.end, **options)
+        except _StoppedError as stop:
+            self.failure = stop.failure
+        self.y = y0
+        self._since = np.zeros(6)  # steps, -, -, iterations, most iterations, rejected since the last row
+        self._stabilized = problem.stabilization.kind == "baumgarte"
+        self._pull = 0.0  # largest of Baumgarte's terms since the last row
+        self._next = 1
+        self.last_step: StepTaken | None = None
+        self._dense: Any = None
+        self._y0 = y0
+        self._row_times: list[float] = []
+        self._effort_so_far = self._since.copy()
+
+    def rates(self, t: float, y: np.ndarray) -> np.ndarray:
+        """Return dy/dt; raises `_StoppedError` where the mechanism is singular."""
+        self.counters.rhs_evaluations += 1
+        self.counters.factorizations += 1
+        self._times.append(t)
+        out = np.empty(2 * self.n3 + 2)
+        full = y if self.has_power else np.concatenate([y, np.zeros(2)])
+        for attempt in range(2):
+            problem = self.problem
+            status = first_order_rates(
+                problem.stepping_engine, self.has_power, float(t), full, self._acc, self._lam, out,
+            )  # fmt: skip
+            if status == OK:
+                break
+            if not problem.is_finite():
+                out[:] = np.nan
+                break
+            try:
+                if attempt:
+                    raise SingularSystemError
+                problem.use_pivots()
+            except SingularSystemError as error:
+                name = problem.mechanism.unknown_name(error.index)
+                where = f"no independent equations are left at {name} at t = {t:.6g} s"
+                raise _StoppedError(Failure("singular", f"{where}{self._nearness(t, y)}.")) from None
+        self._finite = self._finite and bool(np.all(np.isfinite(out)))
+        return out if self.has_power else out[: 2 * self.n3]
+
+    def jacobian(self, t: float, y: np.ndarray) -> np.ndarray:
+        """Return d(dy/dt)/dy: exact in q and v; the two energies are quadratures and take no part."""
+        self.counters.jacobian_evaluations += 1
+        n3, problem = self.n3, self.problem
+        q, v = np.zeros((2, problem.mechanism.size))
+        q[:n3], v[:n3] = y[:n3], y[n3 : 2 * n3]
+        status = tangents_at(problem.stepping_engine, float(t), q, v, self._acc[2], self._lam)
+        if status != OK:  # new pivots, if they help
+            if not np.all(np.isfinite(self.rates(t, y))):
+                return np.full((len(y), len(y)), np.nan)
+            return self.jacobian(t, y)
+        self.counters.factorizations += 2  # the index-1 solve above, and the matrix of all its derivatives below
+        n, terms = problem.unknowns, problem.terms
+        values = problem.scratch.source[terms.source]
+        sign = np.array([1.0, 1.0, -1.0, 1.0])[terms.factor]
+        parts = np.zeros((3, n, n))  # KKT matrix, then derivatives of its residual by v and by q
+        np.add.at(parts, (np.array([0, 1, 1, 2])[terms.factor], terms.row, terms.column), sign * values)
+        right = -np.concatenate([parts[2][:, :n3], parts[1][:, :n3]], axis=1)
+        out = np.zeros((len(y), len(y)))
+        out[:n3, n3 : 2 * n3] = np.eye(n3)
+        out[n3 : 2 * n3, : 2 * n3] = np.linalg.solve(parts[0], right)[:n3]
+        self._finite = self._finite and bool(np.all(np.isfinite(out)))
+        return out
+
+    def advance(self) -> Stretch:
+        """Step for about `STRETCH` seconds, or once; see `Stepper.advance`."""
+        rows: list[Row] = []
+        until = time.perf_counter() + STRETCH
+        table = self.timetable
+        self.last_step = None
+        while self.failure is None and not self.finished and time.perf_counter() < until:
+            if self.counters.steps >= table.max_steps:
+                self.failure = Failure("max-steps", f"stopped after limits.max_steps = {table.max_steps} steps.")
+                break
+            t0, y0 = self.time, self.y
+            if not self._step():
+                break
+            if not table.single:
+                rows += self._due()
+                continue
+            self.last_step = StepTaken(t0, self.time, *self._state(y0), *self._state(self.y))
+            self._dense, self._y0, self._effort_so_far = None, y0, self._since.copy()
+            rows = self._due()
+            self._row_times = [row[0] for row in rows]
+            break
+        return self._stretch(rows)
+
+    def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return a state in the last step by the solver's dense output; see `Stepper.inside`."""
+        return self._state(self._interpolated(theta))
+
+    within = inside
+    """SciPy's solvers take no second step from where one began: their dense output has to do."""
+
+    def cut(self, theta: float) -> Stretch:
+        """End the run within the last step; see `Stepper.cut`."""
+        assert self.last_step is not None
+        self.y, self.time = self._interpolated(theta), self.last_step.time(theta)
+        if theta > 0.0 and not any(t < self.time for t in self._row_times):
+            self._since = self._effort_so_far
+            self._since[2] = self.time - self.last_step.t0
+        self.finished, self.failure = True, None
+        return self.last_state()
+
+    def _interpolated(self, theta: float) -> np.ndarray:
+        """Return y at the share `theta` of the last step, by the cubic where there is no dense output to be had."""
+        step = self.last_step
+        assert step is not None
+        if theta in (0.0, 1.0):
+            return self.y if theta else self._y0
+        if self._dense is None:
+            try:
+                self._dense = self.solver.dense_output()
+            except (NotImplementedError, _StoppedError):
+                self._dense = self._cubic
+        return np.asarray(self._dense(step.time(theta)))
+
+    def _cubic(self, t: float) -> np.ndarray:
+        step = self.last_step
+        assert step is not None
+        theta = (t - step.t0) / (step.t1 - step.t0)
+        q, v = step.hermite(theta)
+        energies = self._y0[2 * self.n3 :] + theta * (self.y - self._y0)[2 * self.n3 :]
+        return np.concatenate([q[: self.n3], v[: self.n3], energies])
+
+    def _state(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        ground = np.zeros(3)
+        return np.concatenate([y[: self.n3], ground]), np.concatenate([y[self.n3 : 2 * self.n3], ground])
+
+    def _step(self) -> bool:
+        """Take one step of the solver; return whether it succeeded."""
+        solver, before = self.solver, self.solver.t
+        self._times.clear()
+        self._finite = True
+        self.problem.scratch.faulty[0] = -1  # where a step fails, what it tried counts, and not what others tried
+        lu = solver.nlu
+        try:
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore")
+                message = solver.step()
+        except _StoppedError as stop:
+            self.failure = stop.failure
+            return False
+        except (ValueError, np.linalg.LinAlgError):
+            if self._finite:
+                raise
+            self.failure = self._overflow(before)  # SciPy's linear algebra met a number that is not finite
+            return False
+        self.counters.factorizations += solver.nlu - lu
+        if solver.status == "failed":
+            if not self._finite:
+                self.failure = self._overflow(before)
+            else:
+                where = f"at t = {before:.6g} s: {message}".rstrip(".")
+                self.failure = Failure("step-too-small", f"{where}{self._nearness(before, self.y)}.")
+            return False
+        if solver.t == before:  # LSODA goes on with steps that time does not feel, and never ends
+            where = f"at t = {before:.6g} s: the step is too small to move the time"
+            self.failure = Failure("step-too-small", f"{where}{self._nearness(before, self.y)}.")
+            return False
+        if not np.all(np.abs(solver.y) < BEYOND):
+            self.failure = self._overflow(before)
+            return False
+        iterations, attempts = self._effort(before)
+        self.counters.steps += 1
+        self.counters.accepted += 1
+        self.counters.rejected += attempts - 1
+        self.counters.newton_iterations += iterations
+        self._since += (1, 0, 0, iterations, 0, attempts - 1)
+        self._since[2] = solver.t - before
+        self._since[4] = max(self._since[4], iterations)
+        self.time, self.y = float(solver.t), solver.y.copy()
+        self.finished = solver.status == "finished"
+        if self.finished:
+            self.time = self.timetable.end
+        problem = self.problem
+        note_all(problem.engine, np.array([self.time]), self._positions(self.y)[None], self.worst_pairs)
+        if self._stabilized:
+            q, v = self._positions(self.y), self._positions(self.y[self.n3 :])
+            pull = baumgarte_at(problem.stepping_engine, self.time, q, v)
+            self._pull = max(self._pull, pull)
+        return True
+
+    def _nearness(self, t: float, y: np.ndarray) -> str:
+        """Return that a state is nearly singular, to go on a sentence with; empty where it is not."""
+        near = describe_nearness(self.problem, t, self._positions(y))
+        return near and f"; {near}"
+
+    def _overflow(self, t: float) -> Failure:
+        if force := self.problem.unusable_law():
+            return Failure("not-finite", f"the law of force '{force}' gives no finite number after t = {t:.6g} s.")
+        return Failure("not-finite", f"numbers overflowed after t = {t:.6g} s; tighter tolerances may help.")
+
+    def _effort(self, t: float) -> tuple[int, int]:
+        """Return the Newton iterations and the attempts of the last step, read off the times of its evaluations."""
+        times = self._times
+        stages = getattr(self.solver, "n_stages", None)
+        if stages:
+            return 0, max(1, round(len(times) / stages))
+        if type(self.solver).__name__ == "Radau":
+            sizes: list[float] = []
+            i = 0
+            while i + 2 < len(times):
+                h = times[i + 2] - t
+                if h > 0 and abs(times[i] - t - _RADAU_FIRST_NODE * h) < 1e-6 * h:
+                    sizes.append(h)
+                    i += 3
+                else:
+                    i += 1
+            return len(sizes), max(1, len(set(sizes)))
+        return 0, max(1, len({x for x in times if x != t}))
+
+    def _due(self) -> list[Row]:
+        """Return the rows that the last step made due."""
+        rows: list[Row] = []
+        table = self.timetable
+        if table.interval is None:
+            if self.counters.steps % table.every == 0 or self.finished:
+                rows.append(self._row(self.time, self.y))
+            return rows
+        dense = None
+        inner = math.ceil((table.end - table.start) / table.interval - 1e-9)  # the end comes by itself
+        while self._next < inner and (at := table.start + self._next * table.interval) <= self.time:
+            if dense is None:
+                dense = self.solver.dense_output()
+            rows.append(self._row(at, np.asarray(dense(at))))
+            self._next += 1
+        if self.finished:
+            rows.append(self._row(self.time, self.y))
+        return rows
+
+    def _row(self, t: float, y: np.ndarray) -> Row:
+        effort, pull = self._since.copy(), self._pull
+        self._since[:] = 0
+        self._pull = 0.0
+        effort = np.array([t, effort[0], effort[2], effort[3], effort[4], effort[5]])
+        return t, y, effort, pull
+
+    def _positions(self, y: np.ndarray) -> np.ndarray:
+        return np.concatenate([y[: self.n3], np.zeros(3)])
+
+    def _stretch(self, rows: list[Row]) -> Stretch:
+        n3, count = self.n3, len(rows)
+        q, v = np.zeros((2, count, self.problem.mechanism.size))
+        work, lost = np.zeros((2, count))
+        for i, (_, y, _, _) in enumerate(rows):
+            q[i, :n3], v[i, :n3] = y[:n3], y[n3 : 2 * n3]
+            if self.has_power:
+                work[i], lost[i] = y[2 * n3 :]
+        intervals = np.array([effort for _, _, effort, _ in rows]).reshape(-1, 6)
+        corrections = None
+        if self._stabilized:
+            corrections = np.array([(0.0, 0.0, 0.0, pull) for *_, pull in rows]).reshape(-1, 4)
+        times = np.array([t for t, *_ in rows])
+        return Stretch(times, q, v, work, lost, intervals, corrections=corrections)
+
+    def last_state(self) -> Stretch:
+        """Return the state reached as one row; see `Stepper.last_state`."""
+        return self._stretch([self._row(self.time, self.y)])

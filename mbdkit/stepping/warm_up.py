@@ -1,0 +1,107 @@
+"""Compile every kernel once per installation, in one process while others wait."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from mbdkit.engine.jit.cache import FOLDER, compiling, is_warm
+
+
+def to_stderr(message: str) -> None:
+    """Print a message where progress goes."""
+    print(message, file=sys.stderr, flush=True)
+
+
+def ensure_compiled(notify: Callable[[str], None] = to_stderr) -> None:
+    """Make sure that all kernels stand compiled in the cache.
+
+    Parameters
+    ----------
+    notify
+        Is told what is happening, where there is something to wait for.
+    """
+    if is_warm():
+        return
+    notify("mbdkit compiles its kernels; this happens once per installation and takes a minute or two ...")
+    begin = time.perf_counter()
+    with compiling() as cold:
+        if cold:
+            with _interrupts_kept() as check:
+                _run_everything(check)
+            notify(f"... compiled in {time.perf_counter() - begin:.0f} s, kept in {FOLDER}")
+
+
+@contextmanager
+def _interrupts_kept() -> Iterator[Callable[[], None]]:
+    """Hold Ctrl-C back while the compiler runs, which would swallow it; yields a function that raises it."""
+    noted: list[int] = []
+
+    def check() -> None:
+        if noted:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield check
+        return
+    before = signal.signal(signal.SIGINT, lambda number, frame: noted.append(number))
+    try:
+        yield check
+        check()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _run_everything(check: Callable[[], None]) -> None:
+    """Step a small mechanism through every kernel; their argument types are the same for all mechanisms.
+
+    What few runs need, steps on the constraints themselves, is compiled when it is first asked for.
+    """
+    import numpy as np
+
+    from mbdkit.engine.assembly import assemble
+    from mbdkit.engine.compile_mechanism import compile_mechanism
+    from mbdkit.engine.equations_of_motion import StepProblem, call_everything
+    from mbdkit.engine.kernels.observe import baumgarte_at, observe
+    from mbdkit.engine.singularity import nearest_singularity, new_vectors
+    from mbdkit.engine.workspace import Problem
+    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.methods import gauss, rk4
+    from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, SciPySolver
+    from mbdkit.stepping.interface import Timetable
+
+    m = Mechanism()
+    rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.55, 0.05))
+    m.revolute("A", m.ground, rod, points=((0.0, 0.0), (-0.5, 0.0)))
+    compiled = compile_mechanism(m)
+    start = assemble(m, 0.0, compiled)
+    check()
+    q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
+    table = Timetable(0.0, 0.2, step=0.1, steps=2, single=True)
+    methods: tuple[Method, ...] = (
+        ExplicitRungeKutta(rk4.tableau()),
+        ImplicitRungeKutta(gauss.tableau(3)),
+        SciPySolver("Radau", 1e-3, 1e-3, needs_jacobian=True),
+    )
+    call_everything(StepProblem(Problem(compiled, 0.0, q0, v0)), check)
+    for method in methods:
+        check()
+        problem = Problem(compiled, 0.0, q0, v0)
+        baumgarte_at(problem.engine, 0.0, q0, v0)
+        stepper = method.start(problem, table)
+        stretch = stepper.advance()
+        stepper.inside(0.5)
+        stepper.within(0.5)
+        rows, pairs = len(stretch.time), len(compiled.topology.pairs)
+        shape = (rows, pairs, 2)
+        observe(
+            problem.engine, stretch.time, stretch.q, stretch.v,
+            np.zeros_like(stretch.q), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros((rows, pairs, 3)),
+            np.zeros(rows), np.zeros(rows), np.zeros(rows),
+            np.zeros((rows, 0, pairs, 2)), np.zeros((rows, 0, pairs, 3)), new_vectors(problem),
+        )  # fmt: skip
+    nearest_singularity(Problem(compiled, 0.0, q0, v0), 0.0, q0)

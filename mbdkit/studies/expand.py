@@ -1,0 +1,252 @@
+"""Expands a study into its points, each of them a checked run spec."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from mbdkit.errors import SpecError
+from mbdkit.registry.manager import registry
+from mbdkit.spec import RunSpec
+from mbdkit.spec.plain_data import Path, parse_path, path_text
+from mbdkit.spec.reading import parse_key, put
+from mbdkit.spec.study_spec import Family, StudySpec
+from mbdkit.spec.value_sets import Value, expand
+from mbdkit.text import listed
+
+#: More runs than this in one study are refused.
+LARGEST_STUDY = 10_000
+
+Label = int | float | str
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A key of the run spec that the study sets: to what, and where in the study that stands."""
+
+    path: Path
+    value: Any
+    place: Path
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A family with all that it takes from the top of the study."""
+
+    name: str
+    base: Mapping[str, Any]
+    base_place: Path
+    overrides: tuple[Setting, ...]
+    axes: tuple[tuple[tuple[str, tuple[Value, ...]], ...], ...]
+    axes_place: Path
+    reference: tuple[Setting, ...] | None
+    reference_place: Path
+    repeats: int
+
+    def points(self) -> Iterator[tuple[dict[str, Label], list[Setting], str]]:
+        """Yield labels, settings and the distribution that is not installed of each point; the last axis is fastest."""
+        for choice in itertools.product(*(range(len(axis[0][1])) for axis in self.axes)):
+            labels: dict[str, Label] = {}
+            settings: list[Setting] = []
+            lacking = ""
+            for number, (axis, index) in enumerate(zip(self.axes, choice, strict=True)):
+                for key, values in axis:
+                    value = values[index]
+                    labels[key] = value.label
+                    place = (*self.axes_place, number, key, *value.place)
+                    settings += (
+                        _settings(value.value, place)
+                        if value.together
+                        else [Setting(parse_key(key), value.value, place)]
+                    )
+                    if value.if_installed and not registry().has_distribution(value.if_installed):
+                        lacking = lacking or value.if_installed
+            yield labels, settings, lacking
+
+
+def grids(spec: StudySpec) -> tuple[Grid, ...]:
+    """Return the families of a study; one without a name where it has none.
+
+    Parameters
+    ----------
+    spec
+        The study, its bases written out.
+    """
+    if not spec.families:
+        return (_grid(spec, "", Family(axes=spec.axes), ()),)
+    return tuple(_grid(spec, name, family, ("families", name)) for name, family in spec.families.items())
+
+
+def _grid(spec: StudySpec, name: str, family: Family, place: Path) -> Grid:
+    base, base_place = (spec.base, ()) if family.base is None else (family.base, place)
+    assert isinstance(base, Mapping)
+    reference, where = (spec.reference, ()) if family.reference is None else (family.reference, place)
+    return Grid(
+        name,
+        base,
+        (*base_place, "base"),
+        (*_settings(spec.overrides, ("overrides",)), *_settings(family.overrides, (*place, "overrides"))),
+        tuple(tuple((key, expand(values)) for key, values in axis.items()) for axis in family.axes),
+        (*place, "axes"),
+        None if reference == "none" else _settings(reference, (*where, "reference")),
+        (*where, "reference"),
+        spec.repeats if family.repeats is None else family.repeats,
+    )
+
+
+def _settings(keys: Mapping[str, Any], place: Path) -> tuple[Setting, ...]:
+    return tuple(Setting(parse_key(key), value, (*place, key)) for key, value in keys.items())
+
+
+@dataclass(frozen=True)
+class PlannedPoint:
+    """One point of a study: where it stands on every axis, and what makes its spec.
+
+    Parameters
+    ----------
+    number
+        From 1, over the whole study.
+    axes
+        The label of its value on every axis, by dotted key.
+    study, grid, settings
+        What its spec is made of.
+    lacking
+        The distribution that it would need and that is not installed, so that it is left out; empty otherwise.
+    """
+
+    number: int
+    axes: Mapping[str, Label]
+    study: StudySpec
+    grid: Grid
+    settings: tuple[Setting, ...]
+    lacking: str = ""
+
+    @property
+    def family(self) -> str:
+        """The name of its family; empty in a study without families."""
+        return self.grid.name
+
+    @cached_property
+    def spec(self) -> RunSpec:
+        """What is run, with its mechanism built.
+
+        Raises
+        ------
+        SpecError
+            With the place in the study that brought the mistake about.
+        """
+        return self._checked((*self.grid.overrides, *self.settings), f"run {self.number}")
+
+    @cached_property
+    def reference(self) -> RunSpec | None:
+        """The spec of the run that its errors are taken against; None without one.
+
+        Raises
+        ------
+        SpecError
+            With the place in the study that brought the mistake about.
+        """
+        if self.grid.reference is None:
+            return None
+        which = f"the reference of run {self.number}"
+        made = self._checked((*self.grid.overrides, *self.settings, *self.grid.reference), which)
+        mine, other = ((spec.time.start, spec.time.final) for spec in (self.spec, made))
+        if any(abs(a - b) > 1e-9 * (mine[1] - mine[0]) for a, b in zip(mine, other, strict=True)):
+            message = (
+                f"{which} goes from {other[0]:g} s to {other[1]:g} s, the run from {mine[0]:g} s to {mine[1]:g} s; "
+                "both should cover the same time"
+            )
+            raise self._placed(SpecError(message), self.grid.reference_place)
+        if made.model != self.spec.model:
+            bodies = [list(spec.mechanism().bodies) for spec in (self.spec, made)]
+            if bodies[0] != bodies[1]:
+                mine_listed, other_listed = (listed(names[:6]) + ", ..." * (len(names) > 6) for names in bodies)
+                message = f"{which} has the bodies {other_listed}, the run has {mine_listed}; both should have the same"
+                raise self._placed(SpecError(message), self.grid.reference_place)
+        return made
+
+    @cached_property
+    def run_id(self) -> str:
+        """The name of its run: equal runs have equal ones."""
+        return self.spec.run_id()
+
+    @cached_property
+    def reference_id(self) -> str:
+        """The name of its reference run; empty without one."""
+        return "" if self.reference is None else self.reference.run_id()
+
+    def _checked(self, settings: tuple[Setting, ...], which: str) -> RunSpec:
+        data = {"mbdkit": 1, **copy.deepcopy(dict(self.grid.base))}
+        told = point_label(self.axes)
+        where = f" (in {which}{': ' if told else ''}{told})"
+        for setting in settings:
+            try:
+                put(data, setting.path, copy.deepcopy(setting.value))
+            except SpecError as error:
+                raise self._placed(SpecError(error.message + where), setting.place) from None
+        try:
+            spec = RunSpec(**data)
+            spec.mechanism()
+        except SpecError as error:
+            place, exact = _origin(parse_path(error.key), settings, self.grid)
+            key = "" if exact else f"{error.key}: "
+            raise self._placed(SpecError(f"{key}{error.message}{where}"), place) from None
+        return spec
+
+    def _placed(self, error: SpecError, place: Path) -> SpecError:
+        """Return an error with the file and line of its place in the study, or in the file of its base."""
+        base = self.grid.base_place
+        document = self.study._bases.get(base)
+        if document is not None and document.file and place[: len(base)] == base:
+            return document.place(error.located(prefix=path_text(place[len(base) :])))
+        return self.study.placed(error.located(prefix=path_text(place)))
+
+
+def _origin(path: Path, settings: tuple[Setting, ...], grid: Grid) -> tuple[Path, bool]:
+    """Return where in the study the key of a run spec was set, and whether that place says which key it is."""
+    above = [setting for setting in settings if path[: len(setting.path)] == setting.path]
+    if above:
+        last = max(enumerate(above), key=lambda item: (len(item[1].path), item[0]))[1]
+        return (*last.place, *path[len(last.path) :]), True
+    below = [setting for setting in settings if setting.path[: len(path)] == path]
+    if below:
+        return below[-1].place, False
+    return (*grid.base_place, *path), True
+
+
+def outline(spec: StudySpec) -> tuple[PlannedPoint, ...]:
+    """Return every point of a study, the specs of their runs not made yet.
+
+    Parameters
+    ----------
+    spec
+        The study, its bases written out.
+
+    Raises
+    ------
+    SpecError
+        If there are too many.
+    """
+    families = grids(spec)
+    total = sum(math.prod(len(axis[0][1]) for axis in grid.axes) for grid in families)
+    if total > LARGEST_STUDY:
+        key = "families" if spec.families else "axes"
+        raise spec.placed(SpecError(f"makes {total} runs; a study has at most {LARGEST_STUDY}", key=key))
+    chosen = [(grid, *point) for grid in families for point in grid.points()]
+    return tuple(
+        PlannedPoint(number, labels, spec, grid, tuple(settings), lacking)
+        for number, (grid, labels, settings, lacking) in enumerate(chosen, start=1)
+    )
+
+
+def point_label(axes: Mapping[str, Label]) -> str:
+    """Return the values of a point on its axes in one line: ``gauss, stages 2; time.step 0.01``."""
+    return "; ".join(
+        str(value) if key in ("model", "integrator") else f"{key} {value:g}" if isinstance(value, float) else
+        f"{key} {value}" for key, value in axes.items()
+    )  # fmt: skip

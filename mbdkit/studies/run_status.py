@@ -1,0 +1,124 @@
+"""What is known of the runs of a study: by the index of an earlier call, by their files, by what the workers said."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import version
+
+from mbdkit.archive.fingerprint import data_sha256
+from mbdkit.archive.hdf5_errors import DAMAGE
+from mbdkit.archive.reader import load
+from mbdkit.errors import SpecError
+from mbdkit.spec import RunSpec
+from mbdkit.spec.study_spec import StudySpec
+from mbdkit.studies import study_index as table
+from mbdkit.studies.folder import StudyFolder
+from mbdkit.studies.pool import Outcome
+from mbdkit.studies.study_index import Row
+
+#: Reasons that a second attempt may do away with.
+PASSING = ("interrupted", "plugin-error", "worker-died", "error")
+
+MISSING = Outcome("missing", "")
+
+
+class Ledger:
+    """What is known of the runs in a study's folder.
+
+    Parameters
+    ----------
+    spec
+        The study.
+    folder
+        Its folder.
+    runs
+        The specs of all its runs by id.
+    """
+
+    def __init__(self, spec: StudySpec, folder: StudyFolder, runs: Mapping[str, RunSpec]):
+        self.folder, self.runs = folder, runs
+        self._outcomes: dict[str, Outcome] = {}
+        rows: tuple[Row, ...] = ()
+        try:
+            before = table.read(folder.index)
+        except SpecError:
+            pass  # there is none, or a damaged one: the files say it all again
+        else:
+            if before.study_sha256 == spec.sha256() and before.version == version("mbdkit"):
+                rows = (*before.references, *before.runs)
+        self._by_run: Mapping[str, Row] = {row.run_id: row for row in rows}
+        self._measured: Mapping[tuple[str, str], Row] = {(row.run_id, row.reference_id): row for row in rows}
+
+    def is_unchanged(self, run_id: str) -> bool:
+        """Tell whether the index knows the file of a run as it is now."""
+        path = self.folder.archive(run_id)
+        return run_id in self._by_run and path.exists() and path.stat().st_mtime == self._by_run[run_id].modified
+
+    def repeats(self, run_id: str) -> tuple[float, ...]:
+        """Return the serial timings that earlier calls made of a run [s]."""
+        return self._by_run[run_id].repeats if run_id in self._by_run else ()
+
+    def run_twice(self, run_id: str) -> Row | None:
+        """Return the row of a run whose file is unchanged since it was made a second time."""
+        return self._by_run[run_id] if self.is_unchanged(run_id) and self._by_run[run_id].second_run else None
+
+    def measured(self, run_id: str, reference_id: str) -> Row | None:
+        """Return the row of a run if neither its file nor that of its reference has changed since it was written."""
+        unchanged = all(self.is_unchanged(name) for name in (run_id, reference_id) if name)
+        return self._measured.get((run_id, reference_id)) if unchanged else None
+
+    def is_done(self, run_id: str) -> bool:
+        """Tell whether a run need not be computed: it is complete, or failed for a reason that would come again.
+
+        Raises
+        ------
+        SpecError
+            If its file holds another run.
+        """
+        outcome = self.outcome(run_id)
+        return outcome.status == "complete" or (outcome.status == "failed" and not outcome.reason.startswith(PASSING))
+
+    def outcome(self, run_id: str) -> Outcome:
+        """Return how a run ended; ``missing`` where it did not.
+
+        Raises
+        ------
+        SpecError
+            If its file holds another run.
+        """
+        if run_id not in self._outcomes:
+            self._outcomes[run_id] = self._found(run_id)
+        return self._outcomes[run_id]
+
+    def note(self, run_id: str, outcome: Outcome | None) -> None:
+        """Take down how a run ended that was computed just now; None: look again."""
+        if outcome is None:
+            self._outcomes.pop(run_id, None)
+        else:
+            self._outcomes[run_id] = outcome if outcome.status in ("complete", "failed") else MISSING
+
+    def _found(self, run_id: str) -> Outcome:
+        row = self._by_run.get(run_id)
+        if self.folder.archive(run_id).exists():
+            if row is None or not self.is_unchanged(run_id):
+                return self._read(run_id)
+        elif row is None or not row.reason.startswith("wrong-input"):  # which leaves no file
+            return MISSING
+        return Outcome(row.status, row.reason)
+
+    def _read(self, run_id: str) -> Outcome:
+        """Return how the run in a file ended; ``missing`` if the file is damaged, or the run was cut short."""
+        path = self.folder.archive(run_id)
+        try:
+            run = load(path)
+        except SpecError:
+            return MISSING
+        with run:
+            if run.run_id != run_id or run.spec_sha256 != self.runs[run_id].sha256():
+                raise SpecError("this archive holds another run than its name says; move it away", file=path)
+            try:
+                sound = data_sha256(run.file) == run.data_sha256
+            except DAMAGE:
+                sound = False
+            ended = run.status in ("complete", "failed")
+            return Outcome(run.status, run.status_reason) if sound and ended else MISSING

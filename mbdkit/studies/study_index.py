@@ -1,0 +1,247 @@
+"""The index of a study: one row a run, in HDF5 that netCDF-4 tools open, written in one atomic step."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from mbdkit.archive.fingerprint import data_sha256
+from mbdkit.archive.hdf5 import create, set_text
+from mbdkit.archive.hdf5_errors import reading
+from mbdkit.archive.layout import COUNTERS, FLOAT, INTEGER, TEXT, TIMINGS, Array
+from mbdkit.archive.part_file import LIBVER
+from mbdkit.errors import SpecError
+from mbdkit.studies.expand import Label
+from mbdkit.studies.measures import MEASURES, SECOND
+
+FORMAT = "mbdkit-study"
+FORMAT_VERSION = "1.1"
+STATUSES = ("complete", "failed", "missing", "left-out")
+
+#: Smallest, quartiles and median of the repeated timings.
+QUARTILES = {"wall_min_s": 0.0, "wall_q1_s": 0.25, "wall_median_s": 0.5, "wall_q3_s": 0.75}
+
+_TEXTS = {
+    "family": "family of the run",
+    "run_id": "name of the run, and of its file in runs/",
+    "reference_id": "run that its errors are taken against",
+    "status": "complete, failed, missing or left-out",
+    "status_reason": "why it is not complete",
+    "second_run": "complete if the run was made a second time for a measure, or why that tells nothing; else empty",
+    "worst_joint": "joint with the largest misalignment",
+    "data_sha256": "hash of what the run recorded",
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run in the index.
+
+    Parameters
+    ----------
+    run_id
+        The name of the run.
+    status
+        ``complete``, ``failed``, ``missing``, or ``left-out`` where it needs what is not installed.
+    reason
+        Why it is not complete: a code and a sentence.
+    family, axes, reference_id
+        Where it stands in the study; empty for a reference.
+    worst_joint, data_sha256
+        What the archive says.
+    values
+        Measures, counters and timings by column.
+    repeats
+        Wall times of the serial timings, s.
+    modified
+        When its file was last written, s since 1970; nan without a file.
+    second_run
+        ``complete`` once the run was made a second time, for measures that need it, or why that tells nothing; empty
+        before.
+    """
+
+    run_id: str
+    status: str
+    reason: str = ""
+    family: str = ""
+    axes: Mapping[str, Label] = field(default_factory=dict)
+    reference_id: str = ""
+    worst_joint: str = ""
+    data_sha256: str = ""
+    values: Mapping[str, float] = field(default_factory=dict)
+    repeats: tuple[float, ...] = ()
+    modified: float = math.nan
+    second_run: str = ""
+
+
+@dataclass(frozen=True)
+class Index:
+    """All rows of a study.
+
+    Parameters
+    ----------
+    study_json, study_sha256
+        The study's canonical JSON and its hash.
+    version
+        The version of mbdkit that wrote it.
+    runs, references
+        One row a point, in the order of the study, and one a reference run.
+    """
+
+    study_json: str
+    study_sha256: str
+    version: str
+    runs: tuple[Row, ...]
+    references: tuple[Row, ...]
+
+
+def quartiles(repeats: Sequence[float]) -> dict[str, float]:
+    """Return smallest value, quartiles and median of repeated timings, by column; nan of none."""
+    if not len(repeats):
+        return dict.fromkeys(QUARTILES, math.nan)
+    return {name: float(np.quantile(repeats, share)) for name, share in QUARTILES.items()}
+
+
+def write(path: Path, index: Index) -> None:
+    """Write an index, replacing the one before in one step.
+
+    Parameters
+    ----------
+    path
+        Its final name; written as ``.part`` first.
+    index
+        The rows.
+    """
+    part = path.with_name(path.name + ".part")
+    part.unlink(missing_ok=True)
+    with h5py.File(part, "w", libver=LIBVER) as file:
+        set_text(file, "format", FORMAT)
+        set_text(file, "format_version", FORMAT_VERSION)
+        set_text(file, "mbdkit", index.version)
+        set_text(file, "study", index.study_json)
+        set_text(file, "study_sha256", index.study_sha256)
+        _write_rows(file, "runs", "run", index.runs)
+        _write_rows(file, "references", "reference", index.references)
+        set_text(file, "data_sha256", data_sha256(file))
+    with part.open("rb") as handle:
+        os.fsync(handle.fileno())
+    os.replace(part, path)
+
+
+def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row]) -> None:
+    file.create_group(group)
+    texts: dict[str, list[str]] = {
+        "family": [row.family for row in rows],
+        "run_id": [row.run_id for row in rows],
+        "reference_id": [row.reference_id for row in rows],
+        "status": [row.status for row in rows],
+        "status_reason": [row.reason for row in rows],
+        "second_run": [row.second_run for row in rows],
+        "worst_joint": [row.worst_joint for row in rows],
+        "data_sha256": [row.data_sha256 for row in rows],
+    }
+
+    def add(name: str, values: Any, dtype: str, units: str, what: str, dims: tuple[str, ...] = (dim,)) -> h5py.Dataset:
+        array = Array(f"{group}/{name}", dims, units, what, dtype)
+        return create(file, array, np.array(values, object if dtype == TEXT else dtype))
+
+    add(dim, range(1, len(rows) + 1), INTEGER, "1", "number of the run")
+    for name, text in texts.items():
+        add(name, text, TEXT, "1", _TEXTS[name])
+    for key in dict.fromkeys(key for row in rows for key in row.axes):
+        labels = [row.axes.get(key) for row in rows]
+        numeric = not any(isinstance(label, str) for label in labels)
+        filled = [(math.nan if numeric else "") if label is None else label for label in labels]
+        values = filled if numeric else list(map(str, filled))
+        name = key.replace("/", "|")  # which HDF5 takes for a group
+        dataset = add(name, values, FLOAT if numeric else TEXT, "1", f"axis of the study: {key} of the run spec")
+        set_text(dataset, "role", "axis")
+    for name in dict.fromkeys(name for row in rows for name in row.values):
+        units, what = described(name)
+        add(name, [row.values.get(name, math.nan) for row in rows], FLOAT, units, what)
+    add("file_modified_s", [row.modified for row in rows], FLOAT, "s", "when the file was last written, since 1970")
+    count = max((len(row.repeats) for row in rows), default=0)
+    if count:
+        add("repeat", range(1, count + 1), INTEGER, "1", "number of the timing", ("repeat",))
+        padded = [[*row.repeats, *[math.nan] * (count - len(row.repeats))] for row in rows]
+        add("wall_repeats_s", padded, FLOAT, "s", "wall time of each serial timing", (dim, "repeat"))
+
+
+def described(name: str) -> tuple[str, str]:
+    """Return units and meaning of a column of numbers.
+
+    Parameters
+    ----------
+    name
+        A measure, a counter or a timing.
+    """
+    if name in MEASURES:
+        return MEASURES[name].units, MEASURES[name].long_name
+    if name in SECOND:
+        return SECOND[name]
+    if name in COUNTERS:
+        return "1", f"counter of the run: {name.replace('_', ' ')}"
+    if name in QUARTILES:
+        return "s", f"wall time of the steps, {name.split('_')[1]} of the serial timings"
+    if name in TIMINGS:
+        return "s", f"time of the run: {name.removesuffix('_s')}"
+    raise KeyError(name)
+
+
+def read(path: Path) -> Index:
+    """Read an index, the places of its rows on the axes left out: the study says them.
+
+    Raises
+    ------
+    SpecError
+        If there is none that this version can read.
+    """
+    if not path.exists():
+        raise SpecError("there is no index.h5; `mbdkit study` writes it", file=path.parent)
+    with reading("the index", path, hint="`mbdkit study` writes it anew"), h5py.File(path, "r") as file:
+        if file.attrs.get("format") != FORMAT:
+            raise SpecError("this is not the index of a study", file=path)
+        version = str(file.attrs["format_version"])
+        if version.partition(".")[0] != FORMAT_VERSION.partition(".")[0]:
+            ours = FORMAT_VERSION.partition(".")[0]
+            raise SpecError(f"this index has format version {version}, this mbdkit reads {ours}.x", file=path)
+        return Index(
+            str(file.attrs["study"]),
+            str(file.attrs["study_sha256"]),
+            str(file.attrs["mbdkit"]),
+            _read_rows(file["runs"], "run"),
+            _read_rows(file["references"], "reference"),
+        )
+
+
+def _read_rows(group: h5py.Group, dim: str) -> tuple[Row, ...]:
+    empty = [""] * len(group[dim])  # what an earlier format did not have
+    texts = {name: list(group[name].asstr()[:]) if name in group else empty for name in _TEXTS}
+    known = (*MEASURES, *SECOND, *COUNTERS, *TIMINGS, *QUARTILES)
+    values = {name: group[name][:] for name in known if name in group}
+    modified = group["file_modified_s"][:]
+    repeats = group["wall_repeats_s"][:] if "wall_repeats_s" in group else np.empty((len(modified), 0))
+    return tuple(
+        Row(
+            texts["run_id"][number],
+            texts["status"][number],
+            texts["status_reason"][number],
+            texts["family"][number],
+            {},
+            texts["reference_id"][number],
+            texts["worst_joint"][number],
+            texts["data_sha256"][number],
+            {name: float(column[number]) for name, column in values.items()},
+            tuple(float(value) for value in repeats[number] if not math.isnan(value)),
+            float(modified[number]),
+            texts["second_run"][number],
+        )
+        for number in range(len(group[dim]))
+    )

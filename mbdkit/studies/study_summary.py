@@ -1,0 +1,77 @@
+"""A study on a few lines of plain text, and as values that JSON can hold."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+from mbdkit.studies.study_index import STATUSES
+
+if TYPE_CHECKING:
+    from mbdkit.studies.study import Study, StudyPoint
+
+#: So many failed runs are named.
+FAILURES_SHOWN = 20
+
+
+def summary(study: Study) -> str:
+    """Return what became of a study: runs, failures with their reasons, folder.
+
+    Parameters
+    ----------
+    study
+        The study.
+    """
+    counts = Counter(point.status for point in study.points)
+    runs = ", ".join(f"{counts[status]} {status.replace('-', ' ')}" for status in STATUSES if counts[status])
+    beside = f", and {len(study.references)} to compare with" if study.references else ""
+    lines = [
+        ("study", " ".join(study.spec.title.split())),
+        ("runs", f"{len(study.points)}: {runs}{beside}"),
+        ("computed", f"{study.computed} now" if study.computed else "nothing now"),
+        ("folder", str(study.folder)),
+    ]
+    text = [f"{label:<10} {value}" for label, value in lines if value]
+    absent = Counter(point.reason for point in study.points if point.status == "left-out")
+    text += [f"left out   {count} of {len(study.points)}: {reason}" for reason, count in absent.items()]
+    text += [f"failed     {_named(point)}: {point.reason}" for point in study.failures[:FAILURES_SHOWN]]
+    if len(study.failures) > FAILURES_SHOWN:
+        text.append(f"           and {len(study.failures) - FAILURES_SHOWN} more")
+    return "\n".join(text)
+
+
+def _named(point: StudyPoint) -> str:
+    which = "reference" if point.is_reference else "run"
+    told = "; ".join(filter(None, (point.family, point.label)))
+    return f"{which} {point.number}{f' ({told})' if told else ''}"
+
+
+def outcome(study: Study) -> dict[str, Any]:
+    """Return what became of a study as plain values.
+
+    Parameters
+    ----------
+    study
+        The study.
+    """
+    counts = Counter(point.status for point in study.points)
+    return {
+        "path": str(study.folder),
+        "title": study.spec.title,
+        "status": study.status,
+        "runs": len(study.points),
+        "references": len(study.references),
+        "computed": study.computed,
+        **{status.replace("-", "_"): counts[status] for status in STATUSES},
+        "failures": [
+            {
+                "number": point.number,
+                "reference": point.is_reference,
+                "family": point.family,
+                "axes": dict(point.axes),
+                "run_id": point.run_id,
+                "status_reason": point.reason,
+            }
+            for point in study.failures
+        ],
+    }

@@ -1,0 +1,114 @@
+"""Force laws written in SymPy: checked, differentiated, and written out as Python source."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import sympy as sp
+from sympy.printing.pycode import PythonCodePrinter
+
+from mbdkit.errors import PluginError
+from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw
+from mbdkit.text import did_you_mean, listed
+
+LENGTH, RATE, T = (sp.Symbol(name, real=True) for name in ARGUMENTS)
+
+_CORNERED = (sp.Abs, sp.Min, sp.Max, sp.Heaviside, sp.sign)
+
+
+def law_expressions(law: ExpressionLaw, names: Sequence[str]) -> tuple[sp.Expr, sp.Expr]:
+    """Return force and potential of a law in real symbols of the names of its arguments and parameters.
+
+    Raises
+    ------
+    PluginError
+        For what is no expression of these.
+    """
+    potential = 0 if law.potential is None else law.potential
+    return _expression(law.force, names, ARGUMENTS), _expression(potential, names, ARGUMENTS[:1])
+
+
+def _expression(given: Any, names: Sequence[str], arguments: Sequence[str]) -> sp.Expr:
+    made = given() if callable(given) else given
+    try:
+        expression = sp.sympify(made, strict=True)
+    except sp.SympifyError:
+        expression = None
+    if not isinstance(expression, sp.Expr):
+        raise PluginError(f"an object of type {type(made).__name__} is no SymPy expression")
+    known = [*arguments, *names]
+    for symbol in sorted(expression.free_symbols, key=str):
+        if str(symbol) not in known:
+            what = "potential" if len(arguments) == 1 else "force"
+            raise PluginError(
+                f"the symbol '{symbol}' of its {what} is none of {listed(known)}{did_you_mean(str(symbol), known)}"
+            )
+    return expression.xreplace({symbol: sp.Symbol(str(symbol), real=True) for symbol in expression.free_symbols})
+
+
+def law_source(law: ExpressionLaw, example: Mapping[str, float]) -> str:
+    """Return the source of ``law(length, rate, time, parameters)``, which returns the four numbers of a law.
+
+    Parameters
+    ----------
+    law
+        The law.
+    example
+        Its parameters in the order of the array, with values that they may have.
+
+    Raises
+    ------
+    PluginError
+        Where it has no derivatives, or its potential is not that of its force.
+    """
+    names = list(example)
+    force, potential = (_without_corners(one) for one in law_expressions(law, names))
+    results = [force, force.diff(LENGTH), force.diff(RATE), potential]
+    for result in results:
+        if result.has(sp.Derivative, sp.Subs, sp.DiracDelta, sp.core.function.AppliedUndef):
+            raise PluginError(f"SymPy cannot take the derivatives of its force {force}")
+    if law.potential is not None:
+        _check_potential(force, potential, example)
+    local = {sp.Symbol(name, real=True): sp.Symbol(f"p_{i}", real=True) for i, name in enumerate(names)}
+    used = set().union(*(result.free_symbols for result in results))
+    temporaries, reduced = sp.cse(
+        [result.xreplace(local) for result in results], symbols=sp.numbered_symbols("x_", real=True)
+    )
+    printer = PythonCodePrinter({"fully_qualified_modules": False, "strict": False})
+    lines = ["def law(length, rate, time, parameters):"]
+    lines += [f"    {p} = parameters[{i}]  # {name}" for i, (name, p) in enumerate(local.items()) if name in used]
+    lines += [f"    {symbol} = {printer.doprint(expression)}" for symbol, expression in temporaries]
+    lines.append(f"    return {', '.join(f'float({printer.doprint(one)})' for one in reduced)}")
+    text = "\n".join(lines) + "\n"
+    if "Not supported" in text:
+        raise PluginError(f"its force {force} has functions that cannot be compiled")
+    return text
+
+
+def _without_corners(expression: sp.Expr) -> sp.Expr:
+    return expression.rewrite(sp.Piecewise) if expression.has(*_CORNERED) else expression
+
+
+def _check_potential(force: sp.Expr, potential: sp.Expr, example: Mapping[str, float]) -> None:
+    """Raise PluginError unless the potential's slope is the force at rate zero, tried at random lengths."""
+    at_rest = force.subs(RATE, 0)
+    if at_rest.has(T):
+        raise PluginError("a law whose force at rate zero depends on time has no potential: leave it out")
+    slope = potential.diff(LENGTH)
+    values = {sp.Symbol(name, real=True): value for name, value in example.items()}
+    both = sp.lambdify([LENGTH, *values], [slope, at_rest], modules="math")
+    numbers = random.Random(0)
+    for scale in (1.0, *(abs(value) for value in example.values())) * 40:
+        try:
+            found, wanted = both(scale * numbers.uniform(-2.0, 2.0), *values.values())
+        except (ArithmeticError, ValueError, TypeError):  # outside of its domain
+            continue
+        if isinstance(found, complex) or isinstance(wanted, complex):
+            continue  # a power of a negative number
+        if not (math.isfinite(found) and math.isfinite(wanted)):
+            continue
+        if abs(found - wanted) > 1e-8 * max(abs(found), abs(wanted)):
+            raise PluginError(f"the slope {slope} of its potential is not its force at rate zero, {at_rest}")

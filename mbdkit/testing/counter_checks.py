@@ -1,0 +1,170 @@
+"""Whether the counted cost of a run is what was done."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import scipy.integrate
+
+from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.iteration_matrix import IterationMatrix
+from mbdkit.methods.kinds import ExplicitRungeKutta, SciPySolver
+from mbdkit.stepping.python_method import StepMethod
+from mbdkit.stepping.python_stepper import StepStepper
+from mbdkit.testing.check import check
+from mbdkit.testing.integrator_under_test import IntegratorSubject, drive
+from mbdkit.testing.outcome import Finding, failed, passed, skipped, warned
+from mbdkit.testing.trial_models import FORCED_PENDULUM
+from mbdkit.text import listed
+
+STEPS = 17
+
+
+class InstrumentedProblem(StepProblem):
+    """A problem that keeps a count of its own of what is asked of it."""
+
+    def __init__(self, problem: Any):
+        self.seen: Counter[str] = Counter()
+        super().__init__(problem)
+
+    def accelerations(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Count and return the accelerations."""
+        self.seen["rhs_evaluations"] += 1
+        return super().accelerations(t, q, v)
+
+    def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """Count and return the residual."""
+        self.seen["rhs_evaluations"] += 1
+        return super().residual(t, q, v, a, lam)
+
+    def project_positions(self, t: float, q: np.ndarray) -> np.ndarray:
+        """Count and project."""
+        self.seen["projections"] += 1
+        return super().project_positions(t, q)
+
+    def project_velocities(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Count and project."""
+        self.seen["projections"] += 1
+        return super().project_velocities(t, q, v)
+
+    def _evaluate_tangents(self, *arguments: Any) -> None:
+        self.seen["jacobian_evaluations"] += 1
+        super()._evaluate_tangents(*arguments)
+
+    def _factorized(self, *arguments: Any) -> IterationMatrix:
+        self.seen["factorizations of iteration matrices"] += 1
+        return super()._factorized(*arguments)
+
+
+@check("honesty.counters")
+def counters(subject: IntegratorSubject) -> Finding:
+    """The counters of a run are what an instrumented problem sees being asked of it."""
+    made = subject.method()
+    problem = subject.problem(FORCED_PENDULUM)
+    if isinstance(made, SciPySolver):
+        return _of_solver(subject, made)
+    stepper = subject.stepper(problem, 0.2, STEPS, method=made)
+    seen: dict[str, int] = {"steps": STEPS, "accepted": STEPS, "rejected": 0}
+    instrumented = None
+    if isinstance(stepper, StepStepper):
+        instrumented = InstrumentedProblem(problem)
+        instrumented.counters = stepper.counters
+        stepper.view = instrumented
+    drive(stepper)
+    if instrumented is not None:
+        asked = instrumented.seen
+        seen |= {name: asked[name] for name in ("rhs_evaluations", "jacobian_evaluations", "projections")}
+    elif isinstance(made, ExplicitRungeKutta):
+        evaluations = STEPS * made.tableau.stages - (STEPS - 1) * made.tableau.is_first_same_as_last
+        seen |= {"rhs_evaluations": evaluations, "jacobian_evaluations": 0, "newton_iterations": 0}
+    said = stepper.counters
+    wrong = [
+        f"{name} {getattr(said, name)} instead of {count}"
+        for name, count in seen.items()
+        if getattr(said, name) != count
+    ]
+    if wrong:
+        return failed(f"its counters say {listed(wrong, 'and')}")
+    if instrumented is not None and said.factorizations < instrumented.seen["factorizations of iteration matrices"]:
+        return failed(f"its counters say {said.factorizations} factorizations, fewer than it asked for")
+    return passed(rhs_evaluations=said.rhs_evaluations, jacobian_evaluations=said.jacobian_evaluations)
+
+
+def _of_solver(subject: IntegratorSubject, made: SciPySolver) -> Finding:
+    base = getattr(scipy.integrate, made.solver) if isinstance(made.solver, str) else made.solver
+    seen: Counter[str] = Counter()
+
+    def instrumented(fun: Any, t0: float, y0: np.ndarray, end: float, **options: Any) -> Any:
+        def counted(t: float, y: np.ndarray) -> Any:
+            seen["rhs_evaluations"] += 1
+            return fun(t, y)
+
+        if "jac" in options:
+            jacobian = options["jac"]
+
+            def counted_jacobian(t: float, y: np.ndarray) -> Any:
+                seen["jacobian_evaluations"] += 1
+                return jacobian(t, y)
+
+            options["jac"] = counted_jacobian
+        return base(counted, t0, y0, end, **options)
+
+    method = SciPySolver(instrumented, made.rtol, made.atol, made.needs_jacobian)  # type: ignore[arg-type]
+    stepper = subject.stepper(subject.problem(FORCED_PENDULUM), 1.0, STEPS, method=method)
+    drive(stepper)
+    wrong = [
+        f"{name} {getattr(stepper.counters, name)} instead of {seen[name]}"
+        for name in ("rhs_evaluations", "jacobian_evaluations")
+        if getattr(stepper.counters, name) < seen[name]
+    ]
+    if wrong:
+        return failed(f"its counters say {listed(wrong, 'and')}")
+    return passed(**{name: int(getattr(stepper.counters, name)) for name in ("rhs_evaluations", "steps")})
+
+
+@check("honesty.rows")
+def rows(subject: IntegratorSubject) -> Finding:
+    """What is recorded of each interval sums up to what is counted of the whole run."""
+    with subject.run(FORCED_PENDULUM, {"end": 0.3, "step": 0.01}, output={"every": 7}) as run:
+        if run.status != "complete":
+            return failed(f"the run did not complete: {run.status_reason}")
+        stats = run.stats
+        for column, name in (("steps", "steps"), ("iterations", "newton_iterations"), ("rejected", "rejected")):
+            total = int(np.sum(run.array(f"steps/{column}")))
+            if total != stats[name]:
+                return failed(f"intervals sum up to {total} {column}, the run says {stats[name]}")
+        if stats["accepted"] + stats["rejected"] < stats["steps"]:
+            return failed(
+                f"{stats['steps']} steps are not {stats['accepted']} accepted and {stats['rejected']} rejected"
+            )
+    return passed(steps=int(stats["steps"]))
+
+
+@check("honesty.needs")
+def needs(subject: IntegratorSubject) -> Finding:
+    """It uses tangents if it says that it needs them, and not otherwise."""
+    with subject.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}) as run:
+        used = run.stats["jacobian_evaluations"] > 0
+    said = "tangents" in subject.claims.needs
+    if used and not said:
+        return failed("it uses tangents, which `needs` does not name")
+    if said and not used and not subject.claims.adaptive:
+        return warned("`needs` names tangents, which it did not use here")
+    return passed(tangents="yes" if used else "no")
+
+
+@check("honesty.projections")
+def projections(subject: IntegratorSubject) -> Finding:
+    """Whether it moves the state back to the joints, which is no stabilization that a spec asked for."""
+    if not isinstance(subject.method(), StepMethod):
+        return skipped("it is not written as a class with `step`, so that it cannot")
+    with subject.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}) as run:
+        count, steps = int(run.stats["projections"]), int(run.stats["steps"])
+    if count >= steps and subject.formulation == "index-1":
+        return failed("it projects in every step, which is a stabilization that no spec asked for", projections=count)
+    return passed(projections=count)
+
+
+CHECKS = (counters, rows, needs, projections)

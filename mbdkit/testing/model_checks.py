@@ -1,0 +1,225 @@
+"""What every model owes: a mechanism that is the same each time, can start, and whose equations fit together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.kernels.motions import MAX_DEPTH, motions_at
+from mbdkit.mechanism.elements import Driver
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.simulation import build, simulate
+from mbdkit.spec.run_spec import RunSpec, spec_type
+from mbdkit.testing.check import Skip, check
+from mbdkit.testing.options_under_test import validated
+from mbdkit.testing.outcome import Finding, failed, passed, skipped, warned
+from mbdkit.text import listed
+
+END = 1.0
+START = 1e-10
+"""Largest residual of a start [m, rad, m/s, rad/s]."""
+DERIVATIVE = 1e-6
+"""Share of its size by which a derivative may differ from differences."""
+
+
+@dataclass
+class ModelSubject:
+    """A model with parameters, ready to be tried.
+
+    Parameters
+    ----------
+    item
+        The model in the registry.
+    options
+        Its parameters as a spec would give them.
+    installed
+        The registry in which specs look it up.
+    """
+
+    item: Registered
+    options: dict[str, Any]
+    installed: Registry
+    claims: dict[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def spec_type(self) -> type[RunSpec]:
+        """The run spec that knows this model."""
+        return spec_type(self.installed)
+
+    def spec(self, step: float, stages: int = 3, end: float = END) -> RunSpec:
+        """Return the spec of a run with Gauss collocation."""
+        data: dict[str, Any] = {
+            "mbdkit": 1,
+            "model": {"name": self.item.id, **self.options},
+            "integrator": {"name": "mbdkit:gauss", "stages": stages},
+            "time": {"end": end, "step": step},
+            "limits": {"wall_time": 40},
+        }
+        return self.spec_type(**data)
+
+    def mechanism(self) -> Mechanism:
+        """Return the mechanism, built anew."""
+        return self.spec(0.01).mechanism()
+
+    def problem(self) -> StepProblem:
+        """Return the equations at the consistent start."""
+        return StepProblem(build(self.spec(0.01), lambda message: None)[0])
+
+
+@check("model.options")
+def options(subject: ModelSubject) -> Finding:
+    """Its parameters survive the way to JSON and back, and each says what it is."""
+    model = subject.item.plugin.options
+    chosen = validated(model, subject.options)
+    if model.model_validate_json(chosen.model_dump_json()) != chosen:
+        return failed("its parameters come back from JSON changed")
+    described = model.model_json_schema().get("properties", {})
+    if silent := [name for name, info in described.items() if not info.get("description")]:
+        return warned(f"{listed(silent, 'and')} have no description: write a docstring below each parameter")
+    return passed(parameters=len(described))
+
+
+@check("model.repeatable")
+def repeatable(subject: ModelSubject) -> Finding:
+    """Equal parameters give equal mechanisms, parameters stay untouched, and the mechanism survives being a spec."""
+    plugin: Any = subject.item.plugin
+    given = validated(plugin.options, subject.options)
+    before = given.model_dump_json()
+    first, second = plugin.build(given).to_spec(), plugin.build(given).to_spec()
+    if given.model_dump_json() != before:
+        return failed("it changed its parameters")
+    if first != second:
+        return failed("built twice from the same parameters it gives two different mechanisms")
+    if Mechanism.from_spec(first).to_spec() != first:
+        return failed("its mechanism comes back from a spec changed")
+    return passed(bodies=len(first["bodies"]), joints=len(first.get("joints", {})))
+
+
+@check("model.mass")
+def mass(subject: ModelSubject) -> Finding:
+    """Every mass is positive, and every inertia is positive, or that of a point mass."""
+    for name, body in subject.mechanism().to_spec()["bodies"].items():
+        inertia = body.get("inertia")
+        if not body["mass"] > 0 or (inertia is not None and not inertia > 0):
+            return failed(f"body '{name}' has mass {body['mass']} and inertia {inertia}")
+    return passed()
+
+
+@check("model.start")
+def start(subject: ModelSubject) -> Finding:
+    """Its start meets all joints and drivers, in position and velocity, without being moved far to get there."""
+    problem, assembled = build(subject.spec(0.01), lambda message: None)
+    equations = StepProblem(problem)
+    t, q, v = equations.t0, equations.q0, equations.v0
+    residual = float(np.max(np.abs(equations.constraints(t, q)), initial=0.0))
+    rate = float(np.max(np.abs(equations.constraint_rates(t, q, v)), initial=0.0))
+    moved = max(assembled.moved_position.values(), default=0.0) if assembled.changed else 0.0
+    figures = {"residual": residual, "velocity_residual": rate, "moved_m": float(moved)}
+    if max(residual, rate) > START:
+        return failed("its start does not meet the joints", **figures)
+    if moved > 1e-3:
+        return warned("its start had to be moved to meet the joints", **figures)
+    return passed(**figures)
+
+
+@check("model.jacobian")
+def jacobian(subject: ModelSubject) -> Finding:
+    """The derivatives of the constraints, by position, along the motion, and twice along it, agree with differences."""
+    problem = subject.problem()
+    if problem.m == 0:
+        raise Skip("it has no joints")
+    worst, e = 0.0, 1e-5
+    rng = np.random.default_rng(1)
+    for _ in range(4):
+        q, v, a = problem.q0 + 0.05 * rng.standard_normal(problem.n), *rng.standard_normal((2, problem.n))
+        t = problem.t0 + 0.1 + 0.8 * END * rng.random()
+        exact = problem.constraint_jacobian(t, q).toarray()
+        columns = [
+            (problem.constraints(t, q + e * x) - problem.constraints(t, q - e * x)) / (2 * e) for x in np.eye(problem.n)
+        ]
+        worst = max(worst, _share(np.array(columns).T, exact))
+        later, earlier = ((t + d, q + d * v + d * d / 2 * a, v + d * a) for d in (e, -e))
+        slope = (problem.constraints(*later[:2]) - problem.constraints(*earlier[:2])) / (2 * e)
+        worst = max(worst, _share(slope, problem.constraint_rates(t, q, v)))
+        twice = (problem.constraint_rates(*later) - problem.constraint_rates(*earlier)) / (2 * e)
+        worst = max(worst, _share(twice, exact @ a - problem.gamma(t, q, v)))
+    if worst > DERIVATIVE:
+        return failed("a derivative of its constraints does not agree with differences", difference=worst)
+    return passed(difference=worst)
+
+
+def _share(found: np.ndarray, exact: np.ndarray) -> float:
+    return float(np.max(np.abs(found - exact)) / max(1.0, float(np.max(np.abs(exact)))))
+
+
+@check("model.drivers")
+def drivers(subject: ModelSubject) -> Finding:
+    """The motion of each driver has a rate and an acceleration that its value and its rate are the integrals of."""
+    compiled = build(subject.spec(0.01), lambda message: None)[0].mechanism
+    driven = {name for name, joint in subject.mechanism().joints.items() if isinstance(joint, Driver)}
+    if not driven:
+        raise Skip("it has no drivers")
+    top = compiled.topology
+    wanted = sorted({int(x) for x in top.pairs[:, 3] if x >= 0})
+    times = np.linspace(0.0, END, 2001)
+    values = np.empty((len(times), len(top.motion_start) - 1, 3))
+    stack = np.zeros((MAX_DEPTH, 3))
+    motions_at(times, top.motion_start, top.motion_ops, top.motion_values, stack, values)
+    worst = 0.0
+    for motion in wanted:
+        for level, what in ((0, "rate"), (1, "acceleration")):
+            x, slope = values[:, motion, level], values[:, motion, level + 1]
+            h = times[2] - times[0]
+            gained = h / 6 * (slope[:-2:2] + 4 * slope[1:-1:2] + slope[2::2])
+            missed = np.abs(np.diff(x[::2]) - gained)
+            defect = float(missed.max() / max(1.0, float(np.max(np.abs(slope)))))
+            worst = max(worst, defect)
+            if defect > DERIVATIVE:
+                at = float(times[::2][int(np.argmax(missed))])
+                return failed(
+                    f"the {what} of a driver's motion is missing something near t = {at:.3g} s", defect=defect
+                )
+    return passed(drivers=len(driven), defect=worst)
+
+
+@check("energy.balance")
+def balance(subject: ModelSubject) -> Finding:
+    """What energy its motion gains is what its loads and drivers put in, the better the finer the step."""
+    found, steps = [], (0.02, 0.01, 0.005, 0.0025)
+    for step in steps:
+        with simulate(subject.spec(step, stages=2), notify=lambda message: None) as run:
+            if run.status != "complete":
+                found.append(np.nan)
+                continue
+            size = max(1.0, float(np.max(np.abs(run.energy.kinetic))))
+            found.append(float(np.max(np.abs(run.energy.balance))) / size)
+    last = [value for value in found if np.isfinite(value)]
+    if not last:
+        return failed("no run completed")
+    figures = {"coarsest": last[0], "finest": last[-1]}
+    if last[-1] < 1e-9 or last[-1] < last[0] / 4 ** (len(last) - 1):
+        return passed(**figures)
+    if last[-1] < last[0] / 2:
+        return warned(
+            "its energy balance gets better with the step, but slowly: a force that is not smooth?", **figures
+        )
+    return failed("its energy balance does not get better with the step", **figures)
+
+
+@check("energy.run")
+def completes(subject: ModelSubject) -> Finding:
+    """A run of a second completes, and its joints stay together."""
+    with simulate(subject.spec(0.002), notify=lambda message: None) as run:
+        if run.status != "complete":
+            return failed(f"a run of {END:g} s did not complete: {run.status_reason}".rstrip("."))
+        if not run.joints:
+            return skipped("it has no joints")
+        return passed(misalignment_m=run.misalignment_max)
+
+
+CHECKS = (options, repeatable, mass, start, jacobian, drivers, balance, completes)

@@ -1,0 +1,233 @@
+"""The order of convergence: exact on polynomials, and observed on nonlinear problems that depend on time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import cache
+
+import numpy as np
+
+from mbdkit.analysis.order import ObservedOrder, observed_order
+from mbdkit.stepping.python_method import StepMethod
+from mbdkit.testing.check import Check, Skip, check
+from mbdkit.testing.integrator_under_test import IntegratorSubject, final_state
+from mbdkit.testing.outcome import Figure, Finding, failed, passed, skipped, warned
+from mbdkit.testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM, FOUR_BAR, Model, pushed
+
+PROBLEMS: dict[str, Model] = {
+    "forced-pendulum": FORCED_PENDULUM,
+    "driven-pendulum": DRIVEN_PENDULUM,
+    "four-bar": FOUR_BAR,
+}
+ENDS = {"forced-pendulum": 1.0, "driven-pendulum": 3.0, "four-bar": 1.0}
+"""How long each moves [s]: long enough that errors follow a power of the step before they meet rounding."""
+BELOW, ABOVE = 0.2, 0.5
+"""An order lower than claimed by more than `BELOW` is an over-claim, one higher by more than `ABOVE` an under-claim."""
+MOST_STEPS, MOST_PYTHON_STEPS = 8192, 1024
+FIRST_STEPS = 5
+HIGH = 8
+"""Order above which errors may meet rounding before they follow a power of the step."""
+POLYNOMIAL = 1e-13
+
+
+@cache
+def reference(problem: str) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the state and the multipliers at the end, and their floor of rounding.
+
+    They come from Gauss collocation with 6 stages in 60 steps a second; the floor is the difference to 75 a second.
+    """
+    from mbdkit.simulation import run
+
+    found, end = [], ENDS[problem]
+    for rate in (60, 75):
+        with run(
+            {"mbdkit": 1, "model": PROBLEMS[problem], "time": {"end": end, "step": 1 / rate}},
+            integrator={"name": "mbdkit:gauss", "stages": 6},
+        ).check() as result:
+            found.append((final_state(result), result.array("constraints/multiplier")[-1].copy()))
+    (state, multipliers), (other, _) = found
+    return state, multipliers, max(float(np.max(np.abs(state - other))), 1e-15)
+
+
+class Convergence:
+    """Errors of an integrator over a sequence of steps, on one problem.
+
+    Parameters
+    ----------
+    subject
+        The integrator.
+    problem
+        Name of the problem.
+    formulation
+        The formulation; by default the one that the integrator is tried on.
+
+    Attributes
+    ----------
+    steps
+        (K,) step sizes [s], coarsest first.
+    position_errors, velocity_errors, multiplier_errors
+        (K,) largest error of any of them at the end; NaN where the run failed.
+    floor
+        Floor of rounding.
+    """
+
+    def __init__(self, subject: IntegratorSubject, problem: str, formulation: str | None = None):
+        state, multipliers, self.floor = reference(problem)
+        formulation = formulation or subject.formulation
+        claimed = subject.claims.orders_on(formulation)
+        assert claimed is not None
+        self.order = max(claimed.positions, claimed.velocities)
+        steps, errors, end = [], [], ENDS[problem]
+        for number in numbers_of_steps(subject, min(order for order in claimed if order is not None)):
+            time = {"end": end, "step": end / number}
+            with subject.run(PROBLEMS[problem], time, output={"every": 10**9}, formulation=formulation) as run:
+                of_positions, of_velocities = (float(np.max(np.abs(x))) for x in np.split(final_state(run) - state, 2))
+                of_multipliers = math.nan
+                if claimed.multipliers is not None and run.status == "complete":
+                    own = run.array("constraints/method_multiplier")[-1]
+                    of_multipliers = float(np.max(np.abs(own - multipliers)) / np.max(np.abs(multipliers)))
+                errors.append((of_positions, of_velocities, of_multipliers))
+            steps.append(end / number)
+            if max(errors[-1][:2]) < 10 * self.floor:
+                break
+        self.steps = np.array(steps)
+        self.position_errors, self.velocity_errors, self.multiplier_errors = np.array(errors).T
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Largest error of any position or velocity (K,)."""
+        largest: np.ndarray = np.maximum(self.position_errors, self.velocity_errors)
+        return largest
+
+    @property
+    def observed(self) -> ObservedOrder:
+        """The order of positions and velocities."""
+        return self.observed_in(self.errors)
+
+    def observed_in(self, errors: np.ndarray) -> ObservedOrder:
+        """Return the order that errors (K,) of positions or velocities show."""
+        return observed_order(self.steps, errors, floor=self.floor, fewest=4 if self.order > HIGH else 3)
+
+
+def numbers_of_steps(subject: IntegratorSubject, order: float) -> Iterator[int]:
+    """Give numbers of steps, refined so that the error of a method of some order falls fourfold each time."""
+    ratio = min(2.0, max(4.0 ** (1 / order), 1.05))
+    most = MOST_PYTHON_STEPS if isinstance(subject.method(), StepMethod) else MOST_STEPS
+    exact = float(FIRST_STEPS)
+    while exact <= most:
+        yield round(exact)
+        exact = max(exact * ratio, round(exact) + 1)
+
+
+def convergence(subject: IntegratorSubject, problem: str) -> Convergence:
+    """Return the errors on a problem, computed once."""
+    return subject.kept(f"convergence on {problem}", lambda: Convergence(subject, problem))
+
+
+def judged(claimed: float, observed: ObservedOrder, errors: np.ndarray, what: str = "order") -> Finding:
+    """Hold an observed order to the claimed one."""
+    finite = errors[np.isfinite(errors)]
+    if len(finite) == 0:
+        return failed("no run completed, whatever the step")
+    figures = {"claimed": claimed, "smallest_error": float(finite.min())}
+    if not observed.found:
+        if claimed > HIGH and finite.min() < 1e-12:
+            return skipped("its errors meet rounding before they follow a power of the step", **figures)
+        return failed(f"it claims {what} {claimed:g}, but its errors follow no order at all", **figures)
+    figures = {
+        "measured": round(observed.order, 3),
+        "coarsest": observed.steps[0],
+        "finest": observed.steps[-1],
+        **figures,
+    }
+    if observed.order < claimed - BELOW:
+        return failed(f"it claims {what} {claimed:g}, and shows {observed.order:.2f}", **figures)
+    if observed.order > claimed + ABOVE:
+        return warned(f"it claims {what} {claimed:g}, and shows {observed.order:.2f}", **figures)
+    return passed(**figures)
+
+
+def _on(problem: str) -> Check[IntegratorSubject]:
+    def observed(subject: IntegratorSubject) -> Finding:
+        claimed = subject.order
+        found = convergence(subject, problem)
+        return judged(claimed, found.observed, found.errors)
+
+    observed.__doc__ = (
+        f"Its error on the {problem.replace('-', ' ')}, nonlinear and dependent on time, falls with the claimed order."
+    )
+    return Check(f"order.{problem}", observed, slow=problem == "driven-pendulum")
+
+
+@check("order.multipliers")
+def multipliers(subject: IntegratorSubject) -> Finding:
+    """The multipliers that it carries itself converge with the order that it claims for them."""
+    claimed = subject.claims.multiplier_order
+    if claimed is None:
+        raise Skip("it claims no order of multipliers")
+    found = convergence(subject, "forced-pendulum")
+    return judged(
+        claimed, observed_order(found.steps, found.multiplier_errors), found.multiplier_errors, "order of multipliers"
+    )
+
+
+@check("order.formulations", slow=True)
+def formulations(subject: IntegratorSubject) -> Finding:
+    """On every further formulation that it claims, positions, velocities and multipliers converge as claimed there."""
+    others = [name for name in subject.claims.formulations if name != subject.formulation]
+    if not others:
+        raise Skip(f"it claims {subject.formulation} alone")
+    if subject.claims.adaptive:
+        raise Skip("it controls its own error and claims no order")
+    figures: dict[str, Figure] = {}
+    remark = ""
+    for name in others:
+        claimed = subject.claims.orders_on(name)
+        assert claimed is not None
+        found = Convergence(subject, "forced-pendulum", name)
+        seen = []
+        kinds = (
+            ("positions", claimed.positions, found.position_errors),
+            ("velocities", claimed.velocities, found.velocity_errors),
+            ("multipliers", claimed.multipliers, found.multiplier_errors),
+        )
+        for what, order, errors in kinds:
+            if order is None:
+                continue
+            observed = observed_order(found.steps, errors) if what == "multipliers" else found.observed_in(errors)
+            finding = judged(order, observed, errors, f"order of {what}")
+            if finding.outcome == "fail":
+                return failed(f"on {name} {finding.cause}", **finding.figures)
+            if finding.outcome == "warn":
+                remark = remark or f"on {name} {finding.cause}"
+            seen.append(f"{observed.order:.2f}")
+        figures[name] = "/".join(seen)
+    return warned(remark, **figures) if remark else passed(**figures)
+
+
+@check("order.polynomials")
+def polynomials(subject: IntegratorSubject) -> Finding:
+    """A method of order p takes a mass whose velocity is a polynomial of degree p to the right place in one step."""
+    order = int(subject.order)
+    worst, first = 0.0, None
+    for power in range(order):
+        with subject.run(pushed(power), {"end": 1.0, "step": 1.0}) as run:
+            if run.status != "complete":
+                raise Skip(f"a free mass could not be moved: {run.status_reason}".rstrip("."))
+            body = run["mass"]
+            defect = abs(float(body.velocity[-1, 0]) - 1 / (power + 1))
+            if power < order - 1:
+                defect = max(defect, abs(float(body.position[-1, 0]) - 1 / ((power + 1) * (power + 2))))
+        worst = max(worst, defect)
+        if defect > POLYNOMIAL and first is None:
+            first = power
+    if first is None:
+        return passed(degree=order, defect=worst)
+    cause = f"under the force t^{first} one step of 1 s is not exact, as order {order} would have it"
+    if isinstance(subject.method(), StepMethod):
+        return warned(f"{cause} of a method that is linear in the forces", defect=worst)
+    return failed(cause, defect=worst)
+
+
+CHECKS = (polynomials, *(_on(problem) for problem in PROBLEMS), multipliers, formulations)

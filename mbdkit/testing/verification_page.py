@@ -1,0 +1,52 @@
+"""A verification as one page of HTML that works offline."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.compat import StringIO
+
+from mbdkit.errors import SpecError
+from mbdkit.files import check_suffix, replacing
+from mbdkit.report.templating import render
+from mbdkit.testing.outcome import Report, figures_text
+
+_TONES = {"pass": "yes", "fail": "no", "warn": "partly", "skip": "open"}
+
+
+def html(reports: Sequence[Report]) -> str:
+    """Return the page of one or several reports."""
+    from mbdkit import __version__
+
+    title = f"Verification of {', '.join(report.id for report in reports)}"
+    filters: dict[str, Callable[..., Any]] = {"tone": _TONES.__getitem__, "figures": figures_text, "claimed": _claimed}
+    return render("verification.html", {"title": title, "version": __version__, "reports": reports}, filters)
+
+
+def check_page(target: Path, *, overwrite: bool) -> None:
+    """Refuse a page that cannot be written, before any work; raises SpecError."""
+    check_suffix(target, (".html", ".htm"), "a verification")
+    if os.path.isdir(target):
+        raise SpecError("this is a folder; name a file with -o", file=target)
+    if os.path.lexists(target) and not overwrite:
+        raise SpecError("this file exists; choose another name with -o, or replace it with --overwrite", file=target)
+    if not os.path.isdir(target.parent):
+        raise SpecError(f"the folder {target.parent} does not exist; create it first", file=target)
+
+
+def write_page(reports: Sequence[Report], target: Path) -> None:
+    """Write the page of one or several reports."""
+    page = html(reports)
+    with replacing(target) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _claimed(report: Report) -> str:
+    text = StringIO()
+    plain = {key: list(value) if isinstance(value, tuple) else value for key, value in report.claims.items()}
+    YAML().dump({"options": report.options, "claims": plain}, text)
+    return str(text.getvalue())

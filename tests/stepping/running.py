@@ -1,0 +1,58 @@
+"""Mechanisms and shortcuts for the tests of this room."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+import mbdkit
+from mbdkit.engine.assembly import assemble
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.workspace import Problem
+from mbdkit.mechanism.mechanism import Mechanism
+
+DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
+EXPLICIT = [{"name": "rk4"}, {"name": "rk-gill"}]
+IMPLICIT = [{"name": "gauss", "stages": s} for s in range(1, 5)]
+FIXED = EXPLICIT + IMPLICIT
+
+
+def run(model: Any, integrator: dict[str, Any], **time: float) -> mbdkit.Run:
+    """Run a model (mapping or mechanism) in memory, to its end."""
+    result = spec_run(model, integrator, time)
+    result.check()
+    return result
+
+
+def spec_run(model: Any, integrator: dict[str, Any], time: dict[str, Any], **sections: Any) -> mbdkit.Run:
+    """Run a model whatever its end."""
+    if isinstance(model, Mechanism):
+        return mbdkit.run(model, integrator=integrator, time=time, **sections)
+    return mbdkit.run({"mbdkit": 1, "model": model, "integrator": integrator, "time": time, **sections})
+
+
+def problem_of(m: Mechanism, t0: float = 0.0) -> Problem:
+    """Return the problem of a mechanism at its assembled start."""
+    compiled = compile_mechanism(m)
+    start = assemble(m, t0, compiled)
+    return Problem(compiled, t0, *(np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v)))
+
+
+def driven_chain(stiffness: float = 50.0, damping: float = 1.0) -> Mechanism:
+    """Return four rods, the first one driven, with a spring-damper between two that share no joint."""
+    m = Mechanism()
+    angles = (-1.0, -0.2, -1.8, 0.3)
+    end, before = np.zeros(2), m.ground
+    for i, angle in enumerate(angles):
+        along = np.array([math.cos(angle), math.sin(angle)])
+        m.body(f"r{i}", mass=1.0, inertia=1 / 12, position=end + along / 2, angle=angle)
+        m.revolute(f"J{i}", before, f"r{i}", at=end)
+        end, before = end + along, f"r{i}"
+    m.driver("motor", m.ground, "r0", coordinate="angle", motion="-1.0 + 0.8*sin(2*t)")
+    m.spring_damper(
+        "s", "r0", "r3", points=((0.2, 0.1), (0.3, -0.1)), stiffness=stiffness, damping=damping, free_length=0.5
+    )
+    m.torque("t", "r3", value="0.5*cos(3*t)")
+    return m
