@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
-    from mbdkit.engine.equations_of_motion import StepProblem
+    from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.errors import MbdkitError, PluginError, RunError, SpecError
     from mbdkit.mechanics.equilibrium import Equilibrium, equilibrium
     from mbdkit.mechanics.kinematics import Kinematics, kinematics
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ButcherTableau",
     "Claims",
+    "EquationsOfMotion",
     "Equilibrium",
     "ExplicitRungeKutta",
     "ExpressionLaw",
@@ -50,7 +51,6 @@ __all__ = [
     "SpecError",
     "StepError",
     "StepMethod",
-    "StepProblem",
     "StepState",
     "Study",
     "StudySpec",
@@ -89,7 +89,7 @@ _HOME = {
     "SpecError": "mbdkit.errors",
     "StepError": "mbdkit.stepping.python_method",
     "StepMethod": "mbdkit.stepping.python_method",
-    "StepProblem": "mbdkit.engine.equations_of_motion",
+    "EquationsOfMotion": "mbdkit.engine.equations_of_motion",
     "StepState": "mbdkit.stepping.python_method",
     "Study": "mbdkit.studies.study",
     "StudySpec": "mbdkit.spec",

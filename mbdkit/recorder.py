@@ -14,7 +14,7 @@ from mbdkit.engine.kernels.observe import observe
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.redundant_reactions import share_evenly
 from mbdkit.engine.singularity import describe_nearness, new_vectors
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping.interface import Failure, Stretch
 from mbdkit.text import listed
 
@@ -58,15 +58,15 @@ class Recorder:
 
     Parameters
     ----------
-    problem
+    workspace
         The mechanism, with the solver of the run.
     writer
         The archive in the making.
     """
 
-    def __init__(self, problem: Problem, writer: ArchiveWriter):
-        self.problem, self.writer = problem, writer
-        mechanism = problem.mechanism
+    def __init__(self, workspace: Workspace, writer: ArchiveWriter):
+        self.workspace, self.writer = workspace, writer
+        mechanism = workspace.mechanism
         self._pair = np.array([row.pair for row in mechanism.rows], dtype=np.int64)
         self._place = np.array([row.place for row in mechanism.rows], dtype=np.int64)
         self._metres = np.array([row.unit == "m" for row in mechanism.rows], dtype=bool)
@@ -76,7 +76,7 @@ class Recorder:
         self._joints = len(mechanism.joints)
         self._length = mechanism.length
         self._start_total: float | None = None
-        self._near = new_vectors(problem)
+        self._near = new_vectors(workspace)
         self._spare = np.isin(np.arange(len(mechanism.topology.pairs)), mechanism.topology.spare[:, 0])
         self.largest = np.zeros(self._joints)
         """(J,) largest misalignment [m] of the recorded states."""
@@ -101,7 +101,7 @@ class Recorder:
         count = len(stretch.time)
         if count == 0:
             return None
-        top, pairs = self.problem.mechanism.topology, len(self.problem.mechanism.topology.pairs)
+        top, pairs = self.workspace.mechanism.topology, len(self.workspace.mechanism.topology.pairs)
         q, v = np.ascontiguousarray(stretch.q), np.ascontiguousarray(stretch.v)
         acc, lam = np.zeros_like(q), np.zeros((count, pairs, 2))
         phi, rate, reactions = np.zeros_like(lam), np.zeros_like(lam), np.zeros((count, pairs, 3))
@@ -115,7 +115,7 @@ class Recorder:
             some = slice(done, min(done + most, count))
             stress, its_reactions = (np.zeros((some.stop - done, spare, pairs, columns)) for columns in (2, 3))
             status, reached = observe(
-                self.problem.engine, *(x[some] for x in arrays), stress, its_reactions, self._near,
+                self.workspace.engine, *(x[some] for x in arrays), stress, its_reactions, self._near,
             )  # fmt: skip
             here, there = slice(done, done + reached), slice(0, reached)
             if spare and reached:
@@ -128,11 +128,11 @@ class Recorder:
             try:
                 if renewed == done:
                     raise SingularSystemError
-                self.problem.use_pivots()
+                self.workspace.use_pivots()
                 renewed = done
             except SingularSystemError as error:
-                name = self.problem.mechanism.unknown_name(error.index)
-                near = describe_nearness(self.problem, stretch.time[done], q[done])
+                name = self.workspace.mechanism.unknown_name(error.index)
+                near = describe_nearness(self.workspace, stretch.time[done], q[done])
                 why = f"no unique solution near {name} at {_at(stretch, done)}{near and '; ' + near}."
                 failure, count = Failure("singular", why), done
         moving = np.all(np.isfinite(acc[:count]), axis=1) & np.all(np.isfinite(lam[:count]), axis=(1, 2))
@@ -172,7 +172,7 @@ class Recorder:
         count = len(times)
         if count == 0:
             return
-        bodies = len(self.problem.mechanism.bodies)
+        bodies = len(self.workspace.mechanism.bodies)
 
         def by_body(x: np.ndarray) -> np.ndarray:
             return x[part, : 3 * bodies].reshape(count, bodies, 3)
@@ -218,7 +218,7 @@ class Recorder:
         """Write crossings of events, those found since the last call."""
         if not found:
             return
-        shape = (len(found), len(self.problem.mechanism.bodies), 3)
+        shape = (len(found), len(self.workspace.mechanism.bodies), 3)
         self.writer.append_events(
             {
                 "name": np.array([one.name for one in found], dtype=object),
@@ -245,7 +245,7 @@ class Recorder:
 
     def _contradiction(self, joint: int, gap: float, where: str) -> str:
         """Return the sentence that names a joint which cannot meet any more because of others."""
-        mechanism = self.problem.mechanism
+        mechanism = self.workspace.mechanism
         units = {self._pair_joint[row.pair]: row.unit for row in mechanism.rows}
         others = [name for name in mechanism.redundancy.not_unique if name != mechanism.joints[joint]]
         return (

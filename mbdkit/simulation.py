@@ -31,7 +31,7 @@ from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.redundancy import require_unique_start, without_redundancy
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError, PluginError, SpecError
 from mbdkit.mechanism.checks import check_springs
 from mbdkit.mechanism.elements import Body
@@ -110,11 +110,11 @@ def simulate(
     warning = caution(spec, method)
     if warning:
         notify(f"warning: {warning}")
-    problem, start = build(spec, notify)
-    _check_room(spec, problem.mechanism, path)
+    workspace, start = build(spec, notify)
+    _check_room(spec, workspace.mechanism, path)
     writer = ArchiveWriter(
         path,
-        archive_names(problem.mechanism),
+        archive_names(workspace.mechanism),
         spec.canonical_json(),
         spec.sha256(),
         spec.run_id(),
@@ -122,15 +122,15 @@ def simulate(
         spec.output.recorded,
         extra_datasets=[
             *_own_multipliers(method, spec.formulation),
-            *_nearness(problem.mechanism),
-            *CORRECTIONS[problem.stabilization.kind],
+            *_nearness(workspace.mechanism),
+            *CORRECTIONS[workspace.stabilization.kind],
             *(EVENTS if spec.events else ()),
         ],
         overwrite=overwrite,
-        shared=shared_forces(problem.mechanism),
+        shared=shared_forces(workspace.mechanism),
     )
     try:
-        return _Simulation(spec, problem, method, writer, begin).run(progress)
+        return _Simulation(spec, workspace, method, writer, begin).run(progress)
     except BaseException:
         writer.abandon()
         raise
@@ -155,7 +155,7 @@ def caution(spec: RunSpec, method: Method | None = None) -> str:
     return stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
 
 
-def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Problem, AssembledState]:
+def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Workspace, AssembledState]:
     """Compile a spec's mechanism and make its start consistent.
 
     Parameters
@@ -167,7 +167,7 @@ def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Pro
 
     Returns
     -------
-    Problem
+    Workspace
         Ready to be stepped.
     AssembledState
         The start, and what assembly moved.
@@ -184,7 +184,7 @@ def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Pro
         start = assemble(mechanism, spec.time.start, compiled)
         check_springs(mechanism.forces, _placed(mechanism, start))
         compiled = without_redundancy(compiled, spec.time.start, start.q.ravel(), start.v.ravel(), spec.time.final)
-        problem = Problem(
+        workspace = Workspace(
             compiled,
             spec.time.start,
             _padded(start.q),
@@ -192,10 +192,10 @@ def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Pro
             formulation=spec.formulation,
             stabilization=spec.stabilized,
         )
-        require_unique_start(problem)
+        require_unique_start(workspace)
     except SpecError as error:
         raise spec.placed(error) from error
-    return problem, start
+    return workspace, start
 
 
 def _check_room(spec: RunSpec, mechanism: CompiledMechanism, path: Path | None) -> None:
@@ -255,9 +255,9 @@ def _nearness(mechanism: CompiledMechanism) -> list[str]:
 
 
 class _Simulation:
-    def __init__(self, spec: RunSpec, problem: Problem, method: Method, writer: ArchiveWriter, begin: float):
-        self.spec, self.problem, self.method, self.writer, self.begin = spec, problem, method, writer, begin
-        self.recorder = Recorder(problem, writer)
+    def __init__(self, spec: RunSpec, workspace: Workspace, method: Method, writer: ArchiveWriter, begin: float):
+        self.spec, self.workspace, self.method, self.writer, self.begin = spec, workspace, method, writer, begin
+        self.recorder = Recorder(workspace, writer)
         self.stepper: Advancing | None = None
         self.watch: Watch | None = None
         self.failure: Failure | None = None
@@ -283,20 +283,20 @@ class _Simulation:
 
     def record_start(self) -> None:
         """Record the start."""
-        problem, none = self.problem, np.zeros(1)
-        first = Stretch(np.array([problem.t0]), problem.q0[None], problem.v0[None], none, none, np.zeros((1, 6)))
+        workspace, none = self.workspace, np.zeros(1)
+        first = Stretch(np.array([workspace.t0]), workspace.q0[None], workspace.v0[None], none, none, np.zeros((1, 6)))
         self.failure = self.recorder.record(first, (0.0, 0.0), start=True)
 
     def start(self) -> None:
         """Let the method make its stepper."""
         try:
-            stepper = self.method.start(self.problem, _timetable(self.spec))
+            stepper = self.method.start(self.workspace, _timetable(self.spec))
         except SingularSystemError as error:
-            name = self.problem.mechanism.unknown_name(error.index)
+            name = self.workspace.mechanism.unknown_name(error.index)
             self.failure = Failure("singular", f"the stage equations are singular at the start, near {name}.")
             return
         if self.spec.events:
-            self.watch = _watch(self.spec, self.problem, stepper)
+            self.watch = _watch(self.spec, self.workspace, stepper)
         self.stepper = self.watch or stepper
 
     @contextmanager
@@ -316,7 +316,7 @@ class _Simulation:
         """Step to the end, a limit, a failure or an interrupt, recording on the way."""
         limit, end = self.spec.limits.wall_time, self.spec.time.final
         elapsed = 0.0
-        recorded = self.problem.t0
+        recorded = self.workspace.t0
         while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
             with self._blaming_the_plugin():
                 stretch = stepper.advance()
@@ -344,8 +344,8 @@ class _Simulation:
         """Close the archive with the status that the run came to."""
         stepper = self.stepper
         counters = asdict(stepper.counters) if stepper is not None else asdict(Counters())
-        counters["factorizations"] += self.problem.pivotings
-        pairs = len(self.problem.mechanism.topology.pairs)
+        counters["factorizations"] += self.workspace.pivotings
+        pairs = len(self.workspace.mechanism.topology.pairs)
         status, reason = "complete", ""
         if self.failure is not None:
             status, reason = "failed", f"{self.failure.code}: {self.failure.sentence}"
@@ -394,7 +394,7 @@ def _timetable(spec: RunSpec) -> Timetable:
     )
 
 
-def _watch(spec: RunSpec, problem: Problem, stepper: Stepper) -> Watch:
+def _watch(spec: RunSpec, workspace: Workspace, stepper: Stepper) -> Watch:
     """Return the stepper with a watch on it for the events of a spec."""
     from mbdkit.events.watch import Watch, Watched
 
@@ -402,7 +402,7 @@ def _watch(spec: RunSpec, problem: Problem, stepper: Stepper) -> Watch:
         Watched(name, expression, spec.events[name].direction, spec.events[name].action)
         for name, expression in spec.watched().items()
     ]
-    return Watch(stepper, problem, found)
+    return Watch(stepper, workspace, found)
 
 
 @contextmanager

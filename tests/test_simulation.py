@@ -349,7 +349,7 @@ def scipy_counts(name: str, options: dict[str, Any]) -> dict[str, int]:
 
     from mbdkit.engine.assembly import assemble
     from mbdkit.engine.compile_mechanism import compile_mechanism
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
     from mbdkit.methods.kinds import SciPySolver
     from mbdkit.spec import load_spec
     from mbdkit.stepping.interface import Timetable
@@ -359,7 +359,7 @@ def scipy_counts(name: str, options: dict[str, Any]) -> dict[str, int]:
     compiled = compile_mechanism(mechanism)
     start = assemble(mechanism, 0.0, compiled)
     q, v = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
-    stepper = SciPySolver(solver, **options).start(Problem(compiled, 0.0, q, v), Timetable(0.0, 1.0))
+    stepper = SciPySolver(solver, **options).start(Workspace(compiled, 0.0, q, v), Timetable(0.0, 1.0))
     jacobian = {"jac": stepper.jacobian} if name != "scipy-dop853" else {}  # type: ignore[attr-defined]
     found = scipy.integrate.solve_ivp(
         stepper.rates,  # type: ignore[attr-defined]

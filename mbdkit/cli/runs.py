@@ -20,7 +20,7 @@ from mbdkit.text import table
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.engine.assembly import AssembledState
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
     from mbdkit.spec import RunSpec
 
 BODIES_SHOWN = 20
@@ -85,7 +85,7 @@ def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> N
         print("start        consistent as it is, left untouched")
 
 
-def _events(spec: RunSpec, problem: Problem) -> list[tuple[str, ...]]:
+def _events(spec: RunSpec, problem: Workspace) -> list[tuple[str, ...]]:
     """Return a row for each event, with the value of its expression at the start."""
     from mbdkit.events.watch import values_at_start
 

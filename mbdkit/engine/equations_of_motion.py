@@ -13,7 +13,7 @@ from mbdkit.engine.jit.bundle import Hold
 from mbdkit.engine.kernels import equations
 from mbdkit.engine.kernels.observe import baumgarte_at
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping.interface import Counters
 from mbdkit.stepping.python_method import StepError
 from mbdkit.stepping.python_projection import nearest_positions, nearest_velocities
@@ -40,7 +40,7 @@ class Tangents:
     """(m, n) d(Phi_q a - gamma)/dq."""
 
 
-class StepProblem:
+class EquationsOfMotion:
     """The equations of motion of one mechanism, for the `step` of a method.
 
         M q'' + Phi_q^T lam = Q(t, q, v),      Phi(t, q) = 0,      Phi_q v + Phi_t = 0,      Phi_q q'' = gamma(t, q, v)
@@ -57,7 +57,7 @@ class StepProblem:
 
     Parameters
     ----------
-    problem
+    workspace
         The compiled mechanism at its consistent start.
 
     Attributes
@@ -81,26 +81,26 @@ class StepProblem:
         Where the kernels find the mechanism; not for use.
     """
 
-    def __init__(self, problem: Problem):
-        mechanism = problem.mechanism
-        self._problem = problem
-        self._view = equations.new_view(problem)
+    def __init__(self, workspace: Workspace):
+        mechanism = workspace.mechanism
+        self._workspace = workspace
+        self._view = equations.new_view(workspace)
         self._hold = Hold(self._view)
         self.address = self._hold.address
         self.n, self.m = 3 * len(mechanism.bodies), len(mechanism.solved_rows)
         self.bodies = mechanism.bodies
         self.constraint_names = tuple(row.label for row in mechanism.solved_rows)
-        self.formulation, self.stabilization = problem.formulation, problem.stabilization
+        self.formulation, self.stabilization = workspace.formulation, workspace.stabilization
         self.mass = mechanism.topology.mass[:-1].ravel()
-        self.t0, self.q0, self.v0 = problem.t0, problem.q0[: self.n].copy(), problem.v0[: self.n].copy()
+        self.t0, self.q0, self.v0 = workspace.t0, workspace.q0[: self.n].copy(), workspace.v0[: self.n].copy()
         self.counters = Counters()
         self._no_force, self._no_rows = np.zeros(self.n), np.zeros(self.m)
-        self._classes = classes_of(problem)
+        self._classes = classes_of(workspace)
         self._pivots: dict[tuple[bool, ...], Pivots] = {}
 
     @classmethod
-    def of(cls, mechanism: Mechanism, t0: float = 0.0) -> StepProblem:
-        """Return the problem of a mechanism with its start made consistent, to try a method on.
+    def of(cls, mechanism: Mechanism, t0: float = 0.0) -> EquationsOfMotion:
+        """Return the workspace of a mechanism with its start made consistent, to try a method on.
 
         Parameters
         ----------
@@ -119,12 +119,12 @@ class StepProblem:
         start = assemble(mechanism, t0, compiled)
         q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
         compiled = without_redundancy(compiled, t0, start.q.ravel(), start.v.ravel(), t0)
-        return cls(Problem(compiled, t0, q0, v0))
+        return cls(Workspace(compiled, t0, q0, v0))
 
     @property
     def terms_now(self) -> np.ndarray:
         """The terms of the tangents that were evaluated last."""
-        return self._problem.scratch.source
+        return self._workspace.scratch.source
 
     def accelerations(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the index-1 accelerations (n,) and multipliers (m,) at a state."""
@@ -176,7 +176,7 @@ class StepProblem:
     def constraint_jacobian(self, t: float, q: np.ndarray) -> csr_array:
         """Return Phi_q, a sparse (m, n) array; ``.toarray()`` makes it dense."""
         self._rows(t, q, self._no_force)
-        terms, n = self._problem.terms, self.n
+        terms, n = self._workspace.terms, self.n
         return self._sparse((terms.factor == 0) & (terms.row >= n), below=True)
 
     def tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
@@ -191,7 +191,7 @@ class StepProblem:
         )
 
     def evaluated_terms(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """Return the value of every term of the tangents at a state, in the order of the problem's list of terms."""
+        """Return the value of every term of the tangents at a state, in the order of the workspace's list of terms."""
         self._evaluate_tangents(t, q, v, a, lam)
         return self.terms_now.copy()
 
@@ -240,7 +240,7 @@ class StepProblem:
             if matrix.failed_at < 0:
                 return matrix
         try:
-            self._pivots[key] = chosen_pivots(self._problem, self._classes, coefficients)
+            self._pivots[key] = chosen_pivots(self._workspace, self._classes, coefficients)
         except SingularSystemError as error:
             raise self._singular(error) from None
         matrix = self._factorized(key, coefficients)
@@ -266,9 +266,9 @@ class StepProblem:
 
     def baumgarte_terms(self, t: float, q: np.ndarray, v: np.ndarray) -> float:
         """Return the largest of Baumgarte's terms ``2 alpha Phi' + beta^2 Phi`` at a state [m/s^2, rad/s^2]."""
-        problem, ground = self._problem, np.zeros(3)
+        workspace, ground = self._workspace, np.zeros(3)
         state = (np.concatenate([vector(x, self.n), ground]) for x in (q, v))
-        return float(baumgarte_at(problem.stepping_engine, float(t), *state))
+        return float(baumgarte_at(workspace.stepping_engine, float(t), *state))
 
     def powers(self, t: float, q: np.ndarray, v: np.ndarray, lam: np.ndarray) -> tuple[float, float]:
         """Return the power of loads and drivers under the multipliers `lam`, and the power dissipated [W]."""
@@ -278,8 +278,8 @@ class StepProblem:
 
     def recorded_multipliers(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Return the multipliers (rows,) of every row of ``/constraints``: independent ones alone carry a force."""
-        rows = self._problem.mechanism.rows
-        pairs = np.zeros((len(self._problem.mechanism.topology.pairs), 2))
+        rows = self._workspace.mechanism.rows
+        pairs = np.zeros((len(self._workspace.mechanism.topology.pairs), 2))
         equations.pair_multipliers_of(self.address, float(t), vector(q, self.n), vector(lam, self.m), pairs)
         return np.array([pairs[row.pair, row.place] for row in rows])
 
@@ -305,14 +305,14 @@ class StepProblem:
         x, mu = np.empty(self.n), np.empty(self.m)
         state = float(t), vector(q, self.n), vector(v, self.n)
         self.counters.factorizations += 1
-        if self._view.solver is not self._problem.solver:  # the recorder has chosen other pivots
+        if self._view.solver is not self._workspace.solver:  # the recorder has chosen other pivots
             self._refresh()
         status = equations.solution_of(self.address, *state, given, force, rows, x, mu)
         if status == OK:
             return x, mu
-        if status != NOT_FINITE and self._problem.is_finite():
+        if status != NOT_FINITE and self._workspace.is_finite():
             try:
-                self._problem.use_pivots()
+                self._workspace.use_pivots()
             except SingularSystemError as error:
                 raise self._singular(error) from None
             self._refresh()
@@ -321,13 +321,13 @@ class StepProblem:
             if status == OK:
                 return x, mu
             if status != NOT_FINITE:
-                failed, order = int(self._problem.solver.failed[0]), self._problem.solver.pattern.column_of
+                failed, order = int(self._workspace.solver.failed[0]), self._workspace.solver.pattern.column_of
                 raise self._singular(SingularSystemError(int(order[failed]) if 0 <= failed < len(order) else -1))
         raise self._not_finite()
 
     def _refresh(self) -> None:
         """Let the kernels see the solver that is in use now."""
-        self._view = self._view._replace(solver=self._problem.solver)
+        self._view = self._view._replace(solver=self._workspace.solver)
         self._hold.replace(self._view)
         self.address = self._hold.address
 
@@ -357,8 +357,8 @@ class StepProblem:
         """Return the sum of some of the terms that were evaluated last: of upper rows, or of those `below`."""
         from scipy.sparse import csr_array
 
-        terms = self._problem.terms.kept(keep)
-        values = self._problem.scratch.source[terms.source]
+        terms = self._workspace.terms.kept(keep)
+        values = self._workspace.scratch.source[terms.source]
         row, rows = (terms.row - self.n, self.m) if below else (terms.row, self.n)
         return csr_array((values, (row, terms.column)), shape=(rows, self.n))
 
@@ -367,7 +367,7 @@ class StepProblem:
         try:
             a, lam = self.accelerations(self.t0, self.q0, self.v0)
             self._evaluate_tangents(self.t0, self.q0, self.v0, a, lam)
-            self._pivots[key] = chosen_pivots(self._problem, self._classes, coefficients)
+            self._pivots[key] = chosen_pivots(self._workspace, self._classes, coefficients)
         except (StepError, SingularSystemError):
             return
         self._factorized(key, coefficients)
@@ -377,24 +377,24 @@ class StepProblem:
         return IterationMatrix(self, self._pivots[key], coefficients)
 
     def _singular(self, error: SingularSystemError) -> StepError:
-        name = self._problem.mechanism.unknown_name(error.index)
+        name = self._workspace.mechanism.unknown_name(error.index)
         return StepError("singular", f"no independent equations are left at {name}")
 
     def _not_finite(self) -> StepError:
-        if not self._problem.motions_are_finite():
+        if not self._workspace.motions_are_finite():
             return StepError("not-finite", "a driver or load is not a finite number")
-        if force := self._problem.unusable_law():
+        if force := self._workspace.unusable_law():
             return StepError("not-finite", f"the law of force {force!r} gave no finite number")
         return StepError("not-finite", "numbers overflowed")
 
 
-def call_everything(p: StepProblem, check: Callable[[], None] = lambda: None) -> None:
+def call_everything(p: EquationsOfMotion, check: Callable[[], None] = lambda: None) -> None:
     """Call every kernel that there is for methods written in Python, so that it stands compiled and loaded.
 
     Parameters
     ----------
     p
-        Any problem; its counters count.
+        Any workspace; its counters count.
     check
         Called now and then.
     """

@@ -26,9 +26,9 @@ from mbdkit.engine.kernels.system import KKT_TOLERANCE
 from mbdkit.stepping.python_method import StepError
 
 if TYPE_CHECKING:
-    from mbdkit.engine.equations_of_motion import StepProblem
+    from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.engine.kernels.lu import Pattern
-    from mbdkit.engine.workspace import Problem, Terms
+    from mbdkit.engine.workspace import Terms, Workspace
 
 
 REAL, COMPLEX = np.dtype(float), np.dtype(complex)
@@ -44,9 +44,9 @@ def vector(x: np.ndarray, size: int, dtype: np.dtype[Any] = REAL) -> np.ndarray:
     return array
 
 
-def classes_of(problem: Problem) -> np.ndarray:
-    """Return the class of each of a problem's terms: M, Phi_q, C, K, gamma_v or residual_q."""
-    terms, n = problem.terms, 3 * len(problem.mechanism.bodies)
+def classes_of(workspace: Workspace) -> np.ndarray:
+    """Return the class of each of a workspace's terms: M, Phi_q, C, K, gamma_v or residual_q."""
+    terms, n = workspace.terms, 3 * len(workspace.mechanism.bodies)
     plain = np.where(terms.source < n, MASS, JACOBIAN)
     level = np.where(terms.row < n, STIFFNESS, RESIDUAL_Q)
     return np.choose(terms.factor, [plain, np.full_like(plain, DAMPING), np.full_like(plain, GAMMA_V), level])
@@ -71,27 +71,27 @@ class Pivots:
         return Hold(new_matrix(self.pattern, factors, self.scatter))
 
 
-def chosen_pivots(problem: Problem, classes: np.ndarray, coefficients: np.ndarray) -> Pivots:
+def chosen_pivots(workspace: Workspace, classes: np.ndarray, coefficients: np.ndarray) -> Pivots:
     """Choose pivots by the tangents that were evaluated last; raises SingularSystemError."""
     used = coefficients[classes] != 0
-    terms: Terms = problem.terms.kept(used)
-    pattern, position = problem.pivots_of(terms, coefficients[classes[used]])
+    terms: Terms = workspace.terms.kept(used)
+    pattern, position = workspace.pivots_of(terms, coefficients[classes[used]])
     scatter = np.column_stack([terms.source, position, classes[used]]).astype(np.int64)
     return Pivots(pattern, scatter, np.zeros(len(pattern.row_of)))
 
 
 class IterationMatrix:
-    """A factorized matrix; `StepProblem.iteration_matrix` makes it.
+    """A factorized matrix; `EquationsOfMotion.iteration_matrix` makes it.
 
     It stays valid whatever is evaluated afterwards, other matrices included.
     """
 
-    def __init__(self, problem: StepProblem, pivots: Pivots, coefficients: np.ndarray):
-        self._problem, self._pivots = problem, pivots
+    def __init__(self, equations: EquationsOfMotion, pivots: Pivots, coefficients: np.ndarray):
+        self._equations, self._pivots = equations, pivots
         self._complex = coefficients.dtype == complex
         self._hold = pivots.take(coefficients.dtype.type)
         kernel = factorize_complex if self._complex else factorize_real
-        self.failed_at: int = kernel(problem.terms_now, self._hold.address, coefficients)
+        self.failed_at: int = kernel(equations.terms_now, self._hold.address, coefficients)
         """Pivot that was lost in the factorization, -1 if none."""
 
     def __del__(self) -> None:
@@ -119,12 +119,12 @@ class IterationMatrix:
         StepError
             Where the right side is not finite, or the matrix is too close to singular for the residual to vanish.
         """
-        problem = self._problem
+        equations = self._equations
         dtype = COMPLEX if self._complex else REAL
-        x, mu = np.empty(problem.n, dtype), np.empty(problem.m, dtype)
-        force, rows = vector(force, problem.n, dtype), vector(rows, problem.m, dtype)
+        x, mu = np.empty(equations.n, dtype), np.empty(equations.m, dtype)
+        force, rows = vector(force, equations.n, dtype), vector(rows, equations.m, dtype)
         kernel = solve_complex if self._complex else solve_real
-        problem.counters.newton_iterations += 1
+        equations.counters.newton_iterations += 1
         if not kernel(self._hold.address, force, rows, x, mu) < KKT_TOLERANCE:
             if not (np.all(np.isfinite(force)) and np.all(np.isfinite(rows))):
                 raise StepError("not-finite", "the right side of an iteration is no finite number")

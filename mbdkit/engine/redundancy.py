@@ -19,7 +19,7 @@ from mbdkit.engine.kernels.observe import constraints_at, tangents_at
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.self_stress import SMALL, looped_rows, scaled_matrix, self_stresses
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import SpecError
 from mbdkit.text import listed
 
@@ -306,26 +306,26 @@ def _named(names: list[str]) -> str:
     return f"joint{'s' * (len(names) > 1)} {listed(shown, 'and')}"
 
 
-def require_unique_start(problem: Problem) -> None:
+def require_unique_start(workspace: Workspace) -> None:
     """Raise SpecError where the start has no unique accelerations, or none that double precision can hold.
 
     Parameters
     ----------
-    problem
+    workspace
         The mechanism at its start, with independent rows; its solver is left ready for use.
     """
-    mechanism = problem.mechanism
+    mechanism = workspace.mechanism
     acc, lam = np.zeros(mechanism.size), np.zeros((len(mechanism.topology.pairs), 2))
     try:
         for _ in range(2):
-            status = tangents_at(problem.engine, problem.t0, problem.q0, problem.v0, acc, lam)
+            status = tangents_at(workspace.engine, workspace.t0, workspace.q0, workspace.v0, acc, lam)
             if status == OK:
                 break
-            problem.use_pivots()
+            workspace.use_pivots()
         else:
             raise SingularSystemError
     except SingularSystemError as error:
-        refuse_law(problem)
+        refuse_law(workspace)
         where = f", near {mechanism.unknown_name(error.index)}" if error.index >= 0 else ""
         raise SpecError(
             "the mechanism is too close to a singular position at the start: its accelerations have no unique "
@@ -333,12 +333,12 @@ def require_unique_start(problem: Problem) -> None:
             key="model.joints",
         ) from None
     if not (np.all(np.isfinite(acc)) and np.all(np.isfinite(lam))):
-        refuse_law(problem)
+        refuse_law(workspace)
         raise SpecError("the forces of the start are too large to be held in double precision", key="model")
-    problem.scratch.faulty[0] = -1  # a law whose slope is infinite here may still serve an explicit method
+    workspace.scratch.faulty[0] = -1  # a law whose slope is infinite here may still serve an explicit method
 
 
-def refuse_law(problem: Problem) -> None:
+def refuse_law(workspace: Workspace) -> None:
     """Raise SpecError if a law has no finite force at the start."""
-    if force := problem.unusable_law():
+    if force := workspace.unusable_law():
         raise SpecError("its law gives no finite number at the start", key=f"model.forces.{force}")

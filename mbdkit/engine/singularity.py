@@ -25,7 +25,7 @@ from mbdkit.engine.self_stress import scaled_matrix, smallest_stress
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
 
 CLOSE = 0.03
 """Residual of the Ritz vector, relative to its eigenvalue, that ends the iteration: bounds the error of the square."""
@@ -49,9 +49,9 @@ COLUMNS = 11
 """Columns of what is kept from row to row: two vectors, their images, and the factor of each pair."""
 
 
-def new_vectors(problem: Problem) -> np.ndarray:
+def new_vectors(workspace: Workspace) -> np.ndarray:
     """Return (P, 11) zeros, what `singularity_distance` keeps between the rows of a run."""
-    return np.zeros((len(problem.mechanism.topology.pairs), COLUMNS))
+    return np.zeros((len(workspace.mechanism.topology.pairs), COLUMNS))
 
 
 @part
@@ -250,12 +250,12 @@ def independent_jacobian(engine, t, q, v, near):
     _pair_factors(top.pairs, top.rows, w.jac, top.weight, near)
 
 
-def nearest_singularity(problem: Problem, t: float, q: np.ndarray) -> tuple[float, str]:
+def nearest_singularity(workspace: Workspace, t: float, q: np.ndarray) -> tuple[float, str]:
     """Return how far a position is from the nearest singular one, and which joint has the largest part in it.
 
     Parameters
     ----------
-    problem
+    workspace
         The mechanism.
     t
         Time [s].
@@ -270,14 +270,14 @@ def nearest_singularity(problem: Problem, t: float, q: np.ndarray) -> tuple[floa
     joint : str
         Name of the joint whose rows hold the largest part of the left singular vector; empty without rows.
     """
-    mechanism = problem.mechanism
-    top, w, rows = mechanism.topology, problem.scratch, mechanism.solved_rows
+    mechanism = workspace.mechanism
+    top, w, rows = mechanism.topology, workspace.scratch, mechanism.solved_rows
     if not rows:
         return 1.0, ""
     full = np.zeros(mechanism.size)
     full[: min(len(q), len(full))] = q[: len(full)]
-    near = new_vectors(problem)
-    independent_jacobian(problem.engine, float(t), full, np.zeros_like(full), near)
+    near = new_vectors(workspace)
+    independent_jacobian(workspace.engine, float(t), full, np.zeros_like(full), near)
     pair, place = np.array([row.pair for row in rows]), np.array([row.place for row in rows])
     blocks = w.jac.reshape(-1, 2, 2, 3) * np.sqrt(top.weight[top.pairs[:, 1:3]])[:, None]
     with np.errstate(all="ignore"):
@@ -297,12 +297,12 @@ def nearest_singularity(problem: Problem, t: float, q: np.ndarray) -> tuple[floa
     return smallest, mechanism.joints[int(np.argmax(parts))]
 
 
-def describe_nearness(problem: Problem, t: float, q: np.ndarray) -> str:
+def describe_nearness(workspace: Workspace, t: float, q: np.ndarray) -> str:
     """Return in words that a position is nearly singular, and where; empty where it is not.
 
     Parameters
     ----------
-    problem
+    workspace
         The mechanism.
     t
         Time [s].
@@ -310,7 +310,7 @@ def describe_nearness(problem: Problem, t: float, q: np.ndarray) -> str:
         (3 (B + 1),) position, as in `nearest_singularity`.
     """
     try:
-        distance, joint = nearest_singularity(problem, t, q)
+        distance, joint = nearest_singularity(workspace, t, q)
     except np.linalg.LinAlgError:
         return ""
     if not joint or distance > NEAR:

@@ -52,7 +52,7 @@ class Terms:
 
 
 @dataclass
-class Problem:
+class Workspace:
     """A compiled mechanism with the arrays and the solver of one run.
 
     Parameters

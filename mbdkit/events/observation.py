@@ -12,7 +12,7 @@ from mbdkit.engine.kernels.observe import observe
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.redundant_reactions import share_evenly
 from mbdkit.engine.singularity import new_vectors
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.events.event_expression import BODY, Quantity
 
 _REACTION = ("force_x", "force_y", "torque")
@@ -35,15 +35,15 @@ class Observer:
 
     Parameters
     ----------
-    problem
+    workspace
         The mechanism, with the solver of the run.
     quantities
         What is wanted.
     """
 
-    def __init__(self, problem: Problem, quantities: Sequence[Quantity]):
-        self.problem, self.quantities = problem, quantities
-        mechanism = problem.mechanism
+    def __init__(self, workspace: Workspace, quantities: Sequence[Quantity]):
+        self.workspace, self.quantities = workspace, quantities
+        mechanism = workspace.mechanism
         self._body = {name: index for index, name in enumerate([*mechanism.bodies, "ground"])}
         self._joint = {name: index for index, name in enumerate(mechanism.joints)}
         number = {pair: j for j, pairs in enumerate(mechanism.joint_pairs) for pair in pairs}
@@ -52,7 +52,7 @@ class Observer:
         kinematic = (*BODY[:6], "angle")
         self._dynamic = any(quantity.attribute not in kinematic for quantity in quantities)
         self._buffers: dict[int, tuple[np.ndarray, ...]] = {}
-        self._near = new_vectors(problem)
+        self._near = new_vectors(workspace)
 
     def values(self, times: Sequence[float], q: np.ndarray, v: np.ndarray) -> list[list[float]]:
         """Return for each of K states its time, and the quantities after it; nan where they have no value.
@@ -70,7 +70,7 @@ class Observer:
 
     def _column(self, quantity: Quantity) -> Callable[[Seen], np.ndarray]:
         """Return what reads the (K,) values of a quantity."""
-        mechanism, name, attribute = self.problem.mechanism, quantity.name, quantity.attribute
+        mechanism, name, attribute = self.workspace.mechanism, quantity.name, quantity.attribute
         if quantity.kind == "energy":
             kinetic, potential = attribute != "potential", attribute != "kinetic"
             return lambda seen: kinetic * seen.kinetic + potential * seen.potential
@@ -99,7 +99,7 @@ class Observer:
             some = slice(done, None)
             for attempt in range(2):
                 status, reached = observe(
-                    self.problem.engine,
+                    self.workspace.engine,
                     times[some], q[some], v[some], acc[some], lam[some], phi[some], rate[some], reactions[some],
                     kinetic[some], potential[some], distance[some], stress[some], its_reactions[some], self._near,
                 )  # fmt: skip
@@ -110,14 +110,14 @@ class Observer:
                 for values in (acc, phi, reactions, kinetic, potential):
                     values[done] = np.nan
                 done += 1
-        if len(self.problem.mechanism.topology.spare) and np.all(np.isfinite(reactions)):
-            share_evenly(lam, reactions, stress, its_reactions, self._pair_joint, self.problem.mechanism.length)
+        if len(self.workspace.mechanism.topology.spare) and np.all(np.isfinite(reactions)):
+            share_evenly(lam, reactions, stress, its_reactions, self._pair_joint, self.workspace.mechanism.length)
         return Seen(q, v, acc, phi, reactions, kinetic, potential)
 
     def _renewed(self) -> bool:
         """Choose new pivots; return whether there are any."""
         try:
-            self.problem.use_pivots()
+            self.workspace.use_pivots()
         except SingularSystemError:
             return False
         return True
@@ -125,7 +125,7 @@ class Observer:
     def _room(self, count: int) -> tuple[np.ndarray, ...]:
         """Return arrays for `count` states, the same ones for the same number."""
         if count not in self._buffers:
-            topology, size = self.problem.mechanism.topology, self.problem.mechanism.size
+            topology, size = self.workspace.mechanism.topology, self.workspace.mechanism.size
             pairs, spare = len(topology.pairs), len(topology.spare)
             shapes = [
                 (count, size), *3 * [(count, pairs, 2)], (count, pairs, 3), (count,), (count,), (count,),

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.observation import Observer
@@ -59,20 +59,20 @@ class Found:
         return f"'{self.name}' crossed zero {way} at t = {self.time:.10g} s"
 
 
-def values_at_start(expressions: Mapping[str, RunExpression], problem: Problem) -> dict[str, float]:
+def values_at_start(expressions: Mapping[str, RunExpression], workspace: Workspace) -> dict[str, float]:
     """Return the values of expressions at the start of a run; nan where they have none."""
-    observer, functions = _prepared(list(expressions.values()), problem)
-    values = observer.values([problem.t0], problem.q0[None], problem.v0[None])[0]
+    observer, functions = _prepared(list(expressions.values()), workspace)
+    values = observer.values([workspace.t0], workspace.q0[None], workspace.v0[None])[0]
     return {name: function(values) for name, function in zip(expressions, functions, strict=True)}
 
 
 def _prepared(
-    expressions: Sequence[RunExpression], problem: Problem
+    expressions: Sequence[RunExpression], workspace: Workspace
 ) -> tuple[Observer, list[Callable[[Sequence[float]], float]]]:
     """Return what evaluates the quantities of all expressions at once, and the expressions as functions of them."""
     quantities = list(dict.fromkeys(quantity for one in expressions for quantity in one.quantities))
     places = {quantity: place for place, quantity in enumerate(quantities, start=1)}
-    return Observer(problem, quantities), [one.function(places) for one in expressions]
+    return Observer(workspace, quantities), [one.function(places) for one in expressions]
 
 
 class Watch:
@@ -82,7 +82,7 @@ class Watch:
     ----------
     stepper
         Started with ``Timetable.single``.
-    problem
+    workspace
         What it steps.
     events
         What to watch for.
@@ -93,11 +93,11 @@ class Watch:
         The event that ended the run, if one did.
     """
 
-    def __init__(self, stepper: Stepper, problem: Problem, events: Sequence[Watched]):
+    def __init__(self, stepper: Stepper, workspace: Workspace, events: Sequence[Watched]):
         self.stepper, self.events = stepper, events
-        self.observer, self._functions = _prepared([event.when for event in events], problem)
+        self.observer, self._functions = _prepared([event.when for event in events], workspace)
         self._signs = [0] * len(events)
-        self._recorded = problem.t0
+        self._recorded = workspace.t0
         self._found: list[Found] = []
         self._raised: Exception | None = None
         self._failure: Failure | None = None

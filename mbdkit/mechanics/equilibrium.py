@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import block_array, diags_array
 from scipy.sparse.linalg import splu
 
-from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.mechanics.reduced import State, at_rest, least_stiffness, stiffness_scale
 from mbdkit.mechanics.source import Placed
@@ -144,7 +144,7 @@ def equilibrium_of(placed: Placed) -> Equilibrium:
     """Find the static equilibrium of a mechanism that is built; see `equilibrium`."""
     with placed.blamed():
         found = rest(placed)
-        p, compiled = placed.equations, placed.problem.mechanism
+        p, compiled = placed.equations, placed.workspace.mechanism
         stiffness, stability = _stability(placed, at_rest(placed, found.q, found.lam))
         rows = p.recorded_multipliers(p.t0, found.q, found.lam)
         force, torque = _reactions(placed, found.q, rows)
@@ -196,7 +196,7 @@ class _Search:
     """A damped Newton search on the constraint manifold."""
 
     def __init__(self, placed: Placed):
-        self.p: StepProblem = placed.equations
+        self.p: EquationsOfMotion = placed.equations
         self.extent = placed.extent
         self.none, self.no_rows = np.zeros(self.p.n), np.zeros(self.p.m)
         self.q = self.p.q0.copy()
@@ -313,7 +313,7 @@ class _Search:
 
 def _reactions(placed: Placed, q: np.ndarray, multiplier: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return force (J, 2) and torque (J,) of each joint on its second body, at that body's joint point."""
-    compiled, w = placed.problem.mechanism, placed.problem.scratch
+    compiled, w = placed.workspace.mechanism, placed.workspace.scratch
     top, ground = compiled.topology, np.zeros(3)
     padded = np.concatenate([q, ground])
     constraints_at(top, w, placed.equations.t0, padded, np.zeros_like(padded))

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.simulation import build
@@ -27,8 +27,8 @@ class Placed:
     """A mechanism at its consistent start, with the spec that it came from."""
 
     spec: RunSpec
-    problem: Problem
-    equations: StepProblem
+    workspace: Workspace
+    equations: EquationsOfMotion
 
     @classmethod
     def of(cls, source: Any, overrides: Iterable[str] = (), **sections: Any) -> Placed:
@@ -42,9 +42,9 @@ class Placed:
         if isinstance(source, Mechanism):
             sections = UNUSED | sections
         spec = load_spec(source, overrides, **sections)
-        problem, _ = build(spec)
-        problem = replace(problem, stabilization=NONE)  # which is no property of the mechanism
-        return cls(spec, problem, StepProblem(problem))
+        workspace, _ = build(spec)
+        workspace = replace(workspace, stabilization=NONE)  # which is no property of the mechanism
+        return cls(spec, workspace, EquationsOfMotion(workspace))
 
     @property
     def held(self) -> np.ndarray:
@@ -56,12 +56,12 @@ class Placed:
     def extent(self) -> float:
         """The size of the mechanism at its start [m]."""
         centres = self.equations.q0.reshape(-1, 3)[:, :2]
-        return max(float(np.max(np.ptp(centres, axis=0))), self.problem.mechanism.length)
+        return max(float(np.max(np.ptp(centres, axis=0))), self.workspace.mechanism.length)
 
     @property
     def freedoms(self) -> int:
         """Number of degrees of freedom, drivers held to their motion."""
-        return self.problem.mechanism.coordinates - self.equations.m
+        return self.workspace.mechanism.coordinates - self.equations.m
 
     def error(self, message: str, key: str = "model") -> SpecError:
         """Return an error about this mechanism, with the file and line of its spec."""

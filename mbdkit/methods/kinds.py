@@ -1,6 +1,6 @@
 """What an integrator plugin's `create` returns: the method as data, and the stepper that it starts.
 
-A method says how it is stepped: `start` takes a `mbdkit.engine.workspace.Problem` and returns an object that the
+A method says how it is stepped: `start` takes a `mbdkit.engine.workspace.Workspace` and returns an object that the
 simulation advances. Heavy modules are imported there, not here.
 """
 
@@ -13,7 +13,7 @@ from mbdkit.methods.tableau import ButcherTableau, TableauError
 from mbdkit.stepping.python_method import StepMethod
 
 if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
     from mbdkit.methods.embedded_estimate import EmbeddedPair
     from mbdkit.stepping.interface import Stepper, Timetable
 
@@ -56,8 +56,8 @@ class ExplicitRungeKutta:
         if self.tolerances is not None and self.pair is None:
             raise TableauError(f"{self.tableau.name} has no error estimate to choose its steps by")
 
-    def start(self, problem: Problem, timetable: Timetable) -> Stepper:
-        """Return a stepper for `problem` over `timetable`."""
+    def start(self, workspace: Workspace, timetable: Timetable) -> Stepper:
+        """Return a stepper for `workspace` over `timetable`."""
         from mbdkit.stepping.compiled_stepper import CompiledStepper
         from mbdkit.stepping.explicit import ExplicitFamily
         from mbdkit.stepping.step_control import Control
@@ -72,7 +72,7 @@ class ExplicitRungeKutta:
                 estimates=len(self.pair.error),
                 memory=0.2,
             )
-        return CompiledStepper(ExplicitFamily(self, problem), problem, timetable, control)
+        return CompiledStepper(ExplicitFamily(self, workspace), workspace, timetable, control)
 
 
 @dataclass(frozen=True)
@@ -108,8 +108,8 @@ class ImplicitRungeKutta:
         if self.tolerances is not None and not self.tableau.is_collocation:
             raise TableauError(f"{self.tableau.name} is no collocation method, whose error could be estimated")
 
-    def start(self, problem: Problem, timetable: Timetable) -> Stepper:
-        """Return a stepper for `problem` over `timetable`."""
+    def start(self, workspace: Workspace, timetable: Timetable) -> Stepper:
+        """Return a stepper for `workspace` over `timetable`."""
         from mbdkit.stepping.compiled_stepper import CompiledStepper
         from mbdkit.stepping.constrained_collocation import ConstrainedFamily
         from mbdkit.stepping.index1_collocation import CollocationFamily
@@ -123,14 +123,14 @@ class ImplicitRungeKutta:
                 order=self.tableau.order,
                 estimate_order=self.tableau.stages + 1,
             )
-        if problem.formulation == "index-1":
-            return CompiledStepper(CollocationFamily(self, problem, control), problem, timetable, control)
+        if workspace.formulation == "index-1":
+            return CompiledStepper(CollocationFamily(self, workspace, control), workspace, timetable, control)
         if not self.tableau.is_stiffly_accurate or self.stage_solver != "newton":
             raise TableauError(
-                f"{self.tableau.name} cannot serve the formulation {problem.formulation!r}: its last stage has to be "
+                f"{self.tableau.name} cannot serve the formulation {workspace.formulation!r}: its last stage has to be "
                 "the end of the step, its matrix regular, and its stages have to be solved by Newton's method"
             )
-        return CompiledStepper(ConstrainedFamily(self, problem), problem, timetable, control)
+        return CompiledStepper(ConstrainedFamily(self, workspace), workspace, timetable, control)
 
 
 @dataclass(frozen=True)
@@ -152,12 +152,12 @@ class LobattoPair:
     max_iterations: int = 50
     carries_multipliers: ClassVar[bool] = True
 
-    def start(self, problem: Problem, timetable: Timetable) -> Stepper:
-        """Return a stepper for `problem` over `timetable`."""
+    def start(self, workspace: Workspace, timetable: Timetable) -> Stepper:
+        """Return a stepper for `workspace` over `timetable`."""
         from mbdkit.stepping.compiled_stepper import CompiledStepper
         from mbdkit.stepping.lobatto_iiia_iiib import PairFamily
 
-        return CompiledStepper(PairFamily(self, problem), problem, timetable)
+        return CompiledStepper(PairFamily(self, workspace), workspace, timetable)
 
 
 @dataclass(frozen=True)
@@ -179,11 +179,11 @@ class SciPySolver:
     atol: float
     needs_jacobian: bool = False
 
-    def start(self, problem: Problem, timetable: Timetable) -> Stepper:
-        """Return a stepper for `problem` over `timetable`."""
+    def start(self, workspace: Workspace, timetable: Timetable) -> Stepper:
+        """Return a stepper for `workspace` over `timetable`."""
         from mbdkit.stepping.scipy_bridge import SciPyStepper
 
-        return SciPyStepper(self, problem, timetable)
+        return SciPyStepper(self, workspace, timetable)
 
 
 Method = ExplicitRungeKutta | ImplicitRungeKutta | LobattoPair | SciPySolver | StepMethod

@@ -17,7 +17,7 @@ from mbdkit.stepping.run_state import FACTORIZATIONS, RHS, Common
 from mbdkit.stepping.stages import extrapolation_weights
 
 if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
     from mbdkit.methods.kinds import ImplicitRungeKutta
     from mbdkit.methods.tableau import ButcherTableau
 
@@ -175,11 +175,11 @@ def report_divergence(c, iterations, change, stages):
                 c.report[0], c.report[1] = abs(change[i, d]), d
 
 
-def stage_divergence(problem: Problem, report: np.ndarray) -> str:
+def stage_divergence(workspace: Workspace, report: np.ndarray) -> str:
     """Return where stage equations failed to converge, from a report (3,)."""
     if not np.isfinite(report[0]):
         return ": the stage iteration ran away"
-    name = problem.mechanism.unknown_name(int(report[1]))
+    name = workspace.mechanism.unknown_name(int(report[1]))
     unit = "rad/s^2" if int(report[1]) % 3 == 2 else "m/s^2"
     return (
         f": the stage equations did not converge in {int(report[2])} iterations, "
@@ -193,14 +193,14 @@ class StageFamily(Family):
     carries_stages = True
     begun: np.ndarray
 
-    def __init__(self, method: ImplicitRungeKutta, problem: Problem):
-        super().__init__(problem)
+    def __init__(self, method: ImplicitRungeKutta, workspace: Workspace):
+        super().__init__(workspace)
         self.rk = coefficients_of(method.tableau)
         self.has_dense_output = method.tableau.is_collocation
 
     def start(self, common: Common, h: float) -> None:
         """Choose pivots for the stage matrix by its numbers at the state in `common`; make room for all eigenvalues."""
-        self.renew(common, self.problem.t0, h)
+        self.renew(common, self.workspace.t0, h)
 
     def forget(self) -> None:
         """Begin the next step without stage values from before."""
@@ -208,18 +208,18 @@ class StageFamily(Family):
 
     def describe_divergence(self, report: np.ndarray) -> str:
         """Return the largest change of an acceleration and where it is."""
-        return stage_divergence(self.problem, report)
+        return stage_divergence(self.workspace, report)
 
     def _no_systems(self) -> Systems:
         """Return room for no system yet."""
-        return new_systems(self.rk, empty_pattern(), self.problem.unknowns)
+        return new_systems(self.rk, empty_pattern(), self.workspace.unknowns)
 
     def _take_tangents(self, common: Common, t: float, acc: np.ndarray, lam: np.ndarray) -> None:
         """Evaluate the tangents at the state in `common`; `acc` and `lam` are scratch. Raises SingularSystemError."""
         for _ in range(2):
-            if tangents_at(self.problem.stepping_engine, t, common.q, common.v, acc, lam) == OK:
+            if tangents_at(self.workspace.stepping_engine, t, common.q, common.v, acc, lam) == OK:
                 return
-            self.problem.use_pivots()
+            self.workspace.use_pivots()
 
     def _rate(self, h: float) -> complex:
         """Return ``h mu`` of the eigenvalue by which pivots are chosen: real only where all are."""

@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from mbdkit.engine.jit.bundle import Hold
     from mbdkit.engine.jit.cache import Entry
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
     from mbdkit.stepping.run_state import Common
 
 
@@ -44,8 +44,8 @@ class Family(ABC):
     carries_multipliers: bool = False
     carries_stages: ClassVar[bool] = False
 
-    def __init__(self, problem: Problem):
-        self.problem = problem
+    def __init__(self, workspace: Workspace):
+        self.workspace = workspace
 
     def start(self, common: Common, h: float) -> None:  # noqa: B027
         """Get ready for steps of about `h` from the state in `common`; raises SingularSystemError."""

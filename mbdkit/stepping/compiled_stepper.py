@@ -12,7 +12,7 @@ from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.jit.bundle import Hold
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping import driver
 from mbdkit.stepping.interface import Counters, Failure, Pace, StepTaken, Stretch, Timetable, joined
 from mbdkit.stepping.projected_step import NO_PROJECTION, PLAIN, SYMMETRIC
@@ -40,7 +40,7 @@ class CompiledStepper:
     ----------
     family
         The method, of its family.
-    problem
+    workspace
         The mechanism and its start, with formulation and stabilization.
     timetable
         When, and what is recorded.
@@ -48,15 +48,15 @@ class CompiledStepper:
         How the size of steps is controlled; None: fixed steps.
     """
 
-    def __init__(self, family: Family, problem: Problem, timetable: Timetable, control: Control | None = None):
-        self.family, self.problem, self.timetable = family, problem, timetable
+    def __init__(self, family: Family, workspace: Workspace, timetable: Timetable, control: Control | None = None):
+        self.family, self.workspace, self.timetable = family, workspace, timetable
         self.controlled, self.control = control is not None, control or FIXED_STEPS
         self.counters = Counters()
         self.finished = False
         self.failure: Failure | None = None
         self.time = timetable.start
-        rows = max(2, min(MOST_ROWS, ROW_BYTES // (16 * problem.mechanism.size)))
-        self.common = new_common(problem, rows, own_multipliers=family.carries_multipliers)
+        rows = max(2, min(MOST_ROWS, ROW_BYTES // (16 * workspace.mechanism.size)))
+        self.common = new_common(workspace, rows, own_multipliers=family.carries_multipliers)
         self.hold = Hold(self.common)
         self.worst_pairs = self.common.worst
         self.numbers = np.zeros(4, dtype=np.int64)
@@ -67,17 +67,17 @@ class CompiledStepper:
         self.floor = FLOOR * max(abs(timetable.start), abs(timetable.end), span)
         size = timetable.step
         if self.controlled:
-            size = min(span, size if size is not None else first_step(problem, span, self.control))
+            size = min(span, size if size is not None else first_step(workspace, span, self.control))
         assert size is not None
         clock[driver.SIZE] = size
         family.start(self.common, size)
         self._take_up_pivots()
         self._dense = family.dense.address if family.dense is not None else 0
-        self.mode, stab = NO_PROJECTION, problem.stabilization
+        self.mode, stab = NO_PROJECTION, workspace.stabilization
         if stab.kind == "projection":
             self.mode = SYMMETRIC if stab.symmetric else PLAIN
         iterates = family.carries_stages or self.mode == SYMMETRIC
-        self.pace = Pace(max(1, min(16 if iterates else 256, 100_000 // problem.mechanism.size)))
+        self.pace = Pace(max(1, min(16 if iterates else 256, 100_000 // workspace.mechanism.size)))
         self.last_step: StepTaken | None = None
         self._before: list[np.ndarray] = []
         self._row_times = np.zeros(0)
@@ -85,7 +85,7 @@ class CompiledStepper:
 
     def _drive(self, budget: int) -> tuple[int, int]:
         """Take up to `budget` steps in compiled code; return (status, rows)."""
-        table, control, family, stab = self.timetable, self.control, self.family, self.problem.stabilization
+        table, control, family, stab = self.timetable, self.control, self.family, self.workspace.stabilization
         step = table.step or 0.0
         status, rows = driver.drive(
             self.hold.address, family.hold.address, family.attempt.address, self._dense, self.numbers,
@@ -180,7 +180,7 @@ class CompiledStepper:
 
     def _again(self, step: StepTaken, theta: float) -> bool:
         """Go back before the last step and take a share of it instead; return whether that succeeded."""
-        c, stab, family = self.common, self.problem.stabilization, self.family
+        c, stab, family = self.common, self.workspace.stabilization, self.family
         size = theta * float(c.clock[driver.TAKEN])
         self._recall(self._before)
         c.moved[0] = ALTERED
@@ -246,7 +246,7 @@ class CompiledStepper:
             if not (self.controlled and status != driver.TOO_SMALL and self._shrink()):
                 self.failure = Failure("not-finite", f"{unusable} {where}.")
             return
-        if status in (REPIVOT, REPIVOT_STAGES) and not self.problem.is_finite():
+        if status in (REPIVOT, REPIVOT_STAGES) and not self.workspace.is_finite():
             status = DIVERGED if self.family.carries_stages else NOT_FINITE
         singular: SingularSystemError | None = None
         if status != NOT_FINITE and (done, status) not in self._renewed:
@@ -266,15 +266,15 @@ class CompiledStepper:
         if self.controlled and status != driver.TOO_SMALL and self._shrink():
             return
         self.failure = self._failure(status, singular, where)
-        near = "" if self.failure.code == "not-finite" else describe_nearness(self.problem, self.time, self.common.q)
+        near = "" if self.failure.code == "not-finite" else describe_nearness(self.workspace, self.time, self.common.q)
         if near:
             self.failure = replace(self.failure, sentence=f"{self.failure.sentence.rstrip('.')}; {near}.")
 
     def _unusable(self) -> str:
         """Return which force or motion was not finite where it was evaluated last; empty where all were."""
-        if not self.problem.motions_are_finite():
+        if not self.workspace.motions_are_finite():
             return "a driver or load is not a finite number"
-        if force := self.problem.unusable_law():
+        if force := self.workspace.unusable_law():
             return f"the law of force '{force}' gives no finite number"
         return ""
 
@@ -284,7 +284,7 @@ class CompiledStepper:
             return False
         self.common.moved[0] = ALTERED
         if status == REPIVOT:
-            self.problem.use_pivots()
+            self.workspace.use_pivots()
             self.family.forget()
             self._take_up_pivots()
             return True
@@ -293,8 +293,8 @@ class CompiledStepper:
         return helped
 
     def _take_up_pivots(self) -> None:
-        """Go on with the problem's solver as it is now."""
-        self.common = self.common._replace(solver=self.problem.solver)
+        """Go on with the workspace's solver as it is now."""
+        self.common = self.common._replace(solver=self.workspace.solver)
         self.hold.replace(self.common)
 
     def _shrink(self) -> bool:
@@ -309,8 +309,8 @@ class CompiledStepper:
 
     def _failure(self, status: int, singular: SingularSystemError | None, where: str) -> Failure:
         """Return why the run stops."""
-        hint, problem = self.family.hint, self.problem
-        distance, _ = nearest_singularity(problem, self.time, self.common.q)
+        hint, workspace = self.family.hint, self.workspace
+        distance, _ = nearest_singularity(workspace, self.time, self.common.q)
         if status == driver.TOO_SMALL:
             if distance < SINGULAR:
                 return Failure("singular", f"steps became smaller without end {where}.")
@@ -322,10 +322,10 @@ class CompiledStepper:
         if status == DIVERGED:
             return Failure("newton-failed", f"{where}{self.family.describe_divergence(self.common.report)}; {hint}.")
         if singular is not None:
-            name = problem.mechanism.unknown_name(singular.index)
+            name = workspace.mechanism.unknown_name(singular.index)
         else:
-            index, column = int(problem.solver.failed[0]), problem.solver.pattern.column_of
-            name = problem.mechanism.unknown_name(int(column[index]) if 0 <= index < len(column) else -1)
+            index, column = int(workspace.solver.failed[0]), workspace.solver.pattern.column_of
+            name = workspace.mechanism.unknown_name(int(column[index]) if 0 <= index < len(column) else -1)
         if self.family.carries_stages and distance > REGULAR:
             what = f"{where}: the stage iteration strayed to where no independent equations are left at {name}"
             return Failure("newton-failed", f"{what}; {hint}.")
@@ -337,7 +337,7 @@ class CompiledStepper:
         return np.column_stack([times, tally[:, [d.STEPS, d.LAST_SIZE, d.SUM, d.MOST, d.REJECTED]]])
 
     def _corrections(self, tally: np.ndarray) -> np.ndarray | None:
-        if self.problem.stabilization.kind == "none":
+        if self.workspace.stabilization.kind == "none":
             return None
         d = driver
         return tally[:, [d.CORRECTIONS, d.POSITION, d.VELOCITY, d.ACCELERATION]].copy()
@@ -346,7 +346,7 @@ class CompiledStepper:
         """Return the multipliers of the method by constraint row, from those by pair (T, P, 2)."""
         if not self.family.carries_multipliers:
             return None
-        rows = self.problem.mechanism.rows
+        rows = self.workspace.mechanism.rows
         return np.ascontiguousarray(lam[:, [row.pair for row in rows], [row.place for row in rows]])
 
     def _collect(self, rows: int) -> Stretch:

@@ -18,7 +18,7 @@ solve
 
 with g = 0 (index 3), or r / 2 because d(Phi_q v + Phi_t)/dq is -gamma_v / 2 (index 2, ggl). The rows are scaled by
 powers of r, so that the matrix is as well conditioned as that of index 1 however small the step; the round-off of
-index-3 multipliers, about eps / h^2 of a coordinate, is the problem's own.
+index-3 multipliers, about eps / h^2 of a coordinate, is the workspace's own.
 
 In ggl the change of w comes first. Both constraints together ask for ``Phi_q dw_i = sum_j (A^-1)_ij Phi_j / h - (Phi_q
 v + Phi_t)_i`` but for terms of O(h): with dw_i in the range of M^-1 Phi_q^T that is an index-1 system a stage. The
@@ -81,7 +81,7 @@ from mbdkit.stepping.simplified_newton import one_of
 from mbdkit.stepping.stages import extrapolate, extrapolation_weights, is_round_off, stage_mean, stage_states
 
 if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
     from mbdkit.methods.kinds import ImplicitRungeKutta
 
 SMALL = 1e-9
@@ -143,12 +143,12 @@ class Constrained(NamedTuple):
 
 
 def _example() -> Constrained:
-    from mbdkit.engine.kernels.equations import example_problem
+    from mbdkit.engine.kernels.equations import example_workspace
     from mbdkit.methods import radau_iia
     from mbdkit.methods.kinds import ImplicitRungeKutta
 
-    problem = replace(example_problem(), formulation="index-3")
-    return ConstrainedFamily(ImplicitRungeKutta(radau_iia.tableau(2)), problem).own
+    workspace = replace(example_workspace(), formulation="index-3")
+    return ConstrainedFamily(ImplicitRungeKutta(radau_iia.tableau(2)), workspace).own
 
 
 load_constrained = loader(_example)
@@ -528,12 +528,14 @@ def dense(common, own, t, h, theta):
     return OK
 
 
-def new_constrained(method: ImplicitRungeKutta, problem: Problem, rk: Coefficients, systems: Systems) -> Constrained:
-    """Return the bundle of a method for a mechanism on the problem's formulation, without pivots."""
-    s, size, n = method.tableau.stages, problem.mechanism.size, problem.unknowns
-    pairs = len(problem.mechanism.topology.pairs)
+def new_constrained(
+    method: ImplicitRungeKutta, workspace: Workspace, rk: Coefficients, systems: Systems
+) -> Constrained:
+    """Return the bundle of a method for a mechanism on the workspace's formulation, without pivots."""
+    s, size, n = method.tableau.stages, workspace.mechanism.size, workspace.unknowns
+    pairs = len(workspace.mechanism.topology.pairs)
     tolerance = method.tolerance if method.tolerance is not None else ROUND_OFF
-    terms, classes = problem.terms, classes_of(problem)
+    terms, classes = workspace.terms, classes_of(workspace)
     wanted = (classes == STIFFNESS) | (classes == GAMMA_V)
     by_position = np.column_stack([x[wanted] for x in (terms.source, terms.row, terms.column, classes)])
     acc, push, push_change, q_stage, v_stage, spread = (np.zeros((s, size)) for _ in range(6))
@@ -542,7 +544,7 @@ def new_constrained(method: ImplicitRungeKutta, problem: Problem, rk: Coefficien
         rk=rk, systems=systems,
         scatter=np.zeros((0, 3), dtype=np.int64), by_position=by_position.astype(np.int64),
         inverse=np.ascontiguousarray(np.linalg.inv(rk.a)),
-        choice=np.array([FORMULATIONS[problem.formulation], method.max_iterations]), tolerance=np.array([tolerance]),
+        choice=np.array([FORMULATIONS[workspace.formulation], method.max_iterations]), tolerance=np.array([tolerance]),
         acc=acc, lam=lam, mu=mu, begun=np.array([0.0, np.nan]), weights=np.zeros((s, s)),
         push=push, push_change=push_change, jac=np.zeros((s, pairs, 12)), gap=gap,
         lack=np.zeros((s, n)), change=np.zeros((s, n)), q_stage=q_stage, v_stage=v_stage,
@@ -552,21 +554,21 @@ def new_constrained(method: ImplicitRungeKutta, problem: Problem, rk: Coefficien
 
 
 class ConstrainedFamily(StageFamily):
-    """Stiffly accurate collocation on index 3, index 2 or ggl, as the problem's formulation says."""
+    """Stiffly accurate collocation on index 3, index 2 or ggl, as the workspace's formulation says."""
 
     attempt, dense = attempt, dense
     carries_multipliers = True
 
-    def __init__(self, method: ImplicitRungeKutta, problem: Problem):
-        super().__init__(method, problem)
-        self.own = new_constrained(method, problem, self.rk, self._no_systems())
+    def __init__(self, method: ImplicitRungeKutta, workspace: Workspace):
+        super().__init__(method, workspace)
+        self.own = new_constrained(method, workspace, self.rk, self._no_systems())
         self.hold = Hold(self.own)
         own, self.begun = self.own, self.own.begun
         self.memory = (own.acc, own.lam, own.mu, own.push, own.begun, own.first, own.first_known, own.power)
 
     def renew(self, common: Common, t: float, h: float) -> bool:
         """Choose new pivots for the stage matrix, and start without stage values from before."""
-        own, problem, rate = self.own, self.problem, self._rate(h)
+        own, workspace, rate = self.own, self.workspace, self._rate(h)
         self.forget()
         self._take_tangents(common, t, own.first, own.pairs)
         own.first_known[0] = 0
@@ -574,7 +576,9 @@ class ConstrainedFamily(StageFamily):
         coefficients[[MASS, JACOBIAN, DAMPING, STIFFNESS]] = 1.0, 1.0, rate, rate**2
         coefficients[GAMMA_V] = 0.0 if own.choice[0] == INDEX_3 else -0.5 * rate
         coefficients[RESIDUAL_Q] = 0.0
-        pivots = chosen_pivots(problem, classes_of(problem), coefficients)
-        self.own = own._replace(systems=new_systems(self.rk, pivots.pattern, problem.unknowns), scatter=pivots.scatter)
+        pivots = chosen_pivots(workspace, classes_of(workspace), coefficients)
+        self.own = own._replace(
+            systems=new_systems(self.rk, pivots.pattern, workspace.unknowns), scatter=pivots.scatter
+        )
         self.hold.replace(self.own)
         return True

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.engine.elimination_order import SingularSystemError, equilibrate
-from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels import equations
 from mbdkit.stepping.python_method import StepError
 
 if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
 
 MOST_ITERATIONS = 20
 
@@ -48,7 +48,7 @@ class CoupledNewton:
 
     Parameters
     ----------
-    problem
+    workspace
         The mechanism.
     a, a2, c
         (s, s) the tableau's matrix and its square, (s,) its nodes.
@@ -59,11 +59,11 @@ class CoupledNewton:
         Iterations, evaluations and factorizations so far.
     """
 
-    def __init__(self, problem: Problem, a: np.ndarray, a2: np.ndarray, c: np.ndarray):
-        self.problem, self.a, self.a2, self.c = problem, a, a2, c
-        self.view = StepProblem(problem)
-        self.counters = self.view.counters
-        terms, size, s = problem.terms, problem.unknowns, len(c)
+    def __init__(self, workspace: Workspace, a: np.ndarray, a2: np.ndarray, c: np.ndarray):
+        self.workspace, self.a, self.a2, self.c = workspace, a, a2, c
+        self.equations = EquationsOfMotion(workspace)
+        self.counters = self.equations.counters
+        terms, size, s = workspace.terms, workspace.unknowns, len(c)
         i, j = np.meshgrid(np.arange(s), np.arange(s), indexing="ij")
         entry = (i == j)[..., None] | (terms.factor > 0)
         """(s, s, N) which terms enter the block of stage i and the accelerations of stage j."""
@@ -90,12 +90,12 @@ class CoupledNewton:
         int
             Iterations; 0 where they do not converge or the step is too long: `acc` and `lam` are left as they were.
         """
-        p, s = self.view, len(self.c)
+        p, s = self.equations, len(self.c)
         try:
             a0, lam0 = p.accelerations(t, q[: p.n], v[: p.n])
             move = np.abs(h * v[: p.n]) + h * h * np.abs(a0)
             lengths = np.arange(p.n) % 3 < 2
-            if not np.max(np.where(lengths, move / self.problem.mechanism.length, move)) <= SHORT:
+            if not np.max(np.where(lengths, move / self.workspace.mechanism.length, move)) <= SHORT:
                 return 0
             stages, multipliers = np.tile(a0, (s, 1)), np.tile(lam0, (s, 1))
             iterations = self._iterate(t, h, q[: p.n], v[: p.n], stages, multipliers)
@@ -113,7 +113,7 @@ class CoupledNewton:
         from scipy.sparse import csc_array
         from scipy.sparse.linalg import splu
 
-        n, size = self.view.n, self.problem.unknowns
+        n, size = self.equations.n, self.workspace.unknowns
         before = np.inf
         for iteration in range(1, MOST_ITERATIONS + 1):
             values, defect = self._linearise(t, h, q, v, acc, lam)
@@ -140,8 +140,8 @@ class CoupledNewton:
         self, t: float, h: float, q: np.ndarray, v: np.ndarray, acc: np.ndarray, lam: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the entries of the matrix, and what the equations lack (s (n + m),)."""
-        p, terms, n, s = self.view, self.problem.terms, self.view.n, len(self.c)
-        defect = np.empty((s, self.problem.unknowns))
+        p, terms, n, s = self.equations, self.workspace.terms, self.equations.n, len(self.c)
+        defect = np.empty((s, self.workspace.unknowns))
         values = np.empty((s, s, len(terms.source)))
         rows = terms.kept((terms.factor == 0) & (terms.row >= n))
         for i in range(s):
@@ -161,7 +161,7 @@ class CoupledNewton:
     def _relative(self, change: np.ndarray, acc: np.ndarray) -> float:
         """Return the largest change relative to the largest acceleration, linear and angular ones apart."""
         largest = 0.0
-        for some in (np.arange(self.view.n) % 3 < 2, np.arange(self.view.n) % 3 == 2):
+        for some in (np.arange(self.equations.n) % 3 < 2, np.arange(self.equations.n) % 3 == 2):
             moved, size = np.max(np.abs(change[:, some])), np.max(np.abs(acc[:, some]))
             largest = max(largest, float(moved / max(size, moved))) if moved > 0 else largest
             if not np.isfinite(moved):

@@ -19,7 +19,7 @@ from mbdkit.stepping.dense_output import dense_gains, weights_at
 from mbdkit.stepping.run_state import ADVANCED, ALTERED, FACTORIZATIONS, RHS, load_common
 
 if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
     from mbdkit.methods.kinds import ExplicitRungeKutta
 
 
@@ -196,9 +196,9 @@ class ExplicitFamily(Family):
     attempt, dense = attempt, dense
     hint = "a smaller time.step or an implicit integrator may help"
 
-    def __init__(self, method: ExplicitRungeKutta, problem: Problem):
-        super().__init__(problem)
-        self.own = new_explicit(method, problem.mechanism.size, len(problem.mechanism.topology.pairs))
+    def __init__(self, method: ExplicitRungeKutta, workspace: Workspace):
+        super().__init__(workspace)
+        self.own = new_explicit(method, workspace.mechanism.size, len(workspace.mechanism.topology.pairs))
         self.hold = Hold(self.own)
         self.memory = (self.own.rates, self.own.accelerations, self.own.power, self.own.status)
         self.has_dense_output = len(self.own.dense) > 0

@@ -75,7 +75,7 @@ from mbdkit.stepping.stages import (
 )
 
 if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
     from mbdkit.methods.kinds import ImplicitRungeKutta
     from mbdkit.stepping.step_control import Control
 
@@ -135,11 +135,11 @@ class Collocation(NamedTuple):
 
 
 def _example() -> Collocation:
-    from mbdkit.engine.kernels.equations import example_problem
+    from mbdkit.engine.kernels.equations import example_workspace
     from mbdkit.methods import gauss
     from mbdkit.methods.kinds import ImplicitRungeKutta
 
-    return CollocationFamily(ImplicitRungeKutta(gauss.tableau(1)), example_problem(), None).own
+    return CollocationFamily(ImplicitRungeKutta(gauss.tableau(1)), example_workspace(), None).own
 
 
 load_collocation = loader(_example)
@@ -313,17 +313,17 @@ def dense(common, own, t, h, theta):
 
 
 def new_collocation(
-    method: ImplicitRungeKutta, problem: Problem, control: Control | None, rk: Coefficients, systems: Systems
+    method: ImplicitRungeKutta, workspace: Workspace, control: Control | None, rk: Coefficients, systems: Systems
 ) -> Collocation:
     """Return the bundle of a method for a mechanism, without pivots."""
-    s, size = method.tableau.stages, problem.mechanism.size
-    pairs = len(problem.mechanism.topology.pairs)
+    s, size = method.tableau.stages, workspace.mechanism.size
+    pairs = len(workspace.mechanism.topology.pairs)
     tolerance = control.iteration_tolerance if control is not None else ROUND_OFF
     if method.tolerance is not None:
         tolerance = method.tolerance
     acc, f, change, q_stage, v_stage = (np.zeros((s, size)) for _ in range(5))
     return Collocation(
-        rk=rk, systems=systems, scatter=problem.solver.scatter,
+        rk=rk, systems=systems, scatter=workspace.solver.scatter,
         choice=np.array([NEWTON if method.stage_solver == "newton" else FIXED_POINT, method.max_iterations]),
         tolerance=np.array([tolerance]),
         acc=acc, begun=np.array([0.0, np.nan]), given=np.array([0]),
@@ -341,9 +341,9 @@ class CollocationFamily(StageFamily):
 
     attempt, dense = attempt, dense
 
-    def __init__(self, method: ImplicitRungeKutta, problem: Problem, control: Control | None):
-        super().__init__(method, problem)
-        self.own = new_collocation(method, problem, control, self.rk, self._no_systems())
+    def __init__(self, method: ImplicitRungeKutta, workspace: Workspace, control: Control | None):
+        super().__init__(method, workspace)
+        self.own = new_collocation(method, workspace, control, self.rk, self._no_systems())
         self.hold = Hold(self.own)
         self.coupled: CoupledNewton | None = None
         own, self.begun = self.own, self.own.begun
@@ -351,12 +351,12 @@ class CollocationFamily(StageFamily):
 
     def renew(self, common: Common, t: float, h: float) -> bool:
         """Choose new pivots for the stage matrix, and start without stage values from before."""
-        own, problem = self.own, self.problem
+        own, workspace = self.own, self.workspace
         self.forget()
         self._take_tangents(common, t, own.f[0], own.lam[0])
         own.lam[:] = 0.0
-        pattern, _, scatter = problem.choose_pivots(None if own.choice[0] == FIXED_POINT else self._rate(h))
-        self.own = own._replace(systems=new_systems(self.rk, pattern, problem.unknowns), scatter=scatter)
+        pattern, _, scatter = workspace.choose_pivots(None if own.choice[0] == FIXED_POINT else self._rate(h))
+        self.own = own._replace(systems=new_systems(self.rk, pattern, workspace.unknowns), scatter=scatter)
         self.hold.replace(self.own)
         return True
 
@@ -366,7 +366,7 @@ class CollocationFamily(StageFamily):
         if own.choice[0] == FIXED_POINT:
             return False
         if self.coupled is None:
-            self.coupled = CoupledNewton(self.problem, self.rk.a, self.rk.a2, self.rk.c)
+            self.coupled = CoupledNewton(self.workspace, self.rk.a, self.rk.a2, self.rk.c)
         iterations = self.coupled.solve(t, h, common.q, common.v, own.acc, own.lam)
         spent, counts = self.coupled.counters, common.counts
         counts[RHS] += spent.rhs_evaluations

@@ -53,7 +53,7 @@ from mbdkit.stepping.run_state import FACTORIZATIONS, ITERATIONS, RHS, load_comm
 from mbdkit.stepping.stages import stage_states
 
 if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
     from mbdkit.methods.kinds import LobattoPair
 
 MOST_PAST = 3
@@ -97,10 +97,10 @@ class Pair(NamedTuple):
 
 
 def _example() -> Pair:
-    from mbdkit.engine.kernels.equations import example_problem
+    from mbdkit.engine.kernels.equations import example_workspace
     from mbdkit.methods.kinds import LobattoPair
 
-    return new_pair(LobattoPair(2), example_problem())
+    return new_pair(LobattoPair(2), example_workspace())
 
 
 load_pair = loader(_example)
@@ -273,11 +273,11 @@ def attempt(common, own, t, h, want_error):
     return OK
 
 
-def new_pair(method: LobattoPair, problem: Problem) -> Pair:
+def new_pair(method: LobattoPair, workspace: Workspace) -> Pair:
     """Return the bundle of a pair for a mechanism."""
     a, bar, b, c = (np.array(x, dtype=float) for x in coefficients(method.stages))
     a2 = a @ bar
-    s, size, pairs = method.stages, problem.mechanism.size, len(problem.mechanism.topology.pairs)
+    s, size, pairs = method.stages, workspace.mechanism.size, len(workspace.mechanism.topology.pairs)
     acc, q_stage, v_stage, change, spread = (np.zeros((s, size)) for _ in range(5))
     return Pair(
         bar=bar, a2=a2, inverse=np.ascontiguousarray(np.linalg.inv(a2[1:, :-1])), b=b, c=c,
@@ -297,9 +297,9 @@ class PairFamily(Family):
     carries_multipliers = True
     hint = "a smaller time.step may help, or radau-iia where forces are stiff"
 
-    def __init__(self, method: LobattoPair, problem: Problem):
-        super().__init__(problem)
-        self.own = new_pair(method, problem)
+    def __init__(self, method: LobattoPair, workspace: Workspace):
+        super().__init__(workspace)
+        self.own = new_pair(method, workspace)
         self.hold = Hold(self.own)
         self.memory = (self.own.past, self.own.begun)
 
@@ -309,4 +309,4 @@ class PairFamily(Family):
 
     def describe_divergence(self, report: np.ndarray) -> str:
         """Return the largest change of an acceleration and where it is."""
-        return stage_divergence(self.problem, report)
+        return stage_divergence(self.workspace, report)

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
 if TYPE_CHECKING:
     import numpy as np
 
-    from mbdkit.engine.equations_of_motion import StepProblem
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.equations_of_motion import EquationsOfMotion
+    from mbdkit.engine.workspace import Workspace
     from mbdkit.stepping.interface import Stepper, Timetable
 
 
 class StepError(Exception):
     """A step that cannot be taken; the run ends as failed, with this reason and all that was recorded before.
 
-    `StepProblem` raises it where the equations have no unique or no finite solution; a method raises it where its own
+    `EquationsOfMotion` raises it if the equations have no unique or no finite solution; a method raises it if its own
     iteration does not converge.
 
     Parameters
@@ -108,8 +108,8 @@ class StepMethod(ABC):
     Examples
     --------
     >>> class SymplecticEuler(StepMethod):
-    ...     def step(self, problem, t, state, h):
-    ...         a, _ = problem.accelerations(t, state.q, state.v)
+    ...     def step(self, equations, t, state, h):
+    ...         a, _ = equations.accelerations(t, state.q, state.v)
     ...         return state.moved(h * (state.v + h * a), h * a)
     """
 
@@ -117,12 +117,12 @@ class StepMethod(ABC):
     hint: ClassVar[str] = "a smaller time.step may help"
 
     @abstractmethod
-    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         """Take one step.
 
         Parameters
         ----------
-        problem
+        equations
             The mechanism's equations; it counts what is evaluated and solved.
         t
             Time at the beginning of the step [s].
@@ -144,8 +144,8 @@ class StepMethod(ABC):
         """
 
     @final
-    def start(self, problem: Problem, timetable: Timetable) -> Stepper:
-        """Return a stepper for `problem` over `timetable`."""
+    def start(self, workspace: Workspace, timetable: Timetable) -> Stepper:
+        """Return a stepper for `workspace` over `timetable`."""
         from mbdkit.stepping.python_stepper import StepStepper
 
-        return StepStepper(self, problem, timetable)
+        return StepStepper(self, workspace, timetable)

@@ -1,7 +1,7 @@
 """Steps written in Python, moved onto the constraints: plainly after a step, or symmetrically around it.
 
 `mbdkit.stepping.projected_step` does the same in compiled code, to the steps of compiled methods; here the iteration
-is made of calls of `StepProblem`, because the step in its middle is one of Python.
+is made of calls of `EquationsOfMotion`, because the step in its middle is one of Python.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from mbdkit.stepping.python_method import StepError, StepState
 
 if TYPE_CHECKING:
-    from mbdkit.engine.equations_of_motion import StepProblem
+    from mbdkit.engine.equations_of_motion import EquationsOfMotion
 
 Vector = np.ndarray | float
 
@@ -32,7 +32,7 @@ STAGNANT = 1e-9
 """Relative change below which a projection that comes no nearer has met round-off."""
 
 
-def nearest_positions(p: StepProblem, t: float, q: np.ndarray) -> np.ndarray:
+def nearest_positions(p: EquationsOfMotion, t: float, q: np.ndarray) -> np.ndarray:
     """Return the positions (n,) nearest to `q` in the mass metric that meet all constraints at time `t`; uncounted."""
     given, before = q, np.inf
     for _ in range(MOST_PROJECTIONS):
@@ -45,7 +45,7 @@ def nearest_positions(p: StepProblem, t: float, q: np.ndarray) -> np.ndarray:
     raise StepError("newton-failed", f"no position that meets the joints was found in {MOST_PROJECTIONS} iterations")
 
 
-def nearest_velocities(p: StepProblem, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+def nearest_velocities(p: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return the velocities (n,) nearest to `v` in the mass metric that keep the constraints; uncounted.
 
     The equations are linear; a second solve takes their round-off away.
@@ -88,17 +88,17 @@ class StabilizedSteps:
     ----------
     step
         The method's own step: (t, state, h) to state.
-    problem
+    equations
         The equations; its counters count, and its stabilization says what is wanted.
     """
 
-    def __init__(self, step: Callable[[float, StepState, float], StepState], problem: StepProblem):
-        self.step, self.problem, self.wanted = step, problem, problem.stabilization
-        self.weight = problem.mass / float(np.sum(problem.mass[::3]))
+    def __init__(self, step: Callable[[float, StepState, float], StepState], equations: EquationsOfMotion):
+        self.step, self.equations, self.wanted = step, equations, equations.stabilization
+        self.weight = equations.mass / float(np.sum(equations.mass[::3]))
 
     def take(self, t: float, end: float, state: StepState, h: float, number: int) -> Taken:
         """Take step `number`, counted from 1, from `state` at `t` to `end`; raises StepError."""
-        wanted, p = self.wanted, self.problem
+        wanted, p = self.wanted, self.equations
         if wanted.symmetric:
             return self._symmetric(t, end, state, h)
         made = self.step(t, state, h)
@@ -110,14 +110,14 @@ class StabilizedSteps:
         return Taken(state, made, made, np.array([0.0, 0.0, 0.0, term]))
 
     def _is_off(self, end: float, made: StepState) -> bool:
-        bound, p = self.wanted.bound, self.problem
+        bound, p = self.wanted.bound, self.equations
         if bound is None:
             return True
         rows = p.constraints(end, made.q), p.constraint_rates(end, made.q, made.v)
         return bool(np.max(np.abs(rows), initial=0.0) > bound)
 
     def _symmetric(self, t: float, end: float, state: StepState, h: float) -> Taken:
-        p, none = self.problem, np.zeros(self.problem.n)
+        p, none = self.equations, np.zeros(self.equations.n)
         mu, nu = np.zeros((2, p.m))
         at: np.ndarray | None = None
         before, idle = np.inf, 0
@@ -143,7 +143,7 @@ class StabilizedSteps:
         raise StepError("newton-failed", f"the symmetric projection did not converge in {MOST_STEPS} tries of the step")
 
     def _push(self, t: float, q: np.ndarray, mu: np.ndarray) -> np.ndarray:
-        return self.problem.constraint_forces(t, q, mu) / self.problem.mass
+        return self.equations.constraint_forces(t, q, mu) / self.equations.mass
 
     def _corrected(
         self,
@@ -155,7 +155,7 @@ class StabilizedSteps:
         before_v: Vector = 0.0,
     ) -> Taken:
         """Return a step whose end is moved by `dq`, `dv`; noted with what its begin was moved by."""
-        self.problem.counters.projections += 1
+        self.equations.counters.projections += 1
         reached = made.moved(
             dq,
             dv,

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.engine.equations_of_motion import StepProblem, call_everything
+from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
 from mbdkit.engine.iteration_matrix import vector
-from mbdkit.engine.kernels.equations import example_problem
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.kernels.equations import example_workspace
+from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping import interface
 from mbdkit.stepping.interface import Counters, Failure, StepTaken, Stretch, Timetable
 from mbdkit.stepping.python_method import StepError, StepMethod, StepState
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @cache
 def _load_kernels() -> None:
     """Load every kernel once in a process, before the first step is timed."""
-    call_everything(StepProblem(example_problem()))
+    call_everything(EquationsOfMotion(example_workspace()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,19 +68,19 @@ class StepStepper:
     Projections are made around the method's steps, and book nothing.
     """
 
-    def __init__(self, method: StepMethod, problem: Problem, timetable: Timetable):
-        self.method, self.problem, self.timetable = method, problem, timetable
+    def __init__(self, method: StepMethod, workspace: Workspace, timetable: Timetable):
+        self.method, self.workspace, self.timetable = method, workspace, timetable
         self.counters = Counters()
         self.finished = False
         self.failure: Failure | None = None
         self.last_step: StepTaken | None = None
         self.raised: Exception | None = None
-        self.worst_pairs = np.zeros(len(problem.mechanism.topology.pairs))
-        self.has_power = problem.has_power
-        self.view = StepProblem(problem)
-        self.view.counters = self.counters
-        self.stabilized = StabilizedSteps(self._own_step, self.view)
-        begin = StepState(self.view.q0.copy(), self.view.v0.copy())
+        self.worst_pairs = np.zeros(len(workspace.mechanism.topology.pairs))
+        self.has_power = workspace.has_power
+        self.equations = EquationsOfMotion(workspace)
+        self.equations.counters = self.counters
+        self.stabilized = StabilizedSteps(self._own_step, self.equations)
+        begin = StepState(self.equations.q0.copy(), self.equations.v0.copy())
         self.now = Reached(0, timetable.start, begin, np.zeros(2), np.zeros(2), Interval())
         self.time = timetable.start
         self._before = self.now
@@ -137,7 +137,7 @@ class StepStepper:
         before, after = self._before, self.now
         there = self._again(theta) if theta > 0.0 else before
         if there is None:  # the step that led here could be taken, but none to this place
-            q, v = (x[: self.view.n] for x in self.inside(theta))
+            q, v = (x[: self.equations.n] for x in self.inside(theta))
             there = replace(
                 after,
                 state=replace(before.state, q=q, v=v),
@@ -163,13 +163,13 @@ class StepStepper:
 
         Raises StepError, and whatever the method raises.
         """
-        table, view, iterations = self.timetable, self.view, self.counters.newton_iterations
+        table, equations, iterations = self.timetable, self.equations, self.counters.newton_iterations
         assert table.step is not None
         done, h = begin.done + 1, theta * self._size(begin)
         end = table.start + done * table.step if h == table.step else begin.time + h  # time is not summed up
         taken = self.stabilized.take(begin.time, end, begin.state, h, done)
         new = taken.reached
-        if not view.arrive(end, new.q, new.v, worst):
+        if not equations.arrive(end, new.q, new.v, worst):
             raise StepError("not-finite", "positions or velocities overflowed")
         energy, low = begin.energy, begin.energy_low
         if self.has_power:
@@ -202,15 +202,15 @@ class StepStepper:
     def _own_step(self, t: float, state: StepState, h: float) -> StepState:
         """Return what the method makes of a step, checked; raises TypeError or ValueError by name."""
         try:
-            new = self.method.step(self.view, t, state, h)
+            new = self.method.step(self.equations, t, state, h)
         except SystemExit:
             raise RuntimeError("SystemExit") from None
-        name, view = type(self.method).__name__, self.view
+        name, equations = type(self.method).__name__, self.equations
         if not isinstance(new, StepState):
             raise TypeError(f"{name}.step returned {type(new).__name__}, not a StepState")
-        wanted: list[tuple[str, Any, int]] = [("q", new.q, view.n), ("v", new.v, view.n)]
+        wanted: list[tuple[str, Any, int]] = [("q", new.q, equations.n), ("v", new.v, equations.n)]
         if self.method.carries_multipliers:
-            wanted.append(("multipliers", new.multipliers, view.m))
+            wanted.append(("multipliers", new.multipliers, equations.m))
         found: list[np.ndarray] = []
         for field_name, value, size in wanted:
             try:
@@ -233,30 +233,30 @@ class StepStepper:
 
     def _gains(self, t: float, h: float, taken: Taken) -> np.ndarray:
         """Return work and dissipated energy of a step by Simpson's rule over the cubic through its ends."""
-        view, old, new = self.view, taken.begin, taken.made
-        a0, lam0 = view.accelerations(t, old.q, old.v)
-        a1, lam1 = view.accelerations(t + h, new.q, new.v)
+        equations, old, new = self.equations, taken.begin, taken.made
+        a0, lam0 = equations.accelerations(t, old.q, old.v)
+        a1, lam1 = equations.accelerations(t + h, new.q, new.v)
         q = 0.5 * (old.q + new.q) + h / 8 * (old.v - new.v)
         v = 0.5 * (old.v + new.v) + h / 8 * (a0 - a1)
-        _, lam = view.accelerations(t + h / 2, q, v)
-        begin = np.array(view.powers(t, old.q, old.v, lam0))
-        middle = np.array(view.powers(t + h / 2, q, v, lam))
-        return h / 6 * (begin + 4 * middle + np.array(view.powers(t + h, new.q, new.v, lam1)))
+        _, lam = equations.accelerations(t + h / 2, q, v)
+        begin = np.array(equations.powers(t, old.q, old.v, lam0))
+        middle = np.array(equations.powers(t + h / 2, q, v, lam))
+        return h / 6 * (begin + 4 * middle + np.array(equations.powers(t + h, new.q, new.v, lam1)))
 
     def _stretch(self, rows: list[Reached]) -> Stretch:
         """Return recorded states as a stretch; `mbdkit.stepping.interface.Stretch` says what stands where."""
-        n, count = self.view.n, len(rows)
-        q, v = np.zeros((2, count, self.problem.mechanism.size))
+        n, count = self.equations.n, len(rows)
+        q, v = np.zeros((2, count, self.workspace.mechanism.size))
         intervals = np.zeros((count, 6))
         energy, corrections = np.zeros((count, 2)), np.zeros((count, 4))
-        own = np.zeros((count, len(self.problem.mechanism.rows))) if self.method.carries_multipliers else None
+        own = np.zeros((count, len(self.workspace.mechanism.rows))) if self.method.carries_multipliers else None
         for i, row in enumerate(rows):
             q[i, :n], v[i, :n] = row.state.q, row.state.v
             energy[i], corrections[i] = row.energy, row.interval.correction
             took = row.interval
             intervals[i, :5] = row.time, took.steps, took.size, took.iterations, took.most_iterations
             if own is not None and row.state.multipliers is not None:
-                own[i] = self.view.recorded_multipliers(row.time, row.state.q, row.state.multipliers)
+                own[i] = self.equations.recorded_multipliers(row.time, row.state.q, row.state.multipliers)
         return Stretch(
             intervals[:, 0].copy(),
             q,
@@ -265,5 +265,5 @@ class StepStepper:
             energy[:, 1].copy(),
             intervals,
             multipliers=own,
-            corrections=corrections if self.problem.stabilization.kind != "none" else None,
+            corrections=corrections if self.workspace.stabilization.kind != "none" else None,
         )

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mbdkit.engine.jit.bundle import loader
-from mbdkit.engine.kernels.equations import example_problem
+from mbdkit.engine.kernels.equations import example_workspace
 from mbdkit.engine.kernels.system import Scratch, Solver, Topology
 
 if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
 
 ADVANCED, SAME, ALTERED = range(3)
 """How the state stands to that of the last attempt: where it led; where it began; neither."""
@@ -102,21 +102,21 @@ class Common(NamedTuple):
     """(R, P, 2), or no rows where the method carries no multipliers."""
 
 
-def new_common(problem: Problem, rows: int, *, own_multipliers: bool = False) -> Common:
+def new_common(workspace: Workspace, rows: int, *, own_multipliers: bool = False) -> Common:
     """Return the bundle of a run at its start.
 
     Parameters
     ----------
-    problem
+    workspace
         The mechanism and its start.
     rows
         Room for recorded states.
     own_multipliers
         Whether the method carries multipliers that are recorded.
     """
-    top = problem.stepping_topology
-    size, pairs = problem.mechanism.size, len(top.pairs)
-    still = problem.mechanism.topology._replace(gravity=np.zeros(2))
+    top = workspace.stepping_topology
+    size, pairs = workspace.mechanism.size, len(top.pairs)
+    still = workspace.mechanism.topology._replace(gravity=np.zeros(2))
 
     def vector() -> np.ndarray:
         return np.zeros(size)
@@ -124,10 +124,10 @@ def new_common(problem: Problem, rows: int, *, own_multipliers: bool = False) ->
     def by_pair() -> np.ndarray:
         return np.zeros((pairs, 2))
 
-    q, v = problem.q0.copy(), problem.v0.copy()
+    q, v = workspace.q0.copy(), workspace.v0.copy()
     return Common(
-        top=top, still=still, w=problem.scratch, solver=problem.solver,
-        has_power=np.array([int(problem.has_power)]),
+        top=top, still=still, w=workspace.scratch, solver=workspace.solver,
+        has_power=np.array([int(workspace.has_power)]),
         q=q, q_low=vector(), v=v, v_low=vector(), energy=np.zeros(2), energy_low=np.zeros(2),
         from_q=q.copy(), from_v=v.copy(), moved=np.array([ALTERED]),
         dq=vector(), dv=vector(), gain=np.zeros(2), own_lam=by_pair(),
@@ -144,4 +144,4 @@ def new_common(problem: Problem, rows: int, *, own_multipliers: bool = False) ->
     )  # fmt: skip
 
 
-load_common = loader(lambda: new_common(example_problem(), 1))
+load_common = loader(lambda: new_common(example_workspace(), 1))

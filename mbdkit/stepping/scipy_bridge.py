@@ -19,7 +19,7 @@ from mbdkit.engine.kernels.observe import baumgarte_at, first_order_rates, note_
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.kernels.vectors import BEYOND
 from mbdkit.engine.singularity import describe_nearness
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping.interface import STRETCH, Counters, Failure, StepTaken, Stretch, Timetable
 
 if TYPE_CHECKING:
@@ -42,23 +42,23 @@ class _StoppedError(Exception):
 class SciPyStepper:
     """Runs an `OdeSolver` of SciPy over a timetable; see `mbdkit.stepping.interface.Stepper`."""
 
-    def __init__(self, method: SciPySolver, problem: Problem, timetable: Timetable):
+    def __init__(self, method: SciPySolver, workspace: Workspace, timetable: Timetable):
         import scipy.integrate
 
-        self.problem, self.timetable = problem, timetable
+        self.workspace, self.timetable = workspace, timetable
         self.counters = Counters()
         self.finished = False
         self.failure: Failure | None = None
         self.time = timetable.start
-        pairs = len(problem.mechanism.topology.pairs)
+        pairs = len(workspace.mechanism.topology.pairs)
         self.worst_pairs = np.zeros(pairs)
-        self.has_power = problem.has_power
-        self.n3 = 3 * len(problem.mechanism.bodies)
-        self._acc = np.zeros((3, problem.mechanism.size))
+        self.has_power = workspace.has_power
+        self.n3 = 3 * len(workspace.mechanism.bodies)
+        self._acc = np.zeros((3, workspace.mechanism.size))
         self._lam = np.zeros((pairs, 2))
         self._times: list[float] = []
         self._finite = True
-        y0 = np.concatenate([problem.q0[: self.n3], problem.v0[: self.n3], np.zeros(2 * self.has_power)])
+        y0 = np.concatenate([workspace.q0[: self.n3], workspace.v0[: self.n3], np.zeros(2 * self.has_power)])
         solver = getattr(scipy.integrate, method.solver) if isinstance(method.solver, str) else method.solver
         options: dict[str, Any] = {"rtol": method.rtol, "atol": method.atol}
         if method.needs_jacobian:
@@ -72,7 +72,7 @@ class SciPyStepper:
             self.failure = stop.failure
         self.y = y0
         self._since = np.zeros(6)  # steps, -, -, iterations, most iterations, rejected since the last row
-        self._stabilized = problem.stabilization.kind == "baumgarte"
+        self._stabilized = workspace.stabilization.kind == "baumgarte"
         self._pull = 0.0  # largest of Baumgarte's terms since the last row
         self._next = 1
         self.last_step: StepTaken | None = None
@@ -89,21 +89,21 @@ class SciPyStepper:
         out = np.empty(2 * self.n3 + 2)
         full = y if self.has_power else np.concatenate([y, np.zeros(2)])
         for attempt in range(2):
-            problem = self.problem
+            workspace = self.workspace
             status = first_order_rates(
-                problem.stepping_engine, self.has_power, float(t), full, self._acc, self._lam, out,
+                workspace.stepping_engine, self.has_power, float(t), full, self._acc, self._lam, out,
             )  # fmt: skip
             if status == OK:
                 break
-            if not problem.is_finite():
+            if not workspace.is_finite():
                 out[:] = np.nan
                 break
             try:
                 if attempt:
                     raise SingularSystemError
-                problem.use_pivots()
+                workspace.use_pivots()
             except SingularSystemError as error:
-                name = problem.mechanism.unknown_name(error.index)
+                name = workspace.mechanism.unknown_name(error.index)
                 where = f"no independent equations are left at {name} at t = {t:.6g} s"
                 raise _StoppedError(Failure("singular", f"{where}{self._nearness(t, y)}.")) from None
         self._finite = self._finite and bool(np.all(np.isfinite(out)))
@@ -112,17 +112,17 @@ class SciPyStepper:
     def jacobian(self, t: float, y: np.ndarray) -> np.ndarray:
         """Return d(dy/dt)/dy: exact in q and v; the two energies are quadratures and take no part."""
         self.counters.jacobian_evaluations += 1
-        n3, problem = self.n3, self.problem
-        q, v = np.zeros((2, problem.mechanism.size))
+        n3, workspace = self.n3, self.workspace
+        q, v = np.zeros((2, workspace.mechanism.size))
         q[:n3], v[:n3] = y[:n3], y[n3 : 2 * n3]
-        status = tangents_at(problem.stepping_engine, float(t), q, v, self._acc[2], self._lam)
+        status = tangents_at(workspace.stepping_engine, float(t), q, v, self._acc[2], self._lam)
         if status != OK:  # new pivots, if they help
             if not np.all(np.isfinite(self.rates(t, y))):
                 return np.full((len(y), len(y)), np.nan)
             return self.jacobian(t, y)
         self.counters.factorizations += 2  # the index-1 solve above, and the matrix of all its derivatives below
-        n, terms = problem.unknowns, problem.terms
-        values = problem.scratch.source[terms.source]
+        n, terms = workspace.unknowns, workspace.terms
+        values = workspace.scratch.source[terms.source]
         sign = np.array([1.0, 1.0, -1.0, 1.0])[terms.factor]
         parts = np.zeros((3, n, n))  # KKT matrix, then derivatives of its residual by v and by q
         np.add.at(parts, (np.array([0, 1, 1, 2])[terms.factor], terms.row, terms.column), sign * values)
@@ -203,7 +203,7 @@ class SciPyStepper:
         solver, before = self.solver, self.solver.t
         self._times.clear()
         self._finite = True
-        self.problem.scratch.faulty[0] = -1  # where a step fails, what it tried counts, and not what others tried
+        self.workspace.scratch.faulty[0] = -1  # where a step fails, what it tried counts, and not what others tried
         lu = solver.nlu
         try:
             with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -244,21 +244,21 @@ class SciPyStepper:
         self.finished = solver.status == "finished"
         if self.finished:
             self.time = self.timetable.end
-        problem = self.problem
-        note_all(problem.engine, np.array([self.time]), self._positions(self.y)[None], self.worst_pairs)
+        workspace = self.workspace
+        note_all(workspace.engine, np.array([self.time]), self._positions(self.y)[None], self.worst_pairs)
         if self._stabilized:
             q, v = self._positions(self.y), self._positions(self.y[self.n3 :])
-            pull = baumgarte_at(problem.stepping_engine, self.time, q, v)
+            pull = baumgarte_at(workspace.stepping_engine, self.time, q, v)
             self._pull = max(self._pull, pull)
         return True
 
     def _nearness(self, t: float, y: np.ndarray) -> str:
         """Return that a state is nearly singular, to go on a sentence with; empty where it is not."""
-        near = describe_nearness(self.problem, t, self._positions(y))
+        near = describe_nearness(self.workspace, t, self._positions(y))
         return near and f"; {near}"
 
     def _overflow(self, t: float) -> Failure:
-        if force := self.problem.unusable_law():
+        if force := self.workspace.unusable_law():
             return Failure("not-finite", f"the law of force '{force}' gives no finite number after t = {t:.6g} s.")
         return Failure("not-finite", f"numbers overflowed after t = {t:.6g} s; tighter tolerances may help.")
 
@@ -312,7 +312,7 @@ class SciPyStepper:
 
     def _stretch(self, rows: list[Row]) -> Stretch:
         n3, count = self.n3, len(rows)
-        q, v = np.zeros((2, count, self.problem.mechanism.size))
+        q, v = np.zeros((2, count, self.workspace.mechanism.size))
         work, lost = np.zeros((2, count))
         for i, (_, y, _, _) in enumerate(rows):
             q[i, :n3], v[i, :n3] = y[:n3], y[n3 : 2 * n3]

@@ -10,7 +10,7 @@ import numpy as np
 from mbdkit.engine.kernels.observe import first_order_rates
 
 if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
 
 
 @dataclass(frozen=True)
@@ -77,23 +77,23 @@ FIXED_STEPS = Control()
 """Stands where nothing is controlled."""
 
 
-def first_step(problem: Problem, span: float, control: Control) -> float:
+def first_step(workspace: Workspace, span: float, control: Control) -> float:
     """Return a cautious first step [s] (Hairer, Norsett and Wanner 1993, II.4, first stage).
 
     Parameters
     ----------
-    problem
+    workspace
         The mechanism at its start.
     span
         Length of the run [s].
     control
         With the tolerances.
     """
-    n3 = 3 * len(problem.mechanism.bodies)
-    y = np.concatenate([problem.q0[:n3], problem.v0[:n3], np.zeros(2)])
+    n3 = 3 * len(workspace.mechanism.bodies)
+    y = np.concatenate([workspace.q0[:n3], workspace.v0[:n3], np.zeros(2)])
     rates = np.zeros_like(y)
-    acc, lam = np.zeros((3, problem.mechanism.size)), np.zeros((len(problem.stepping_topology.pairs), 2))
-    first_order_rates(problem.stepping_engine, False, problem.t0, y, acc, lam, rates)
+    acc, lam = np.zeros((3, workspace.mechanism.size)), np.zeros((len(workspace.stepping_topology.pairs), 2))
+    first_order_rates(workspace.stepping_engine, False, workspace.t0, y, acc, lam, rates)
     scale = control.atol + control.rtol * np.abs(y)
     d0, d1 = (float(np.sqrt(np.mean((x[:-2] / scale[:-2]) ** 2))) for x in (y, rates))
     guess = 0.01 * d0 / d1 if d0 > 1e-5 and 1e-5 < d1 < np.inf else 1e-6

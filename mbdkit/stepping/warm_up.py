@@ -65,10 +65,10 @@ def _run_everything(check: Callable[[], None]) -> None:
 
     from mbdkit.engine.assembly import assemble
     from mbdkit.engine.compile_mechanism import compile_mechanism
-    from mbdkit.engine.equations_of_motion import StepProblem, call_everything
+    from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
     from mbdkit.engine.kernels.observe import baumgarte_at, observe
     from mbdkit.engine.singularity import nearest_singularity, new_vectors
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.methods import gauss, rk4
     from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, SciPySolver
@@ -87,21 +87,21 @@ def _run_everything(check: Callable[[], None]) -> None:
         ImplicitRungeKutta(gauss.tableau(3)),
         SciPySolver("Radau", 1e-3, 1e-3, needs_jacobian=True),
     )
-    call_everything(StepProblem(Problem(compiled, 0.0, q0, v0)), check)
+    call_everything(EquationsOfMotion(Workspace(compiled, 0.0, q0, v0)), check)
     for method in methods:
         check()
-        problem = Problem(compiled, 0.0, q0, v0)
-        baumgarte_at(problem.engine, 0.0, q0, v0)
-        stepper = method.start(problem, table)
+        workspace = Workspace(compiled, 0.0, q0, v0)
+        baumgarte_at(workspace.engine, 0.0, q0, v0)
+        stepper = method.start(workspace, table)
         stretch = stepper.advance()
         stepper.inside(0.5)
         stepper.within(0.5)
         rows, pairs = len(stretch.time), len(compiled.topology.pairs)
         shape = (rows, pairs, 2)
         observe(
-            problem.engine, stretch.time, stretch.q, stretch.v,
+            workspace.engine, stretch.time, stretch.q, stretch.v,
             np.zeros_like(stretch.q), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros((rows, pairs, 3)),
             np.zeros(rows), np.zeros(rows), np.zeros(rows),
-            np.zeros((rows, 0, pairs, 2)), np.zeros((rows, 0, pairs, 3)), new_vectors(problem),
+            np.zeros((rows, 0, pairs, 2)), np.zeros((rows, 0, pairs, 3)), new_vectors(workspace),
         )  # fmt: skip
-    nearest_singularity(Problem(compiled, 0.0, q0, v0), 0.0, q0)
+    nearest_singularity(Workspace(compiled, 0.0, q0, v0), 0.0, q0)

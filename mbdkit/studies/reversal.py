@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError
 from mbdkit.simulation import build
 from mbdkit.spec import RunSpec
@@ -67,27 +67,27 @@ def reverse(spec: RunSpec, notify: Callable[[str], None]) -> Reversal:
     MbdkitError
         If the spec is wrong or a plugin fails.
     """
-    problem, _ = build(spec, notify)
+    workspace, _ = build(spec, notify)
     table = _timetable(spec)
     if table is None:
         return Reversal(math.nan, math.nan, "too-short: the run has no full step.")
     try:
-        there = _states(spec, problem, table)
-        if _has_direction(problem, there, table):
+        there = _states(spec, workspace, table)
+        if _has_direction(workspace, there, table):
             note = "not-reversible: dampers, drivers or forces of time tell forwards from backwards."
             return Reversal(math.nan, math.nan, note)
-        turned = replace(problem, q0=there.q[-1].copy(), v0=-there.v[-1])
+        turned = replace(workspace, q0=there.q[-1].copy(), v0=-there.v[-1])
         back = _states(spec, turned, table)
     except _StoppedError as stop:
         return Reversal(math.nan, math.nan, str(stop))
-    mass = problem.mechanism.topology.mass[:-1]
+    mass = workspace.mechanism.topology.mass[:-1]
     total = float(np.sum(mass[:, 0]))
 
     def distance(x: np.ndarray, y: np.ndarray) -> float:
         apart = (x - y)[: mass.size].reshape(mass.shape)
         return float(np.sqrt(np.sum(mass * apart**2) / total))
 
-    return Reversal(distance(back.q[-1], problem.q0), distance(-back.v[-1], problem.v0))
+    return Reversal(distance(back.q[-1], workspace.q0), distance(-back.v[-1], workspace.v0))
 
 
 class _StoppedError(Exception):
@@ -109,10 +109,10 @@ def _timetable(spec: RunSpec) -> Timetable | None:
     return Timetable(time.start, end, time.step, steps, every, max_steps=limits.max_steps) if steps else None
 
 
-def _states(spec: RunSpec, problem: Problem, table: Timetable) -> Stretch:
-    """Return some states along a run from the start of a problem, the last of them its end; raises _StoppedError."""
+def _states(spec: RunSpec, workspace: Workspace, table: Timetable) -> Stretch:
+    """Return some states along a run from the start of a workspace, the last of them its end; raises _StoppedError."""
     try:
-        stepper = spec.integrator_plugin.create(spec.integrator).start(problem, table)
+        stepper = spec.integrator_plugin.create(spec.integrator).start(workspace, table)
         parts = []
         while not (stepper.finished or stepper.failure):
             parts.append(stepper.advance())
@@ -127,21 +127,23 @@ def _states(spec: RunSpec, problem: Problem, table: Timetable) -> Stretch:
     return Stretch(time, q, v, np.zeros(len(time)), np.zeros(len(time)), np.zeros((len(time), 6)))
 
 
-def _has_direction(problem: Problem, there: Stretch, table: Timetable) -> bool:
+def _has_direction(workspace: Workspace, there: Stretch, table: Timetable) -> bool:
     """Return whether accelerations or joints change when velocities are reversed or at another time.
 
     The states are compared with themselves, so that it does not matter how far the joints are apart there.
     """
-    view = StepProblem(replace(problem, stabilization=NONE))  # Baumgarte's terms tell forwards from backwards
+    equations = EquationsOfMotion(
+        replace(workspace, stabilization=NONE)
+    )  # Baumgarte's terms tell forwards from backwards
     middle = table.start + 0.381966 * (table.end - table.start)
     size = float(np.max(np.abs(there.q), initial=1e-300))
     for row in np.unique(np.linspace(0, len(there.time) - 1, LOOKS).astype(int)):
-        t, q, v = float(there.time[row]), there.q[row][: view.n].copy(), there.v[row][: view.n].copy()
+        t, q, v = float(there.time[row]), there.q[row][: equations.n].copy(), there.v[row][: equations.n].copy()
         try:
-            forth, _ = view.accelerations(t, q, v)
+            forth, _ = equations.accelerations(t, q, v)
             for other in (table.start, middle, table.end):
-                back, _ = view.accelerations(other, q, -v)
-                moved = view.constraints(other, q) - view.constraints(t, q)
+                back, _ = equations.accelerations(other, q, -v)
+                moved = equations.constraints(other, q) - equations.constraints(t, q)
                 if np.max(np.abs(moved), initial=0.0) > SAME * size:
                     return True
                 if np.max(np.abs(forth - back), initial=0.0) > SAME * np.max(np.abs(forth), initial=1e-300):

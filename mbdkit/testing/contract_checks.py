@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.methods.kinds import Method, SciPySolver
 from mbdkit.stepping.python_method import StepMethod, StepState
 from mbdkit.testing.check import check
@@ -65,18 +65,18 @@ def method(subject: IntegratorSubject) -> Finding:
 
 @check("contract.inputs")
 def inputs(subject: IntegratorSubject) -> Finding:
-    """It changes neither its options, nor the start of the problem, nor the states that it is handed."""
+    """It changes neither its options, nor the start of the run, nor the states that it is handed."""
     given = validated(subject.plugin.options, subject.options)
     before = given.model_dump_json()
     made = subject.plugin.create(given)
-    problem = subject.problem(FORCED_PENDULUM)
-    start = problem.q0.copy(), problem.v0.copy()
+    workspace = subject.workspace(FORCED_PENDULUM)
+    start = workspace.q0.copy(), workspace.v0.copy()
     watched = _Watched(made) if isinstance(made, StepMethod) else made
-    drive(subject.stepper(problem, 0.5, STEPS, method=watched))
+    drive(subject.stepper(workspace, 0.5, STEPS, method=watched))
     if given.model_dump_json() != before:
         return failed("it changed its options")
-    if not (np.array_equal(problem.q0, start[0]) and np.array_equal(problem.v0, start[1])):
-        return failed("it changed the start of the problem")
+    if not (np.array_equal(workspace.q0, start[0]) and np.array_equal(workspace.v0, start[1])):
+        return failed("it changed the start of the run")
     if isinstance(watched, _Watched) and watched.changed:
         return failed(f"its step changed {listed(sorted(watched.changed), 'and')} of the state that it was handed")
     return passed()
@@ -91,9 +91,9 @@ class _Watched(StepMethod):
         self.carries_multipliers = method.carries_multipliers  # type: ignore[misc]
         self.hint = method.hint  # type: ignore[misc]
 
-    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         before = copy.deepcopy(state)
-        after = self.method.step(problem, t, state, h)
+        after = self.method.step(equations, t, state, h)
         self.changed |= {name for name in ("q", "v", "multipliers", "memory") if not _same(before, state, name)}
         return after
 
@@ -114,7 +114,7 @@ def repeatable(subject: IntegratorSubject) -> Finding:
         if first.data_sha256 != second.data_sha256:
             return failed("two runs of the same spec differ")
     made = subject.method()
-    ends = [drive(subject.stepper(subject.problem(DRIVEN_PENDULUM), 0.7, STEPS, method=made)) for _ in range(2)]
+    ends = [drive(subject.stepper(subject.workspace(DRIVEN_PENDULUM), 0.7, STEPS, method=made)) for _ in range(2)]
     if not all(np.array_equal(x, y) for x, y in zip(*ends, strict=True)):
         return failed("the same method object moves differently when it is used again: it remembers its last run")
     return passed()
@@ -130,8 +130,8 @@ def picklable(subject: IntegratorSubject) -> Finding:
         except Exception as error:
             return failed(f"{what} cannot be pickled: {error}")
     if isinstance(made, StepMethod):
-        problem = StepProblem(subject.problem(FORCED_PENDULUM))
-        state = made.step(problem, problem.t0, StepState(problem.q0, problem.v0), 0.01)
+        equations = EquationsOfMotion(subject.workspace(FORCED_PENDULUM))
+        state = made.step(equations, equations.t0, StepState(equations.q0, equations.v0), 0.01)
         try:
             pickle.loads(pickle.dumps(state))
         except Exception as error:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy.integrate
 
-from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.iteration_matrix import IterationMatrix
 from mbdkit.methods.kinds import ExplicitRungeKutta, SciPySolver
 from mbdkit.stepping.python_method import StepMethod
@@ -22,12 +22,12 @@ from mbdkit.text import listed
 STEPS = 17
 
 
-class InstrumentedProblem(StepProblem):
-    """A problem that keeps a count of its own of what is asked of it."""
+class InstrumentedEquations(EquationsOfMotion):
+    """Equations of motion that count their evaluations themselves."""
 
-    def __init__(self, problem: Any):
+    def __init__(self, workspace: Any):
         self.seen: Counter[str] = Counter()
-        super().__init__(problem)
+        super().__init__(workspace)
 
     def accelerations(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Count and return the accelerations."""
@@ -60,18 +60,18 @@ class InstrumentedProblem(StepProblem):
 
 @check("honesty.counters")
 def counters(subject: IntegratorSubject) -> Finding:
-    """The counters of a run are what an instrumented problem sees being asked of it."""
+    """The counters of a run are what instrumented equations of motion count."""
     made = subject.method()
-    problem = subject.problem(FORCED_PENDULUM)
+    workspace = subject.workspace(FORCED_PENDULUM)
     if isinstance(made, SciPySolver):
         return _of_solver(subject, made)
-    stepper = subject.stepper(problem, 0.2, STEPS, method=made)
+    stepper = subject.stepper(workspace, 0.2, STEPS, method=made)
     seen: dict[str, int] = {"steps": STEPS, "accepted": STEPS, "rejected": 0}
     instrumented = None
     if isinstance(stepper, StepStepper):
-        instrumented = InstrumentedProblem(problem)
+        instrumented = InstrumentedEquations(workspace)
         instrumented.counters = stepper.counters
-        stepper.view = instrumented
+        stepper.equations = instrumented
     drive(stepper)
     if instrumented is not None:
         asked = instrumented.seen
@@ -112,7 +112,7 @@ def _of_solver(subject: IntegratorSubject, made: SciPySolver) -> Finding:
         return base(counted, t0, y0, end, **options)
 
     method = SciPySolver(instrumented, made.rtol, made.atol, made.needs_jacobian)  # type: ignore[arg-type]
-    stepper = subject.stepper(subject.problem(FORCED_PENDULUM), 1.0, STEPS, method=method)
+    stepper = subject.stepper(subject.workspace(FORCED_PENDULUM), 1.0, STEPS, method=method)
     drive(stepper)
     wrong = [
         f"{name} {getattr(stepper.counters, name)} instead of {seen[name]}"

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from mbdkit.archive.run import Run
-from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.stepping.python_method import StepError, StepMethod, StepState
 from mbdkit.testing.check import Skip, check
@@ -53,9 +53,9 @@ def _refuse_to_step(subject: IntegratorSubject) -> None:
     method = subject.method()
     if not isinstance(method, StepMethod):
         return
-    problem = StepProblem(subject.problem(NO_NUMBER))
+    equations = EquationsOfMotion(subject.workspace(NO_NUMBER))
     try:
-        method.step(problem, 0.6, StepState(problem.q0, problem.v0), 0.01)
+        method.step(equations, 0.6, StepState(equations.q0, equations.v0), 0.01)
     except StepError:
         return
     raise _GoesOnError("it returns from a step in which there are no accelerations, as if nothing had happened")

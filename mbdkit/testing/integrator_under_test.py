@@ -1,4 +1,4 @@
-"""An integrator under test: its claims with given options, and ways to run it on a model or on a bare problem."""
+"""An integrator under test: its claims with given options, and ways to run it on a model or on a bare workspace."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mbdkit.archive.run import Run
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import PluginError
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
 from mbdkit.methods.tableau import ButcherTableau
@@ -120,13 +120,13 @@ class IntegratorSubject:
         with self.run(model, {"end": end, "step": step}, output={"every": 10**9}, **sections) as run:
             return final_state(run)
 
-    def problem(self, model: Mapping[str, Any]) -> Problem:
-        """Return a model's problem at its consistent start."""
+    def workspace(self, model: Mapping[str, Any]) -> Workspace:
+        """Return a model's workspace at its consistent start."""
         return build(self.spec(model, {"end": 1.0, "step": 0.5}), _say_nothing)[0]
 
     def stepper(
         self,
-        problem: Problem,
+        workspace: Workspace,
         end: float,
         steps: int,
         *,
@@ -134,19 +134,19 @@ class IntegratorSubject:
         method: Method | None = None,
         single: bool = False,
     ) -> Stepper:
-        """Return a stepper from the start of `problem` to `end` [s]; an adaptive method chooses its own steps.
+        """Return a stepper from the start of `workspace` to `end` [s]; an adaptive method chooses its own steps.
 
         With `single` it goes on for one step at a time.
         """
-        step = None if self.claims.adaptive else (end - problem.t0) / steps
+        step = None if self.claims.adaptive else (end - workspace.t0) / steps
         table = Timetable(
-            start=problem.t0, end=end, step=step, steps=steps, every=every, max_steps=10**7, single=single
+            start=workspace.t0, end=end, step=step, steps=steps, every=every, max_steps=10**7, single=single
         )
-        return (method or self.method()).start(problem, table)
+        return (method or self.method()).start(workspace, table)
 
-    def moved(self, problem: Problem, end: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and velocities, ground last, at the end of steps from the start of `problem`."""
-        stepper = self.stepper(problem, end, steps)
+    def moved(self, workspace: Workspace, end: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities, ground last, at the end of steps from the start of `workspace`."""
+        stepper = self.stepper(workspace, end, steps)
         q, v = drive(stepper)
         return q, v
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbdkit.analysis.energy import Trend, trend
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.testing.check import Check, Skip, check
 from mbdkit.testing.integrator_under_test import IntegratorSubject
 from mbdkit.testing.outcome import Figure, Finding, failed, passed, skipped, warned
@@ -33,11 +33,11 @@ def telling_step(subject: IntegratorSubject) -> float:
 def _reversible(name: str, model: Model, duration: float) -> Check[IntegratorSubject]:
     def there_and_back(subject: IntegratorSubject) -> Finding:
         steps = round(duration / telling_step(subject))
-        problem = subject.problem(model)
-        q, v = subject.moved(problem, duration, steps)
-        back = replace(problem, q0=q, v0=-v)
-        defect = _distance(subject.moved(back, duration, steps), problem)
-        finer = subject.moved(problem, duration, 2 * steps)
+        workspace = subject.workspace(model)
+        q, v = subject.moved(workspace, duration, steps)
+        back = replace(workspace, q0=q, v0=-v)
+        defect = _distance(subject.moved(back, duration, steps), workspace)
+        finer = subject.moved(workspace, duration, 2 * steps)
         own = float(max(np.max(np.abs(q - finer[0])), np.max(np.abs(v - finer[1]))))
         if subject.claims.adaptive:
             return passed(defect=defect)
@@ -58,9 +58,9 @@ def _reversible(name: str, model: Model, duration: float) -> Check[IntegratorSub
     return Check(f"geometry.reversibility-{name}", there_and_back)
 
 
-def _distance(state: tuple[np.ndarray, np.ndarray], problem: Problem) -> float:
+def _distance(state: tuple[np.ndarray, np.ndarray], workspace: Workspace) -> float:
     q, v = state
-    return float(max(np.max(np.abs(q - problem.q0)), np.max(np.abs(v + problem.v0))))
+    return float(max(np.max(np.abs(q - workspace.q0)), np.max(np.abs(v + workspace.v0))))
 
 
 @check("geometry.quadratic-invariants")
@@ -95,13 +95,13 @@ def symplectic_form(subject: IntegratorSubject) -> Finding:
     if subject.claims.adaptive:
         return skipped("its steps depend on the state, so that no map of one step exists")
     step, steps, small = 4 * telling_step(subject), 3, 1e-5
-    problem = subject.problem(ORBIT)
+    workspace = subject.workspace(ORBIT)
 
     def image(change: np.ndarray) -> np.ndarray:
-        q0, v0 = problem.q0.copy(), problem.v0.copy()
+        q0, v0 = workspace.q0.copy(), workspace.v0.copy()
         q0[:2] += change[:2]
         v0[:2] += change[2:]
-        q, v = subject.moved(replace(problem, q0=q0, v0=v0), steps * step, steps)
+        q, v = subject.moved(replace(workspace, q0=q0, v0=v0), steps * step, steps)
         return np.concatenate([q[:2], v[:2]])
 
     columns = [

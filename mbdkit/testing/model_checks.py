@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.motions import MAX_DEPTH, motions_at
 from mbdkit.mechanism.elements import Driver
 from mbdkit.mechanism.mechanism import Mechanism
@@ -66,9 +66,9 @@ class ModelSubject:
         """Return the mechanism, built anew."""
         return self.spec(0.01).mechanism()
 
-    def problem(self) -> StepProblem:
+    def equations(self) -> EquationsOfMotion:
         """Return the equations at the consistent start."""
-        return StepProblem(build(self.spec(0.01), lambda message: None)[0])
+        return EquationsOfMotion(build(self.spec(0.01), lambda message: None)[0])
 
 
 @check("model.options")
@@ -113,8 +113,8 @@ def mass(subject: ModelSubject) -> Finding:
 @check("model.start")
 def start(subject: ModelSubject) -> Finding:
     """Its start meets all joints and drivers, in position and velocity, without being moved far to get there."""
-    problem, assembled = build(subject.spec(0.01), lambda message: None)
-    equations = StepProblem(problem)
+    workspace, assembled = build(subject.spec(0.01), lambda message: None)
+    equations = EquationsOfMotion(workspace)
     t, q, v = equations.t0, equations.q0, equations.v0
     residual = float(np.max(np.abs(equations.constraints(t, q)), initial=0.0))
     rate = float(np.max(np.abs(equations.constraint_rates(t, q, v)), initial=0.0))
@@ -130,24 +130,25 @@ def start(subject: ModelSubject) -> Finding:
 @check("model.jacobian")
 def jacobian(subject: ModelSubject) -> Finding:
     """The derivatives of the constraints, by position, along the motion, and twice along it, agree with differences."""
-    problem = subject.problem()
-    if problem.m == 0:
+    equations = subject.equations()
+    if equations.m == 0:
         raise Skip("it has no joints")
     worst, e = 0.0, 1e-5
     rng = np.random.default_rng(1)
     for _ in range(4):
-        q, v, a = problem.q0 + 0.05 * rng.standard_normal(problem.n), *rng.standard_normal((2, problem.n))
-        t = problem.t0 + 0.1 + 0.8 * END * rng.random()
-        exact = problem.constraint_jacobian(t, q).toarray()
+        q, v, a = equations.q0 + 0.05 * rng.standard_normal(equations.n), *rng.standard_normal((2, equations.n))
+        t = equations.t0 + 0.1 + 0.8 * END * rng.random()
+        exact = equations.constraint_jacobian(t, q).toarray()
         columns = [
-            (problem.constraints(t, q + e * x) - problem.constraints(t, q - e * x)) / (2 * e) for x in np.eye(problem.n)
+            (equations.constraints(t, q + e * x) - equations.constraints(t, q - e * x)) / (2 * e)
+            for x in np.eye(equations.n)
         ]
         worst = max(worst, _share(np.array(columns).T, exact))
         later, earlier = ((t + d, q + d * v + d * d / 2 * a, v + d * a) for d in (e, -e))
-        slope = (problem.constraints(*later[:2]) - problem.constraints(*earlier[:2])) / (2 * e)
-        worst = max(worst, _share(slope, problem.constraint_rates(t, q, v)))
-        twice = (problem.constraint_rates(*later) - problem.constraint_rates(*earlier)) / (2 * e)
-        worst = max(worst, _share(twice, exact @ a - problem.gamma(t, q, v)))
+        slope = (equations.constraints(*later[:2]) - equations.constraints(*earlier[:2])) / (2 * e)
+        worst = max(worst, _share(slope, equations.constraint_rates(t, q, v)))
+        twice = (equations.constraint_rates(*later) - equations.constraint_rates(*earlier)) / (2 * e)
+        worst = max(worst, _share(twice, exact @ a - equations.gamma(t, q, v)))
     if worst > DERIVATIVE:
         return failed("a derivative of its constraints does not agree with differences", difference=worst)
     return passed(difference=worst)

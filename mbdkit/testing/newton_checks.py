@@ -53,7 +53,7 @@ def tolerance(subject: IntegratorSubject) -> Finding:
         return skipped("it is no tableau, and has no option `tolerance`")
 
     def end(method: Method, steps: int) -> np.ndarray:
-        return np.concatenate(drive(subject.stepper(subject.problem(FORCED_PENDULUM), 1.0, steps, method=method)))
+        return np.concatenate(drive(subject.stepper(subject.workspace(FORCED_PENDULUM), 1.0, steps, method=method)))
 
     found, iterated = end(own, steps), end(exact, steps)
     change, error = float(np.max(np.abs(found - iterated))), float(np.max(np.abs(iterated - end(exact, 2 * steps))))

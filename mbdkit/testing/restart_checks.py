@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.stepping.python_method import StepMethod, StepState
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.integrator_under_test import IntegratorSubject, drive
@@ -25,9 +25,9 @@ def stretches(subject: IntegratorSubject) -> Finding:
     """A run gives the same bits in one piece, step by step, and with every step looked into, as events ask for it."""
     if subject.claims.adaptive:
         raise Skip("it does not go in fixed steps")
-    whole = subject.moved(subject.problem(DRIVEN_PENDULUM), END, STEPS)
+    whole = subject.moved(subject.workspace(DRIVEN_PENDULUM), END, STEPS)
     for looked_into in (False, True):
-        stepper = subject.stepper(subject.problem(DRIVEN_PENDULUM), END, STEPS, every=STEPS, single=True)
+        stepper = subject.stepper(subject.workspace(DRIVEN_PENDULUM), END, STEPS, every=STEPS, single=True)
 
         def look(stepper: Stepper = stepper, looked_into: bool = looked_into) -> None:
             if looked_into and stepper.last_step is not None:
@@ -41,7 +41,7 @@ def stretches(subject: IntegratorSubject) -> Finding:
 
 @check("restart.state")
 def state(subject: IntegratorSubject) -> Finding:
-    """A method with `step` goes on from a pickled state in another object, and another problem, with the same bits."""
+    """A method with `step` resumes from a pickled state in another object with the same bits."""
     if not isinstance(subject.method(), StepMethod):
         return skipped("its state is the framework's")
     whole, parts = (_moved(subject, restart) for restart in (False, True))
@@ -53,14 +53,14 @@ def state(subject: IntegratorSubject) -> Finding:
 
 
 def _moved(subject: IntegratorSubject, restart: bool) -> StepState:
-    problem, method = StepProblem(subject.problem(DRIVEN_PENDULUM)), subject.method()
-    state, h = StepState(problem.q0.copy(), problem.v0.copy()), END / STEPS
+    equations, method = EquationsOfMotion(subject.workspace(DRIVEN_PENDULUM)), subject.method()
+    state, h = StepState(equations.q0.copy(), equations.v0.copy()), END / STEPS
     for k in range(STEPS):
         if restart and k in (1, STEPS // 2):
-            problem, method = StepProblem(subject.problem(DRIVEN_PENDULUM)), subject.method()
+            equations, method = EquationsOfMotion(subject.workspace(DRIVEN_PENDULUM)), subject.method()
             state = pickle.loads(pickle.dumps(state))
         assert isinstance(method, StepMethod)
-        state = method.step(problem, k * h, state, h)
+        state = method.step(equations, k * h, state, h)
     return state
 
 

@@ -10,10 +10,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from mbdkit import StepMethod, StepProblem, StepState
+from mbdkit import EquationsOfMotion, StepMethod, StepState
 from mbdkit.engine.assembly import assemble
 from mbdkit.engine.compile_mechanism import compile_mechanism
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.methods import rk4
 from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.spec import load_spec
@@ -29,7 +29,7 @@ REPEATS, STEPS = 7, 10_000
 class _Standing(StepMethod):
     """Does nothing."""
 
-    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         return StepState(state.q, state.v)
 
 
@@ -44,7 +44,7 @@ def python_steps(console: Console) -> None:
     def stepped(method: Any) -> Callable[[], float]:
         def run() -> float:
             table = Timetable(0.0, STEPS * 1e-3, step=1e-3, steps=STEPS, every=100)
-            stepper = method.start(Problem(compiled, 0.0, q0, v0), table)
+            stepper = method.start(Workspace(compiled, 0.0, q0, v0), table)
             begin = time.perf_counter()
             while not stepper.finished:
                 assert stepper.failure is None
@@ -53,7 +53,7 @@ def python_steps(console: Console) -> None:
 
         return run
 
-    p = StepProblem(Problem(compiled, 0.0, q0, v0))
+    p = EquationsOfMotion(Workspace(compiled, 0.0, q0, v0))
     q, v = p.q0, p.v0
     a, lam = p.accelerations(0.0, q, v)
     matrix = p.iteration_matrix(0.0, q, v, a, lam, damping=1e-3, stiffness=1e-6)

@@ -11,7 +11,7 @@ from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.observe import constraints_at, first_order_rates, observe, tangents_at
 from mbdkit.engine.singularity import new_vectors
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
 
 OK = 0
@@ -35,7 +35,7 @@ class Compiled:
         self.q = np.array([(*body.position, body.angle) for body in bodies] + [(0.0, 0.0, 0.0)]).ravel()
         self.v = np.array([(*body.velocity, body.angular_velocity) for body in bodies] + [(0.0, 0.0, 0.0)]).ravel()
         self.n = len(self.q) - 3
-        self.problem = Problem(self.compiled, t, self.q, self.v)
+        self.problem = Workspace(self.compiled, t, self.q, self.v)
 
     @property
     def top(self) -> Any:

@@ -11,16 +11,16 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import mbdkit
-from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE, Stabilization
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import SciPySolver
 from mbdkit.simulation import build
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.scipy_bridge import SciPyStepper
+from tests.engine.test_equations_of_motion import parallelogram
 from tests.stepping.running import driven_chain
-from tests.stepping.test_step_problem import parallelogram
 
 ALPHA, BETA = 3.0, 4.0
 MASS, INERTIA, ARM = 2.0, 0.3, 0.5
@@ -50,20 +50,20 @@ def by_hand(t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndar
     return solution[:3], solution[3:]
 
 
-def problem_of(model: Any, stabilization: Stabilization) -> Problem:
+def problem_of(model: Any, stabilization: Stabilization) -> Workspace:
     """Return a mechanism's problem, redundant rows set aside, as a run would step it."""
     sections = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.1}}
     return replace(build(load_spec(model, (), **sections))[0], stabilization=stabilization)
 
 
-def somewhere(p: StepProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def somewhere(p: EquationsOfMotion) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return a state off the constraints, with accelerations and multipliers that solve nothing."""
     rng = np.random.default_rng(4)
     return p.q0 + 0.05 * rng.standard_normal(p.n), *rng.standard_normal((2, p.n)), rng.standard_normal(p.m)
 
 
 def test_accelerations_and_multipliers_are_those_written_down_by_hand() -> None:
-    p = StepProblem(problem_of(swung_pendulum(), BAUMGARTE))
+    p = EquationsOfMotion(problem_of(swung_pendulum(), BAUMGARTE))
     for t in (0.0, 0.7):
         q, v, _, _ = somewhere(p)
         a, lam = p.accelerations(t, q, v)
@@ -75,7 +75,7 @@ def test_accelerations_and_multipliers_are_those_written_down_by_hand() -> None:
 def test_constraint_errors_die_out_as_the_damped_oscillator_says() -> None:
     # expected: e'' + 2 alpha e' + beta^2 e = 0 in closed form, here with alpha = beta
     alpha = 5.0
-    p = StepProblem(problem_of(swung_pendulum(), Stabilization("baumgarte", alpha=alpha, beta=alpha)))
+    p = EquationsOfMotion(problem_of(swung_pendulum(), Stabilization("baumgarte", alpha=alpha, beta=alpha)))
     q = p.q0 + np.array([0.01, -0.02, 0.0])
     e, rate = p.constraints(0.0, q), p.constraint_rates(0.0, q, p.v0)
 
@@ -117,7 +117,7 @@ MODELS = {"swung pendulum": swung_pendulum, "driven chain": driven_chain, "spare
 @pytest.mark.parametrize("name", MODELS)
 def test_gamma_is_the_plain_one_with_the_terms_taken_away(name: str) -> None:
     model = MODELS[name]()
-    p, plain = (StepProblem(problem_of(model, kind)) for kind in (BAUMGARTE, NONE))
+    p, plain = (EquationsOfMotion(problem_of(model, kind)) for kind in (BAUMGARTE, NONE))
     q, v, _, _ = somewhere(p)
     terms = 2 * ALPHA * plain.constraint_rates(0.3, q, v) + BETA**2 * plain.constraints(0.3, q)
     np.testing.assert_allclose(p.gamma(0.3, q, v), plain.gamma(0.3, q, v) - terms, rtol=1e-13, atol=1e-12)
@@ -128,7 +128,7 @@ def test_gamma_is_the_plain_one_with_the_terms_taken_away(name: str) -> None:
 @pytest.mark.parametrize("name", MODELS)
 def test_tangents_are_the_derivatives_of_the_stabilized_equations(name: str) -> None:
     # expected: central differences of gamma and of the Jacobian
-    p = StepProblem(problem_of(MODELS[name](), BAUMGARTE))
+    p = EquationsOfMotion(problem_of(MODELS[name](), BAUMGARTE))
     q, v, a, lam = somewhere(p)
     if name == "spare crank":  # whose rows turn with a body: derivatives hold where the rows meet
         q, v = p.q0, p.v0
@@ -165,7 +165,7 @@ def test_what_is_recorded_is_taken_without_the_terms() -> None:
         "time": {"end": 1.0},
     }
     run = mbdkit.run(spec, stabilization={"name": "baumgarte", "alpha": 20.0}).check()
-    plain = StepProblem(problem_of(swung_pendulum(), NONE))
+    plain = EquationsOfMotion(problem_of(swung_pendulum(), NONE))
     q, v = (run.array(f"trajectory/{name}")[-1].ravel() for name in ("position", "velocity"))
     a, lam = plain.accelerations(run.time[-1], q, v)
     np.testing.assert_allclose(run.array("trajectory/acceleration")[-1].ravel(), a, rtol=1e-13, atol=1e-13)

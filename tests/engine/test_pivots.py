@@ -13,7 +13,7 @@ from mbdkit.engine.assembly import assemble
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.elimination_order import PivotChoice, pivot_order
 from mbdkit.engine.kernels.observe import constraints_at
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods import gauss, rk4
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
@@ -119,7 +119,7 @@ def test_pivots_that_wear_out_on_the_way_are_chosen_anew(
     compiled = compile_mechanism(with_crumb(m))
     start = assemble(m, 0.0, compiled)
     q, v = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
-    problem = Problem(compiled, 0.0, q, v)
+    problem = Workspace(compiled, 0.0, q, v)
     constraints_at(compiled.topology, problem.scratch, 0.0, q, v)
     with monkeypatch.context() as patch:
         patch.setattr(problem_module, "pivot_order", doomed_order)

@@ -24,7 +24,7 @@ from mbdkit.archive.run import Run
 from mbdkit.engine.assembly import assemble
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.kernels.observe import tangents_at
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.elements import Revolute, Weld
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
@@ -82,7 +82,7 @@ def test_the_assembled_start_meets_every_joint_and_moves_with_it(drawn: Drawn) -
 # ---- the equations ---------------------------------------------------------------------------------------------------
 
 
-def stage_matrices(problem: Problem) -> list[np.ndarray]:
+def stage_matrices(problem: Workspace) -> list[np.ndarray]:
     """Return the parts of the stage matrix with the factors 1, h mu, -h mu and h^2 mu^2, as last evaluated."""
     terms, parts = problem.terms, np.zeros((4, problem.unknowns, problem.unknowns))
     np.add.at(parts, (terms.factor, terms.row, terms.column), problem.scratch.source[terms.source])
@@ -102,7 +102,7 @@ def test_every_level_of_the_equations_is_the_derivative_of_the_one_below(drawn: 
     hand, t = ByHand(drawn.mechanism), drawn.start + 0.1
     n, q, v = hand.n, hand.q, hand.v
     compiled = compile_mechanism(drawn.mechanism)
-    problem = Problem(compiled, t, q, v)
+    problem = Workspace(compiled, t, q, v)
     rows = [(row.pair, row.place) for row in compiled.rows]
     a, lam = np.zeros(n + 3), np.zeros((len(compiled.topology.pairs), 2))
     status = tangents_at(problem.engine, t, q, v, a, lam)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
 from tests.engine.random_mechanisms import chain, driven_frame, ladder, loop, slides, tree
@@ -19,7 +19,7 @@ from tests.engine.random_mechanisms import chain, driven_frame, ladder, loop, sl
 ACCURATE = 0.01
 
 
-def singular_values(p: StepProblem, t: float, q: np.ndarray) -> np.ndarray:
+def singular_values(p: EquationsOfMotion, t: float, q: np.ndarray) -> np.ndarray:
     """Return the singular values of the scaled Jacobian at a position (n,), largest first, by LAPACK."""
     jacobian = p.constraint_jacobian(t, q).toarray() / np.sqrt(p.mass)
     blocks: dict[str, list[int]] = {}
@@ -32,7 +32,7 @@ def singular_values(p: StepProblem, t: float, q: np.ndarray) -> np.ndarray:
     return np.linalg.svd(jacobian, compute_uv=False)
 
 
-def positions(run: Any, p: StepProblem) -> np.ndarray:
+def positions(run: Any, p: EquationsOfMotion) -> np.ndarray:
     """Return the recorded positions (T, n)."""
     parts = [np.column_stack([run[name].position, run[name].angle]) for name in p.bodies]
     return np.stack(parts, axis=1).reshape(len(run.time), p.n)
@@ -40,7 +40,7 @@ def positions(run: Any, p: StepProblem) -> np.ndarray:
 
 def recorded_and_expected(mechanism: Mechanism, **sections: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return the recorded distances (T,) and the two smallest singular values (T, 2), smallest first."""
-    p = StepProblem.of(mechanism)
+    p = EquationsOfMotion.of(mechanism)
     with mbdkit.run(mechanism, **sections) as run:
         expected = [singular_values(p, t, q) for t, q in zip(run.time, positions(run, p), strict=True)]
         return np.asarray(run.singularity_distance), np.array(expected)[:, :-3:-1]
@@ -162,39 +162,39 @@ def test_distance_does_not_depend_on_the_directions_of_the_axes():
         tip = m.body("tip", mass=1, inertia=0.05, position=(c - 0.5 * s, s + 0.5 * c), angle=turn + math.pi / 2)
         m.revolute("A", m.ground, rod, points=((0, 0), (-0.5, 0)))
         m.revolute("B", rod, tip, points=((0.5, 0), (-0.5, 0)))
-        found.append(nearest_singularity(problem_of(m), 0.0, StepProblem.of(m).q0)[0])
+        found.append(nearest_singularity(problem_of(m), 0.0, EquationsOfMotion.of(m).q0)[0])
     assert found[0] == pytest.approx(found[1], rel=1e-12)
 
 
-def problem_of(m: Mechanism) -> Problem:
-    return StepProblem.of(m)._problem
+def problem_of(m: Mechanism) -> Workspace:
+    return EquationsOfMotion.of(m)._workspace
 
 
 @pytest.mark.parametrize("grown", [chain, driven_frame, ladder, loop, slides, tree])
 def test_nearest_singularity_is_the_smallest_singular_value_of_random_mechanisms(grown):
     m = grown(np.random.default_rng(1))
-    p = StepProblem.of(m)
-    distance, joint = nearest_singularity(p._problem, p.t0, p.q0)
+    p = EquationsOfMotion.of(m)
+    distance, joint = nearest_singularity(p._workspace, p.t0, p.q0)
     assert distance == pytest.approx(singular_values(p, p.t0, p.q0)[-1], rel=1e-9, abs=1e-13)
     assert joint in m.joints
 
 
 def test_nearest_singularity_of_many_rows_is_that_of_the_dense_decomposition():
-    p = StepProblem.of(load_spec("chain", ("model.n=200",)).mechanism())
-    distance, _ = nearest_singularity(p._problem, p.t0, p.q0)
+    p = EquationsOfMotion.of(load_spec("chain", ("model.n=200",)).mechanism())
+    distance, _ = nearest_singularity(p._workspace, p.t0, p.q0)
     assert distance == pytest.approx(singular_values(p, p.t0, p.q0)[-1], rel=1e-6)
 
 
 def test_nearness_names_a_joint_of_the_loop_that_is_singular_and_keeps_quiet_elsewhere():
     m = two_apart()
-    p = StepProblem.of(m)
-    assert describe_nearness(p._problem, 0.0, p.q0) == ""
+    p = EquationsOfMotion.of(m)
+    assert describe_nearness(p._workspace, 0.0, p.q0) == ""
     q = p.q0.reshape(-1, 3).copy()
     angle = 1e-7
     for name, x in (("left1", 10.0), ("right1", 12.0)):
         q[p.bodies.index(name)] = (x + math.cos(angle) / 2, math.sin(angle) / 2, angle)
     q[p.bodies.index("top1")] = (11 + math.cos(angle), math.sin(angle), 0.0)
-    distance, joint = nearest_singularity(p._problem, 0.0, q.ravel())
+    distance, joint = nearest_singularity(p._workspace, 0.0, q.ravel())
     assert distance == pytest.approx(singular_values(p, 0.0, q.ravel())[-1], rel=1e-6)
     assert joint.endswith("1")
-    assert f"joint '{joint}'" in describe_nearness(p._problem, 0.0, q.ravel())
+    assert f"joint '{joint}'" in describe_nearness(p._workspace, 0.0, q.ravel())

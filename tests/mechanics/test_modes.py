@@ -79,7 +79,7 @@ def test_shapes_stay_on_the_constraints_and_are_of_unit_modal_mass() -> None:
     for source in (hung_between(2.0, 8, 0.4), "double-wishbone", "car-axis"):
         found = mbdkit.modes(source)
         mechanism = source if isinstance(source, mbdkit.Mechanism) else load_spec(source).mechanism()
-        p = mbdkit.StepProblem.of(mechanism)
+        p = mbdkit.EquationsOfMotion.of(mechanism)
         jacobian = p.constraint_jacobian(0.0, found.position.ravel())
         shapes = found.shapes.reshape(len(found.shapes), -1)
         np.testing.assert_allclose(jacobian @ shapes.T, 0.0, rtol=0, atol=1e-11 * np.abs(shapes).max())
@@ -201,7 +201,7 @@ def test_a_knee_in_motion_is_linearised_along_its_path() -> None:
     def along(flexion: float, speed: float) -> tuple[float, float]:
         """Return f, and the length of path to a radian of flexion."""
         knee = load_spec("knee", [f"model.flexion={flexion!r}", "model.flexion_rate=1.0"])
-        p = mbdkit.StepProblem.of(knee.mechanism())
+        p = mbdkit.EquationsOfMotion.of(knee.mechanism())
         metric = math.sqrt(float(p.v0 @ (p.mass * p.v0)))
         v = p.v0 * speed / metric
         return float(v @ (p.mass * p.accelerations(0.0, p.q0, v)[0])) / speed, metric

@@ -15,7 +15,7 @@ import mbdkit
 from pydantic import BaseModel
 
 class Euler(mbdkit.StepMethod):
-    def step(self, problem, t, state, h):
+    def step(self, equations, t, state, h):
         a, _ = problem.accelerations(t, state.q, state.v)
         return state.moved(h * (state.v + h * a), h * a)
 

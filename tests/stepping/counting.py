@@ -12,7 +12,7 @@ from typing import Any
 
 import mbdkit
 from mbdkit.engine.kernels import system
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping import explicit, index1_collocation, simplified_newton
 from mbdkit.stepping.warm_up import ensure_compiled
 
@@ -32,7 +32,7 @@ def main(stages: int, solver: str) -> None:
     explicit.solve_accelerations = index1_collocation.solve_accelerations = solve
     index1_collocation.evaluate_tangents = counted("tangents", index1_collocation.evaluate_tangents)
     simplified_newton.factorize = counted("stage matrices", simplified_newton.factorize)
-    Problem.choose_pivots = counted("choices of pivots", Problem.choose_pivots)  # type: ignore[method-assign]
+    Workspace.choose_pivots = counted("choices of pivots", Workspace.choose_pivots)  # type: ignore[method-assign]
     index1_collocation.relative_change = counted("iterations", index1_collocation.relative_change)
     integrator = {"name": "rk4"} if stages == 0 else {"name": "gauss", "stages": stages, "stage_solver": solver}
     model = {

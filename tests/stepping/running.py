@@ -10,7 +10,7 @@ import numpy as np
 import mbdkit
 from mbdkit.engine.assembly import assemble
 from mbdkit.engine.compile_mechanism import compile_mechanism
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
 
 DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
@@ -33,11 +33,11 @@ def spec_run(model: Any, integrator: dict[str, Any], time: dict[str, Any], **sec
     return mbdkit.run({"mbdkit": 1, "model": model, "integrator": integrator, "time": time, **sections})
 
 
-def problem_of(m: Mechanism, t0: float = 0.0) -> Problem:
+def problem_of(m: Mechanism, t0: float = 0.0) -> Workspace:
     """Return the problem of a mechanism at its assembled start."""
     compiled = compile_mechanism(m)
     start = assemble(m, t0, compiled)
-    return Problem(compiled, t0, *(np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v)))
+    return Workspace(compiled, t0, *(np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v)))
 
 
 def driven_chain(stiffness: float = 50.0, damping: float = 1.0) -> Mechanism:

@@ -25,15 +25,15 @@ class NoOptions(BaseModel):
 class RungeKutta(StepMethod):
     """The classical method of order 4, as one would write it down."""
 
-    def step(self, problem: Any, t: float, state: StepState, h: float) -> StepState:
+    def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
         q, v = state.q, state.v
-        a1, _ = problem.accelerations(t, q, v)
+        a1, _ = equations.accelerations(t, q, v)
         v2 = v + h / 2 * a1
-        a2, _ = problem.accelerations(t + h / 2, q + h / 2 * v, v2)
+        a2, _ = equations.accelerations(t + h / 2, q + h / 2 * v, v2)
         v3 = v + h / 2 * a2
-        a3, _ = problem.accelerations(t + h / 2, q + h / 2 * v2, v3)
+        a3, _ = equations.accelerations(t + h / 2, q + h / 2 * v2, v3)
         v4 = v + h * a3
-        a4, _ = problem.accelerations(t + h, q + h * v3, v4)
+        a4, _ = equations.accelerations(t + h, q + h * v3, v4)
         return state.moved(h / 6 * (v + 2 * v2 + 2 * v3 + v4), h / 6 * (a1 + 2 * a2 + 2 * a3 + a4))
 
 
@@ -42,10 +42,10 @@ class Remembering(RungeKutta):
 
     carries_multipliers = True
 
-    def step(self, problem: Any, t: float, state: StepState, h: float) -> StepState:
+    def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
         number = 1 if state.memory is None else state.memory + 1
-        new = super().step(problem, t, state, h)
-        return StepState(new.q, new.v, multipliers=np.full(problem.m, float(number)), memory=number)
+        new = super().step(equations, t, state, h)
+        return StepState(new.q, new.v, multipliers=np.full(equations.m, float(number)), memory=number)
 
 
 class Failing(RungeKutta):
@@ -54,12 +54,12 @@ class Failing(RungeKutta):
     def __init__(self, after: int, then: Callable[[Any, StepState], Any]):
         self.left, self.then = after, then
 
-    def step(self, problem: Any, t: float, state: StepState, h: float) -> StepState:
+    def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
         if self.left == 0:
-            answer: StepState = self.then(problem, state)
+            answer: StepState = self.then(equations, state)
             return answer
         self.left -= 1
-        return super().step(problem, t, state, h)
+        return super().step(equations, t, state, h)
 
 
 def offering(method: Any, **claims: Any) -> Registry:

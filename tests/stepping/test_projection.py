@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit import StepError, StepMethod, StepProblem, StepState
+from mbdkit import EquationsOfMotion, StepError, StepMethod, StepState
 from mbdkit.engine.stabilization import Stabilization
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.simulation import build
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
+from tests.engine.test_equations_of_motion import parallelogram
 
 from .running import DOUBLE, driven_chain, spec_run
 from .step_methods import Remembering, RungeKutta, run_with
-from .test_step_problem import parallelogram
 
 PROJECTION = {"name": "projection"}
 SYMMETRIC = {"name": "projection", "symmetric": True}
@@ -31,11 +31,11 @@ models = pytest.mark.parametrize("name", MODELS)
 class Midpoint(StepMethod):
     """The implicit midpoint rule: symmetric, of order 2."""
 
-    def step(self, problem: Any, t: float, state: StepState, h: float) -> StepState:
-        a, before = np.zeros(problem.n), np.inf
+    def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
+        a, before = np.zeros(equations.n), np.inf
         for _ in range(200):
             v = state.v + h / 2 * a
-            new, _ = problem.accelerations(t + h / 2, state.q + h / 2 * v, v)
+            new, _ = equations.accelerations(t + h / 2, state.q + h / 2 * v, v)
             change = np.abs(new - a).max()
             a = new
             if change == 0 or (change >= before and change < 1e-9):
@@ -84,13 +84,17 @@ def test_a_projected_state_is_the_nearest_one_in_the_mass_metric(name: str) -> N
     found: list[tuple[StepState, StepState]] = []
 
     class Watching(RungeKutta):
-        def step(self, problem: Any, t: float, state: StepState, h: float) -> StepState:
-            new = super().step(problem, t, state, h)
+        def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
+            new = super().step(equations, t, state, h)
             found.append((state, new))
             return new
 
     run_with(Watching(), MODELS[name], {"steps": 2, "step": 0.05}, stabilization=PROJECTION).check()
-    p = StepProblem.of(MODELS[name]) if isinstance(MODELS[name], mbdkit.Mechanism) else StepProblem(problem(DOUBLE))
+    p = (
+        EquationsOfMotion.of(MODELS[name])
+        if isinstance(MODELS[name], mbdkit.Mechanism)
+        else EquationsOfMotion(problem(DOUBLE))
+    )
     made, reached = found[0][1], found[1][0]
     gradients = p.constraint_jacobian(0.05, reached.q).toarray().T
     for moved in (p.mass * (reached.q - made.q), p.mass * (reached.v - made.v)):
@@ -99,7 +103,7 @@ def test_a_projected_state_is_the_nearest_one_in_the_mass_metric(name: str) -> N
         assert np.abs(left).max() < 1e-12
 
 
-def problem(model: Any, stabilization: Stabilization | None = None) -> Problem:
+def problem(model: Any, stabilization: Stabilization | None = None) -> Workspace:
     sections = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.1}}
     spec = load_spec(model, (), **sections) if isinstance(model, mbdkit.Mechanism) else None
     spec = spec or load_spec({"mbdkit": 1, "model": model, **sections}, ())
@@ -166,8 +170,8 @@ def test_with_a_bound_a_state_is_left_alone_until_it_is_off_by_more() -> None:
 @pytest.mark.parametrize("stabilization", [PROJECTION, SYMMETRIC], ids=["plain", "symmetric"])
 def test_work_is_that_of_the_steps_and_projection_shows_in_the_balance(stabilization: Any) -> None:
     class Booking(RungeKutta):
-        def step(self, problem: Any, t: float, state: StepState, h: float) -> StepState:
-            new = super().step(problem, t, state, h)
+        def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
+            new = super().step(equations, t, state, h)
             return replace(new, work=2 * h, dissipated=3 * h)
 
     run = run_with(Booking(), driven_chain(), {"steps": 20, "step": 0.01}, stabilization=stabilization).check()
@@ -192,9 +196,9 @@ def test_a_method_sees_what_the_run_asks_for() -> None:
     seen: list[Any] = []
 
     class Looking(RungeKutta):
-        def step(self, problem: Any, t: float, state: StepState, h: float) -> StepState:
-            seen.append((problem.formulation, problem.stabilization))
-            return super().step(problem, t, state, h)
+        def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
+            seen.append((equations.formulation, equations.stabilization))
+            return super().step(equations, t, state, h)
 
     run_with(Looking(), DOUBLE, {"steps": 1, "step": 0.01}, stabilization={"name": "projection", "every": 3}).check()
     assert seen == [("index-1", Stabilization("projection", every=3))]
@@ -212,7 +216,7 @@ def test_a_run_warns_where_baumgarte_is_stiff_and_keeps_the_warning(capsys: pyte
 
 def test_a_state_that_no_projection_can_reach_ends_the_run() -> None:
     class Leaping(RungeKutta):
-        def step(self, problem: Any, t: float, state: StepState, h: float) -> StepState:
+        def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
             return StepState(state.q * np.nan, state.v)
 
     run = run_with(Leaping(), DOUBLE, {"steps": 3, "step": 0.01}, stabilization=PROJECTION)

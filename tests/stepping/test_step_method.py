@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit import StepError, StepMethod, StepProblem, StepState
+from mbdkit import EquationsOfMotion, StepError, StepMethod, StepState
 from mbdkit.spec.run_spec import spec_type
 from mbdkit.stepping import interface
+from tests.engine.test_equations_of_motion import parallelogram
 
 from .running import DOUBLE, driven_chain, spec_run
 from .step_methods import Failing, Remembering, RungeKutta, offering, run_with
-from .test_step_problem import parallelogram
 
 MODELS = pytest.mark.parametrize("model", [DOUBLE, driven_chain()], ids=["double pendulum", "driven chain"])
 
@@ -48,8 +48,8 @@ def test_work_and_dissipation_that_a_method_does_not_book_are_integrated_to_orde
 
 def test_a_method_may_book_work_and_dissipation_itself() -> None:
     class Booking(RungeKutta):
-        def step(self, problem: Any, t: float, state: StepState, h: float) -> StepState:
-            new = super().step(problem, t, state, h)
+        def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
+            new = super().step(equations, t, state, h)
             return StepState(new.q, new.v, work=2 * h, dissipated=3 * h)
 
     run = run_with(Booking(), driven_chain(), {"steps": 20, "step": 0.01}).check()
@@ -71,9 +71,9 @@ def test_a_redundant_mechanism_runs_as_under_the_compiled_method() -> None:
     class Carrying(RungeKutta):
         carries_multipliers = True
 
-        def step(self, problem: Any, t: float, state: StepState, h: float) -> StepState:
-            new = super().step(problem, t, state, h)
-            return StepState(new.q, new.v, multipliers=problem.accelerations(t + h, new.q, new.v)[1])
+        def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
+            new = super().step(equations, t, state, h)
+            return StepState(new.q, new.v, multipliers=equations.accelerations(t + h, new.q, new.v)[1])
 
     model, time = parallelogram(1.0, cranks=3), {"end": 0.5, "step": 0.005}
     mine, ours = run_with(Carrying(), model, time).check(), spec_run(model, {"name": "rk4"}, time).check()
@@ -100,9 +100,9 @@ def test_results_do_not_depend_on_the_stretches_that_a_run_is_cut_into(
 
 def test_slow_steps_still_return_to_the_recorder_in_time() -> None:
     class Slow(RungeKutta):
-        def step(self, problem: Any, t: float, state: StepState, h: float) -> StepState:
+        def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
             time.sleep(0.03 if t > 0.1 else 0.0)
-            return super().step(problem, t, state, h)
+            return super().step(equations, t, state, h)
 
     run = run_with(Slow(), DOUBLE, {"steps": 60, "step": 0.01}, limits={"wall_time": 0.5})
     assert run.status_reason.startswith("wall-time")
@@ -111,14 +111,14 @@ def test_slow_steps_still_return_to_the_recorder_in_time() -> None:
 
 def test_going_on_from_a_pickled_state_is_the_same_to_the_bit() -> None:
     h, method = 0.01, RungeKutta()
-    p = StepProblem.of(driven_chain())
+    p = EquationsOfMotion.of(driven_chain())
     state = StepState(p.q0, p.v0)
     kept = b""
     for k in range(20):
         if k == 10:
             kept = pickle.dumps(state)
         state = method.step(p, k * h, state, h)
-    fresh, again = StepProblem.of(driven_chain()), pickle.loads(kept)
+    fresh, again = EquationsOfMotion.of(driven_chain()), pickle.loads(kept)
     for k in range(10, 20):
         again = method.step(fresh, k * h, again, h)
     assert np.array_equal(again.q, state.q)
@@ -200,7 +200,7 @@ def test_multipliers_that_were_promised_must_come() -> None:
 
 def test_a_method_that_is_none_is_refused_by_name() -> None:
     class Bare:
-        def step(self, problem: Any, t: float, state: StepState, h: float) -> StepState:
+        def step(self, equations: Any, t: float, state: StepState, h: float) -> StepState:
             return state
 
     with pytest.raises(mbdkit.PluginError, match=r"made Bare, .* derived from StepMethod"):

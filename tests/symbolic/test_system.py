@@ -16,7 +16,7 @@ import sympy as sp
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.kernels.observe import constraints_at, observe
 from mbdkit.engine.singularity import new_vectors
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import Force
@@ -88,7 +88,7 @@ def engine(m: Mechanism, t: float, q: np.ndarray, v: np.ndarray) -> dict[str, np
     """Return what the compiled engine has for each of the arrays of `SymbolicSystem.evaluate`."""
     compiled = compile_mechanism(m)
     top, n, pairs = compiled.topology, len(q) - 3, len(compiled.topology.pairs)
-    problem = Problem(compiled, t, q, v)
+    problem = Workspace(compiled, t, q, v)
     w = problem.scratch
     constraints_at(top, w, t, q, v)
     problem.use_pivots()

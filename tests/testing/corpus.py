@@ -17,7 +17,7 @@ import scipy.integrate
 from pydantic import BaseModel, ConfigDict
 
 import mbdkit
-from mbdkit import Claims, ExpressionLaw, FunctionLaw, Mechanism, StepError, StepMethod, StepProblem, StepState
+from mbdkit import Claims, EquationsOfMotion, ExpressionLaw, FunctionLaw, Mechanism, StepError, StepMethod, StepState
 from mbdkit.methods import gauss
 from mbdkit.methods.kinds import SciPySolver
 from mbdkit.registry.catalogue import Registry
@@ -48,27 +48,27 @@ class RungeKutta(StepMethod):
     weights = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
     nodes = (0.0, 0.5, 0.5, 1.0)
 
-    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         w, c, q, v = self.weights, self.nodes, state.q, state.v
-        a1, _ = self.rates(problem, t + c[0] * h, q, v)
+        a1, _ = self.rates(equations, t + c[0] * h, q, v)
         v2 = v + h / 2 * a1
-        a2, _ = self.rates(problem, t + c[1] * h, q + h / 2 * v, v2)
+        a2, _ = self.rates(equations, t + c[1] * h, q + h / 2 * v, v2)
         v3 = v + h / 2 * a2
-        a3, _ = self.rates(problem, t + c[2] * h, q + h / 2 * v2, v3)
+        a3, _ = self.rates(equations, t + c[2] * h, q + h / 2 * v2, v3)
         v4 = v + h * a3
-        a4, _ = self.rates(problem, t + c[3] * h, q + h * v3, v4)
+        a4, _ = self.rates(equations, t + c[3] * h, q + h * v3, v4)
         dq = h * (w[0] * v + w[1] * v2 + w[2] * v3 + w[3] * v4)
         return state.moved(dq, h * (w[0] * a1 + w[1] * a2 + w[2] * a3 + w[3] * a4))
 
-    def rates(self, problem: StepProblem, t: float, q: np.ndarray, v: np.ndarray) -> Any:
-        return problem.accelerations(t, q, v)
+    def rates(self, equations: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray) -> Any:
+        return equations.accelerations(t, q, v)
 
 
 class SymplecticEuler(StepMethod):
     """Conserves angular momentum and the symplectic form, not every quadratic invariant; nothing is wrong with it."""
 
-    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
-        a, _ = problem.accelerations(t, state.q, state.v)
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
+        a, _ = equations.accelerations(t, state.q, state.v)
         return state.moved(h * (state.v + h * a), h * a)
 
 
@@ -87,8 +87,8 @@ class WrongStageTime(RungeKutta):
 class ChangesItsInput(RungeKutta):
     """It moves the state that it was handed in place before it makes the new one."""
 
-    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
-        new = super().step(problem, t, state, h)
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
+        new = super().step(equations, t, state, h)
         state.q[:] = new.q
         return new
 
@@ -96,20 +96,20 @@ class ChangesItsInput(RungeKutta):
 class LyingCounter(RungeKutta):
     """It takes three of its four evaluations off the bill."""
 
-    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
-        new = super().step(problem, t, state, h)
-        problem.counters.rhs_evaluations -= 3
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
+        new = super().step(equations, t, state, h)
+        equations.counters.rhs_evaluations -= 3
         return new
 
 
 class SwallowsNaN(RungeKutta):
     """Where there are no accelerations it goes on with none."""
 
-    def rates(self, problem: StepProblem, t: float, q: np.ndarray, v: np.ndarray) -> Any:
+    def rates(self, equations: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray) -> Any:
         try:
-            return problem.accelerations(t, q, v)
+            return equations.accelerations(t, q, v)
         except StepError:
-            return np.zeros(problem.n), np.zeros(problem.m)
+            return np.zeros(equations.n), np.zeros(equations.m)
 
 
 class Forgetful(StepMethod):
@@ -118,12 +118,12 @@ class Forgetful(StepMethod):
     def __init__(self) -> None:
         self.before: np.ndarray | None = None
 
-    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
-        a, _ = problem.accelerations(t, state.q, state.v)
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
+        a, _ = equations.accelerations(t, state.q, state.v)
         now = np.concatenate([state.v, a])
         slope = now if self.before is None else 1.5 * now - 0.5 * self.before
         self.before = now
-        return state.moved(h * slope[: problem.n], h * slope[problem.n :])
+        return state.moved(h * slope[: equations.n], h * slope[equations.n :])
 
 
 class Alternating(StepMethod):
@@ -132,21 +132,21 @@ class Alternating(StepMethod):
     def __init__(self) -> None:
         self.taken = 0
 
-    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         self.taken += 1
         early = self.taken % 2 == 0
         q = state.q + h * state.v if early else state.q
-        a, _ = problem.accelerations(t, q, state.v)
+        a, _ = equations.accelerations(t, q, state.v)
         return state.moved(h * (state.v if early else state.v + h * a), h * a)
 
 
 class Endless(RungeKutta):
     """It tries again for ever where it meets no number."""
 
-    def rates(self, problem: StepProblem, t: float, q: np.ndarray, v: np.ndarray) -> Any:
+    def rates(self, equations: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray) -> Any:
         while True:
             try:
-                return problem.accelerations(t, q, v)
+                return equations.accelerations(t, q, v)
             except StepError:
                 continue
 
@@ -154,10 +154,10 @@ class Endless(RungeKutta):
 class Stabilized(RungeKutta):
     """It projects after each step, which no spec asked for."""
 
-    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
-        new = super().step(problem, t, state, h)
-        q = problem.project_positions(t + h, new.q)
-        return StepState(q, problem.project_velocities(t + h, q, new.v))
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
+        new = super().step(equations, t, state, h)
+        q = equations.project_positions(t + h, new.q)
+        return StepState(q, equations.project_velocities(t + h, q, new.v))
 
 
 class Midpoint(StepMethod):
@@ -165,20 +165,20 @@ class Midpoint(StepMethod):
 
     enough, tangent, lazy = 0.0, 1.0, 0.0
 
-    def step(self, problem: StepProblem, t: float, state: StepState, h: float) -> StepState:
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         q0, v0, middle = state.q, state.v, t + h / 2
-        a, lam = problem.accelerations(t, q0, v0)
+        a, lam = equations.accelerations(t, q0, v0)
         c1, c2, before = h / 2, h * h / 4, math.inf
         for _ in range(40):
             q, v = q0 + c1 * (v0 + c1 * a), v0 + c1 * a
-            matrix = problem.iteration_matrix(
+            matrix = equations.iteration_matrix(
                 middle, q, v, a, lam,
                 damping=self.tangent * c1, stiffness=self.tangent * c2,
                 gamma_v=-self.tangent * c1, residual_q=self.tangent * c2,
             )  # fmt: skip
-            rows = problem.constraint_jacobian(middle, q) @ a - problem.gamma(middle, q, v)
-            da, dlam = matrix.solve(-problem.residual(middle, q, v, a, lam), -rows)
-            change = problem.relative_change(q, c2 * da)
+            rows = equations.constraint_jacobian(middle, q) @ a - equations.gamma(middle, q, v)
+            da, dlam = matrix.solve(-equations.residual(middle, q, v, a, lam), -rows)
+            change = equations.relative_change(q, c2 * da)
             if change < self.lazy:
                 return state.moved(h * (v0 + c1 * a), h * a)
             a, lam = a + da, lam + dlam

@@ -1,4 +1,4 @@
-"""Runge-Kutta methods on constrained mechanisms with dense matrices, for `mbdkit.StepProblem`: small, slow, plain.
+"""Runge-Kutta methods on constrained mechanisms with dense matrices, for `mbdkit.EquationsOfMotion`.
 
 Radau IIA on the equations of index 3, of index 2, and of Gear, Gupta and Leimkuhler (ggl), in second-order form:
 
@@ -82,7 +82,7 @@ def _newton(x: Array, system: Callable[[Array], tuple[Array, Array, Array]]) -> 
     raise mbdkit.StepError("newton-failed", f"the last change was {now:.1g}")
 
 
-def radau_step(p: mbdkit.StepProblem, t: float, z: State, h: float, stages: int, formulation: str) -> State:
+def radau_step(p: mbdkit.EquationsOfMotion, t: float, z: State, h: float, stages: int, formulation: str) -> State:
     """Take one step of Radau IIA on ``index-3``, ``index-2`` or ``ggl``."""
     a, c = radau(stages)
     n, m, s, a2 = p.n, p.m, stages, a @ a
@@ -140,7 +140,7 @@ def radau_step(p: mbdkit.StepProblem, t: float, z: State, h: float, stages: int,
     return State(q[-1], v[-1], lam[-1])
 
 
-def lobatto_step(p: mbdkit.StepProblem, t: float, z: State, h: float, stages: int) -> State:
+def lobatto_step(p: mbdkit.EquationsOfMotion, t: float, z: State, h: float, stages: int) -> State:
     """Take one step of the pair of Lobatto IIIA and IIIB."""
     a, bar, b, c = lobatto(stages)
     n, m, s, a2 = p.n, p.m, stages - 1, a @ bar
@@ -182,7 +182,10 @@ def lobatto_step(p: mbdkit.StepProblem, t: float, z: State, h: float, stages: in
 
 
 def integrate(
-    p: mbdkit.StepProblem, h: float, steps: int, step: Callable[[mbdkit.StepProblem, float, State, float], State]
+    p: mbdkit.EquationsOfMotion,
+    h: float,
+    steps: int,
+    step: Callable[[mbdkit.EquationsOfMotion, float, State, float], State],
 ) -> State:
     """Take `steps` steps of size `h` from the start of a problem."""
     z = State(p.q0, p.v0, p.accelerations(p.t0, p.q0, p.v0)[1])

@@ -11,7 +11,7 @@ import pytest
 
 import mbdkit
 from mbdkit.analysis.energy import trend
-from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.errors import SpecError
 
 from . import constrained as dense
@@ -65,7 +65,7 @@ def test_steps_are_those_of_the_dense_witness_to_round_off(name: str, method: tu
     # expected: the same equations solved with whole Newton matrices
     steps, h = 2, 0.02
     result = run(MODELS[name], method, steps * h, h).check()
-    p = StepProblem.of(mbdkit.Mechanism.from_spec(MODELS[name]))
+    p = EquationsOfMotion.of(mbdkit.Mechanism.from_spec(MODELS[name]))
     z = dense.integrate(p, h, steps, dense_step(method))
     np.testing.assert_allclose(np.ravel(result.array("trajectory/position")[-1]), z.q, rtol=0, atol=5e-14)
     np.testing.assert_allclose(np.ravel(result.array("trajectory/velocity")[-1]), z.v, rtol=0, atol=1e-12)
@@ -109,13 +109,13 @@ def test_the_energy_of_a_pair_has_no_trend_over_a_hundred_thousand_steps(
 @pytest.mark.parametrize("method", PAIRS, ids=str)
 def test_a_pair_leads_back_to_its_start(method: tuple[dict[str, Any], str]) -> None:
     # expected: the start itself; the pairs are symmetric (Hairer, Lubich and Wanner, VII.1.4)
-    from mbdkit.engine.workspace import Problem
+    from mbdkit.engine.workspace import Workspace
     from mbdkit.testing.kit import subject_of
 
     subject = subject_of("integrator", f"mbdkit:{method[0]['name']}", {})
-    problem = subject.problem(SWINGING)
+    problem = subject.workspace(SWINGING)
     q, v = subject.moved(problem, 5.0, 250)
-    back = Problem(problem.mechanism, 0.0, q, -v, formulation="index-3")
+    back = Workspace(problem.mechanism, 0.0, q, -v, formulation="index-3")
     there = subject.moved(back, 5.0, 250)
     np.testing.assert_allclose(there[0], problem.q0, rtol=0, atol=1e-11)
     np.testing.assert_allclose(-there[1], problem.v0, rtol=0, atol=1e-10)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.engine.equations_of_motion import StepProblem
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.methods import gauss
 from mbdkit.models import n_four_bar
 from mbdkit.stepping.coupled_newton import CoupledNewton
@@ -97,7 +97,7 @@ def test_stages_around_a_flat_position_solve_their_equations_where_one_tangent_f
     rod = Windows(2, math.pi / 2, -1.0)
     angle, h = 0.0017, 0.001
     speed = rod.speed(angle)
-    p = StepProblem.of(n_four_bar.build(n_four_bar.NFourBarOptions(angle=angle, speed=-speed)))
+    p = EquationsOfMotion.of(n_four_bar.build(n_four_bar.NFourBarOptions(angle=angle, speed=-speed)))
     problem = p._problem
     a, b, c = gauss.tableau(3).floats()
     acc, lam = np.zeros((3, len(problem.q0))), np.zeros((3, len(problem.mechanism.topology.pairs), 2))
@@ -110,7 +110,7 @@ def test_stages_around_a_flat_position_solve_their_equations_where_one_tangent_f
 
 
 def test_stages_that_have_no_solution_are_left_as_they_were():
-    p = StepProblem.of(n_four_bar.build(n_four_bar.NFourBarOptions()))
+    p = EquationsOfMotion.of(n_four_bar.build(n_four_bar.NFourBarOptions()))
     problem = p._problem
     a, _, c = gauss.tableau(2).floats()
     acc, lam = np.ones((2, len(problem.q0))), np.ones((2, len(problem.mechanism.topology.pairs), 2))

@@ -31,7 +31,7 @@ from mbdkit.engine.kernels.system import (
     unfold_multipliers,
 )
 from mbdkit.engine.kernels.vectors import BEYOND
-from mbdkit.engine.workspace import Problem
+from mbdkit.engine.workspace import Workspace
 
 MASS, JACOBIAN, DAMPING, STIFFNESS, GAMMA_V, RESIDUAL_Q = range(6)
 """Classes of the terms of a `Matrix`: M; Phi_q and its transpose; C; K; d gamma/dv; d(Phi_q a - gamma)/dq."""
@@ -66,12 +66,12 @@ class Matrix(NamedTuple):
     correction: np.ndarray
 
 
-def new_view(problem: Problem) -> View:
-    """Return the view of a problem with the solver that is in use now."""
-    top, size = problem.stepping_topology, problem.mechanism.size
+def new_view(workspace: Workspace) -> View:
+    """Return the view of a workspace with the solver that is in use now."""
+    top, size = workspace.stepping_topology, workspace.mechanism.size
     own, lam = top._replace(gravity=np.zeros(2)), np.zeros((len(top.pairs), 2))
     vectors = np.zeros(size), np.zeros(size), np.zeros(size)
-    return View(own, top.gravity, problem.scratch, problem.solver, *vectors, lam)
+    return View(own, top.gravity, workspace.scratch, workspace.solver, *vectors, lam)
 
 
 def new_matrix(pattern: Pattern, factors: Factors, scatter: np.ndarray) -> Matrix:
@@ -80,14 +80,14 @@ def new_matrix(pattern: Pattern, factors: Factors, scatter: np.ndarray) -> Matri
     return Matrix(pattern, factors, scatter, *vectors)
 
 
-def example_problem() -> Problem:
-    """Return a problem of a single free body; the types of its arrays are those of every problem."""
+def example_workspace() -> Workspace:
+    """Return a workspace of a single free body; the types of its arrays are those of every workspace."""
     from mbdkit.engine.compile_mechanism import compile_mechanism
     from mbdkit.mechanism.mechanism import Mechanism
 
     m = Mechanism()
     m.body("body", mass=1.0, inertia=1.0)
-    return Problem(compile_mechanism(m), 0.0, np.zeros(6), np.zeros(6))
+    return Workspace(compile_mechanism(m), 0.0, np.zeros(6), np.zeros(6))
 
 
 def _example_matrix(dtype: type) -> Matrix:
@@ -97,7 +97,7 @@ def _example_matrix(dtype: type) -> Matrix:
     return new_matrix(pattern, new_factors(pattern, dtype), np.zeros((0, 3), dtype=np.int64))
 
 
-load_view = loader(lambda: new_view(example_problem()))
+load_view = loader(lambda: new_view(example_workspace()))
 load_real = loader(lambda: _example_matrix(np.float64))
 load_complex = loader(lambda: _example_matrix(np.complex128))
 

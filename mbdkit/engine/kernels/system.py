@@ -149,10 +149,10 @@ class Engine(NamedTuple):
 
 
 def _example() -> Engine:
-    from mbdkit.engine.kernels.equations import example_problem
+    from mbdkit.engine.kernels.equations import example_workspace
 
-    problem = example_problem()
-    return Engine(problem.mechanism.topology, problem.scratch, problem.solver)
+    workspace = example_workspace()
+    return Engine(workspace.mechanism.topology, workspace.scratch, workspace.solver)
 
 
 load_engine = loader(_example)

@@ -92,7 +92,7 @@ def test_a_vibration_too_fast_for_the_step_dies_out_as_asked(rho_inf: float) -> 
     m = mbdkit.Mechanism()
     m.body("wheel", mass=1.0, inertia=1.0, position=(0.0, 0.0), angle=0.01)
     m.torsion_spring("s", m.ground, "wheel", stiffness=25e6)
-    method, p = GeneralizedAlpha(GeneralizedAlphaOptions(rho_inf=rho_inf)), mbdkit.StepProblem.of(m)
+    method, p = GeneralizedAlpha(GeneralizedAlphaOptions(rho_inf=rho_inf)), mbdkit.EquationsOfMotion.of(m)
     state, sizes = mbdkit.StepState(p.q0, p.v0), []
     for k in range(60):
         state = method.step(p, 0.1 * k, state, 0.1)
@@ -102,7 +102,7 @@ def test_a_vibration_too_fast_for_the_step_dies_out_as_asked(rho_inf: float) -> 
 
 def test_going_on_from_a_pickled_state_is_the_same_to_the_bit() -> None:
     method = GeneralizedAlpha(GeneralizedAlphaOptions())
-    p, again = mbdkit.StepProblem.of(driven_chain()), mbdkit.StepProblem.of(driven_chain())
+    p, again = mbdkit.EquationsOfMotion.of(driven_chain()), mbdkit.EquationsOfMotion.of(driven_chain())
     state, kept = mbdkit.StepState(p.q0, p.v0), b""
     for k in range(20):
         kept = pickle.dumps(state) if k == 10 else kept

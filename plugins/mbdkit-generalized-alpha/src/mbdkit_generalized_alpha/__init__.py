@@ -72,26 +72,28 @@ class GeneralizedAlpha(mbdkit.StepMethod):
         self.beta = 0.25 * (self.gamma + 0.5) ** 2
 
     def start_at(
-        self, problem: mbdkit.StepProblem, t: float, q: np.ndarray, v: np.ndarray, h: float
+        self, equations: mbdkit.EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray, h: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return velocities, accelerations, multipliers and auxiliary accelerations of the steady state nearby."""
-        a, lam = problem.accelerations(t, q, v)
+        a, lam = equations.accelerations(t, q, v)
         near = 1e-4 * h
-        later, _ = problem.accelerations(t + near, q + near * v, v + near * a)
-        earlier, _ = problem.accelerations(t - near, q - near * v, v - near * a)
+        later, _ = equations.accelerations(t + near, q + near * v, v + near * a)
+        earlier, _ = equations.accelerations(t - near, q - near * v, v - near * a)
         jerk, away = (later - earlier) / (2 * near), self.alpha_m - self.alpha_f
         lead = h**2 * (1 / 6 - away / 2 - self.beta) * jerk
-        rows = problem.constraint_rates(t, q, v + lead) - problem.constraint_rates(t, q, v)
-        return v + problem.solve(t, q, 0 * a, rows)[0], a, lam, a + away * h * jerk
+        rows = equations.constraint_rates(t, q, v + lead) - equations.constraint_rates(t, q, v)
+        return v + equations.solve(t, q, 0 * a, rows)[0], a, lam, a + away * h * jerk
 
-    def step(self, problem: mbdkit.StepProblem, t: float, state: mbdkit.StepState, h: float) -> mbdkit.StepState:
+    def step(
+        self, equations: mbdkit.EquationsOfMotion, t: float, state: mbdkit.StepState, h: float
+    ) -> mbdkit.StepState:
         """Take one step: Newton on the accelerations and multipliers at its end, until they change no more."""
         q, v = state.q, state.v
         if state.memory is not None and state.memory[0] == h:
             _, a, lam, aux = state.memory
         else:
-            v = v if state.memory is None else problem.project_velocities(t, q, v)
-            v, a, lam, aux = self.start_at(problem, t, q, v, h)
+            v = v if state.memory is None else equations.project_velocities(t, q, v)
+            v, a, lam, aux = self.start_at(equations, t, q, v, h)
         q0 = q + h * v + h**2 * (0.5 - self.beta) * aux
         v0 = v + h * (1 - self.gamma) * aux
         known = (self.alpha_f * a - self.alpha_m * aux) / (1 - self.alpha_m)
@@ -101,11 +103,11 @@ class GeneralizedAlpha(mbdkit.StepMethod):
         for _ in range(self.max_iterations):
             aux = known + share * a
             q, v = q0 + h**2 * self.beta * aux, v0 + h * self.gamma * aux
-            matrix = problem.iteration_matrix(end, q, v, a, lam, damping=per_v, stiffness=per_q)
-            missing = problem.residual(end, q, v, a, lam)
-            da, dlam = matrix.solve(-missing, -problem.constraints(end, q) / per_q)
+            matrix = equations.iteration_matrix(end, q, v, a, lam, damping=per_v, stiffness=per_q)
+            missing = equations.residual(end, q, v, a, lam)
+            da, dlam = matrix.solve(-missing, -equations.constraints(end, q) / per_q)
             a, lam = a + da, lam + dlam
-            change = problem.relative_change(q, per_q * da)
+            change = equations.relative_change(q, per_q * da)
             if change <= CONVERGED or before / 2 <= change < STAGNANT:
                 aux = known + share * a
                 q, v = q0 + h**2 * self.beta * aux, v0 + h * self.gamma * aux

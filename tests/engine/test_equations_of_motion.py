@@ -11,9 +11,8 @@ import pytest
 import sympy as sp
 
 import mbdkit
-from mbdkit import StepError, StepProblem
-
-from .running import driven_chain
+from mbdkit import EquationsOfMotion, StepError
+from tests.stepping.running import driven_chain
 
 T = 0.7
 RNG = np.random.default_rng(20)
@@ -46,8 +45,8 @@ both = pytest.mark.parametrize("name", MECHANISMS)
 
 
 @cache
-def problem(name: str) -> StepProblem:
-    return StepProblem.of(MECHANISMS[name]())
+def problem(name: str) -> EquationsOfMotion:
+    return EquationsOfMotion.of(MECHANISMS[name]())
 
 
 @cache
@@ -55,7 +54,7 @@ def symbolic(name: str) -> Any:
     return MECHANISMS[name]().to_sympy()
 
 
-def somewhere(p: StepProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def somewhere(p: EquationsOfMotion) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return a state off the constraints, with accelerations and multipliers that solve nothing."""
     q = p.q0 + 0.05 * RNG.standard_normal(p.n)
     return q, RNG.standard_normal(p.n), RNG.standard_normal(p.n), RNG.standard_normal(p.m)
@@ -184,7 +183,7 @@ def test_powers_are_forces_times_velocities() -> None:
 
 
 def test_what_is_done_is_counted() -> None:
-    p = StepProblem.of(driven_chain())
+    p = EquationsOfMotion.of(driven_chain())
     q, v, a, lam = somewhere(p)
     p.accelerations(T, q, v)
     p.residual(T, q, v, a, lam)
@@ -253,7 +252,7 @@ def parallelogram(angle: float, cranks: int) -> mbdkit.Mechanism:
 
 def test_a_mechanism_without_a_unique_solution_is_told_by_name() -> None:
     # the parallelogram laid flat: its rods and the ground lie on one line
-    p = StepProblem.of(parallelogram(1.0, cranks=2))
+    p = EquationsOfMotion.of(parallelogram(1.0, cranks=2))
     flat = np.array([2.5, 0.0, 0.0, 0.5, 0.0, 0.0, 3.5, 0.0, 0.0])
     assert np.abs(p.constraints(0.0, flat)).max() < 1e-15
     nothing = np.zeros(p.n), np.zeros(p.m)
@@ -270,7 +269,7 @@ def test_a_mechanism_without_a_unique_solution_is_told_by_name() -> None:
 def test_of_a_redundant_mechanism_the_independent_equations_are_seen(angle: float) -> None:
     # expected: the equations of motion themselves; accelerations of the parallelogram without its spare crank cannot
     # be compared, as that crank has a mass
-    p = StepProblem.of(parallelogram(angle, cranks=3))
+    p = EquationsOfMotion.of(parallelogram(angle, cranks=3))
     assert (p.n, p.m) == (12, 11)
     v = p.project_velocities(T, p.q0, np.random.default_rng(1).standard_normal(p.n))
     a, lam = p.accelerations(T, p.q0, v)
@@ -289,7 +288,7 @@ def test_of_a_redundant_mechanism_the_independent_equations_are_seen(angle: floa
 
 
 def test_a_redundant_mechanism_is_projected_and_its_matrix_is_regular() -> None:
-    p = StepProblem.of(parallelogram(1.0, cranks=3))
+    p = EquationsOfMotion.of(parallelogram(1.0, cranks=3))
     q = p.project_positions(T, p.q0 + 1e-3 * np.random.default_rng(2).standard_normal(p.n))
     np.testing.assert_allclose(p.constraints(T, q), 0.0, atol=1e-14)
     angles = q.reshape(-1, 3)[1:, 2]
