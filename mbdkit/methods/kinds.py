@@ -1,7 +1,6 @@
-"""What an integrator plugin's `create` returns: the method as data, and the stepper that it starts.
+"""The kinds of integration method as data: objects of these classes are returned by the `create` of a plugin.
 
-A method says how it is stepped: `start` takes a `mbdkit.engine.workspace.Workspace` and returns an object that the
-simulation advances. Heavy modules are imported there, not here.
+`mbdkit.stepping.start.start` runs them.
 """
 
 from __future__ import annotations
@@ -9,13 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+from mbdkit.methods.step_method import StepMethod
 from mbdkit.methods.tableau import ButcherTableau, TableauError
-from mbdkit.stepping.python_method import StepMethod
 
 if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Workspace
     from mbdkit.methods.embedded_estimate import EmbeddedPair
-    from mbdkit.stepping.interface import Stepper, Timetable
 
 
 @dataclass(frozen=True)
@@ -56,24 +53,6 @@ class ExplicitRungeKutta:
         if self.tolerances is not None and self.pair is None:
             raise TableauError(f"{self.tableau.name} has no error estimate to choose its steps by")
 
-    def start(self, workspace: Workspace, timetable: Timetable) -> Stepper:
-        """Return a stepper for `workspace` over `timetable`."""
-        from mbdkit.stepping.compiled_stepper import CompiledStepper
-        from mbdkit.stepping.explicit import ExplicitFamily
-        from mbdkit.stepping.step_control import Control
-
-        control = None
-        if self.tolerances is not None and self.pair is not None:
-            control = Control(
-                self.tolerances.rtol,
-                self.tolerances.atol,
-                order=self.tableau.order,
-                estimate_order=self.pair.estimate_order,
-                estimates=len(self.pair.error),
-                memory=0.2,
-            )
-        return CompiledStepper(ExplicitFamily(self, workspace), workspace, timetable, control)
-
 
 @dataclass(frozen=True)
 class ImplicitRungeKutta:
@@ -108,30 +87,6 @@ class ImplicitRungeKutta:
         if self.tolerances is not None and not self.tableau.is_collocation:
             raise TableauError(f"{self.tableau.name} is no collocation method, whose error could be estimated")
 
-    def start(self, workspace: Workspace, timetable: Timetable) -> Stepper:
-        """Return a stepper for `workspace` over `timetable`."""
-        from mbdkit.stepping.compiled_stepper import CompiledStepper
-        from mbdkit.stepping.constrained_collocation import ConstrainedFamily
-        from mbdkit.stepping.index1_collocation import CollocationFamily
-        from mbdkit.stepping.step_control import Control
-
-        control = None
-        if self.tolerances is not None:
-            control = Control(
-                self.tolerances.rtol,
-                self.tolerances.atol,
-                order=self.tableau.order,
-                estimate_order=self.tableau.stages + 1,
-            )
-        if workspace.formulation == "index-1":
-            return CompiledStepper(CollocationFamily(self, workspace, control), workspace, timetable, control)
-        if not self.tableau.is_stiffly_accurate or self.stage_solver != "newton":
-            raise TableauError(
-                f"{self.tableau.name} cannot serve the formulation {workspace.formulation!r}: its last stage has to be "
-                "the end of the step, its matrix regular, and its stages have to be solved by Newton's method"
-            )
-        return CompiledStepper(ConstrainedFamily(self, workspace), workspace, timetable, control)
-
 
 @dataclass(frozen=True)
 class LobattoPair:
@@ -152,13 +107,6 @@ class LobattoPair:
     max_iterations: int = 50
     carries_multipliers: ClassVar[bool] = True
 
-    def start(self, workspace: Workspace, timetable: Timetable) -> Stepper:
-        """Return a stepper for `workspace` over `timetable`."""
-        from mbdkit.stepping.compiled_stepper import CompiledStepper
-        from mbdkit.stepping.lobatto_iiia_iiib import PairFamily
-
-        return CompiledStepper(PairFamily(self, workspace), workspace, timetable)
-
 
 @dataclass(frozen=True)
 class SciPySolver:
@@ -178,12 +126,6 @@ class SciPySolver:
     rtol: float
     atol: float
     needs_jacobian: bool = False
-
-    def start(self, workspace: Workspace, timetable: Timetable) -> Stepper:
-        """Return a stepper for `workspace` over `timetable`."""
-        from mbdkit.stepping.scipy_bridge import SciPyStepper
-
-        return SciPyStepper(self, workspace, timetable)
 
 
 Method = ExplicitRungeKutta | ImplicitRungeKutta | LobattoPair | SciPySolver | StepMethod

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.jit.bundle import Hold
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping import driver
-from mbdkit.stepping.interface import Counters, Failure, Pace, StepTaken, Stretch, Timetable, joined
+from mbdkit.stepping.interface import Failure, Pace, StepTaken, Stretch, Timetable, joined
 from mbdkit.stepping.projected_step import NO_PROJECTION, PLAIN, SYMMETRIC
 from mbdkit.stepping.run_state import ALTERED, FACTORIZATIONS, ITERATIONS, JACOBIANS, PROJECTIONS, RHS, new_common
 from mbdkit.stepping.step_control import FIXED_STEPS, Control, first_step

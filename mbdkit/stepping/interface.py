@@ -10,6 +10,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mbdkit.engine.counters import Counters
+
 STRETCH = 0.1
 """Seconds after which a compiled loop is meant to return to Python; it stays well below 0.2 s."""
 
@@ -119,20 +121,6 @@ class Failure:
 
     code: str
     sentence: str
-
-
-@dataclass
-class Counters:
-    """Cost of a run, counted where it arises."""
-
-    steps: int = 0
-    accepted: int = 0
-    rejected: int = 0
-    rhs_evaluations: int = 0
-    jacobian_evaluations: int = 0
-    factorizations: int = 0
-    newton_iterations: int = 0
-    projections: int = 0
 
 
 class Advancing(Protocol):

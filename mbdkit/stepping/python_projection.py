@@ -12,48 +12,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.stepping.python_method import StepError, StepState
+from mbdkit.engine.nearest_state import ROUND_OFF, STAGNANT, nearest_positions, nearest_velocities
+from mbdkit.errors import StepError
+from mbdkit.methods.step_method import StepState
 
 if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
 
 Vector = np.ndarray | float
 
-MOST_PROJECTIONS = 20
-"""Iterations after which a projection counts as failed."""
-
 MOST_STEPS = 100
 """Steps tried for one symmetric projection after which it counts as failed."""
-
-ROUND_OFF = 4 * float(np.finfo(float).eps)
-"""Relative change of the coordinates that is nothing but rounding."""
-
-STAGNANT = 1e-9
-"""Relative change below which a projection that comes no nearer has met round-off."""
-
-
-def nearest_positions(p: EquationsOfMotion, t: float, q: np.ndarray) -> np.ndarray:
-    """Return the positions (n,) nearest to `q` in the mass metric that meet all constraints at time `t`; uncounted."""
-    given, before = q, np.inf
-    for _ in range(MOST_PROJECTIONS):
-        step, _ = p.solve(t, q, p.mass * (given - q), -p.constraints(t, q))
-        q = q + step
-        now = p.relative_change(q, step)
-        if now <= ROUND_OFF or (now >= 0.5 * before and now < STAGNANT):
-            return q
-        before = now
-    raise StepError("newton-failed", f"no position that meets the joints was found in {MOST_PROJECTIONS} iterations")
-
-
-def nearest_velocities(p: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return the velocities (n,) nearest to `v` in the mass metric that keep the constraints; uncounted.
-
-    The equations are linear; a second solve takes their round-off away.
-    """
-    none = np.zeros(p.n)
-    for _ in range(2):
-        v = v + p.solve(t, q, none, -p.constraint_rates(t, q, v))[0]
-    return v
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.engine.counters import Counters
 from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
 from mbdkit.engine.iteration_matrix import vector
 from mbdkit.engine.kernels.equations import example_workspace
 from mbdkit.engine.workspace import Workspace
+from mbdkit.errors import StepError
+from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.stepping import interface
-from mbdkit.stepping.interface import Counters, Failure, StepTaken, Stretch, Timetable
-from mbdkit.stepping.python_method import StepError, StepMethod, StepState
+from mbdkit.stepping.interface import Failure, StepTaken, Stretch, Timetable
 from mbdkit.stepping.python_projection import StabilizedSteps, Taken
 
 if TYPE_CHECKING:
@@ -60,7 +62,7 @@ class Reached:
     interval: Interval
 
 
-class StepStepper:
+class PythonStepper:
     """Runs a `StepMethod` over a timetable; see `mbdkit.stepping.interface.Stepper`.
 
     Work and dissipated energy that the method does not book are integrated by Simpson's rule, of order 4, over the

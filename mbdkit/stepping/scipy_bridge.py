@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.kernels.observe import baumgarte_at, first_order_rates, note_all, tangents_at
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.kernels.vectors import BEYOND
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.workspace import Workspace
-from mbdkit.stepping.interface import STRETCH, Counters, Failure, StepTaken, Stretch, Timetable
+from mbdkit.stepping.interface import STRETCH, Failure, StepTaken, Stretch, Timetable
 
 if TYPE_CHECKING:
     from mbdkit.methods.kinds import SciPySolver

@@ -73,14 +73,15 @@ def _run_everything(check: Callable[[], None]) -> None:
     from mbdkit.methods import gauss, rk4
     from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, SciPySolver
     from mbdkit.stepping.interface import Timetable
+    from mbdkit.stepping.start import start
 
     m = Mechanism()
     rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.55, 0.05))
     m.revolute("A", m.ground, rod, points=((0.0, 0.0), (-0.5, 0.0)))
     compiled = compile_mechanism(m)
-    start = assemble(m, 0.0, compiled)
+    assembled = assemble(m, 0.0, compiled)
     check()
-    q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
+    q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (assembled.q, assembled.v))
     table = Timetable(0.0, 0.2, step=0.1, steps=2, single=True)
     methods: tuple[Method, ...] = (
         ExplicitRungeKutta(rk4.tableau()),
@@ -92,7 +93,7 @@ def _run_everything(check: Callable[[], None]) -> None:
         check()
         workspace = Workspace(compiled, 0.0, q0, v0)
         baumgarte_at(workspace.engine, 0.0, q0, v0)
-        stepper = method.start(workspace, table)
+        stepper = start(method, workspace, table)
         stretch = stepper.advance()
         stepper.inside(0.5)
         stepper.within(0.5)

@@ -44,7 +44,7 @@ def python_steps(console: Console) -> None:
     def stepped(method: Any) -> Callable[[], float]:
         def run() -> float:
             table = Timetable(0.0, STEPS * 1e-3, step=1e-3, steps=STEPS, every=100)
-            stepper = method.start(Workspace(compiled, 0.0, q0, v0), table)
+            stepper = start(method, Workspace(compiled, 0.0, q0, v0), table)
             begin = time.perf_counter()
             while not stepper.finished:
                 assert stepper.failure is None

@@ -115,7 +115,7 @@ def defect(method: StepMethod, stabilization: Stabilization) -> float:
     start, q, v = problem(DOUBLE, stabilization), np.zeros(0), np.zeros(0)
     now = start
     for _ in range(2):
-        stepper = method.start(now, Timetable(0.0, 2.0, step=0.01, steps=200))
+        stepper = start(method, now, Timetable(0.0, 2.0, step=0.01, steps=200))
         while not (stepper.finished or stepper.failure):
             stretch = stepper.advance()
             q, v = stretch.q[-1], stretch.v[-1]
