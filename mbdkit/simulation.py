@@ -42,7 +42,7 @@ from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
 from mbdkit.recorder import SINGULARITY, Recorder, archive_names, shared_forces
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch, Timetable
-from mbdkit.stepping.start import start
+from mbdkit.stepping.start import start_method
 from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
 from mbdkit.text import one_line
 
@@ -292,7 +292,7 @@ class _Simulation:
     def start(self) -> None:
         """Let the method make its stepper."""
         try:
-            stepper = start(self.method, self.workspace, _timetable(self.spec))
+            stepper = start_method(self.method, self.workspace, _timetable(self.spec))
         except SingularSystemError as error:
             name = self.workspace.mechanism.unknown_name(error.index)
             self.failure = Failure("singular", f"the stage equations are singular at the start, near {name}.")

@@ -1,6 +1,6 @@
 """The kinds of integration method as data: objects of these classes are returned by the `create` of a plugin.
 
-`mbdkit.stepping.start.start` runs them.
+`mbdkit.stepping.start.start_method` runs them.
 """
 
 from __future__ import annotations

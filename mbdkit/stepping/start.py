@@ -26,7 +26,7 @@ from mbdkit.stepping.step_control import Control
 
 
 @singledispatch
-def start(method: Method, workspace: Workspace, timetable: Timetable) -> Stepper:
+def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> Stepper:
     """Return a stepper that runs a method.
 
     Parameters
@@ -48,7 +48,7 @@ def start(method: Method, workspace: Workspace, timetable: Timetable) -> Stepper
     raise TypeError(f"{type(method).__name__} is not a method")
 
 
-@start.register
+@start_method.register
 def _(method: ExplicitRungeKutta, workspace: Workspace, timetable: Timetable) -> Stepper:
     control = None
     if method.tolerances is not None and method.pair is not None:
@@ -63,7 +63,7 @@ def _(method: ExplicitRungeKutta, workspace: Workspace, timetable: Timetable) ->
     return CompiledStepper(ExplicitFamily(method, workspace), workspace, timetable, control)
 
 
-@start.register
+@start_method.register
 def _(method: ImplicitRungeKutta, workspace: Workspace, timetable: Timetable) -> Stepper:
     tableau, control = method.tableau, None
     if method.tolerances is not None:
@@ -80,16 +80,16 @@ def _(method: ImplicitRungeKutta, workspace: Workspace, timetable: Timetable) ->
     return CompiledStepper(ConstrainedFamily(method, workspace), workspace, timetable, control)
 
 
-@start.register
+@start_method.register
 def _(method: LobattoPair, workspace: Workspace, timetable: Timetable) -> Stepper:
     return CompiledStepper(PairFamily(method, workspace), workspace, timetable)
 
 
-@start.register
+@start_method.register
 def _(method: SciPySolver, workspace: Workspace, timetable: Timetable) -> Stepper:
     return SciPyStepper(method, workspace, timetable)
 
 
-@start.register
+@start_method.register
 def _(method: StepMethod, workspace: Workspace, timetable: Timetable) -> Stepper:
     return PythonStepper(method, workspace, timetable)

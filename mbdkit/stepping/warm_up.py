@@ -73,7 +73,7 @@ def _run_everything(check: Callable[[], None]) -> None:
     from mbdkit.methods import gauss, rk4
     from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, SciPySolver
     from mbdkit.stepping.interface import Timetable
-    from mbdkit.stepping.start import start
+    from mbdkit.stepping.start import start_method
 
     m = Mechanism()
     rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.55, 0.05))
@@ -93,7 +93,7 @@ def _run_everything(check: Callable[[], None]) -> None:
         check()
         workspace = Workspace(compiled, 0.0, q0, v0)
         baumgarte_at(workspace.engine, 0.0, q0, v0)
-        stepper = start(method, workspace, table)
+        stepper = start_method(method, workspace, table)
         stretch = stepper.advance()
         stepper.inside(0.5)
         stepper.within(0.5)
