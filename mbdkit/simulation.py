@@ -346,7 +346,7 @@ class _Simulation:
         """Close the archive with the status that the run came to."""
         stepper = self.stepper
         counters = asdict(stepper.counters) if stepper is not None else asdict(Counters())
-        counters["factorizations"] += self.workspace.pivotings
+        counters["factorizations"] += self.workspace.pivotings + self.recorder.workspace.pivotings
         pairs = len(self.workspace.mechanism.topology.pairs)
         status, reason = "complete", ""
         if self.failure is not None:

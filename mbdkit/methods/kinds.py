@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Error tolerances of a method that chooses its own steps.
+    """Error tolerances of a method with controlled step size.
 
     Parameters
     ----------
@@ -31,16 +31,16 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class ExplicitRungeKutta:
-    """An explicit Runge-Kutta method on the index-1 equations, in fixed steps or in steps of its own choice.
+    """An explicit Runge-Kutta method for the index-1 equations, with fixed or controlled step size.
 
     Parameters
     ----------
     tableau
-        Its coefficients.
+        Coefficients of the method.
     pair
-        Error estimates and dense output, if the method has them.
+        Error estimates and dense output, if there are any.
     tolerances
-        For steps of its own choice, which need a `pair`; None: fixed steps.
+        For a controlled step size, which requires a `pair`; None: fixed steps.
     """
 
     tableau: ButcherTableau
@@ -51,26 +51,26 @@ class ExplicitRungeKutta:
         if not self.tableau.is_explicit:
             raise TableauError(f"{self.tableau.name} is implicit: its stages need ImplicitRungeKutta")
         if self.tolerances is not None and self.pair is None:
-            raise TableauError(f"{self.tableau.name} has no error estimate to choose its steps by")
+            raise TableauError(f"{self.tableau.name} has no error estimate, which tolerances require")
 
 
 @dataclass(frozen=True)
 class ImplicitRungeKutta:
-    """A fully implicit Runge-Kutta method, stages solved in second-order form.
+    """A fully implicit Runge-Kutta method, whose stages are solved in second-order form.
 
     Parameters
     ----------
     tableau
-        Its coefficients; ``a`` must be diagonalisable.
+        Coefficients of the method; ``a`` must be diagonalisable.
     stage_solver
         Simplified Newton on accelerations and multipliers, or fixed-point iteration on accelerations.
     tolerance
         Change of the stage accelerations, relative to their size, at which the iteration ends; None: at stagnation, or
-        with `tolerances` where it is small against these.
+        with `tolerances` at a small fraction of these.
     max_iterations
         Iterations in one step after which the stage equations count as unsolved.
     tolerances
-        For steps of its own choice, which need a collocation method; None: fixed steps.
+        For a controlled step size, which requires a collocation method; None: fixed steps.
     """
 
     tableau: ButcherTableau
@@ -85,12 +85,12 @@ class ImplicitRungeKutta:
                 f"the matrix of {self.tableau.name} cannot be diagonalised, which the transformed stage equations need"
             )
         if self.tolerances is not None and not self.tableau.is_collocation:
-            raise TableauError(f"{self.tableau.name} is no collocation method, whose error could be estimated")
+            raise TableauError(f"{self.tableau.name} is not a collocation method, so its error cannot be estimated")
 
 
 @dataclass(frozen=True)
 class LobattoPair:
-    """A partitioned Lobatto IIIA-IIIB pair in fixed steps; both constraints hold at the end of every step.
+    """A partitioned Lobatto IIIA-IIIB pair with fixed steps; Phi = 0 and its derivative hold at the end of every step.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class LobattoPair:
     tolerance
         Expected change of positions, relative to their size, at which the iteration ends; None: at stagnation.
     max_iterations
-        Iterations in one step after which its equations count as unsolved.
+        Iterations in one step after which the equations count as unsolved.
     """
 
     stages: int
@@ -110,16 +110,16 @@ class LobattoPair:
 
 @dataclass(frozen=True)
 class SciPySolver:
-    """A solver class of ``scipy.integrate`` on the first-order form y = (q, v, work, dissipated).
+    """A solver class of ``scipy.integrate`` for the first-order form y = (q, v, work, dissipated).
 
     Parameters
     ----------
     solver
         Name of the `OdeSolver` subclass in ``scipy.integrate``, or the class itself.
     rtol, atol
-        Its error tolerances.
+        Error tolerances.
     needs_jacobian
-        Whether the solver takes the right side's Jacobian, which is then exact.
+        Whether the solver uses the Jacobian of the right side; it is then given the exact one.
     """
 
     solver: str | type[Any]
