@@ -66,8 +66,8 @@ class PythonStepper:
     """Runs a `StepMethod` over a timetable; implements `mbdkit.stepping.interface.Stepper`.
 
     Work and dissipated energy that the method does not return are integrated by Simpson's rule, of order 4, over the
-    cubic through both ends of the step, with the index-1 multipliers; its three solves per step are counted. Corrections
-    by projection are not part of the energies.
+    cubic through both ends of the step, with the index-1 multipliers; its three solves per step are counted.
+    Corrections by projection are not part of the energies.
     """
 
     def __init__(self, method: StepMethod, workspace: Workspace, timetable: Timetable):
