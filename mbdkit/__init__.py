@@ -12,19 +12,19 @@ if TYPE_CHECKING:
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
-    from mbdkit.errors import MbdkitError, PluginError, RunError, SpecError
+    from mbdkit.errors import MbdkitError, PluginError, RunError, SpecError, StepError
     from mbdkit.mechanics.equilibrium import Equilibrium, equilibrium
     from mbdkit.mechanics.kinematics import Kinematics, kinematics
     from mbdkit.mechanics.modes import Linearization, Modes, linearize, modes
     from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
+    from mbdkit.methods.step_method import StepMethod, StepState
     from mbdkit.methods.tableau import ButcherTableau
     from mbdkit.registry.hookspecs import hookimpl
     from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, ModelPlugin
     from mbdkit.simulation import run
     from mbdkit.spec import RunSpec, StudySpec
-    from mbdkit.stepping.python_method import StepError, StepMethod, StepState
     from mbdkit.studies.study import Study, load_study, study
 
 __all__ = [
@@ -87,10 +87,10 @@ _HOME = {
     "RunError": "mbdkit.errors",
     "RunSpec": "mbdkit.spec",
     "SpecError": "mbdkit.errors",
-    "StepError": "mbdkit.stepping.python_method",
-    "StepMethod": "mbdkit.stepping.python_method",
+    "StepError": "mbdkit.errors",
+    "StepMethod": "mbdkit.methods.step_method",
     "EquationsOfMotion": "mbdkit.engine.equations_of_motion",
-    "StepState": "mbdkit.stepping.python_method",
+    "StepState": "mbdkit.methods.step_method",
     "Study": "mbdkit.studies.study",
     "StudySpec": "mbdkit.spec",
     "equilibrium": "mbdkit.mechanics.equilibrium",

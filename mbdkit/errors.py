@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 
 class MbdkitError(Exception):
@@ -51,3 +52,25 @@ class PluginError(MbdkitError):
 
 class RunError(MbdkitError):
     """A run did not complete; raised by `Run.check`."""
+
+
+class StepError(Exception):
+    """A step cannot be taken; the run ends as failed with this reason, and keeps the rows recorded before.
+
+    `EquationsOfMotion` raises it if the equations have no unique or no finite solution; a method raises it if its own
+    iteration does not converge.
+
+    Parameters
+    ----------
+    code
+        Reason as stored in the archive.
+    sentence
+        What went wrong, without the time and without a full stop.
+    """
+
+    def __init__(self, code: Literal["newton-failed", "singular", "not-finite", "step-too-small"], sentence: str):
+        super().__init__(code, sentence)
+        self.code, self.sentence = code, sentence
+
+    def __str__(self) -> str:
+        return self.sentence

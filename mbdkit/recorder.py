@@ -59,13 +59,15 @@ class Recorder:
     Parameters
     ----------
     workspace
-        The mechanism, with the solver of the run.
+        The mechanism at its start; the recorder chooses its own pivots.
     writer
         The archive in the making.
     """
 
     def __init__(self, workspace: Workspace, writer: ArchiveWriter):
-        self.workspace, self.writer = workspace, writer
+        # Rows are recorded after a stretch of steps of any length, so pivots shared with the stepper would make the
+        # last bits of both depend on the length of the stretches.
+        self.workspace, self.writer = workspace.with_own_pivots(), writer
         mechanism = workspace.mechanism
         self._pair = np.array([row.pair for row in mechanism.rows], dtype=np.int64)
         self._place = np.array([row.place for row in mechanism.rows], dtype=np.int64)

@@ -29,6 +29,7 @@ from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine.assembly import AssembledState, assemble
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.redundancy import require_unique_start, without_redundancy
 from mbdkit.engine.workspace import Workspace
@@ -40,7 +41,8 @@ from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
 from mbdkit.recorder import SINGULARITY, Recorder, archive_names, shared_forces
 from mbdkit.spec import RunSpec, load_spec
-from mbdkit.stepping.interface import Advancing, Counters, Failure, Stepper, Stretch, Timetable
+from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch, Timetable
+from mbdkit.stepping.start import start_method
 from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
 from mbdkit.text import one_line
 
@@ -290,7 +292,7 @@ class _Simulation:
     def start(self) -> None:
         """Let the method make its stepper."""
         try:
-            stepper = self.method.start(self.workspace, _timetable(self.spec))
+            stepper = start_method(self.method, self.workspace, _timetable(self.spec))
         except SingularSystemError as error:
             name = self.workspace.mechanism.unknown_name(error.index)
             self.failure = Failure("singular", f"the stage equations are singular at the start, near {name}.")
@@ -344,7 +346,7 @@ class _Simulation:
         """Close the archive with the status that the run came to."""
         stepper = self.stepper
         counters = asdict(stepper.counters) if stepper is not None else asdict(Counters())
-        counters["factorizations"] += self.workspace.pivotings
+        counters["factorizations"] += self.workspace.pivotings + self.recorder.workspace.pivotings
         pairs = len(self.workspace.mechanism.topology.pairs)
         status, reason = "complete", ""
         if self.failure is not None:

@@ -353,13 +353,14 @@ def scipy_counts(name: str, options: dict[str, Any]) -> dict[str, int]:
     from mbdkit.methods.kinds import SciPySolver
     from mbdkit.spec import load_spec
     from mbdkit.stepping.interface import Timetable
+    from mbdkit.stepping.start import start_method
 
     solver = {"scipy-radau": "Radau", "scipy-dop853": "DOP853", "scipy-lsoda": "LSODA"}[name]
     mechanism = load_spec(spec(), ()).mechanism()
     compiled = compile_mechanism(mechanism)
-    start = assemble(mechanism, 0.0, compiled)
-    q, v = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
-    stepper = SciPySolver(solver, **options).start(Workspace(compiled, 0.0, q, v), Timetable(0.0, 1.0))
+    assembled = assemble(mechanism, 0.0, compiled)
+    q, v = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (assembled.q, assembled.v))
+    stepper = start_method(SciPySolver(solver, **options), Workspace(compiled, 0.0, q, v), Timetable(0.0, 1.0))
     jacobian = {"jac": stepper.jacobian} if name != "scipy-dop853" else {}  # type: ignore[attr-defined]
     found = scipy.integrate.solve_ivp(
         stepper.rates,  # type: ignore[attr-defined]

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.iteration_matrix import IterationMatrix, Pivots, chosen_pivots, classes_of, vector
 from mbdkit.engine.jit.bundle import Hold
 from mbdkit.engine.kernels import equations
 from mbdkit.engine.kernels.observe import baumgarte_at
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
+from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.workspace import Workspace
-from mbdkit.stepping.interface import Counters
-from mbdkit.stepping.python_method import StepError
-from mbdkit.stepping.python_projection import nearest_positions, nearest_velocities
+from mbdkit.errors import StepError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -112,9 +112,7 @@ class EquationsOfMotion:
         from mbdkit.engine.assembly import assemble
         from mbdkit.engine.compile_mechanism import compile_mechanism
         from mbdkit.engine.redundancy import without_redundancy
-        from mbdkit.stepping.warm_up import ensure_compiled
 
-        ensure_compiled()
         compiled = compile_mechanism(mechanism)
         start = assemble(mechanism, t0, compiled)
         q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))

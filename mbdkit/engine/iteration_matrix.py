@@ -23,7 +23,7 @@ from mbdkit.engine.kernels.equations import (
     solve_real,
 )
 from mbdkit.engine.kernels.system import KKT_TOLERANCE
-from mbdkit.stepping.python_method import StepError
+from mbdkit.errors import StepError
 
 if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion

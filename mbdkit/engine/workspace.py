@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -202,6 +203,15 @@ class Workspace:
         """Return the name of the last force whose law gave no finite number, if any."""
         law = int(self.scratch.faulty[0])
         return self.mechanism.laws[law][0] if law >= 0 else None
+
+    def with_own_pivots(self) -> Workspace:
+        """Return a workspace that shares the arrays of this one, but whose pivots are chosen independently."""
+        other = copy(self)
+        other.pivotings = 0
+        other.solver = self.solver._replace(pivoted=self.solver.pivoted.copy())
+        other._engine = Hold(self._engine.bundle._replace(solver=other.solver))
+        other._stepping_engine = Hold(self._stepping_engine.bundle._replace(solver=other.solver))
+        return other
 
     def use_pivots(self) -> None:
         """Solve for accelerations with newly chosen pivots from now on; raises SingularSystemError."""

@@ -9,12 +9,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from mbdkit.engine.counters import Counters
 from mbdkit.engine.workspace import Workspace
 from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.observation import Observer
 from mbdkit.stepping import interface
-from mbdkit.stepping.interface import Counters, Failure, Stepper, StepTaken, Stretch, joined
+from mbdkit.stepping.interface import Failure, Stepper, StepTaken, Stretch, joined
 
 INSIDE = (0.25, 0.5, 0.75)
 """Places within a step at which dense output is looked at."""

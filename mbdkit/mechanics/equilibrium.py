@@ -11,11 +11,11 @@ from scipy.sparse.linalg import splu
 
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.observe import constraints_at
+from mbdkit.engine.nearest_state import ROUND_OFF, STAGNANT
+from mbdkit.errors import StepError
 from mbdkit.mechanics.reduced import State, at_rest, least_stiffness, stiffness_scale
 from mbdkit.mechanics.source import Placed
 from mbdkit.spec.plain_data import plain
-from mbdkit.stepping.python_method import StepError
-from mbdkit.stepping.python_projection import ROUND_OFF, STAGNANT
 
 MOST_STEPS = 500
 """Steps, refused ones included, after which there is no equilibrium to be found."""

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.errors import RunError
+from mbdkit.errors import RunError, StepError
 from mbdkit.mechanics.reduced import at_rest, reduce
 from mbdkit.mechanics.source import Placed
-from mbdkit.stepping.python_method import StepError
 from mbdkit.text import counted, listed
 
 ASIDE = 0.1

@@ -12,11 +12,10 @@ import numpy as np
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import SpecError
+from mbdkit.errors import SpecError, StepError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.simulation import build
 from mbdkit.spec import RunSpec, load_spec
-from mbdkit.stepping.python_method import StepError
 
 UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
 """Sections that a spec must have and that nothing here depends on, for a mechanism that comes without them."""

@@ -1,1 +1,1 @@
-"""Stepping: a compiled step for each family of methods, the driver that repeats it, and methods in Python and SciPy."""
+"""Stepping: the compiled step of each family of methods, the driver that repeats it, Python methods, SciPy solvers."""

@@ -1,4 +1,4 @@
-"""What a compiled family of methods is to the stepper that drives it."""
+"""The base class of families of compiled methods."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ if TYPE_CHECKING:
 
 
 class Family(ABC):
-    """One method of a family, ready to be stepped: its compiled bundle, and what Python has to do for it.
+    """A compiled method on one mechanism: its compiled functions, its bundle, and the work that is done in Python.
 
     Attributes
     ----------
     attempt, dense
-        The compiled step, and the state inside it; see `mbdkit.stepping.driver`.
+        The compiled step and dense output; see `mbdkit.stepping.driver`.
     hint
-        What a user may try when a step fails.
+        Advice to the user, added to the message when a step fails.
     hold
-        The family's own bundle.
+        The method's own bundle.
     memory
-        The arrays that one step hands to the next, and those of dense output.
+        The arrays that a step reads from the step before, and those that dense output reads.
     has_dense_output
-        Whether states between steps can be had.
+        Whether states within a step can be computed.
     carries_multipliers
-        Whether the method carries multipliers of its own.
+        Whether the method computes multipliers itself.
     carries_stages
-        Whether a step solves equations by iteration, whose failure to converge is told apart from overflow.
+        Whether a step solves equations by iteration, so that a failure may be divergence instead of overflow.
     """
 
     attempt: ClassVar[Entry]
@@ -48,28 +48,28 @@ class Family(ABC):
         self.workspace = workspace
 
     def start(self, common: Common, h: float) -> None:  # noqa: B027
-        """Get ready for steps of about `h` from the state in `common`; raises SingularSystemError."""
+        """Prepare for steps of about `h` from the state in `common`; raises SingularSystemError."""
 
     def renew(self, common: Common, t: float, h: float) -> bool:
-        """Choose new pivots for the matrices of the method itself; return whether that can help.
+        """Choose new pivots for the matrices of the method itself; return whether the step is worth another attempt.
 
         Raises
         ------
         SingularSystemError
-            Where a matrix is singular.
+            If a matrix is singular.
         """
         return False
 
     def forget(self) -> None:  # noqa: B027
-        """Drop what the last step left for the next."""
+        """Discard the values that the last step kept for the next."""
 
     def solve_apart(self, common: Common, t: float, h: float) -> bool:
-        """Solve the equations of the next attempt some other way, dear as it may be; return whether that succeeded.
+        """Solve the equations of the next attempt by a more robust, slower method; return whether that succeeded.
 
-        The step is from the state in `common` at `t`, of size `h`; asked before a run stops.
+        The step is from the state in `common` at `t`, of size `h`. Called before a run stops with a failure.
         """
         return False
 
     def describe_divergence(self, report: np.ndarray) -> str:
-        """Return where the equations of a step failed to converge, from a report (3,)."""
+        """Return a clause that says where the equations of a step failed to converge, from a report (3,)."""
         return ""

@@ -1,4 +1,4 @@
-"""The Python side of every compiled method: stretches, rows, new pivots, failures, and looks inside steps."""
+"""Runs compiled methods from Python: calls the driver, collects rows, chooses new pivots, and handles failures."""
 
 from __future__ import annotations
 
@@ -8,111 +8,128 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.jit.bundle import Hold
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping import driver
-from mbdkit.stepping.interface import Counters, Failure, Pace, StepTaken, Stretch, Timetable, joined
-from mbdkit.stepping.projected_step import NO_PROJECTION, PLAIN, SYMMETRIC
-from mbdkit.stepping.run_state import ALTERED, FACTORIZATIONS, ITERATIONS, JACOBIANS, PROJECTIONS, RHS, new_common
-from mbdkit.stepping.step_control import FIXED_STEPS, Control, first_step
+from mbdkit.stepping.interface import Failure, Pace, StepTaken, Stretch, Timetable, joined
+from mbdkit.stepping.run_plan import PLAIN, SYMMETRIC, new_plan, projection_mode, single_step
+from mbdkit.stepping.run_state import (
+    ALTERED,
+    FACTORIZATIONS,
+    INTERVAL_FIELDS,
+    ITERATIONS,
+    JACOBIANS,
+    PROJECTIONS,
+    RHS,
+    new_common,
+)
+from mbdkit.stepping.step_control import SOLVER_FAILURE_FACTOR, Control, first_step
 
 if TYPE_CHECKING:
     from mbdkit.stepping.compiled_method import Family
+    from mbdkit.stepping.run_plan import RunPlan
 
 SINGULAR, REGULAR = 1e-6, 1e-2
-"""Distance to singularity of a state that counts as singular, and of one where nothing singular is near."""
+"""A state at a distance to singularity below the first counts as singular; above the second, as far from it."""
 
-MOST_ROWS = 4096
-ROW_BYTES = 1 << 24
-"""Bounds on the buffer of recorded states: rows, and bytes."""
+MAX_ROWS = 4096
+MAX_ROW_BYTES = 1 << 24
+"""Bounds of the buffer of recorded states: rows, and bytes."""
 
-FLOOR = 16 * float(np.finfo(float).eps)
-"""The least size of a step, relative to the largest time of the run."""
+WORK = ("steps", "last_size", "iterations", "iterations_max", "rejected")
+WORK_COLUMNS = [INTERVAL_FIELDS.index(name) for name in WORK]
+"""Columns of the driver's intervals that go into ``Stretch.intervals`` after the time."""
+
+CORRECTIONS = ("projections", "position_correction", "velocity_correction", "baumgarte_term")
+CORRECTION_COLUMNS = [INTERVAL_FIELDS.index(name) for name in CORRECTIONS]
+"""Columns of the driver's intervals that go into ``Stretch.corrections``."""
 
 
 class CompiledStepper:
-    """Runs a compiled method over a timetable; see `mbdkit.stepping.interface.Stepper`.
+    """Runs a compiled method over a timetable; implements `mbdkit.stepping.interface.Stepper`.
 
     Parameters
     ----------
     family
-        The method, of its family.
+        The method.
     workspace
         The mechanism and its start, with formulation and stabilization.
     timetable
-        When, and what is recorded.
+        Times of the run, and which states are recorded.
     control
-        How the size of steps is controlled; None: fixed steps.
+        Step-size control; None: fixed steps.
     """
 
     def __init__(self, family: Family, workspace: Workspace, timetable: Timetable, control: Control | None = None):
         self.family, self.workspace, self.timetable = family, workspace, timetable
-        self.controlled, self.control = control is not None, control or FIXED_STEPS
+        self.controlled = control is not None
         self.counters = Counters()
         self.finished = False
         self.failure: Failure | None = None
         self.time = timetable.start
-        rows = max(2, min(MOST_ROWS, ROW_BYTES // (16 * workspace.mechanism.size)))
+        rows = max(2, min(MAX_ROWS, MAX_ROW_BYTES // (16 * workspace.mechanism.size)))
         self.common = new_common(workspace, rows, own_multipliers=family.carries_multipliers)
         self.hold = Hold(self.common)
+        self.plan = new_plan(timetable, control, workspace.stabilization)
+        self._plan = Hold(self.plan)
         self.worst_pairs = self.common.worst
-        self.numbers = np.zeros(4, dtype=np.int64)
-        clock = self.common.clock
-        clock[driver.TIME], clock[driver.NEXT_ROW] = timetable.start, 1.0
         self._renewed: set[tuple[int, int]] = set()
-        span = timetable.end - timetable.start
-        self.floor = FLOOR * max(abs(timetable.start), abs(timetable.end), span)
         size = timetable.step
-        if self.controlled:
-            size = min(span, size if size is not None else first_step(workspace, span, self.control))
+        if control is not None:
+            span = timetable.end - timetable.start
+            size = min(span, size if size is not None else first_step(workspace, span, control))
         assert size is not None
-        clock[driver.SIZE] = size
+        progress = self.common.progress
+        progress.time[0], progress.next_row[0], progress.next_size[0] = timetable.start, 1.0, size
         family.start(self.common, size)
         self._take_up_pivots()
         self._dense = family.dense.address if family.dense is not None else 0
-        self.mode, stab = NO_PROJECTION, workspace.stabilization
-        if stab.kind == "projection":
-            self.mode = SYMMETRIC if stab.symmetric else PLAIN
+        self.mode = projection_mode(workspace.stabilization)
         iterates = family.carries_stages or self.mode == SYMMETRIC
         self.pace = Pace(max(1, min(16 if iterates else 256, 100_000 // workspace.mechanism.size)))
         self.last_step: StepTaken | None = None
         self._before: list[np.ndarray] = []
         self._row_times = np.zeros(0)
-        self._drive(0)
+        self._drive(self._plan, 0)  # compiles the driver, or loads it, before the first step is timed
 
-    def _drive(self, budget: int) -> tuple[int, int]:
-        """Take up to `budget` steps in compiled code; return (status, rows)."""
-        table, control, family, stab = self.timetable, self.control, self.family, self.workspace.stabilization
-        step = table.step or 0.0
+    def _drive(self, plan: Hold, budget: int) -> tuple[int, int]:
+        """Attempt up to `budget` steps of a plan in compiled code; return (status, rows)."""
+        family = self.family
         status, rows = driver.drive(
-            self.hold.address, family.hold.address, family.attempt.address, self._dense, self.numbers,
-            budget, self.controlled,
-            table.start, step, table.end, table.steps, step if self.controlled else table.last_step,
-            0 if table.interval is not None else table.every, table.interval or 0.0,
-            control.inner_rtol, control.inner_atol, control.exponent, control.share, control.estimates, self.floor,
-            self.mode, stab.every, stab.bound or 0.0, stab.kind == "baumgarte", table.single,
-        )  # fmt: skip
+            self.hold.address, family.hold.address, family.attempt.address, self._dense, plan.address, budget
+        )
         return int(status), int(rows)
 
     @property
+    def _accepted(self) -> int:
+        """Number of accepted steps."""
+        return int(self.common.progress.accepted[0])
+
+    @property
+    def _is_pending(self) -> bool:
+        """Whether rows of an accepted step are still to be written."""
+        return bool(self.common.progress.pending[0])
+
+    @property
     def _allowed(self) -> int:
-        """How many more steps may be taken."""
-        return self.timetable.max_steps - int(self.numbers[driver.ACCEPTED])
+        """Number of steps left before ``limits.max_steps``."""
+        return self.timetable.max_steps - self._accepted
 
     def advance(self) -> Stretch:
-        """Go on for about `STRETCH` seconds, or for one step; see `Stepper.advance`."""
+        """See `Stepper.advance`."""
         if not self.timetable.single:
             return self._advance(self.pace.steps)
-        accepted, t0 = int(self.numbers[driver.ACCEPTED]), self.time
+        accepted, t0 = self._accepted, self.time
         self.last_step, self._before = None, [x.copy() for x in self._memory()]
         stretches = [self._advance(1)]
-        while self.numbers[driver.PENDING] and self.failure is None:  # rows inside the step are still to be written
+        while self._is_pending and self.failure is None:
             stretches.append(self._advance(1))
         stretch = joined(stretches)
-        if self.numbers[driver.ACCEPTED] > accepted:
+        if self._accepted > accepted:
             c = self.common
             self._row_times = stretch.time
             self.last_step = StepTaken(t0, self.time, c.before_q.copy(), c.before_v.copy(), c.q.copy(), c.v.copy())
@@ -120,42 +137,48 @@ class CompiledStepper:
 
     def _advance(self, budget: int) -> Stretch:
         begin = time.perf_counter()
-        before = int(self.numbers.sum())
-        if self._allowed > 0 or self.numbers[driver.PENDING]:
-            status, rows = self._drive(min(budget, max(self._allowed, 0)))
+        progress = self.common.progress
+        before = self._attempts()
+        if self._allowed > 0 or self._is_pending:
+            status, rows = self._drive(self._plan, min(budget, max(self._allowed, 0)))
         else:
             status, rows = OK, 0
         if not self.timetable.single:
-            self.pace.timed(int(self.numbers[:2].sum()) - before, begin)
+            self.pace.timed(self._attempts() - before, begin)
         self._count()
         stretch = self._collect(rows)
         if status != OK:
             self._handle(status)
-        elif self.time >= self.timetable.end and not self.numbers[driver.PENDING]:
+        elif self.time >= self.timetable.end and not progress.pending[0]:
             self.finished, self.time = True, self.timetable.end
-        elif self._allowed <= 0 and not self.numbers[driver.PENDING]:
+        elif self._allowed <= 0 and not progress.pending[0]:
             self.failure = Failure("max-steps", f"stopped after limits.max_steps = {self.timetable.max_steps} steps.")
         return stretch
 
+    def _attempts(self) -> int:
+        """Return the number of steps accepted and rejected so far."""
+        return self._accepted + int(self.common.progress.rejected[0])
+
     def _memory(self) -> tuple[np.ndarray, ...]:
-        """Return the arrays that a step starts from, and those that it leaves for looks inside."""
+        """Return the arrays that a step reads from the step before, and those that dense output reads."""
         c = self.common
         return (
-            c.tally, self.numbers, c.clock, c.moved, c.q, c.q_low, c.v, c.v_low, c.energy, c.energy_low,
+            c.interval.values, *c.progress, c.moved, c.q, c.q_low, c.v, c.v_low, c.energy, c.energy_low,
             c.from_q, c.from_v, c.shift_q, c.shift_v, c.mu, c.nu, *self.family.memory,
         )  # fmt: skip
 
     def _recall(self, memory: list[np.ndarray]) -> None:
+        """Restore the arrays of `_memory` from copies."""
         for now, then in zip(self._memory(), memory, strict=True):
             now[...] = then
 
     def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return a state in the last step by dense output, or the cubic through its ends; see `Stepper.inside`."""
+        """See `Stepper.inside`."""
         step, c = self.last_step, self.common
         assert step is not None
         if self._dense == 0 or not self.family.has_dense_output or self.mode == SYMMETRIC:
             return step.hermite(theta)
-        h = float(c.clock[driver.TAKEN])
+        h = float(c.progress.last_size[0])
         status = driver.look_inside(self.hold.address, self.family.hold.address, self._dense, step.t0, h, theta)
         if status != OK:
             return step.hermite(theta)
@@ -166,81 +189,88 @@ class CompiledStepper:
         return q, v
 
     def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return a state in the last step by a step of the method to there; see `Stepper.within`."""
+        """See `Stepper.within`."""
         step = self.last_step
         assert step is not None
         if theta in (0.0, 1.0):
             return (step.q1, step.v1) if theta else (step.q0, step.v0)
         after = [x.copy() for x in self._memory()]
-        done = self._again(step, theta)
+        done = self._retake(step, theta)
         q, v = self.common.q.copy(), self.common.v.copy()
         self._recall(after)
         self._count()
         return (q, v) if done else self.inside(theta)
 
-    def _again(self, step: StepTaken, theta: float) -> bool:
-        """Go back before the last step and take a share of it instead; return whether that succeeded."""
-        c, stab, family = self.common, self.workspace.stabilization, self.family
-        size = theta * float(c.clock[driver.TAKEN])
+    def _retake(self, step: StepTaken, theta: float) -> bool:
+        """Return to the start of the last step and take the share `theta` of it; return whether that succeeded.
+
+        The records of the run's progress are those before the step, apart from the time; `worst` is unchanged.
+        """
+        c, progress = self.common, self.common.progress
+        size = theta * float(progress.last_size[0])
         self._recall(self._before)
         c.moved[0] = ALTERED
-        due = (self.numbers[driver.ACCEPTED] + 1) % stab.every == 0
-        worst, numbers = c.worst.copy(), np.zeros(4, dtype=np.int64)
-        status, _ = driver.drive(  # a run of one fixed step
-            self.hold.address, family.hold.address, family.attempt.address, self._dense, numbers, 1, False,
-            step.t0, size, step.t0 + size, 1, size, 2, 0.0, 1.0, 1.0, 1.0, 0.0, 1, 0.0,
-            self.mode, 1 if due else 2, stab.bound or 0.0, False, False,
-        )  # fmt: skip
+        due = (self._accepted + 1) % self.workspace.stabilization.every == 0
+        plan: RunPlan = single_step(self.plan, step.t0, size, projected=due)
+        kept = (progress.accepted, progress.rejected, progress.pending, progress.retrying)
+        worst, before = c.worst.copy(), [x.copy() for x in kept]
+        for x in kept:
+            x[0] = 0
+        status, _ = self._drive(Hold(plan), 1)
+        done = status == OK and self._accepted == 1
+        for x, value in zip(kept, before, strict=True):
+            x[:] = value
         c.worst[:] = worst
-        return bool(status == OK and numbers[driver.ACCEPTED] == 1)
+        return done
 
     def cut(self, theta: float) -> Stretch:
-        """End the run within the last step; see `Stepper.cut`."""
+        """See `Stepper.cut`."""
         step, c = self.last_step, self.common
+        progress, interval = c.progress, c.interval
         assert step is not None
-        size, ends = float(c.clock[driver.TAKEN]), c.energy.copy()
+        size, ends = float(progress.last_size[0]), c.energy.copy()
         inner = self.inside(theta)
         if theta > 0.0:
-            if not self._again(step, theta):  # the step that led here could be taken, but none to this place
+            if not self._retake(step, theta):  # use dense output instead
                 self._recall(self._before)
                 c.q[:], c.v[:] = inner
                 c.energy[:] += theta * (ends - c.energy)
-            self.numbers[driver.ACCEPTED] += 1
+            progress.accepted[0] += 1
         else:
             self._recall(self._before)
-        c.tally[:] = self._before[0]
-        self.numbers[driver.PENDING] = 0
-        c.clock[driver.TIME] = step.time(theta)
-        if np.any(self._row_times < step.time(theta)):  # rows inside the step have told of what was before it
-            c.tally[:] = 0.0
+        interval.values[:] = self._before[0]
+        progress.pending[0] = 0
+        progress.time[0] = step.time(theta)
+        if np.any(self._row_times < step.time(theta)):  # the interval before was written with a row inside the step
+            interval.values[:] = 0.0
         if theta > 0.0:
-            c.tally[driver.STEPS] += 1
-            c.tally[driver.LAST_SIZE] = theta * size
+            interval.steps[0] += 1
+            interval.last_size[0] = theta * size
         self._count()
         self.finished, self.failure = True, None
         return self.last_state()
 
     def _count(self) -> None:
-        counts, counters = self.common.counts, self.counters
+        """Copy counts and time from the records of the compiled code."""
+        counts, counters, progress = self.common.counts, self.counters, self.common.progress
         counters.rhs_evaluations, counters.jacobian_evaluations = int(counts[RHS]), int(counts[JACOBIANS])
         counters.factorizations, counters.newton_iterations = int(counts[FACTORIZATIONS]), int(counts[ITERATIONS])
         counters.projections = int(counts[PROJECTIONS])
-        counters.accepted = int(self.numbers[driver.ACCEPTED])
-        counters.rejected = int(self.numbers[driver.ALL_REJECTED])
+        counters.accepted, counters.rejected = int(progress.accepted[0]), int(progress.rejected[0])
         counters.steps = counters.accepted
-        self.time = float(self.common.clock[driver.TIME])
+        self.time = float(progress.time[0])
 
     def _size_tried(self) -> float:
-        """Return the size of the step that is being tried."""
+        """Return the size of the step that failed."""
         if self.controlled:
-            return float(self.common.clock[driver.SIZE])
+            return float(self.common.progress.next_size[0])
         table = self.timetable
         assert table.step is not None
-        return table.step if self.numbers[driver.ACCEPTED] < table.steps - 1 else table.last_step
+        return table.step if self._accepted < table.steps - 1 else table.last_step
 
     def _handle(self, status: int) -> None:
-        """Renew pivots once a step, try a smaller step where steps are controlled, or note why the run stops."""
-        done = int(self.numbers[driver.ACCEPTED])
+        """React to a failed step: choose new pivots once per step, try a smaller step, or set `failure`."""
+        done = self._accepted
         where = f"in step {done + 1} from t = {self.time:.6g} s"
         if unusable := self._unusable():
             if not (self.controlled and status != driver.TOO_SMALL and self._shrink()):
@@ -271,7 +301,7 @@ class CompiledStepper:
             self.failure = replace(self.failure, sentence=f"{self.failure.sentence.rstrip('.')}; {near}.")
 
     def _unusable(self) -> str:
-        """Return which force or motion was not finite where it was evaluated last; empty where all were."""
+        """Return which force or motion was not finite when last evaluated; empty if all were finite."""
         if not self.workspace.motions_are_finite():
             return "a driver or load is not a finite number"
         if force := self.workspace.unusable_law():
@@ -279,44 +309,46 @@ class CompiledStepper:
         return ""
 
     def _renew(self, status: int) -> bool:
-        """Choose new pivots after `status`; return whether that can help. Raises SingularSystemError."""
+        """Choose new pivots after `status`; return whether the step is worth another attempt.
+
+        Raises SingularSystemError.
+        """
         if status == driver.TOO_SMALL:
             return False
         self.common.moved[0] = ALTERED
         if status == REPIVOT:
             self.workspace.use_pivots()
             self.family.forget()
-            self._take_up_pivots()
-            return True
-        helped = self.family.renew(self.common, self.time, self._size_tried())
+            helped = True
+        else:
+            helped = self.family.renew(self.common, self.time, self._size_tried())
         self._take_up_pivots()
         return helped
 
     def _take_up_pivots(self) -> None:
-        """Go on with the workspace's solver as it is now."""
+        """Pass the current solver of the workspace to the compiled code."""
         self.common = self.common._replace(solver=self.workspace.solver)
         self.hold.replace(self.common)
 
     def _shrink(self) -> bool:
-        """Count the step that is being tried as rejected, and try a smaller one; return whether there is room."""
-        clock = self.common.clock
-        clock[driver.SIZE] *= driver.AFTER_FAILURE
-        self.numbers[driver.ALL_REJECTED] += 1
-        self.common.tally[driver.REJECTED] += 1
+        """Count the attempted step as rejected and reduce its size; return whether that is above the smallest size."""
+        progress = self.common.progress
+        progress.next_size[0] *= SOLVER_FAILURE_FACTOR
+        progress.rejected[0] += 1
+        self.common.interval.rejected[0] += 1
         self.common.moved[0] = ALTERED
         self._renewed.clear()
-        return bool(clock[driver.SIZE] > self.floor)
+        return bool(progress.next_size[0] > self.plan.control.min_size[0])
 
     def _failure(self, status: int, singular: SingularSystemError | None, where: str) -> Failure:
         """Return why the run stops."""
         hint, workspace = self.family.hint, self.workspace
+        floor = float(self.plan.control.min_size[0])
         distance, _ = nearest_singularity(workspace, self.time, self.common.q)
         if status == driver.TOO_SMALL:
             if distance < SINGULAR:
                 return Failure("singular", f"steps became smaller without end {where}.")
-            return Failure(
-                "step-too-small", f"the step fell below {self.floor:.2g} s {where}; looser tolerances may help."
-            )
+            return Failure("step-too-small", f"the step fell below {floor:.2g} s {where}; looser tolerances may help.")
         if status == NOT_FINITE:
             return Failure("not-finite", f"numbers overflowed {where}; {hint}.")
         if status == DIVERGED:
@@ -331,50 +363,39 @@ class CompiledStepper:
             return Failure("newton-failed", f"{what}; {hint}.")
         return Failure("singular", f"no independent equations are left at {name} {where}; {hint}.")
 
-    def _intervals(self, times: np.ndarray, tally: np.ndarray) -> np.ndarray:
-        """Return (T, 6) what each recorded interval took, from the driver's tallies (T, 9)."""
-        d = driver
-        return np.column_stack([times, tally[:, [d.STEPS, d.LAST_SIZE, d.SUM, d.MOST, d.REJECTED]]])
-
-    def _corrections(self, tally: np.ndarray) -> np.ndarray | None:
-        if self.workspace.stabilization.kind == "none":
-            return None
-        d = driver
-        return tally[:, [d.CORRECTIONS, d.POSITION, d.VELOCITY, d.ACCELERATION]].copy()
-
-    def _own(self, lam: np.ndarray) -> np.ndarray | None:
+    def _own_multipliers(self, lam: np.ndarray) -> np.ndarray | None:
         """Return the multipliers of the method by constraint row, from those by pair (T, P, 2)."""
         if not self.family.carries_multipliers:
             return None
         rows = self.workspace.mechanism.rows
         return np.ascontiguousarray(lam[:, [row.pair for row in rows], [row.place for row in rows]])
 
-    def _collect(self, rows: int) -> Stretch:
-        c = self.common
-        times, tally = c.row_time[:rows].copy(), c.row_tally[:rows]
+    def _stretch(
+        self, time: np.ndarray, q: np.ndarray, v: np.ndarray, energy: np.ndarray, interval: np.ndarray, lam: np.ndarray
+    ) -> Stretch:
+        """Return recorded rows as a stretch, from copies of their arrays in the bundle."""
+        stabilized = self.workspace.stabilization.kind != "none"
         return Stretch(
-            times,
-            c.row_q[:rows].copy(),
-            c.row_v[:rows].copy(),
-            c.row_energy[:rows, 0].copy(),
-            c.row_energy[:rows, 1].copy(),
-            self._intervals(times, tally),
-            multipliers=self._own(c.row_lam[:rows]),
-            corrections=self._corrections(tally),
+            time,
+            q,
+            v,
+            energy[:, 0].copy(),
+            energy[:, 1].copy(),
+            np.column_stack([time, interval[:, WORK_COLUMNS]]),
+            multipliers=self._own_multipliers(lam),
+            corrections=interval[:, CORRECTION_COLUMNS].copy() if stabilized else None,
         )
 
+    def _collect(self, rows: int) -> Stretch:
+        """Return the rows that the driver has written."""
+        c, some = self.common, slice(rows)
+        states = c.row_time[some].copy(), c.row_q[some].copy(), c.row_v[some].copy()
+        return self._stretch(*states, c.row_energy[some], c.row_interval[some], c.row_lam[some])
+
     def last_state(self) -> Stretch:
-        """Return the state reached as one row; see `Stepper.last_state`."""
+        """See `Stepper.last_state`."""
         c = self.common
-        times, tally = np.array([self.time]), c.tally[None].copy()
-        c.tally[:] = 0.0
-        return Stretch(
-            times,
-            c.q[None].copy(),
-            c.v[None].copy(),
-            c.energy[:1].copy(),
-            c.energy[1:].copy(),
-            self._intervals(times, tally),
-            multipliers=self._own(c.own_lam[None]),
-            corrections=self._corrections(tally),
-        )
+        interval = c.interval.values[None].copy()
+        c.interval.values[:] = 0.0
+        states = np.array([self.time]), c.q[None].copy(), c.v[None].copy()
+        return self._stretch(*states, c.energy[None], interval, c.own_lam[None])

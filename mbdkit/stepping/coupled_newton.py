@@ -20,7 +20,7 @@ import numpy as np
 from mbdkit.engine.elimination_order import SingularSystemError, equilibrate
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels import equations
-from mbdkit.stepping.python_method import StepError
+from mbdkit.errors import StepError
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace

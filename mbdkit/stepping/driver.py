@@ -1,79 +1,86 @@
-"""The compiled driver: takes the steps of every compiled family, in fixed or controlled sizes, projected or not.
+"""The compiled driver: the loop over steps of every compiled method, with fixed or controlled step size.
 
-A family brings two compiled functions (`mbdkit.engine.jit.cache.entry`), which find the run and their own bundle at the
-addresses `common` and `own`:
+A method provides two compiled functions (`mbdkit.engine.jit.cache.entry`) that receive two addresses: `run`, of the
+bundle of the run (`mbdkit.stepping.run_state`), and `method`, of the method's own bundle.
 
-``attempt(common, own, t, h, want_error)``
-    Tries a step of size `h` from the base state ``from_q, from_v``, which it leaves alone; writes ``dq, dv``, where
-    ``has_power`` says so ``gain``, the method's own multipliers into ``own_lam``, and with `want_error` other than 0
-    ``est_q, est_v``. ``moved`` tells how the base state stands to the last attempt.
-``dense(common, own, t, h, theta)``
+``attempt(run, method, t, h, want_error)``
+    Computes a step of size `h` from the base state ``from_q, from_v``, which it does not change. Writes ``dq, dv``; if
+    ``has_power``, ``gain``; the multipliers of the method, if it has any, into ``own_lam``; and if `want_error` is not
+    0, the estimates ``est_q, est_v``. ``moved`` tells how the base state is related to that of the last attempt.
+``dense(run, method, t, h, theta)``
     Writes ``point_q, point_v, point_gain`` and ``point_lam``: the state at ``t + theta h`` within the last attempt.
 
-Both return a status of `mbdkit.engine.kernels.system`.
+Both return a status of `mbdkit.engine.kernels.system`. The driver knows them by their addresses, so that it is compiled
+once for all methods.
 """
 
 from __future__ import annotations
 
-import numpy as np
-
 from mbdkit.engine.jit.cache import call_entry, kernel, part
 from mbdkit.engine.kernels.constraints import constraint_positions
-from mbdkit.engine.kernels.projection import (
-    mass_norm,
-    project_positions,
-    project_velocities,
-)
-from mbdkit.engine.kernels.system import (
-    DIVERGED,
-    NOT_FINITE,
-    OK,
-    constraint_rows,
-    prepare,
-)
+from mbdkit.engine.kernels.projection import mass_norm, project_positions, project_velocities
+from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_rows, prepare
 from mbdkit.engine.kernels.vectors import add_compensated, copy, stays_finite
-from mbdkit.stepping.projected_step import NO_PROJECTION, PLAIN, SYMMETRIC, project, take
-from mbdkit.stepping.run_state import ADVANCED, ALTERED, PROJECTIONS, SAME, load_common
-
-TIME, TIME_LOW, SIZE, LAST_ERROR, NEXT_ROW, TAKEN = range(6)
-"""``clock``: time reached and its low part; size of the next step, if it is controlled; scaled error of the
-last accepted step, 0 before there is one; number of the next row by interval; size of the last step."""
-
-STEPS, LAST_SIZE, SUM, MOST, REJECTED, CORRECTIONS, POSITION, VELOCITY, ACCELERATION = range(9)
-"""``tally`` since the last recorded row: steps; size of the last; iterations, summed and largest; rejected steps;
-projections; largest corrections of positions [m] and velocities [m/s]; largest Baumgarte term [m/s^2]."""
-
-ACCEPTED, ALL_REJECTED, PENDING, RETRY = range(4)
-"""``numbers``: steps accepted and rejected so far; whether rows of an accepted step are still to be written; whether
-the last attempt was rejected."""
+from mbdkit.stepping.projected_step import project, take
+from mbdkit.stepping.run_plan import NO_PROJECTION, PLAIN, SYMMETRIC, load_plan
+from mbdkit.stepping.run_state import ADVANCED, ALTERED, ITERATIONS, PROJECTIONS, SAME, load_common
+from mbdkit.stepping.step_control import (
+    MIN_LAST_ERROR,
+    combined_error,
+    factor_after_acceptance,
+    factor_after_rejection,
+    fitted_size,
+    is_too_small,
+    scaled_norm,
+)
 
 TOO_SMALL = 5
-"""Status: the step would have to be smaller than the floor under it."""
+"""Status: the step size fell below the smallest one."""
 
-SAFETY, LEAST, LARGEST, AFTER_FAILURE = 0.9, 0.2, 6.0, 0.25
-"""Control of the step: margin, bounds on its change, and its change where the equations could not be solved."""
-
-
-@part
-def _scaled_norm(c, rtol, atol, x_q, x_v):
-    """Return the root mean square of errors over ``atol + rtol |y|``, y the larger of both ends of the step."""
-    total = 0.0
-    n = len(c.q) - 3
-    for d in range(n):
-        scale_q = atol + rtol * max(abs(c.from_q[d]), abs(c.from_q[d] + c.dq[d]))
-        scale_v = atol + rtol * max(abs(c.from_v[d]), abs(c.from_v[d] + c.dv[d]))
-        total += (x_q[d] / scale_q) ** 2 + (x_v[d] / scale_v) ** 2
-    return np.sqrt(total / (2 * n))
+ROW_MARGIN = 1e-9
+"""A row by interval that is nearer to the end than this share of the interval is replaced by the row of the end."""
 
 
 @part
-def _scaled_error(c, rtol, atol, estimates):
-    """Return the local error over the tolerance; of two estimates, their product over the norm of both (Hairer)."""
-    error = _scaled_norm(c, rtol, atol, c.est_q, c.est_v)
-    if estimates == 2:
-        rough = _scaled_norm(c, rtol, atol, c.second_q, c.second_v)
-        if error > 0.0:
-            error = error * error / np.sqrt(error * error + 0.01 * rough * rough)
+def _has_ended(plan, progress):
+    """Return whether all steps have been taken."""
+    if plan.control.controlled[0]:
+        return progress.time[0] >= plan.times.end[0]
+    return progress.accepted[0] >= plan.times.steps[0]
+
+
+@part
+def _chosen_step(plan, progress):
+    """Return the start and the size of the next step."""
+    times = plan.times
+    if plan.control.controlled[0]:
+        t = progress.time[0]
+        return t, fitted_size(t, progress.next_size[0], times.end[0])
+    # a product, since the rounding errors of a sum would grow with the number of steps
+    t = times.start[0] + progress.accepted[0] * times.step[0]
+    return t, times.step[0] if progress.accepted[0] < times.steps[0] - 1 else times.last_step[0]
+
+
+@part
+def _end_of_step(plan, progress):
+    """Return start, size and end of the step just accepted, and whether it is the last."""
+    times, h = plan.times, progress.last_size[0]
+    if plan.control.controlled[0]:
+        t = progress.time[0]
+        last = t + h >= times.end[0]
+    else:
+        t = times.start[0] + progress.accepted[0] * times.step[0]
+        last = progress.accepted[0] + 1 >= times.steps[0]
+    return t, h, times.end[0] if last else t + h, last
+
+
+@part
+def _local_error(c, plan):
+    """Return the estimate of the local error over the tolerance."""
+    error = scaled_norm(plan.control, c.est_q, c.est_v, c.from_q, c.from_v, c.dq, c.dv)
+    if plan.control.estimates[0] == 2:
+        rough = scaled_norm(plan.control, c.second_q, c.second_v, c.from_q, c.from_v, c.dq, c.dv)
+        error = combined_error(error, rough)
     return error
 
 
@@ -85,14 +92,87 @@ def _baumgarte_term(c, t):
 
 
 @part
-def note_misalignment(c, t, q):
-    """Raise ``worst`` (P,) to the squared norm of each pair's Phi where that is larger."""
-    prepare(c.still, c.w, t, q)
-    constraint_positions(c.still.pairs, c.still.pair_parameters, q, c.w.cs, c.w.u, c.w.phi, c.w.phi_t)
-    for k in range(len(c.worst)):
-        gap = c.w.phi[k, 0] * c.w.phi[k, 0] + c.w.phi[k, 1] * c.w.phi[k, 1]
-        if gap > c.worst[k]:
-            c.worst[k] = gap
+def _reject(c, plan, h, solved, error):
+    """Reject a step of size `h` and choose a smaller one."""
+    progress = c.progress
+    progress.next_size[0] = factor_after_rejection(plan.control, solved, error) * h
+    progress.retrying[0] = 1
+    progress.rejected[0] += 1
+    c.interval.rejected[0] += 1
+    c.moved[0] = SAME
+
+
+@part
+def _accept(c, plan, t, h, error):
+    """Accept a step of size `h` from `t`, and choose the size of the next."""
+    progress, interval = c.progress, c.interval
+    interval.steps[0] += 1
+    interval.last_size[0] = h
+    if plan.control.controlled[0]:
+        factor = factor_after_acceptance(plan.control, error, progress.last_error[0], progress.retrying[0])
+        if t + h < plan.times.end[0]:  # the last step is shortened, so its size says nothing about the next
+            progress.next_size[0] = factor * h
+        progress.last_error[0] = max(error, MIN_LAST_ERROR)
+    progress.retrying[0] = 0
+    progress.last_size[0] = h
+    progress.pending[0] = 1
+
+
+@part
+def _note_projection(c):
+    """Count a projection, and record the size of its correction."""
+    interval = c.interval
+    interval.projections[0] += 1
+    mass = 0.0
+    for b in range(len(c.top.mass) - 1):
+        mass += c.top.mass[b, 0]
+    moved_q, moved_v = mass_norm(c.top.mass, mass, c.shift_q, c.rest), mass_norm(c.top.mass, mass, c.shift_v, c.rest)
+    interval.position_correction[0] = max(interval.position_correction[0], moved_q)
+    interval.velocity_correction[0] = max(interval.velocity_correction[0], moved_v)
+
+
+@part
+def _try_step(run, method, attempt, plan):
+    """Attempt the next step with its projection, and accept or reject it; return a status.
+
+    An accepted step is then pending: its increments are known, but the state is still the one before it.
+    """
+    c = load_common(run)
+    progress, interval, control, mode = c.progress, c.interval, plan.control, plan.projection.mode[0]
+    t, h = _chosen_step(plan, progress)
+    if control.controlled[0] and is_too_small(control, t, h, plan.times.end[0]):
+        return TOO_SMALL
+    if mode != SYMMETRIC and progress.retrying[0] == 0:
+        copy(c.q, c.from_q)
+        copy(c.v, c.from_v)
+    if plan.baumgarte[0]:
+        interval.baumgarte_term[0] = max(interval.baumgarte_term[0], _baumgarte_term(c, t))
+    before = c.counts[ITERATIONS]
+    c.w.faulty[0] = -1  # if the run stops, the message names the force law that failed in this attempt
+    status = take(run, method, attempt, t, h, control.controlled[0], mode)
+    iterations = c.counts[ITERATIONS] - before
+    error = 0.0
+    projected = False
+    if status == OK and control.controlled[0]:
+        error = _local_error(c, plan)
+    if status == OK and error <= 1.0:
+        ends = control.controlled[0] and t + h >= plan.times.end[0]
+        at = plan.times.end[0] if ends or progress.accepted[0] + 1 == plan.times.steps[0] else t + h
+        due = (progress.accepted[0] + 1) % plan.projection.every[0] == 0
+        status, projected = project(run, at, mode, due, plan.projection.bound[0])
+    interval.iterations[0] += iterations
+    if control.controlled[0] and (status in (DIVERGED, NOT_FINITE) or not error <= 1.0):
+        _reject(c, plan, h, status == OK, error)
+        return OK
+    if status != OK:
+        c.moved[0] = ALTERED
+        return status
+    interval.iterations_max[0] = max(interval.iterations_max[0], iterations)
+    if projected:
+        _note_projection(c)
+    _accept(c, plan, t, h, error)
+    c.moved[0] = ALTERED if projected else ADVANCED
+    return OK
 
 
 @part
@@ -103,23 +183,24 @@ def _write_row(c, row, t, q, v, gain, lam):
     copy(v, c.row_v[row])
     for k in range(2):
         c.row_energy[row, k] = c.energy[k] + gain[k]
-    for k in range(len(c.tally)):
-        c.row_tally[row, k] = c.tally[k]
-        c.tally[k] = 0.0
+    for k in range(len(c.interval.values)):
+        c.row_interval[row, k] = c.interval.values[k]
+        c.interval.values[k] = 0.0
     if len(c.row_lam) > 0:
         for k in range(len(lam)):
             c.row_lam[row, k, 0], c.row_lam[row, k, 1] = lam[k, 0], lam[k, 1]
 
 
 @part
-def _dense_row(common, own, dense, row, t, h, at, mode):
-    """Write the state between two steps, by dense output; return a status.
+def _dense_row(run, method, dense, row, t, h, at, mode):
+    """Write the state at a time within the pending step, by dense output; return a status.
 
-    A correction of the end of the step fades in smoothly; where states are projected, this one is as well.
+    The correction of the end of the step by projection is blended in by a cubic of theta. If states are projected, the
+    result is projected as well.
     """
-    c = load_common(common)
+    c = load_common(run)
     theta = min(1.0, (at - t) / h)
-    status = call_entry(dense, common, own, t, h, theta)
+    status = call_entry(dense, run, method, t, h, theta)
     if status != OK:
         return status
     if mode == PLAIN:
@@ -140,179 +221,127 @@ def _dense_row(common, own, dense, row, t, h, at, mode):
 
 
 @part
-def _book(c, bring):
-    """Add the energies of a step to their sums, with compensation."""
+def _write_inner_rows(run, method, dense, plan, rows):
+    """Write the rows by interval within the pending step after `rows` others; return a status and the new number.
+
+    The buffer may be full before all are written: the step then stays pending.
+    """
+    c = load_common(run)
+    progress, interval = c.progress, plan.recording.interval[0]
+    start, end = plan.times.start[0], plan.times.end[0]
+    t, h, reached, _ = _end_of_step(plan, progress)
+    at = start + progress.next_row[0] * interval
+    while rows < len(c.row_time) and at <= reached and at < end - ROW_MARGIN * interval:
+        status = _dense_row(run, method, dense, rows, t, h, at, plan.projection.mode[0])
+        if status != OK:
+            return status, rows
+        rows += 1
+        progress.next_row[0] += 1.0
+        at = start + progress.next_row[0] * interval
+    return OK, rows
+
+
+@part
+def note_misalignment(c, t, q):
+    """Raise ``worst`` (P,) to the squared norm of each pair's Phi if that is larger."""
+    prepare(c.still, c.w, t, q)
+    constraint_positions(c.still.pairs, c.still.pair_parameters, q, c.w.cs, c.w.u, c.w.phi, c.w.phi_t)
+    for k in range(len(c.worst)):
+        gap = c.w.phi[k, 0] * c.w.phi[k, 0] + c.w.phi[k, 1] * c.w.phi[k, 1]
+        if gap > c.worst[k]:
+            c.worst[k] = gap
+
+
+@part
+def _add_energies(c):
+    """Add the energies gained in a step to their compensated sums."""
     for m in range(2):
-        y = bring[m] + c.energy_low[m]
+        y = c.gain[m] + c.energy_low[m]
         new = c.energy[m] + y
         c.energy_low[m] = y - (new - c.energy[m])
         c.energy[m] = new
 
 
+@part
+def _advance_time(plan, progress):
+    """Move the time to the end of the pending step; return whether that is the end of the run."""
+    t, h, reached, last = _end_of_step(plan, progress)
+    progress.accepted[0] += 1
+    progress.pending[0] = 0
+    if plan.control.controlled[0]:  # a compensated sum
+        y = h + progress.time_low[0]
+        progress.time[0] = t + y
+        progress.time_low[0] = y - (progress.time[0] - t)
+        if last:
+            progress.time[0] = plan.times.end[0]
+    else:
+        progress.time[0] = reached if last else plan.times.start[0] + progress.accepted[0] * plan.times.step[0]
+    return last
+
+
+@part
+def _advance(c, plan):
+    """Add the increments of the pending step to the state; return a status and whether the run has ended."""
+    if not (stays_finite(c.q, c.dq) and stays_finite(c.v, c.dv)):
+        return NOT_FINITE, False
+    if plan.recording.start_of_step[0]:
+        copy(c.q, c.before_q)
+        copy(c.v, c.before_v)
+    if plan.projection.mode[0] != NO_PROJECTION:
+        for d in range(len(c.q)):
+            c.dq[d] += c.shift_q[d]
+            c.dv[d] += c.shift_v[d]
+    add_compensated(c.q, c.q_low, c.dq)
+    add_compensated(c.v, c.v_low, c.dv)
+    if c.has_power[0] != 0:
+        _add_energies(c)
+    last = _advance_time(plan, c.progress)
+    note_misalignment(c, c.progress.time[0], c.q)
+    return OK, last
+
+
 @kernel
-def look_inside(common, own, dense, t, h, theta):
+def look_inside(run, method, dense, t, h, theta):
     """Evaluate dense output of the last attempt into ``point_q, point_v``; return a status."""
-    return call_entry(dense, common, own, t, h, theta)
+    return call_entry(dense, run, method, t, h, theta)
 
 
 @kernel
-def drive(
-    common, own, attempt, dense, numbers, budget, controlled, start, step, end, total, last_step, every, interval,
-    rtol, atol, exponent, share, estimates, floor, mode, project_every, bound, baumgarte, inside,
-):  # fmt: skip
-    """Take up to `budget` steps; return (status, rows written).
+def drive(run, method, attempt, dense, plan, budget):
+    """Attempt up to `budget` steps; return (status, rows written).
 
     Parameters
     ----------
-    common, own
-        Addresses of the run and of the method's bundle.
+    run, method
+        Addresses of the bundles of the run and of the method.
     attempt, dense
         Addresses of the method's functions.
-    numbers : (4,) int array
-        ACCEPTED, ALL_REJECTED, PENDING, RETRY.
-    controlled
-        Whether the size of steps is controlled by their error.
-    start, step, end, total, last_step
-        Time of the start, size of fixed steps, end, number of fixed steps, size of the last of them.
-    every
-        Record every k-th step, and the end; 0: by `interval`.
-    interval
-        Record at these distances in time, and the end.
-    rtol, atol, exponent, share, estimates
-        Control: tolerances of the estimate, 1 over its order in h, share of the last error, number of estimates.
-    floor
-        Least size of a step relative to the largest time or span.
-    mode, project_every, bound
-        NO_PROJECTION, PLAIN or SYMMETRIC; projection every k steps, or of those where constraints are missed by more
-        than `bound` (0: all).
-    baumgarte
-        Whether the constraints are stabilized so.
-    inside
-        Whether the state before each step is kept.
+    plan
+        Address of the plan (`mbdkit.stepping.run_plan.RunPlan`).
+    budget
+        Number of attempts; rows of a pending step are written even if it is 0.
     """
-    c = load_common(common)
-    clock, tally = c.clock, c.tally
-    rows, most = 0, len(c.row_time)
-    status = OK
-    while status == OK:
-        if numbers[PENDING] == 0:
-            finished = clock[TIME] >= end if controlled else numbers[ACCEPTED] >= total
-            if finished or budget <= 0 or rows >= most:
-                break
-            if controlled:
-                t, h = clock[TIME], clock[SIZE]
-                if t + 1.01 * h >= end:
-                    h = end - t
-                elif t + 2.0 * h > end:
-                    h = 0.5 * (end - t)
-                if not h > floor and t + 1.01 * h < end:
-                    status = TOO_SMALL
-                    break
-            else:
-                t = start + numbers[ACCEPTED] * step
-                h = step if numbers[ACCEPTED] < total - 1 else last_step
-            if mode != SYMMETRIC and numbers[RETRY] == 0:
-                copy(c.q, c.from_q)
-                copy(c.v, c.from_v)
-            if baumgarte:
-                tally[ACCELERATION] = max(tally[ACCELERATION], _baumgarte_term(c, t))
-            due = (numbers[ACCEPTED] + 1) % project_every == 0
-            before = c.counts[3]
-            c.w.faulty[0] = -1  # where a run stops, the last attempt counts
-            status = take(common, own, attempt, t, h, controlled, mode)
-            iterations = c.counts[3] - before
-            error = 0.0
-            projected = False
-            if status == OK and controlled:
-                error = _scaled_error(c, rtol, atol, estimates)
-            if status == OK and error <= 1.0:
-                at = end if (controlled and t + h >= end) or numbers[ACCEPTED] + 1 == total else t + h
-                status, projected = project(common, at, mode, due, bound)
-            tally[SUM] += iterations
-            if controlled and (status in (DIVERGED, NOT_FINITE) or not error <= 1.0):
-                factor = AFTER_FAILURE
-                if status == OK and error < np.inf:
-                    factor = max(LEAST, SAFETY * error ** (-exponent))
-                status = OK
-                clock[SIZE] = factor * h
-                c.moved[0] = SAME
-                numbers[RETRY] = 1
-                numbers[ALL_REJECTED] += 1
-                tally[REJECTED] += 1
-                budget -= 1
-                continue
-            if status != OK:
-                c.moved[0] = ALTERED
-                break
-            tally[MOST] = max(tally[MOST], iterations)
-            tally[STEPS] += 1
-            tally[LAST_SIZE] = h
-            if projected:
-                tally[CORRECTIONS] += 1
-                mass = 0.0
-                for b in range(len(c.top.mass) - 1):
-                    mass += c.top.mass[b, 0]
-                tally[POSITION] = max(tally[POSITION], mass_norm(c.top.mass, mass, c.shift_q, c.rest))
-                tally[VELOCITY] = max(tally[VELOCITY], mass_norm(c.top.mass, mass, c.shift_v, c.rest))
-            if controlled:
-                factor = LARGEST
-                if error > 0.0:
-                    factor = SAFETY * error ** (-(exponent - 0.75 * share))
-                    if clock[LAST_ERROR] > 0.0:
-                        factor *= clock[LAST_ERROR] ** share
-                factor = min(LARGEST, max(LEAST, factor))
-                if numbers[RETRY] != 0:
-                    factor = min(1.0, factor)
-                if t + h < end:  # the last step is cut to fit
-                    clock[SIZE] = factor * h
-                clock[LAST_ERROR] = max(error, 1e-4)
-            numbers[RETRY] = 0
-            clock[TAKEN] = h
+    c, planned = load_common(run), load_plan(plan)
+    progress, every = c.progress, planned.recording.every[0]
+    rows = 0
+    while True:
+        if progress.pending[0] == 0:
+            if _has_ended(planned, progress) or budget <= 0 or rows >= len(c.row_time):
+                return OK, rows
             budget -= 1
-            numbers[PENDING] = 1
-            c.moved[0] = ALTERED if projected else ADVANCED
-        # the step is taken: rows inside it, then its end
-        h = clock[TAKEN]
-        t = clock[TIME] if controlled else start + numbers[ACCEPTED] * step
-        last = t + h >= end if controlled else numbers[ACCEPTED] + 1 >= total
-        reached = end if last else t + h
+            status = _try_step(run, method, attempt, planned)
+            if status != OK:
+                return status, rows
+            if progress.pending[0] == 0:  # rejected
+                continue
         if every == 0:
-            at = start + clock[NEXT_ROW] * interval
-            while status == OK and rows < most and at <= reached and at < end - 1e-9 * interval:
-                status = _dense_row(common, own, dense, rows, t, h, at, mode)
-                if status == OK:
-                    rows += 1
-                    clock[NEXT_ROW] += 1.0
-                    at = start + clock[NEXT_ROW] * interval
-            if status != OK or rows >= most:
-                break
-        if not (stays_finite(c.q, c.dq) and stays_finite(c.v, c.dv)):
-            status = NOT_FINITE
-            break
-        if inside:
-            copy(c.q, c.before_q)
-            copy(c.v, c.before_v)
-        if mode != NO_PROJECTION:
-            for d in range(len(c.q)):
-                c.dq[d] += c.shift_q[d]
-                c.dv[d] += c.shift_v[d]
-        add_compensated(c.q, c.q_low, c.dq)
-        add_compensated(c.v, c.v_low, c.dv)
-        if c.has_power[0] != 0:
-            _book(c, c.gain)
-        numbers[ACCEPTED] += 1
-        numbers[PENDING] = 0
-        if controlled:
-            y = h + clock[TIME_LOW]
-            clock[TIME] = t + y
-            clock[TIME_LOW] = y - (clock[TIME] - t)
-            if last:
-                clock[TIME] = end
-        else:
-            clock[TIME] = reached if last else start + numbers[ACCEPTED] * step
-        note_misalignment(c, clock[TIME], c.q)
-        if last or (every > 0 and numbers[ACCEPTED] % every == 0):
+            status, rows = _write_inner_rows(run, method, dense, planned, rows)
+            if status != OK or rows >= len(c.row_time):
+                return status, rows
+        status, last = _advance(c, planned)
+        if status != OK:
+            return status, rows
+        if last or (every > 0 and progress.accepted[0] % every == 0):
             c.point_gain[0] = c.point_gain[1] = 0.0
-            _write_row(c, rows, clock[TIME], c.q, c.v, c.point_gain, c.own_lam)
+            _write_row(c, rows, progress.time[0], c.q, c.v, c.point_gain, c.own_lam)
             rows += 1
-    return status, rows

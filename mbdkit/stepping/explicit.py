@@ -1,7 +1,6 @@
 """Explicit Runge-Kutta methods: one compiled step for every tableau, with error estimates and dense output.
 
-A tableau may have more rows than the step needs: those stages are evaluated where a state between two steps is asked
-for, and only there.
+A tableau may have more rows than the step needs. These stages are evaluated only for dense output.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Explicit(NamedTuple):
-    """An explicit method and its stages: S of them make the step, E with those of dense output."""
+    """An explicit method and its stages: S stages of the step, E stages with those of dense output."""
 
     a: np.ndarray
     """(E, E) coefficients."""
@@ -33,20 +32,20 @@ class Explicit(NamedTuple):
     c: np.ndarray
     """(E,) nodes."""
     error: np.ndarray
-    """(0, 1 or 2, S) weights of the error estimates, the finer one first."""
+    """(0, 1 or 2, S) weights of the error estimates, the one of higher order first."""
     dense: np.ndarray
-    """(E, degree) dense output: weight i at theta is ``sum_k dense[i, k] theta^(k + 1)``; no rows without it."""
+    """(E, degree) dense output: weight i at theta is ``sum_k dense[i, k] theta^(k + 1)``; no rows if there is none."""
     rates: np.ndarray
     """(E, 3 (B + 1)) velocities and accelerations of the stages."""
     accelerations: np.ndarray
     q_stage: np.ndarray
     lam: np.ndarray
     power: np.ndarray
-    """(E, 2) power of loads and drivers, and dissipated, at the stages."""
+    """(E, 2) power of loads and drivers, and dissipated power, at the stages [W]."""
     weights: np.ndarray
-    """(E,) scratch: weights of dense output."""
+    """(E,) work array: weights of dense output."""
     status: np.ndarray
-    """(2,) whether the last stage of a step is the first of the next; how many stages are known."""
+    """(2,) whether the last stage of a step is the first of the next; number of stages evaluated."""
 
 
 def new_explicit(method: ExplicitRungeKutta, size: int, pairs: int) -> Explicit:
@@ -134,7 +133,7 @@ def evaluate_stages(common, own, t, h, first, last):
 
 @entry
 def attempt(common, own, t, h, want_error):
-    """Try a step from the base state; see `mbdkit.stepping.driver`."""
+    """Compute a step from the base state; see `mbdkit.stepping.driver`."""
     c, m = load_common(common), load_explicit(own)
     stages = len(m.b)
     first = 0
@@ -191,7 +190,7 @@ def dense(common, own, t, h, theta):
 
 
 class ExplicitFamily(Family):
-    """Explicit tableaus."""
+    """Explicit Runge-Kutta methods."""
 
     attempt, dense = attempt, dense
     hint = "a smaller time.step or an implicit integrator may help"

@@ -1,4 +1,4 @@
-"""What every stepper shares: the timetable of a run, what a stretch of it yields, and how it can fail."""
+"""The interface of steppers: the timetable of a run, the recorded states of a stretch of it, and failures."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mbdkit.engine.counters import Counters
+
 STRETCH = 0.1
-"""Seconds after which a compiled loop is meant to return to Python; it stays well below 0.2 s."""
+"""Seconds after which a compiled loop should return to Python, so that it stays well below the promised 0.2 s."""
 
 
 @dataclass(frozen=True)
@@ -23,17 +25,17 @@ class Timetable:
     start, end
         Time span [s].
     step
-        Fixed step, or first step of an adaptive method; None: the method chooses.
+        Fixed step, or first step of an adaptive method [s]; None: chosen by the method.
     steps
         Number of fixed steps N.
     every
         Record every k-th step, the start and the end.
     interval
-        Instead of `every`: record at these distances in time [s], by dense output.
+        Instead of `every`: distance of recorded states in time [s], by dense output.
     max_steps
         Steps after which the run stops.
     single
-        Whether `Stepper.advance` takes one accepted step a call, to be looked into before the next.
+        Whether `Stepper.advance` takes one accepted step per call, so that it can be searched for events.
     """
 
     start: float
@@ -64,16 +66,16 @@ class Stretch:
     work: np.ndarray
     dissipated: np.ndarray
     intervals: np.ndarray
-    """(T, 6) float: time, steps, size, iterations, iterations_max, rejected of the interval that ends at each row."""
+    """(T, 6) float: time, steps, size, iterations, iterations_max, rejected of the interval that ends with each row."""
     multipliers: np.ndarray | None = None
-    """(T, m) the multipliers that the method itself carries, if it does."""
+    """(T, m) multipliers computed by the method itself, if there are any."""
     corrections: np.ndarray | None = None
-    """(T, 4) of the interval that ends at each row, if the run is stabilized: projections made, largest correction of
-    positions [m] and of velocities [m/s] in the mass metric, largest of Baumgarte's terms [m/s^2, rad/s^2]."""
+    """(T, 4) of the interval that ends with each row, if the run is stabilized: number of projections, largest
+    correction of positions [m] and of velocities [m/s] in the mass metric, largest Baumgarte term [m/s^2, rad/s^2]."""
 
 
 def joined(stretches: Sequence[Stretch]) -> Stretch:
-    """Return stretches that follow each other as one; what one of them lacks is left out."""
+    """Return consecutive stretches as one; an optional array that is None in one of them is None in the result."""
     if len(stretches) == 1:
         return stretches[0]
     whole: dict[str, Any] = {}
@@ -85,7 +87,7 @@ def joined(stretches: Sequence[Stretch]) -> Stretch:
 
 @dataclass(frozen=True)
 class StepTaken:
-    """One accepted step: its times [s], and the states (3 (B + 1),) where it began and ended, ground last."""
+    """One accepted step: the times [s] and states (3 (B + 1),), ground last, of its start and its end."""
 
     t0: float
     t1: float
@@ -95,11 +97,11 @@ class StepTaken:
     v1: np.ndarray
 
     def time(self, theta: float) -> float:
-        """Return the time [s] at the share `theta` of the step; exact at its ends."""
+        """Return the time [s] at the share `theta` of the step; exact at both ends."""
         return self.t1 if theta == 1.0 else self.t0 + theta * (self.t1 - self.t0)
 
     def hermite(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and velocities of the cubic through both ends and their velocities: of order 3."""
+        """Return positions and velocities of the cubic Hermite interpolant of both ends, of order 3."""
         h, square = self.t1 - self.t0, theta * theta
         powers = [[1.0, theta, square, theta * square], [0.0, 1.0 / h, 2.0 * theta / h, 3.0 * square / h]]
         q, v = np.array(powers) @ self._cubic
@@ -121,22 +123,8 @@ class Failure:
     sentence: str
 
 
-@dataclass
-class Counters:
-    """Cost of a run, counted where it arises."""
-
-    steps: int = 0
-    accepted: int = 0
-    rejected: int = 0
-    rhs_evaluations: int = 0
-    jacobian_evaluations: int = 0
-    factorizations: int = 0
-    newton_iterations: int = 0
-    projections: int = 0
-
-
 class Advancing(Protocol):
-    """What advances a run: a stepper, or what watches one; see `Stepper`."""
+    """An object that advances a run: a `Stepper`, or the watch for events around one."""
 
     @property
     def counters(self) -> Counters:
@@ -145,17 +133,17 @@ class Advancing(Protocol):
 
     @property
     def finished(self) -> bool:
-        """Whether the run has come to its end."""
+        """Whether the run has reached its end."""
         ...
 
     @property
     def failure(self) -> Failure | None:
-        """Why it stopped early, or None."""
+        """Why the run stopped early, or None."""
         ...
 
     @property
     def worst_pairs(self) -> np.ndarray:
-        """(P,) largest square of the norm of each pair's Phi, over all steps so far."""
+        """(P,) largest squared norm of each pair's Phi over all steps so far."""
         ...
 
     @property
@@ -164,80 +152,59 @@ class Advancing(Protocol):
         ...
 
     def advance(self) -> Stretch:
-        """Go on for about `STRETCH` seconds, to the end or to a failure, and return the states to be recorded."""
-        ...
+        """Advance for about `STRETCH` seconds, to the end or to a failure, and return the recorded states.
 
-    def last_state(self) -> Stretch:
-        """Return the state reached as one row, for a run that is stopped between two recorded ones."""
-        ...
-
-
-class Stepper(Protocol):
-    """Advances one run; what a method's `start` returns.
-
-    Attributes
-    ----------
-    counters
-        Cost so far.
-    finished
-        Whether the end time has been reached.
-    failure
-        Why it stopped early, or None.
-    worst_pairs
-        (P,) largest square of the norm of each pair's Phi, over all steps so far.
-    time
-        Time reached [s].
-    last_step
-        The step that the last `advance` took, or None where it took none; only under ``Timetable.single``, as are
-        `inside`, `within` and `cut`, which tell of that step.
-    """
-
-    counters: Counters
-    finished: bool
-    failure: Failure | None
-    worst_pairs: np.ndarray
-    time: float
-    last_step: StepTaken | None
-
-    def advance(self) -> Stretch:
-        """Go on for about `STRETCH` seconds, to the end or to a failure, and return the states to be recorded.
-
-        Under ``Timetable.single`` go on for one accepted step instead.
+        Under ``Timetable.single``, advance by one accepted step instead.
         """
         ...
 
     def last_state(self) -> Stretch:
-        """Return the state reached as one row, for a run that is stopped between two recorded ones."""
+        """Return the state reached as one row, for a run that is stopped between two recorded states."""
+        ...
+
+
+class Stepper(Advancing, Protocol):
+    """Advances one run with a method; returned by `mbdkit.stepping.start.start_method`.
+
+    The members below are about the step that the last `advance` has taken, and need ``Timetable.single``.
+    """
+
+    @property
+    def last_step(self) -> StepTaken | None:
+        """The step that the last `advance` has taken; None if it took none."""
         ...
 
     def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and velocities (3 (B + 1),) at the share `theta` of the last step, by dense output."""
+        """Return positions and velocities (3 (B + 1),) at the share `theta` of the last step, by dense output.
+
+        A method without dense output uses the cubic through both ends of the step.
+        """
         ...
 
     def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return what `inside` does by the method itself: a step of that size from where the last one began.
+        """Return the same by a step of the method of that size, from the start of the last step.
 
-        The run goes on as if it had not been asked, but the work counts. Where such a step fails, and for methods that
-        cannot take it, the dense output stands in.
+        This does not change the run, apart from the counters. If the step fails, and for methods that cannot take it,
+        the result is that of `inside`.
         """
         ...
 
     def cut(self, theta: float) -> Stretch:
-        """End the run at the share `theta` of the last step, as `within` has it, and return that state as a row.
+        """End the run at the share `theta` of the last step, at the state given by `within`; return it as a row.
 
-        Rows that `advance` returned for that time and later ones are void.
+        The caller discards rows that `advance` has returned for this time and later times.
         """
         ...
 
 
 @dataclass
 class Pace:
-    """Chooses how many steps fit into a stretch, from the steps done so far."""
+    """Chooses the number of steps of a stretch from the speed so far."""
 
     steps: int
 
     def timed(self, done: int, since: float) -> None:
-        """Take note that `done` steps took the time since `since` (`time.perf_counter`)."""
+        """Update `steps` after `done` steps since `since` (`time.perf_counter`)."""
         elapsed = max(time.perf_counter() - since, 1e-7)
         if done:
             self.steps = max(1, min(int(done * STRETCH / elapsed), 8 * self.steps))

@@ -1,4 +1,4 @@
-"""A step of a compiled method with its projection: none, onto the constraints after it, or symmetrically around it."""
+"""A step of a compiled method with its projection: none, onto the constraints after the step, or symmetric."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ from mbdkit.engine.kernels.projection import (
 )
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_rows, independent_rows, solve_system
 from mbdkit.engine.kernels.vectors import copy
+from mbdkit.stepping.run_plan import PLAIN, SYMMETRIC
 from mbdkit.stepping.run_state import ALTERED, PROJECTIONS, load_common
 
-NO_PROJECTION, PLAIN, SYMMETRIC = range(3)
+MAX_TRIALS = 100
+"""Iterations of a symmetric projection, each with a step of the method; it converges slowly on fast linkages."""
 
-MOST_TRIALS, IDLE, IDLE_RATIO = 100, 2, 0.9
-"""Iterations of a symmetric projection, each with a step of the method; those without progress that end it; and the
-ratio to the best so far that is no progress: on fast linkages it converges slowly."""
+IDLE, IDLE_RATIO = 2, 0.9
+"""The iteration ends after so many iterations without progress: the residual is above this ratio of the smallest one
+so far, and already at the level of rounding errors."""
 
 
 @part
@@ -48,7 +50,7 @@ def _push(c, t, q, push_q, push_v):
 
 @part
 def _newton_on(c, residual, multipliers):
-    """Change `multipliers` by ``-(Phi_q M^-1 Phi_q^T)^-1 residual / 2`` with the rows that stand evaluated."""
+    """Change `multipliers` by ``-(Phi_q M^-1 Phi_q^T)^-1 residual / 2`` with the rows evaluated last."""
     for k in range(len(residual)):
         for r in range(2):
             c.w.gamma[k, r] = 0.5 * residual[k, r]
@@ -62,15 +64,16 @@ def _newton_on(c, residual, multipliers):
 
 @part
 def _symmetric_step(common, own, attempt, t, h):
-    """Take a step with symmetric projection: the same multipliers push off the constraints before it and back after it.
+    """Take a step with symmetric projection: the same multipliers correct the state before and after the step.
 
-    Leaves the end in ``new_q, new_v``, and both pushes together in ``shift_q, shift_v``. Hairer (2000): simplified
-    Newton on the multipliers, which at the end meet twice the matrix ``Phi_q M^-1 Phi_q^T``.
+    Writes the end of the step into ``new_q, new_v``, and the sum of both corrections into ``shift_q, shift_v``.
+    Simplified Newton iteration on the multipliers (Hairer 2000, BIT 40, 726-734). The derivative of the residual is
+    twice the matrix ``Phi_q M^-1 Phi_q^T``, since a multiplier acts both before and after the step.
     """
     c = load_common(common)
     before = np.inf
     idle = 0
-    for m in range(MOST_TRIALS):
+    for m in range(MAX_TRIALS):
         _push(c, t, c.q, c.shift_q, c.shift_v)
         for d in range(len(c.q)):
             c.from_q[d] = c.q[d] + c.shift_q[d]
@@ -81,7 +84,7 @@ def _symmetric_step(common, own, attempt, t, h):
             return status
         for d in range(len(c.q)):
             c.new_q[d] = c.from_q[d] + c.dq[d]
-        for _ in range(2):  # the rows are those of the end itself
+        for _ in range(2):  # Phi_q belongs to the projected end, which it changes
             _push(c, t + h, c.new_q, c.est_q, c.est_v)
             for d in range(len(c.q)):
                 c.new_q[d] = c.from_q[d] + c.dq[d] + c.est_q[d]
@@ -105,7 +108,7 @@ def _symmetric_step(common, own, attempt, t, h):
             return OK
         before = min(before, now)
         status = _newton_on(c, c.w.phi, c.mu)
-        if status == OK:  # velocities are corrected for where the positions are going
+        if status == OK:  # velocities are corrected with the rows at the new positions
             for d in range(len(c.q)):
                 c.est_q[d] = c.new_q[d] - 2.0 * c.x[d]
             position_rows(c.still, c.w, t + h, c.est_q)
@@ -115,7 +118,7 @@ def _symmetric_step(common, own, attempt, t, h):
             status = _newton_on(c, c.miss, c.nu)
         if status != OK:
             return status
-        for k in range(len(c.lam)):  # what pushes velocities before the step moves positions at its end
+        for k in range(len(c.lam)):  # nu changes the velocity before the step, and so the positions at its end by h nu
             for r in range(c.still.rows[k]):
                 c.mu[k, r] -= 0.5 * h * c.lam[k, r]
     return DIVERGED
@@ -123,7 +126,7 @@ def _symmetric_step(common, own, attempt, t, h):
 
 @part
 def _passes_bound(c, t, q, v, bound):
-    """Return whether positions or velocities at `t` miss the constraints by more than `bound`."""
+    """Return whether positions or velocities at `t` violate a constraint by more than `bound`."""
     position_rows(c.still, c.w, t, q)
     if not largest_residual(c.still, c.w.phi) <= bound:
         return True
@@ -135,9 +138,9 @@ def _passes_bound(c, t, q, v, bound):
 
 @part
 def take(common, own, attempt, t, h, want_error, mode):
-    """Take one step with its projection, without going there: its end is left in ``new_q, new_v``; return a status.
+    """Compute one step, and its projection if that is symmetric; write its end into ``new_q, new_v``; return a status.
 
-    ``shift_q, shift_v`` is what the projection adds to ``dq, dv``.
+    The state is not changed. ``shift_q, shift_v`` is what the projection adds to ``dq, dv``.
     """
     c = load_common(common)
     if mode == SYMMETRIC:
@@ -158,7 +161,7 @@ def take(common, own, attempt, t, h, want_error, mode):
 
 @part
 def project(common, t, mode, due, bound):
-    """Project the end of a step where that is due; return a status and whether it was."""
+    """Project the end of a step if that is due; return a status and whether the step is projected."""
     c = load_common(common)
     if mode != PLAIN or not due or (bound > 0.0 and not _passes_bound(c, t, c.new_q, c.new_v, bound)):
         return OK, mode == SYMMETRIC

@@ -1,7 +1,7 @@
-"""Steps written in Python, moved onto the constraints: plainly after a step, or symmetrically around it.
+"""Projection of the steps of Python methods onto the constraints, after the step or symmetrically before and after it.
 
-`mbdkit.stepping.projected_step` does the same in compiled code, to the steps of compiled methods; here the iteration
-is made of calls of `EquationsOfMotion`, because the step in its middle is one of Python.
+`mbdkit.stepping.projected_step` does this for compiled methods in compiled code. Here the iteration contains a step in
+Python, so it calls `EquationsOfMotion`.
 """
 
 from __future__ import annotations
@@ -12,55 +12,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.stepping.python_method import StepError, StepState
+from mbdkit.engine.nearest_state import ROUND_OFF, STAGNANT, nearest_positions, nearest_velocities
+from mbdkit.errors import StepError
+from mbdkit.methods.step_method import StepState
 
 if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
 
 Vector = np.ndarray | float
 
-MOST_PROJECTIONS = 20
-"""Iterations after which a projection counts as failed."""
-
-MOST_STEPS = 100
-"""Steps tried for one symmetric projection after which it counts as failed."""
-
-ROUND_OFF = 4 * float(np.finfo(float).eps)
-"""Relative change of the coordinates that is nothing but rounding."""
-
-STAGNANT = 1e-9
-"""Relative change below which a projection that comes no nearer has met round-off."""
-
-
-def nearest_positions(p: EquationsOfMotion, t: float, q: np.ndarray) -> np.ndarray:
-    """Return the positions (n,) nearest to `q` in the mass metric that meet all constraints at time `t`; uncounted."""
-    given, before = q, np.inf
-    for _ in range(MOST_PROJECTIONS):
-        step, _ = p.solve(t, q, p.mass * (given - q), -p.constraints(t, q))
-        q = q + step
-        now = p.relative_change(q, step)
-        if now <= ROUND_OFF or (now >= 0.5 * before and now < STAGNANT):
-            return q
-        before = now
-    raise StepError("newton-failed", f"no position that meets the joints was found in {MOST_PROJECTIONS} iterations")
-
-
-def nearest_velocities(p: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return the velocities (n,) nearest to `v` in the mass metric that keep the constraints; uncounted.
-
-    The equations are linear; a second solve takes their round-off away.
-    """
-    none = np.zeros(p.n)
-    for _ in range(2):
-        v = v + p.solve(t, q, none, -p.constraint_rates(t, q, v))[0]
-    return v
+MAX_TRIALS = 100
+"""Iterations of a symmetric projection, each with a step of the method; it converges slowly on fast linkages."""
 
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """One step: where the method's own began and what it made, both unprojected, and the state that is gone on from.
+    """One step: start and end of the step of the method, both without projection, and the state after projection.
 
-    `correction` (4,) is what was done to it, as a stretch of a run has it (`mbdkit.stepping.interface.Stretch`).
+    `correction` (4,) is a row of ``Stretch.corrections`` (`mbdkit.stepping.interface.Stretch`).
     """
 
     begin: StepState
@@ -70,7 +39,7 @@ class Taken:
 
 
 class StabilizedSteps:
-    """Takes the steps of a method written in Python as a run's stabilization wants them.
+    """Takes steps of a Python method with the stabilization of the run.
 
     *Projection*: positions and velocities go to the nearest ones on the constraints, in the mass metric. *Symmetric
     projection* (Hairer 2000, BIT 40, 726-734): with multipliers mu of positions and nu of velocities,
@@ -78,18 +47,19 @@ class StabilizedSteps:
         q_0~ = q_0 + M^-1 Phi_q(q_0)^T mu,    (q_1~, v_1~) = step(q_0~, v_0~),    q_1 = q_1~ + M^-1 Phi_q(q_1)^T mu
         v_0~ = v_0 + M^-1 Phi_q(q_0)^T nu,                                        v_1 = v_1~ + M^-1 Phi_q(q_1)^T nu
 
-    so that Phi(q_1) = 0 and Phi_q(q_1) v_1 + Phi_t = 0: a step back leads back. The multipliers are found by Newton
-    iterations, each with the method's step and a matrix simplified to that of a step that moves q by h v.
+    so that Phi(q_1) = 0 and Phi_q(q_1) v_1 + Phi_t = 0. The projected method is symmetric if the method is. The
+    multipliers are computed by a simplified Newton iteration: each iteration takes a step of the method, and the
+    matrix is that of a step that changes q by h v.
 
-    What a state carries beside q and v, multipliers and memory, is handed on as the method made it: a memory that has
-    to fit the velocities, such as that of generalized-alpha, no longer does, and can cost an order of the multipliers.
+    Multipliers and memory of a state are not changed by projection. A memory that must be consistent with the
+    velocities, such as that of generalized-alpha, then is not, which can reduce the order of the multipliers by one.
 
     Parameters
     ----------
     step
-        The method's own step: (t, state, h) to state.
+        The step of the method: (t, state, h) to state.
     equations
-        The equations; its counters count, and its stabilization says what is wanted.
+        The equations, with their counters and the stabilization of the run.
     """
 
     def __init__(self, step: Callable[[float, StepState, float], StepState], equations: EquationsOfMotion):
@@ -121,7 +91,7 @@ class StabilizedSteps:
         mu, nu = np.zeros((2, p.m))
         at: np.ndarray | None = None
         before, idle = np.inf, 0
-        for _ in range(MOST_STEPS):
+        for _ in range(MAX_TRIALS):
             begin, pushed_q, pushed_v = state, none, none
             if at is not None:
                 pushed_q, pushed_v = self._push(t, state.q, mu), self._push(t, state.q, nu)
@@ -140,7 +110,7 @@ class StabilizedSteps:
                 return self._corrected(begin, made, dq + step_q, dv + step_v, pushed_q, pushed_v)
             mu, nu = mu - 0.5 * (for_q - 0.5 * h * for_v), nu - 0.5 * for_v
             before = now
-        raise StepError("newton-failed", f"the symmetric projection did not converge in {MOST_STEPS} tries of the step")
+        raise StepError("newton-failed", f"the symmetric projection did not converge in {MAX_TRIALS} iterations")
 
     def _push(self, t: float, q: np.ndarray, mu: np.ndarray) -> np.ndarray:
         return self.equations.constraint_forces(t, q, mu) / self.equations.mass
@@ -154,7 +124,7 @@ class StabilizedSteps:
         before_q: Vector = 0.0,
         before_v: Vector = 0.0,
     ) -> Taken:
-        """Return a step whose end is moved by `dq`, `dv`; noted with what its begin was moved by."""
+        """Return a step whose end is changed by `dq`, `dv`, and whose start was changed by `before_q`, `before_v`."""
         self.equations.counters.projections += 1
         reached = made.moved(
             dq,

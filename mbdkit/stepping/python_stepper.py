@@ -1,4 +1,4 @@
-"""Drives a method that is written in Python: one step after the other, checked, booked and recorded."""
+"""Runs a method that is written in Python: takes its steps, checks them, integrates energies and records states."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.engine.counters import Counters
 from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
 from mbdkit.engine.iteration_matrix import vector
 from mbdkit.engine.kernels.equations import example_workspace
 from mbdkit.engine.workspace import Workspace
+from mbdkit.errors import StepError
+from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.stepping import interface
-from mbdkit.stepping.interface import Counters, Failure, StepTaken, Stretch, Timetable
-from mbdkit.stepping.python_method import StepError, StepMethod, StepState
+from mbdkit.stepping.interface import Failure, StepTaken, Stretch, Timetable
 from mbdkit.stepping.python_projection import StabilizedSteps, Taken
 
 if TYPE_CHECKING:
@@ -24,13 +26,13 @@ if TYPE_CHECKING:
 
 @cache
 def _load_kernels() -> None:
-    """Load every kernel once in a process, before the first step is timed."""
+    """Load the kernels of the equations of motion once per process, before the first step is timed."""
     call_everything(EquationsOfMotion(example_workspace()))
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """What happened since the last recorded row: steps, the size of the last, iterations, and corrections (4,)."""
+    """Work since the last recorded row: steps, size of the last, iterations, and corrections (4,) as in `Stretch`."""
 
     steps: int = 0
     size: float = 0.0
@@ -39,7 +41,7 @@ class Interval:
     correction: np.ndarray = field(default_factory=lambda: np.zeros(4))
 
     def after(self, size: float, iterations: int, correction: np.ndarray) -> Interval:
-        """Return the interval with one more step."""
+        """Return the interval extended by one step."""
         largest = np.maximum(self.correction, correction)
         largest[0] = self.correction[0] + correction[0]
         most = max(self.most_iterations, iterations)
@@ -48,24 +50,24 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Reached:
-    """What lies between two steps: all that it takes to go on from there, as often as is wanted."""
+    """A point of the run between two steps, with everything that is needed to resume from it."""
 
     done: int
-    """Steps so far."""
+    """Number of steps so far."""
     time: float
     state: StepState
     energy: np.ndarray
-    """(2,) work of loads and drivers, and dissipated energy [J]; then the low parts of these sums."""
+    """(2,) work of loads and drivers, and dissipated energy [J]; `energy_low` are the low parts of these sums."""
     energy_low: np.ndarray
     interval: Interval
 
 
-class StepStepper:
-    """Runs a `StepMethod` over a timetable; see `mbdkit.stepping.interface.Stepper`.
+class PythonStepper:
+    """Runs a `StepMethod` over a timetable; implements `mbdkit.stepping.interface.Stepper`.
 
-    Work and dissipated energy that the method does not book are integrated by Simpson's rule, of order 4, over the
-    cubic through both ends of the step, with the powers under the index-1 multipliers; its three solves a step count.
-    Projections are made around the method's steps, and book nothing.
+    Work and dissipated energy that the method does not return are integrated by Simpson's rule, of order 4, over the
+    cubic through both ends of the step, with the index-1 multipliers; its three solves per step are counted.
+    Corrections by projection are not part of the energies.
     """
 
     def __init__(self, method: StepMethod, workspace: Workspace, timetable: Timetable):
@@ -87,7 +89,7 @@ class StepStepper:
         _load_kernels()
 
     def advance(self) -> Stretch:
-        """Go on for about `interface.STRETCH` seconds; what the method raised comes out after the rows before it."""
+        """See `Stepper.advance`. An exception of the method is raised by the next call, after the rows before it."""
         if self.raised is not None:
             raise self.raised
         until, table = time.perf_counter() + interface.STRETCH, self.timetable
@@ -118,12 +120,12 @@ class StepStepper:
         return self._stretch(rows)
 
     def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return a state in the last step by the cubic through its ends; see `Stepper.inside`."""
+        """See `Stepper.inside`."""
         assert self.last_step is not None
         return self.last_step.hermite(theta)
 
     def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return a state in the last step by a step of the method to there; see `Stepper.within`."""
+        """See `Stepper.within`."""
         step = self.last_step
         assert step is not None
         if theta in (0.0, 1.0):
@@ -132,11 +134,11 @@ class StepStepper:
         return self._with_ground(there.state) if there is not None else self.inside(theta)
 
     def cut(self, theta: float) -> Stretch:
-        """End the run within the last step; see `Stepper.cut`."""
+        """See `Stepper.cut`."""
         assert self.last_step is not None
         before, after = self._before, self.now
         there = self._again(theta) if theta > 0.0 else before
-        if there is None:  # the step that led here could be taken, but none to this place
+        if there is None:  # use dense output instead
             q, v = (x[: self.equations.n] for x in self.inside(theta))
             there = replace(
                 after,
@@ -149,7 +151,7 @@ class StepStepper:
         return self.last_state()
 
     def last_state(self) -> Stretch:
-        """Return the state reached as one row; see `Stepper.last_state`."""
+        """See `Stepper.last_state`."""
         return self._stretch([self._recorded()])
 
     def _size(self, begin: Reached) -> float:
@@ -159,14 +161,16 @@ class StepStepper:
         return table.last_step if begin.done == table.steps - 1 else table.step
 
     def _after(self, begin: Reached, theta: float, worst: np.ndarray) -> Reached:
-        """Return where a share of the step from `begin` leads, and raise `worst` (P,) by its misalignments.
+        """Return the result of a share of the step from `begin`, and raise `worst` (P,) by its misalignments.
 
-        Raises StepError, and whatever the method raises.
+        Raises StepError, and any exception of the method.
         """
         table, equations, iterations = self.timetable, self.equations, self.counters.newton_iterations
         assert table.step is not None
         done, h = begin.done + 1, theta * self._size(begin)
-        end = table.start + done * table.step if h == table.step else begin.time + h  # time is not summed up
+        end = (
+            table.start + done * table.step if h == table.step else begin.time + h
+        )  # a sum of steps would accumulate rounding errors
         taken = self.stabilized.take(begin.time, end, begin.state, h, done)
         new = taken.reached
         if not equations.arrive(end, new.q, new.v, worst):
@@ -178,7 +182,7 @@ class StepStepper:
         return Reached(done, table.end if done == table.steps else end, new, energy, low, interval)
 
     def _again(self, theta: float) -> Reached | None:
-        """Take a share of the last step instead; None where that fails. Raises what the method raises."""
+        """Take a share of the last step; None if the step fails. Raises any other exception of the method."""
         try:
             return self._after(self._before, theta, self.worst_pairs.copy())
         except StepError:
@@ -190,7 +194,7 @@ class StepStepper:
         self.finished = there.done == self.timetable.steps
 
     def _recorded(self) -> Reached:
-        """Return the state reached, to be recorded, and begin a new interval."""
+        """Return the point reached, to be recorded, and begin a new interval."""
         recorded = self.now
         self.now = replace(recorded, interval=Interval())
         return recorded
@@ -200,7 +204,7 @@ class StepStepper:
         return np.concatenate([state.q, ground]), np.concatenate([state.v, ground])
 
     def _own_step(self, t: float, state: StepState, h: float) -> StepState:
-        """Return what the method makes of a step, checked; raises TypeError or ValueError by name."""
+        """Take a step of the method and check its result; raises TypeError or ValueError that names the method."""
         try:
             new = self.method.step(self.equations, t, state, h)
         except SystemExit:
@@ -222,7 +226,7 @@ class StepStepper:
         return new if found[0] is new.q and found[1] is new.v else replace(new, q=found[0], v=found[1])
 
     def _booked(self, begin: Reached, h: float, taken: Taken) -> tuple[np.ndarray, np.ndarray]:
-        """Return work and dissipated energy after the method's own step, with compensation; projections add none."""
+        """Return work and dissipated energy after the step of the method, by compensated sums."""
         gains: Sequence[float | None] = (taken.made.work, taken.made.dissipated)
         if None in gains:
             ours = self._gains(begin.time, h, taken)
@@ -244,7 +248,7 @@ class StepStepper:
         return h / 6 * (begin + 4 * middle + np.array(equations.powers(t + h, new.q, new.v, lam1)))
 
     def _stretch(self, rows: list[Reached]) -> Stretch:
-        """Return recorded states as a stretch; `mbdkit.stepping.interface.Stretch` says what stands where."""
+        """Return recorded states as a stretch."""
         n, count = self.equations.n, len(rows)
         q, v = np.zeros((2, count, self.workspace.mechanism.size))
         intervals = np.zeros((count, 6))

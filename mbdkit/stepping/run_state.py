@@ -1,6 +1,6 @@
-"""What the compiled driver and every compiled family of methods share: one run's state, room and results.
+"""The state of a run that the compiled driver shares with every compiled method, with work arrays and results.
 
-The arrays are bundled once and kept with the kernels (`mbdkit.engine.jit.bundle`); functions hand their address on.
+The arrays are bundled once and kept for the kernels (`mbdkit.engine.jit.bundle`); functions pass the address on.
 """
 
 from __future__ import annotations
@@ -17,25 +17,86 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
 ADVANCED, SAME, ALTERED = range(3)
-"""How the state stands to that of the last attempt: where it led; where it began; neither."""
+"""Base state of an attempt: the end of the last attempt, its start, or modified since. Methods may keep values that
+belong to a base state: those of the last stage, of the first stage, or none."""
 
 RHS, JACOBIANS, FACTORIZATIONS, ITERATIONS, PROJECTIONS = range(5)
-"""What is counted where."""
+"""Indices of ``counts``: right sides, Jacobians, factorizations, Newton iterations, projections."""
+
+
+class Progress(NamedTuple):
+    """How far a run has come; each array has one element."""
+
+    time: np.ndarray
+    """Time reached [s], and the low part of its compensated sum."""
+    time_low: np.ndarray
+    next_size: np.ndarray
+    """Size of the next step, if the error controls it [s]."""
+    last_size: np.ndarray
+    """Size of the last accepted step [s]."""
+    last_error: np.ndarray
+    """Scaled error of the last accepted step; 0 before the first."""
+    next_row: np.ndarray
+    """Number of the next row that is recorded by interval."""
+    accepted: np.ndarray
+    """Number of accepted steps."""
+    rejected: np.ndarray
+    """Number of rejected steps."""
+    pending: np.ndarray
+    """Whether a step has been accepted whose rows are not yet written; the state is still the one before it."""
+    retrying: np.ndarray
+    """Whether the last attempt was rejected."""
+
+
+class Interval(NamedTuple):
+    """Work done since the last recorded row. ``values`` (9,) contains the other fields, of one element each."""
+
+    values: np.ndarray
+    steps: np.ndarray
+    last_size: np.ndarray
+    """Size of the last step [s]."""
+    iterations: np.ndarray
+    """Newton iterations, and the largest number of them in one step."""
+    iterations_max: np.ndarray
+    rejected: np.ndarray
+    """Rejected steps."""
+    projections: np.ndarray
+    position_correction: np.ndarray
+    """Largest correction by a projection in the mass metric, of positions [m] and of velocities [m/s]."""
+    velocity_correction: np.ndarray
+    baumgarte_term: np.ndarray
+    """Largest of Baumgarte's terms [m/s^2, rad/s^2]."""
+
+
+INTERVAL_FIELDS = Interval._fields[1:]
+"""Columns of ``row_interval``."""
+
+
+def new_progress() -> Progress:
+    """Return the progress of a run that has not begun."""
+    reals, counts = np.zeros((6, 1)), np.zeros((4, 1), dtype=np.int64)
+    return Progress(*reals, *counts)
+
+
+def new_interval() -> Interval:
+    """Return an interval without steps."""
+    values = np.zeros(len(INTERVAL_FIELDS))
+    return Interval(values, *values.reshape(-1, 1))
 
 
 class Common(NamedTuple):
-    """One run as the compiled driver sees it; vectors are (3 (B + 1),), ground last, multipliers (P, 2) by pair."""
+    """A run as the compiled driver sees it. Vectors are (3 (B + 1),), ground last; multipliers are (P, 2) by pair."""
 
     top: Topology
-    """The mechanism, with its Baumgarte terms if there are any."""
+    """The mechanism, with Baumgarte's terms if the run is stabilized by them."""
     still: Topology
-    """The same without gravity and without these terms, for systems with a given right side."""
+    """The mechanism without gravity and without Baumgarte's terms, for systems with a given right side."""
     w: Scratch
     solver: Solver
     has_power: np.ndarray
     """(1,) whether work or dissipated energy can change."""
     q: np.ndarray
-    """State between two steps; `q_low` and so on hold the low parts of its compensated sums."""
+    """State between two steps. `q_low`, `v_low` and `energy_low` are the low parts of compensated sums."""
     q_low: np.ndarray
     v: np.ndarray
     v_low: np.ndarray
@@ -43,33 +104,33 @@ class Common(NamedTuple):
     """(2,) work of loads and drivers, and dissipated energy [J]."""
     energy_low: np.ndarray
     from_q: np.ndarray
-    """What an attempt starts from: the state, or the state perturbed by the symmetric projection."""
+    """Base state of an attempt: the state, or in a symmetric projection the state plus the first correction."""
     from_v: np.ndarray
     moved: np.ndarray
-    """(1,) ADVANCED, SAME or ALTERED: how that stands to the last attempt; methods may keep what still holds."""
+    """(1,) ADVANCED, SAME or ALTERED: relation of the base state to that of the last attempt."""
     dq: np.ndarray
-    """What an attempt gives: increments of positions and velocities."""
+    """Result of an attempt: increments of positions and velocities."""
     dv: np.ndarray
     gain: np.ndarray
-    """(2,) increments of the energies, by the method's own weights."""
+    """(2,) increments of the energies, integrated with the weights of the method."""
     own_lam: np.ndarray
-    """The multipliers that the method itself carries, at the end of the step, of the pairs' own rows."""
+    """Multipliers computed by the method itself, at the end of the step, in the rows of the pairs."""
     est_q: np.ndarray
-    """Estimates of the local error, where asked for."""
+    """Estimates of the local error, if requested."""
     est_v: np.ndarray
     second_q: np.ndarray
-    """A second estimate of lower order, for methods that bring two."""
+    """Second estimates of lower order, of methods that have two."""
     second_v: np.ndarray
     point_q: np.ndarray
-    """What dense output gives: positions, velocities, energies gained so far, own multipliers."""
+    """Result of dense output: positions, velocities, energies gained since the start of the step, multipliers."""
     point_v: np.ndarray
     point_gain: np.ndarray
     point_lam: np.ndarray
     new_q: np.ndarray
-    """The state at the end of the step under way, corrected if need be."""
+    """State at the end of the current step, with projection if there is one."""
     new_v: np.ndarray
     shift_q: np.ndarray
-    """The correction of that state by projection."""
+    """Change of that state by projection."""
     shift_v: np.ndarray
     mu: np.ndarray
     """(P, 2) multipliers of the symmetric projection, of positions and of velocities; kept from step to step."""
@@ -77,29 +138,28 @@ class Common(NamedTuple):
     rest: np.ndarray
     """Zeros."""
     x: np.ndarray
-    """Scratch of projections."""
+    """Work arrays of projections."""
     lam: np.ndarray
     miss: np.ndarray
     before_q: np.ndarray
-    """State at the beginning of the last step, kept where somebody looks inside steps."""
+    """State at the start of the last step, if the plan asks for it."""
     before_v: np.ndarray
     worst: np.ndarray
-    """(P,) largest square of the norm of each pair's Phi so far."""
+    """(P,) largest squared norm of each pair's Phi so far."""
     counts: np.ndarray
     """(5,) RHS, JACOBIANS, FACTORIZATIONS, ITERATIONS, PROJECTIONS."""
     report: np.ndarray
-    """(3,) on divergence: largest change, its coordinate, iterations."""
-    clock: np.ndarray
-    """(6,) see `mbdkit.stepping.driver`."""
-    tally: np.ndarray
-    """(8,) what happened since the last recorded row; see `mbdkit.stepping.driver`."""
+    """(3,) on divergence: largest change, its coordinate, number of iterations."""
+    progress: Progress
+    interval: Interval
     row_time: np.ndarray
+    """Recorded rows: (R,) times, (R, 3 (B + 1)) states, (R, 2) energies, (R, 9) intervals, (R, P, 2) multipliers."""
     row_q: np.ndarray
     row_v: np.ndarray
     row_energy: np.ndarray
-    row_tally: np.ndarray
+    row_interval: np.ndarray
     row_lam: np.ndarray
-    """(R, P, 2), or no rows where the method carries no multipliers."""
+    """No rows if the method computes no multipliers."""
 
 
 def new_common(workspace: Workspace, rows: int, *, own_multipliers: bool = False) -> Common:
@@ -110,9 +170,9 @@ def new_common(workspace: Workspace, rows: int, *, own_multipliers: bool = False
     workspace
         The mechanism and its start.
     rows
-        Room for recorded states.
+        Size of the buffer of recorded states.
     own_multipliers
-        Whether the method carries multipliers that are recorded.
+        Whether the method computes multipliers, which are recorded.
     """
     top = workspace.stepping_topology
     size, pairs = workspace.mechanism.size, len(top.pairs)
@@ -137,9 +197,9 @@ def new_common(workspace: Workspace, rows: int, *, own_multipliers: bool = False
         mu=by_pair(), nu=by_pair(), rest=vector(), x=vector(), lam=by_pair(), miss=by_pair(),
         before_q=q.copy(), before_v=v.copy(),
         worst=np.zeros(pairs), counts=np.zeros(5, dtype=np.int64), report=np.zeros(3),
-        clock=np.zeros(6), tally=np.zeros(9),
+        progress=new_progress(), interval=new_interval(),
         row_time=np.zeros(rows), row_q=np.zeros((rows, size)), row_v=np.zeros((rows, size)),
-        row_energy=np.zeros((rows, 2)), row_tally=np.zeros((rows, 9)),
+        row_energy=np.zeros((rows, 2)), row_interval=np.zeros((rows, len(INTERVAL_FIELDS))),
         row_lam=np.zeros((rows if own_multipliers else 0, pairs, 2)),
     )  # fmt: skip
 

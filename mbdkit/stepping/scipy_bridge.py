@@ -1,7 +1,7 @@
 """SciPy's adaptive solvers on the first-order form y = (q, v) of the index-1 equations.
 
-Where loads, drivers or dampers act, work and dissipated energy [J] are two more states, so that they are integrated by
-the method's own weights. The exact Jacobian of the accelerations goes to the solvers that take one. Events are located
+If loads, drivers or dampers act, work and dissipated energy [J] are two more states, so that they are integrated with
+the weights of the method. Solvers that use a Jacobian get the exact Jacobian of the accelerations. Events are located
 on the solvers' dense output, whose order may be lower than that of the steps.
 """
 
@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.kernels.observe import baumgarte_at, first_order_rates, note_all, tangents_at
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.kernels.vectors import BEYOND
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.workspace import Workspace
-from mbdkit.stepping.interface import STRETCH, Counters, Failure, StepTaken, Stretch, Timetable
+from mbdkit.stepping.interface import STRETCH, Failure, StepTaken, Stretch, Timetable
 
 if TYPE_CHECKING:
     from mbdkit.methods.kinds import SciPySolver
@@ -28,11 +29,11 @@ if TYPE_CHECKING:
 _RADAU_FIRST_NODE = (4 - 6**0.5) / 10
 
 Row = tuple[float, np.ndarray, np.ndarray, float]
-"""A state to be recorded: time, y, the interval that ends there, and the largest of Baumgarte's terms in it."""
+"""A state to be recorded: time, y, the interval that ends there (6,), and the largest Baumgarte term in it."""
 
 
 class _StoppedError(Exception):
-    """The right side cannot be evaluated; carries why."""
+    """The right side cannot be evaluated, for the reason in `failure`."""
 
     def __init__(self, failure: Failure):
         super().__init__(failure.sentence)
@@ -40,7 +41,7 @@ class _StoppedError(Exception):
 
 
 class SciPyStepper:
-    """Runs an `OdeSolver` of SciPy over a timetable; see `mbdkit.stepping.interface.Stepper`."""
+    """Runs an `OdeSolver` of SciPy over a timetable; implements `mbdkit.stepping.interface.Stepper`."""
 
     def __init__(self, method: SciPySolver, workspace: Workspace, timetable: Timetable):
         import scipy.integrate
@@ -73,7 +74,7 @@ class SciPyStepper:
         self.y = y0
         self._since = np.zeros(6)  # steps, -, -, iterations, most iterations, rejected since the last row
         self._stabilized = workspace.stabilization.kind == "baumgarte"
-        self._pull = 0.0  # largest of Baumgarte's terms since the last row
+        self._pull = 0.0  # largest Baumgarte term since the last row
         self._next = 1
         self.last_step: StepTaken | None = None
         self._dense: Any = None
@@ -82,7 +83,7 @@ class SciPyStepper:
         self._effort_so_far = self._since.copy()
 
     def rates(self, t: float, y: np.ndarray) -> np.ndarray:
-        """Return dy/dt; raises `_StoppedError` where the mechanism is singular."""
+        """Return dy/dt; raises `_StoppedError` if the mechanism is singular."""
         self.counters.rhs_evaluations += 1
         self.counters.factorizations += 1
         self._times.append(t)
@@ -110,13 +111,13 @@ class SciPyStepper:
         return out if self.has_power else out[: 2 * self.n3]
 
     def jacobian(self, t: float, y: np.ndarray) -> np.ndarray:
-        """Return d(dy/dt)/dy: exact in q and v; the two energies are quadratures and take no part."""
+        """Return d(dy/dt)/dy, exact in q and v; the rows and columns of the two energies are zero."""
         self.counters.jacobian_evaluations += 1
         n3, workspace = self.n3, self.workspace
         q, v = np.zeros((2, workspace.mechanism.size))
         q[:n3], v[:n3] = y[:n3], y[n3 : 2 * n3]
         status = tangents_at(workspace.stepping_engine, float(t), q, v, self._acc[2], self._lam)
-        if status != OK:  # new pivots, if they help
+        if status != OK:  # `rates` chooses new pivots
             if not np.all(np.isfinite(self.rates(t, y))):
                 return np.full((len(y), len(y)), np.nan)
             return self.jacobian(t, y)
@@ -134,7 +135,7 @@ class SciPyStepper:
         return out
 
     def advance(self) -> Stretch:
-        """Step for about `STRETCH` seconds, or once; see `Stepper.advance`."""
+        """See `Stepper.advance`."""
         rows: list[Row] = []
         until = time.perf_counter() + STRETCH
         table = self.timetable
@@ -157,14 +158,14 @@ class SciPyStepper:
         return self._stretch(rows)
 
     def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return a state in the last step by the solver's dense output; see `Stepper.inside`."""
+        """See `Stepper.inside`."""
         return self._state(self._interpolated(theta))
 
     within = inside
-    """SciPy's solvers take no second step from where one began: their dense output has to do."""
+    """SciPy's solvers cannot repeat a step with another size, so dense output is used."""
 
     def cut(self, theta: float) -> Stretch:
-        """End the run within the last step; see `Stepper.cut`."""
+        """See `Stepper.cut`."""
         assert self.last_step is not None
         self.y, self.time = self._interpolated(theta), self.last_step.time(theta)
         if theta > 0.0 and not any(t < self.time for t in self._row_times):
@@ -174,7 +175,7 @@ class SciPyStepper:
         return self.last_state()
 
     def _interpolated(self, theta: float) -> np.ndarray:
-        """Return y at the share `theta` of the last step, by the cubic where there is no dense output to be had."""
+        """Return y at the share `theta` of the last step, by dense output or the cubic through both ends."""
         step = self.last_step
         assert step is not None
         if theta in (0.0, 1.0):
@@ -203,7 +204,7 @@ class SciPyStepper:
         solver, before = self.solver, self.solver.t
         self._times.clear()
         self._finite = True
-        self.workspace.scratch.faulty[0] = -1  # where a step fails, what it tried counts, and not what others tried
+        self.workspace.scratch.faulty[0] = -1  # a message names only a force law that fails in this step
         lu = solver.nlu
         try:
             with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -215,7 +216,7 @@ class SciPyStepper:
         except (ValueError, np.linalg.LinAlgError):
             if self._finite:
                 raise
-            self.failure = self._overflow(before)  # SciPy's linear algebra met a number that is not finite
+            self.failure = self._overflow(before)  # SciPy's linear algebra refuses numbers that are not finite
             return False
         self.counters.factorizations += solver.nlu - lu
         if solver.status == "failed":
@@ -225,7 +226,7 @@ class SciPyStepper:
                 where = f"at t = {before:.6g} s: {message}".rstrip(".")
                 self.failure = Failure("step-too-small", f"{where}{self._nearness(before, self.y)}.")
             return False
-        if solver.t == before:  # LSODA goes on with steps that time does not feel, and never ends
+        if solver.t == before:  # LSODA would continue forever with steps below the rounding of the time
             where = f"at t = {before:.6g} s: the step is too small to move the time"
             self.failure = Failure("step-too-small", f"{where}{self._nearness(before, self.y)}.")
             return False
@@ -253,7 +254,7 @@ class SciPyStepper:
         return True
 
     def _nearness(self, t: float, y: np.ndarray) -> str:
-        """Return that a state is nearly singular, to go on a sentence with; empty where it is not."""
+        """Return a clause that says that a state is nearly singular; empty if it is not."""
         near = describe_nearness(self.workspace, t, self._positions(y))
         return near and f"; {near}"
 
@@ -263,7 +264,7 @@ class SciPyStepper:
         return Failure("not-finite", f"numbers overflowed after t = {t:.6g} s; tighter tolerances may help.")
 
     def _effort(self, t: float) -> tuple[int, int]:
-        """Return the Newton iterations and the attempts of the last step, read off the times of its evaluations."""
+        """Return the Newton iterations and the attempts of the last step, derived from the times of its evaluations."""
         times = self._times
         stages = getattr(self.solver, "n_stages", None)
         if stages:
@@ -282,7 +283,7 @@ class SciPyStepper:
         return 0, max(1, len({x for x in times if x != t}))
 
     def _due(self) -> list[Row]:
-        """Return the rows that the last step made due."""
+        """Return the rows to be recorded after the last step."""
         rows: list[Row] = []
         table = self.timetable
         if table.interval is None:
@@ -290,7 +291,7 @@ class SciPyStepper:
                 rows.append(self._row(self.time, self.y))
             return rows
         dense = None
-        inner = math.ceil((table.end - table.start) / table.interval - 1e-9)  # the end comes by itself
+        inner = math.ceil((table.end - table.start) / table.interval - 1e-9)  # the end is always recorded
         while self._next < inner and (at := table.start + self._next * table.interval) <= self.time:
             if dense is None:
                 dense = self.solver.dense_output()
@@ -326,5 +327,5 @@ class SciPyStepper:
         return Stretch(times, q, v, work, lost, intervals, corrections=corrections)
 
     def last_state(self) -> Stretch:
-        """Return the state reached as one row; see `Stepper.last_state`."""
+        """See `Stepper.last_state`."""
         return self._stretch([self._row(self.time, self.y)])

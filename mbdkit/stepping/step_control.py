@@ -1,42 +1,75 @@
-"""Control of the step by an estimate of the local error: tolerances, exponents, and the first step."""
+"""Control of the step size by an estimate of the local error: proportional-integral control as in DOPRI5 and RADAU5.
+
+The error e of a step is the estimate over the tolerance, as a root mean square over all coordinates and velocities. A
+step with e <= 1 is accepted. The size of the next step is then
+
+    h_new = h S e_n^(-(1/k - 0.75 beta)) e_(n-1)^beta
+
+where k is the order of the estimate in h, S a safety factor, and e_(n-1) the error of the accepted step before. With
+beta = 0 this is the elementary controller (Hairer, Norsett and Wanner 1993, II.4, equation 4.13); beta > 0 makes it
+a proportional-integral controller (Gustafsson 1991, ACM TOMS 17, 533-554; Hairer and Wanner 1996, IV.2), which damps
+the oscillations of the step size at the limit of stability of an explicit method. The factor 0.75 is that of DOPRI5
+(``EXPO1``). The functions that work on numbers are kernels; their ``py_func`` can be called from Python.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mbdkit.engine.jit.cache import part
 from mbdkit.engine.kernels.observe import first_order_rates
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
+SAFETY = 0.9
+"""Safety factor S of a new step size (Hairer, Norsett and Wanner 1993, II.4)."""
+
+MIN_FACTOR, MAX_FACTOR = 0.2, 6.0
+"""Bounds on h_new / h: the lower one of DOPRI5, the upper one of DOP853."""
+
+SOLVER_FAILURE_FACTOR = 0.25
+"""h_new / h after a step whose equations could not be solved, as in CVODE (Hindmarsh et al. 2005)."""
+
+MIN_LAST_ERROR = 1e-4
+"""Lower bound of e_(n-1) (DOPRI5, ``FACOLD``): one very accurate step must not shorten the next."""
+
+INTEGRAL_SHARE = 0.75
+"""Reduction of the exponent of e_n per beta (DOPRI5, ``EXPO1``)."""
+
+ROUGH_WEIGHT = 0.01
+"""Weight of the square of the second estimate in the error of DOP853 (Hairer, Norsett and Wanner 1993, II.10)."""
+
+END_MARGIN = 1.01
+"""A step that would end within 1 % of its size before the end of the run is extended to the end (DOPRI5)."""
+
 
 @dataclass(frozen=True)
 class Control:
-    """How steps are chosen.
+    """Tolerances and parameters of step-size control.
 
-    The estimate of an implicit method is of lower order than the method. Were it held to the tolerance itself, the
-    error would fall with a power of the tolerance; so it is held to ``scale tolerance^(estimate_order / order)``, with
-    which the step shrinks as the method needs for an error in proportion to the tolerance.
+    The estimate of an implicit method has a lower order than the method. Keeping the estimate below the user's
+    tolerance itself would make the error of the run proportional to a power of the tolerance. It is therefore compared
+    with ``scale tolerance^(estimate_order / order)``, which makes the error proportional to the tolerance.
 
     Parameters
     ----------
     rtol, atol
-        Tolerances of the user: relative, and absolute [m, rad, m/s, rad/s].
+        Tolerances given by the user: relative, and absolute [m, rad, m/s, rad/s].
     order
         Order of the method.
     estimate_order
-        Order of the estimate of the local error in the step.
+        Order k of the estimate of the local error in the step size.
     estimates
-        1, or 2 where a second one of lower order keeps the first in check.
+        1, or 2 if a second estimate of lower order corrects the first (DOP853).
     scale
         Factor of the tolerance of the estimate.
     memory
-        Share of the last error in the choice of a step (proportional-integral control), over the exponent of the error
-        at hand: 0.2 keeps explicit methods calm at the edge of their stability. Implicit ones have no such edge; for
-        them the errors follow the tolerance most evenly with 0.
+        beta k, the share of the last error in the choice of a step. 0.2 keeps explicit methods stable at the limit of
+        their stability (DOPRI5). Implicit methods have no such limit; with 0 their errors follow the tolerance best.
     """
 
     rtol: float = 1e-6
@@ -49,23 +82,13 @@ class Control:
 
     @property
     def inner_rtol(self) -> float:
-        """The relative tolerance that the estimate is held to."""
+        """Relative tolerance of the estimate."""
         return float(self.scale * self.rtol ** (self.estimate_order / self.order))
 
     @property
     def inner_atol(self) -> float:
-        """The absolute one, in the same proportion as the user has it."""
+        """Absolute tolerance of the estimate; its ratio to `inner_rtol` is the user's."""
         return self.inner_rtol * self.atol / self.rtol
-
-    @property
-    def exponent(self) -> float:
-        """What the step of a controller without memory goes by: 1 over the order of the estimate."""
-        return 1.0 / self.estimate_order
-
-    @property
-    def share(self) -> float:
-        """Exponent of the last error in the choice of a step, beta of Hairer and Wanner (1996), IV.2."""
-        return self.memory / self.estimate_order
 
     @property
     def iteration_tolerance(self) -> float:
@@ -73,12 +96,106 @@ class Control:
         return min(1e-3 * self.rtol, 1e-8)
 
 
-FIXED_STEPS = Control()
-"""Stands where nothing is controlled."""
+class ControlData(NamedTuple):
+    """Step-size control as the kernels read it; each array has one element."""
+
+    controlled: np.ndarray
+    """Whether the error controls the step size; if not, the other fields are not used."""
+    rtol: np.ndarray
+    """Tolerances of the estimate."""
+    atol: np.ndarray
+    exponent: np.ndarray
+    """1 / k."""
+    beta: np.ndarray
+    estimates: np.ndarray
+    """Number of estimates of the error, 1 or 2."""
+    min_size: np.ndarray
+    """Smallest step size [s]."""
+
+
+def control_data(control: Control | None, min_size: float) -> ControlData:
+    """Return the data of step-size control for the kernels; None: fixed steps."""
+    c = control or Control()
+    numbers = (c.inner_rtol, c.inner_atol, 1.0 / c.estimate_order, c.memory / c.estimate_order)
+    rtol, atol, exponent, beta = (np.array([x], dtype=np.float64) for x in numbers)
+    return ControlData(
+        controlled=np.array([int(control is not None)]),
+        rtol=rtol,
+        atol=atol,
+        exponent=exponent,
+        beta=beta,
+        estimates=np.array([c.estimates]),
+        min_size=np.array([min_size], dtype=np.float64),
+    )
+
+
+@part
+def scaled_norm(control, error_q, error_v, q, v, dq, dv):
+    """Return the root mean square of errors over ``atol + rtol |y|``, y the larger of both ends of the step.
+
+    All vectors are (3 (B + 1),), ground last: an estimate of the error, the start of the step, and its increments.
+    """
+    rtol, atol = control.rtol[0], control.atol[0]
+    total = 0.0
+    n = len(q) - 3
+    for d in range(n):
+        scale_q = atol + rtol * max(abs(q[d]), abs(q[d] + dq[d]))
+        scale_v = atol + rtol * max(abs(v[d]), abs(v[d] + dv[d]))
+        total += (error_q[d] / scale_q) ** 2 + (error_v[d] / scale_v) ** 2
+    return np.sqrt(total / (2 * n))
+
+
+@part
+def combined_error(fine, rough):
+    """Return the error from two estimates of different order, as in DOP853."""
+    if fine > 0.0:
+        return fine * fine / np.sqrt(fine * fine + ROUGH_WEIGHT * rough * rough)
+    return fine
+
+
+@part
+def fitted_size(t, h, end):
+    """Return the size `h` of a step from `t`, changed so that the steps end at `end` and the last is not too short."""
+    if t + END_MARGIN * h >= end:
+        return end - t
+    if t + 2.0 * h > end:
+        return 0.5 * (end - t)
+    return h
+
+
+@part
+def is_too_small(control, t, h, end):
+    """Return whether the step size is below the smallest one; the last step of a run may be."""
+    return not h > control.min_size[0] and t + END_MARGIN * h < end
+
+
+@part
+def factor_after_acceptance(control, error, last_error, retrying):
+    """Return h_new / h after an accepted step.
+
+    `last_error` is 0 if there is no accepted step before. After a rejection (`retrying`) the size must not grow.
+    """
+    factor = MAX_FACTOR
+    if error > 0.0:
+        factor = SAFETY * error ** (-(control.exponent[0] - INTEGRAL_SHARE * control.beta[0]))
+        if last_error > 0.0:
+            factor *= last_error ** control.beta[0]
+    factor = min(MAX_FACTOR, max(MIN_FACTOR, factor))
+    if retrying != 0:
+        factor = min(1.0, factor)
+    return factor
+
+
+@part
+def factor_after_rejection(control, solved, error):
+    """Return h_new / h after a rejected step, by the error alone; `solved` tells whether there is an error."""
+    if solved and error < np.inf:
+        return max(MIN_FACTOR, SAFETY * error ** (-control.exponent[0]))
+    return SOLVER_FAILURE_FACTOR
 
 
 def first_step(workspace: Workspace, span: float, control: Control) -> float:
-    """Return a cautious first step [s] (Hairer, Norsett and Wanner 1993, II.4, first stage).
+    """Return a small first step [s] (Hairer, Norsett and Wanner 1993, II.4, steps a and b of the algorithm).
 
     Parameters
     ----------
@@ -87,7 +204,7 @@ def first_step(workspace: Workspace, span: float, control: Control) -> float:
     span
         Length of the run [s].
     control
-        With the tolerances.
+        Tolerances.
     """
     n3 = 3 * len(workspace.mechanism.bodies)
     y = np.concatenate([workspace.q0[:n3], workspace.v0[:n3], np.zeros(2)])

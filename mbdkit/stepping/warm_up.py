@@ -1,4 +1,4 @@
-"""Compile every kernel once per installation, in one process while others wait."""
+"""Compiles all kernels once per installation, in one process while others wait."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from mbdkit.engine.jit.cache import FOLDER, compiling, is_warm
 
 
 def to_stderr(message: str) -> None:
-    """Print a message where progress goes."""
+    """Print a message to stderr, as progress is."""
     print(message, file=sys.stderr, flush=True)
 
 
 def ensure_compiled(notify: Callable[[str], None] = to_stderr) -> None:
-    """Make sure that all kernels stand compiled in the cache.
+    """Compile all kernels into the cache unless that has been done.
 
     Parameters
     ----------
     notify
-        Is told what is happening, where there is something to wait for.
+        Called with a message before and after compilation.
     """
     if is_warm():
         return
@@ -38,7 +38,7 @@ def ensure_compiled(notify: Callable[[str], None] = to_stderr) -> None:
 
 @contextmanager
 def _interrupts_kept() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C back while the compiler runs, which would swallow it; yields a function that raises it."""
+    """Defer Ctrl-C while the compiler runs, which would ignore it; yields a function that raises KeyboardInterrupt."""
     noted: list[int] = []
 
     def check() -> None:
@@ -57,9 +57,9 @@ def _interrupts_kept() -> Iterator[Callable[[], None]]:
 
 
 def _run_everything(check: Callable[[], None]) -> None:
-    """Step a small mechanism through every kernel; their argument types are the same for all mechanisms.
+    """Run a small mechanism through the kernels; the argument types of a kernel are the same for all mechanisms.
 
-    What few runs need, steps on the constraints themselves, is compiled when it is first asked for.
+    The methods for index 2, index 3 and GGL are left out; they are compiled in the first run that uses them.
     """
     import numpy as np
 
@@ -73,14 +73,15 @@ def _run_everything(check: Callable[[], None]) -> None:
     from mbdkit.methods import gauss, rk4
     from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, SciPySolver
     from mbdkit.stepping.interface import Timetable
+    from mbdkit.stepping.start import start_method
 
     m = Mechanism()
     rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.55, 0.05))
     m.revolute("A", m.ground, rod, points=((0.0, 0.0), (-0.5, 0.0)))
     compiled = compile_mechanism(m)
-    start = assemble(m, 0.0, compiled)
+    assembled = assemble(m, 0.0, compiled)
     check()
-    q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
+    q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (assembled.q, assembled.v))
     table = Timetable(0.0, 0.2, step=0.1, steps=2, single=True)
     methods: tuple[Method, ...] = (
         ExplicitRungeKutta(rk4.tableau()),
@@ -92,7 +93,7 @@ def _run_everything(check: Callable[[], None]) -> None:
         check()
         workspace = Workspace(compiled, 0.0, q0, v0)
         baumgarte_at(workspace.engine, 0.0, q0, v0)
-        stepper = method.start(workspace, table)
+        stepper = start_method(method, workspace, table)
         stretch = stepper.advance()
         stepper.inside(0.5)
         stepper.within(0.5)

@@ -11,11 +11,11 @@ import numpy as np
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import MbdkitError
+from mbdkit.errors import MbdkitError, StepError
 from mbdkit.simulation import build
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Stretch, Timetable
-from mbdkit.stepping.python_method import StepError
+from mbdkit.stepping.start import start_method
 
 LOOKS = 16
 """States along the run at which the mechanism is asked whether it tells forwards from backwards."""
@@ -112,7 +112,7 @@ def _timetable(spec: RunSpec) -> Timetable | None:
 def _states(spec: RunSpec, workspace: Workspace, table: Timetable) -> Stretch:
     """Return some states along a run from the start of a workspace, the last of them its end; raises _StoppedError."""
     try:
-        stepper = spec.integrator_plugin.create(spec.integrator).start(workspace, table)
+        stepper = start_method(spec.integrator_plugin.create(spec.integrator), workspace, table)
         parts = []
         while not (stepper.finished or stepper.failure):
             parts.append(stepper.advance())

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.methods.kinds import Method, SciPySolver
-from mbdkit.stepping.python_method import StepMethod, StepState
+from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.testing.check import check
 from mbdkit.testing.integrator_under_test import IntegratorSubject, drive
 from mbdkit.testing.options_under_test import validated

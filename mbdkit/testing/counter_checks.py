@@ -11,8 +11,8 @@ import scipy.integrate
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.iteration_matrix import IterationMatrix
 from mbdkit.methods.kinds import ExplicitRungeKutta, SciPySolver
-from mbdkit.stepping.python_method import StepMethod
-from mbdkit.stepping.python_stepper import StepStepper
+from mbdkit.methods.step_method import StepMethod
+from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.testing.check import check
 from mbdkit.testing.integrator_under_test import IntegratorSubject, drive
 from mbdkit.testing.outcome import Finding, failed, passed, skipped, warned
@@ -68,7 +68,7 @@ def counters(subject: IntegratorSubject) -> Finding:
     stepper = subject.stepper(workspace, 0.2, STEPS, method=made)
     seen: dict[str, int] = {"steps": STEPS, "accepted": STEPS, "rejected": 0}
     instrumented = None
-    if isinstance(stepper, StepStepper):
+    if isinstance(stepper, PythonStepper):
         instrumented = InstrumentedEquations(workspace)
         instrumented.counters = stepper.counters
         stepper.equations = instrumented

@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from mbdkit.archive.run import Run
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.errors import MbdkitError, SpecError
-from mbdkit.stepping.python_method import StepError, StepMethod, StepState
+from mbdkit.errors import MbdkitError, SpecError, StepError
+from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.integrator_under_test import IntegratorSubject
 from mbdkit.testing.outcome import Finding, failed, passed, skipped

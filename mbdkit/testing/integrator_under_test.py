@@ -19,6 +19,7 @@ from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.simulation import Progress, build, simulate
 from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit.stepping.interface import Stepper, Timetable
+from mbdkit.stepping.start import start_method
 from mbdkit.testing.check import Skip
 from mbdkit.testing.options_under_test import validated
 
@@ -142,7 +143,7 @@ class IntegratorSubject:
         table = Timetable(
             start=workspace.t0, end=end, step=step, steps=steps, every=every, max_steps=10**7, single=single
         )
-        return (method or self.method()).start(workspace, table)
+        return start_method(method or self.method(), workspace, table)
 
     def moved(self, workspace: Workspace, end: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities, ground last, at the end of steps from the start of `workspace`."""

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from mbdkit.analysis.order import ObservedOrder, observed_order
-from mbdkit.stepping.python_method import StepMethod
+from mbdkit.methods.step_method import StepMethod
 from mbdkit.testing.check import Check, Skip, check
 from mbdkit.testing.integrator_under_test import IntegratorSubject, final_state
 from mbdkit.testing.outcome import Figure, Finding, failed, passed, skipped, warned

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.stepping.python_method import StepMethod, StepState
+from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.integrator_under_test import IntegratorSubject, drive
 from mbdkit.testing.outcome import Finding, failed, passed, skipped

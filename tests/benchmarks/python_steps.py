@@ -18,6 +18,7 @@ from mbdkit.methods import rk4
 from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.start import start_method
 from mbdkit.stepping.warm_up import ensure_compiled
 from tests.stepping.step_methods import RungeKutta
 
@@ -44,7 +45,7 @@ def python_steps(console: Console) -> None:
     def stepped(method: Any) -> Callable[[], float]:
         def run() -> float:
             table = Timetable(0.0, STEPS * 1e-3, step=1e-3, steps=STEPS, every=100)
-            stepper = method.start(Workspace(compiled, 0.0, q0, v0), table)
+            stepper = start_method(method, Workspace(compiled, 0.0, q0, v0), table)
             begin = time.perf_counter()
             while not stepper.finished:
                 assert stepper.failure is None

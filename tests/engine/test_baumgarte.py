@@ -19,6 +19,7 @@ from mbdkit.simulation import build
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.scipy_bridge import SciPyStepper
+from mbdkit.stepping.start import start_method
 from tests.engine.test_equations_of_motion import parallelogram
 from tests.stepping.running import driven_chain
 
@@ -99,7 +100,7 @@ def test_scipy_on_our_equations_goes_where_scipy_goes_on_those_by_hand(solver: s
         (0.0, 2.0), start, "DOP853", rtol=1e-12, atol=1e-13,
     )  # fmt: skip
     method = SciPySolver(solver, 1e-10, 1e-12, needs_jacobian=solver == "Radau")
-    stepper = method.start(problem, Timetable(0.0, 2.0))
+    stepper = start_method(method, problem, Timetable(0.0, 2.0))
     rows = []
     while not (stepper.finished or stepper.failure):
         rows.append(stepper.advance())

@@ -18,6 +18,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods import gauss, rk4
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
 from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.start import start_method
 
 from .random_mechanisms import loop
 
@@ -124,7 +125,7 @@ def test_pivots_that_wear_out_on_the_way_are_chosen_anew(
     with monkeypatch.context() as patch:
         patch.setattr(problem_module, "pivot_order", doomed_order)
         problem.use_pivots()
-    stepper = method.start(problem, Timetable(0.0, 3.0, step=step, steps=300))
+    stepper = start_method(method, problem, Timetable(0.0, 3.0, step=step, steps=300))
     at_start = problem.pivotings
     rows = []
     while not stepper.finished:

@@ -12,6 +12,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods import gauss
 from mbdkit.methods.kinds import ImplicitRungeKutta
 from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.start import start_method
 
 from .running import DOUBLE, driven_chain, problem_of, run, spec_run
 
@@ -133,7 +134,7 @@ def test_the_stepper_run_back_with_turned_velocities_returns_to_its_start(stages
     problem = problem_of(pendulum())
     start = np.concatenate([problem.q0, problem.v0])
     for _ in range(2):
-        stepper = method.start(problem, Timetable(0.0, 10.0, step=0.01, steps=1000))
+        stepper = start_method(method, problem, Timetable(0.0, 10.0, step=0.01, steps=1000))
         while not stepper.finished:
             stretch = stepper.advance()
             assert stepper.failure is None

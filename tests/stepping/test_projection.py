@@ -16,6 +16,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.simulation import build
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.start import start_method
 from tests.engine.test_equations_of_motion import parallelogram
 
 from .running import DOUBLE, driven_chain, spec_run
@@ -115,7 +116,7 @@ def defect(method: StepMethod, stabilization: Stabilization) -> float:
     start, q, v = problem(DOUBLE, stabilization), np.zeros(0), np.zeros(0)
     now = start
     for _ in range(2):
-        stepper = method.start(now, Timetable(0.0, 2.0, step=0.01, steps=200))
+        stepper = start_method(method, now, Timetable(0.0, 2.0, step=0.01, steps=200))
         while not (stepper.finished or stepper.failure):
             stretch = stepper.advance()
             q, v = stretch.q[-1], stretch.v[-1]

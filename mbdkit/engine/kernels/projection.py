@@ -1,4 +1,4 @@
-"""Bring positions and velocities back onto the constraints, by the smallest change in the mass metric."""
+"""Projection of positions and velocities onto the constraints, by the smallest change in the mass metric."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from mbdkit.engine.kernels.vectors import copy
 EPS = float(np.finfo(float).eps)
 
 FEW_ROUNDINGS = 4.0
-"""Constraints are met where what they lack is so many roundings of the largest coordinate (1 m and 1 rad at least)."""
+"""Residuals below this many eps times the largest coordinate (at least 1 m or 1 rad) count as zero."""
 
 MOST_ITERATIONS = 20
 STAGNANT = 1e-9
-"""A residual that shrinks no more, and is below this of the largest coordinate, has met round-off."""
+"""A residual that stops shrinking below this share of the largest coordinate is at the level of rounding errors."""
 
 
 @part
 def largest_size(q):
-    """Return the largest coordinate of a state, 1 at least."""
+    """Return the largest coordinate of a state, at least 1."""
     size = 1.0
     for d in range(len(q)):
         size = max(size, abs(q[d]))
@@ -38,7 +38,7 @@ def largest_size(q):
 
 @part
 def largest_residual(top, phi):
-    """Return the largest of the rows that are solved for; infinite where one is not a number."""
+    """Return the largest residual of the rows that are solved for; infinite if one is not finite."""
     worst = 0.0
     for k in range(len(phi)):
         for r in range(top.rows[k]):
@@ -73,20 +73,20 @@ def rate_rows(top, jac, phi_t, v, rate):
 
 @part
 def project_positions(still, w, solver, t, q, p, rest, x, lam):
-    """Write the positions nearest to `q` in the mass metric that meet the constraints at `t` into `p`; return a status.
+    """Write the positions nearest to `q` in the mass metric that satisfy the constraints at `t` into `p`.
 
-    Solves ``M (p - q) + Phi_q(p)^T mu = 0``, ``Phi(t, p) = 0`` to round-off.
+    Solves ``M (p - q) + Phi_q(p)^T mu = 0``, ``Phi(t, p) = 0`` to rounding errors by Newton's method. Returns a status.
 
     Parameters
     ----------
     still
         The mechanism without gravity.
     q, p : (3 (B + 1),) arrays
-        Where it starts from, and receives the result; ground last.
+        The given positions, and the result; ground last.
     rest, x : (3 (B + 1),) arrays
-        Zeros, and scratch.
+        Zeros, and a work array.
     lam : (P, 2) array
-        Scratch.
+        Work array.
     """
     copy(q, p)
     before = np.inf
@@ -118,9 +118,9 @@ def project_positions(still, w, solver, t, q, p, rest, x, lam):
 
 @part
 def project_velocities(still, w, solver, t, q, v, x, lam):
-    """Change `v` to the nearest velocities in the mass metric with ``Phi_q v + Phi_t = 0`` at `t`, `q`; give a status.
+    """Project `v` onto ``Phi_q v + Phi_t = 0`` at `t`, `q` by the smallest change in the mass metric; return a status.
 
-    The equations are linear; they are solved again while that takes round-off away. `x` and `lam` are scratch.
+    The equations are linear; they are solved again while that reduces rounding errors. `x` and `lam` are work arrays.
     """
     before = np.inf
     position_rows(still, w, t, q)

@@ -9,6 +9,7 @@ from mbdkit.errors import SpecError
 from mbdkit.simulation import build
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.start import start_method
 
 from .contender import OURS, TOLERANCES, Contender, Outcome, centres_of, lost, steps_from, timed
 from .motions import Motion
@@ -93,7 +94,7 @@ def _run(motion: Motion, integrator: dict[str, Any], adaptive: bool, setting: fl
         every=spec.output.every or MOST_STEPS,
         max_steps=MOST_STEPS,
     )
-    stepper = spec.integrator_plugin.create(spec.integrator).start(problem, timetable)
+    stepper = start_method(spec.integrator_plugin.create(spec.integrator), problem, timetable)
     states: list[Array] = []
 
     def work() -> None:

@@ -1,0 +1,74 @@
+"""The state on the constraints that is nearest to a given one in the mass metric, by Newton's method in Python."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from mbdkit.errors import StepError
+
+MAX_ITERATIONS = 20
+"""Iterations after which a projection counts as failed. Newton's method takes 3 to 6 from a state near the constraints;
+20 leave room for a start far from them."""
+
+ROUND_OFF = 4 * float(np.finfo(float).eps)
+"""Relative change of the coordinates that counts as rounding error."""
+
+STAGNANT = 1e-9
+"""If the changes stop shrinking below this relative size, the iteration has reached the level of rounding errors."""
+
+
+class ConstrainedSystem(Protocol):
+    """The part of `mbdkit.engine.equations_of_motion.EquationsOfMotion` that projections use."""
+
+    n: int
+    mass: np.ndarray
+
+    def solve(self, t: float, q: np.ndarray, force: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Solve ``M x + Phi_q^T mu = force``, ``Phi_q x = rows``."""
+        ...
+
+    def constraints(self, t: float, q: np.ndarray) -> np.ndarray:
+        """Return Phi."""
+        ...
+
+    def constraint_rates(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return ``Phi_q v + Phi_t``."""
+        ...
+
+    def relative_change(self, q: np.ndarray, dq: np.ndarray) -> float:
+        """Return the largest change of a coordinate relative to the largest of its kind."""
+        ...
+
+
+def nearest_positions(p: ConstrainedSystem, t: float, q: np.ndarray) -> np.ndarray:
+    """Return the positions (n,) nearest to `q` in the mass metric that satisfy all constraints at time `t`.
+
+    Does not count as a projection.
+
+    Raises
+    ------
+    StepError
+        ``newton-failed`` if the iteration does not converge.
+    """
+    given, before = q, np.inf
+    for _ in range(MAX_ITERATIONS):
+        step, _ = p.solve(t, q, p.mass * (given - q), -p.constraints(t, q))
+        q = q + step
+        now = p.relative_change(q, step)
+        if now <= ROUND_OFF or (now >= 0.5 * before and now < STAGNANT):
+            return q
+        before = now
+    raise StepError("newton-failed", f"no position that satisfies the joints was found in {MAX_ITERATIONS} iterations")
+
+
+def nearest_velocities(p: ConstrainedSystem, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return the velocities (n,) nearest to `v` in the mass metric with ``Phi_q v + Phi_t = 0``.
+
+    The equations are linear; a second solve removes the rounding error of the first. Does not count as a projection.
+    """
+    none = np.zeros(p.n)
+    for _ in range(2):
+        v = v + p.solve(t, q, none, -p.constraint_rates(t, q, v))[0]
+    return v

@@ -1,0 +1,124 @@
+"""The plan of a run as the compiled driver reads it: times, recording, step-size control, projection, stabilization.
+
+A plan does not change during a run. The driver's records, which do, are in `mbdkit.stepping.run_state`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.jit.bundle import loader
+from mbdkit.engine.stabilization import NONE
+from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.step_control import ControlData, control_data
+
+if TYPE_CHECKING:
+    from mbdkit.engine.stabilization import Stabilization
+    from mbdkit.stepping.step_control import Control
+
+NO_PROJECTION, PLAIN, SYMMETRIC = range(3)
+"""Projection mode: none, after the step, or symmetrically before and after it."""
+
+MIN_SIZE = 16 * float(np.finfo(float).eps)
+"""Smallest controlled step size, relative to the largest time of the run: a step of a few roundings of the time."""
+
+
+class Times(NamedTuple):
+    """Start and end of a run and its steps; each array has one element."""
+
+    start: np.ndarray
+    end: np.ndarray
+    step: np.ndarray
+    """Size of a fixed step [s]."""
+    last_step: np.ndarray
+    """Size of the last fixed step [s]."""
+    steps: np.ndarray
+    """Number of fixed steps."""
+
+
+class Recording(NamedTuple):
+    """Which states are recorded; each array has one element."""
+
+    every: np.ndarray
+    """Record every k-th step and the end; 0: by `interval`."""
+    interval: np.ndarray
+    """Distance of recorded states in time [s]; the end is recorded as well."""
+    start_of_step: np.ndarray
+    """Whether the state at the start of the last step is kept in ``before_q, before_v``."""
+
+
+class Projection(NamedTuple):
+    """When states are projected onto the constraints; each array has one element."""
+
+    mode: np.ndarray
+    """NO_PROJECTION, PLAIN or SYMMETRIC."""
+    every: np.ndarray
+    """Project after every k-th step."""
+    bound: np.ndarray
+    """Project only if a constraint is violated by more than this; 0: always."""
+
+
+class RunPlan(NamedTuple):
+    """The plan of a run."""
+
+    times: Times
+    recording: Recording
+    control: ControlData
+    projection: Projection
+    baumgarte: np.ndarray
+    """(1,) whether Baumgarte's terms are part of the equations, so that their size is recorded."""
+
+
+def _real(x: float) -> np.ndarray:
+    return np.array([x], dtype=np.float64)
+
+
+def _whole(x: int) -> np.ndarray:
+    return np.array([x], dtype=np.int64)
+
+
+def projection_mode(stabilization: Stabilization) -> int:
+    """Return the projection mode of a stabilization."""
+    if stabilization.kind != "projection":
+        return NO_PROJECTION
+    return SYMMETRIC if stabilization.symmetric else PLAIN
+
+
+def new_plan(timetable: Timetable, control: Control | None, stabilization: Stabilization) -> RunPlan:
+    """Return the plan of a run; `control` is None for fixed steps."""
+    table = timetable
+    step = table.step or 0.0
+    last = step if control is not None else table.last_step
+    largest_time = max(abs(table.start), abs(table.end), table.end - table.start)
+    return RunPlan(
+        times=Times(_real(table.start), _real(table.end), _real(step), _real(last), _whole(table.steps)),
+        recording=Recording(
+            every=_whole(0 if table.interval is not None else table.every),
+            interval=_real(table.interval or 0.0),
+            start_of_step=_whole(table.single),
+        ),
+        control=control_data(control, MIN_SIZE * largest_time),
+        projection=Projection(
+            mode=_whole(projection_mode(stabilization)),
+            every=_whole(stabilization.every),
+            bound=_real(stabilization.bound or 0.0),
+        ),
+        baumgarte=_whole(stabilization.kind == "baumgarte"),
+    )
+
+
+def single_step(plan: RunPlan, t: float, h: float, *, projected: bool) -> RunPlan:
+    """Return the plan of a run of one fixed step of size `h` from `t` with the projection of `plan`."""
+    never = 2  # of one step
+    return RunPlan(
+        times=Times(_real(t), _real(t + h), _real(h), _real(h), _whole(1)),
+        recording=Recording(every=_whole(never), interval=_real(0.0), start_of_step=_whole(0)),
+        control=control_data(None, 0.0),
+        projection=plan.projection._replace(every=_whole(1 if projected else never)),
+        baumgarte=_whole(0),
+    )
+
+
+load_plan = loader(lambda: new_plan(Timetable(0.0, 1.0, step=1.0, steps=1), None, NONE))

@@ -1,0 +1,95 @@
+"""Starts a method on a mechanism: one function, dispatched on the class of the method."""
+
+from __future__ import annotations
+
+from functools import singledispatch
+
+from mbdkit.engine.workspace import Workspace
+from mbdkit.methods.kinds import (
+    ExplicitRungeKutta,
+    ImplicitRungeKutta,
+    LobattoPair,
+    Method,
+    SciPySolver,
+)
+from mbdkit.methods.step_method import StepMethod
+from mbdkit.methods.tableau import TableauError
+from mbdkit.stepping.compiled_stepper import CompiledStepper
+from mbdkit.stepping.constrained_collocation import ConstrainedFamily
+from mbdkit.stepping.explicit import ExplicitFamily
+from mbdkit.stepping.index1_collocation import CollocationFamily
+from mbdkit.stepping.interface import Stepper, Timetable
+from mbdkit.stepping.lobatto_iiia_iiib import PairFamily
+from mbdkit.stepping.python_stepper import PythonStepper
+from mbdkit.stepping.scipy_bridge import SciPyStepper
+from mbdkit.stepping.step_control import Control
+
+
+@singledispatch
+def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> Stepper:
+    """Return a stepper that runs a method.
+
+    Parameters
+    ----------
+    method
+        The method, as returned by the `create` of an integrator plugin.
+    workspace
+        The mechanism and its start, with formulation and stabilization.
+    timetable
+        Times of the run, and which states are recorded.
+
+    Raises
+    ------
+    mbdkit.engine.elimination_order.SingularSystemError
+        If the equations of the first step are singular.
+    mbdkit.methods.tableau.TableauError
+        If a tableau cannot be used with the formulation of the workspace.
+    """
+    raise TypeError(f"{type(method).__name__} is not a method")
+
+
+@start_method.register
+def _(method: ExplicitRungeKutta, workspace: Workspace, timetable: Timetable) -> Stepper:
+    control = None
+    if method.tolerances is not None and method.pair is not None:
+        control = Control(
+            method.tolerances.rtol,
+            method.tolerances.atol,
+            order=method.tableau.order,
+            estimate_order=method.pair.estimate_order,
+            estimates=len(method.pair.error),
+            memory=0.2,
+        )
+    return CompiledStepper(ExplicitFamily(method, workspace), workspace, timetable, control)
+
+
+@start_method.register
+def _(method: ImplicitRungeKutta, workspace: Workspace, timetable: Timetable) -> Stepper:
+    tableau, control = method.tableau, None
+    if method.tolerances is not None:
+        control = Control(
+            method.tolerances.rtol, method.tolerances.atol, order=tableau.order, estimate_order=tableau.stages + 1
+        )
+    if workspace.formulation == "index-1":
+        return CompiledStepper(CollocationFamily(method, workspace, control), workspace, timetable, control)
+    if not tableau.is_stiffly_accurate or method.stage_solver != "newton":
+        raise TableauError(
+            f"{tableau.name} cannot be used with the formulation {workspace.formulation!r}, which requires a stiffly "
+            "accurate tableau with a regular matrix, and the stage solver 'newton'"
+        )
+    return CompiledStepper(ConstrainedFamily(method, workspace), workspace, timetable, control)
+
+
+@start_method.register
+def _(method: LobattoPair, workspace: Workspace, timetable: Timetable) -> Stepper:
+    return CompiledStepper(PairFamily(method, workspace), workspace, timetable)
+
+
+@start_method.register
+def _(method: SciPySolver, workspace: Workspace, timetable: Timetable) -> Stepper:
+    return SciPyStepper(method, workspace, timetable)
+
+
+@start_method.register
+def _(method: StepMethod, workspace: Workspace, timetable: Timetable) -> Stepper:
+    return PythonStepper(method, workspace, timetable)
