@@ -7,20 +7,12 @@ from typing import get_args
 from pydantic import BaseModel, ValidationError
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import (
-    Body,
-    Distance,
-    Driver,
-    PointForce,
-    Prismatic,
-    Revolute,
-    SpringDamper,
-    Torque,
-    TorsionSpring,
-    Weld,
-)
-from mbdkit.mechanism.law_element import Coordinate, Law, RelativeAngle, TwoPoints, find_law
+from mbdkit.mechanism.bodies import Body
+from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.joints import Distance, Driver, Prismatic, Revolute, Weld
+from mbdkit.mechanism.law_element import Law, find_law
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
+from mbdkit.mechanism.pathways import Coordinate, RelativeAngle, TwoPoints
 from mbdkit.text import did_you_mean, listed
 
 _BY_TYPE: dict[str, type[BaseModel]] = {
