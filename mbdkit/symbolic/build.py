@@ -52,7 +52,7 @@ def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
     mechanism
         Bodies, joints and forces by name.
     numbers
-        Whether masses, lengths and the like are put in as numbers, or stay symbols.
+        Whether masses, lengths and other parameters are inserted as numbers; otherwise they stay symbols.
 
     Raises
     ------
