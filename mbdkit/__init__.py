@@ -8,6 +8,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from mbdkit.mechanism import higher_layers
+
 if TYPE_CHECKING:
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
@@ -120,3 +122,20 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+def _find_installed_law(name: str) -> Any:
+    from mbdkit.registry.manager import find_installed_law
+
+    return find_installed_law(name)
+
+
+def _symbolic_system(mechanism: Any, numbers: bool) -> Any:
+    from mbdkit.symbolic.build import build_system
+
+    return build_system(mechanism, numbers=numbers)
+
+
+# Importing any module of the package runs this file first, so mechanisms always find these functions.
+higher_layers.find_installed_law = _find_installed_law
+higher_layers.symbolic_system = _symbolic_system

@@ -34,8 +34,8 @@ from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.redundancy import require_unique_start, without_redundancy
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError, PluginError, SpecError
+from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.checks import check_springs
-from mbdkit.mechanism.elements import Body
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver

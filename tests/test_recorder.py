@@ -12,19 +12,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import mbdkit
-from mbdkit.mechanism.elements import (
-    Distance,
-    Driver,
-    PointForce,
-    Prismatic,
-    Revolute,
-    SpringDamper,
-    Table,
-    Torque,
-    TorsionSpring,
-    Weld,
-)
+from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.joints import Distance, Driver, Prismatic, Revolute, Weld
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.values import Table
 
 
 def slider_crank() -> Mechanism:

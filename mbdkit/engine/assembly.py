@@ -12,8 +12,8 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.workspace import finite_motions
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import Table
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.values import Table
 
 NOISE = 1e-9
 """Changes below this are not told [m, rad, m/s, rad/s]."""

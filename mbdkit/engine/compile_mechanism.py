@@ -15,25 +15,17 @@ from mbdkit.engine.kernels.forces import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQ
 from mbdkit.engine.kernels.motions import OPCODES
 from mbdkit.engine.kernels.system import Topology
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import (
-    Distance,
-    Driver,
-    Motion,
-    PointForce,
-    Prismatic,
-    SpringDamper,
-    Table,
-    Torque,
-    TorsionSpring,
-    Weld,
-)
-from mbdkit.mechanism.law_element import Coordinate, Law, Pathway, RelativeAngle, TwoPoints
+from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.mechanism_data import Force
+from mbdkit.mechanism.pathways import Pathway
 from mbdkit.mechanism.time_expression import Expression, Program
+from mbdkit.mechanism.values import Motion, Table
 
 Numbers = tuple[float, ...]
 
+LOADS = {"torque": TORQUE, "point_force": POINT_FORCE, "body_force": BODY_FORCE}
+"""Code of each kind of load."""
 WELL_SCALED = 1e6
 """Largest ratio of masses (and of inertias over squared arms) at which the Schur complement keeps its digits."""
 
@@ -150,7 +142,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         joint_bodies=tuple(joint.bodies for joint in mechanism.joints.values()),
         rows=tuple(rows),
         joint_pairs=tuple(tuple(members) for members in joint_pairs),
-        drivers=frozenset(name for name, joint in joints if isinstance(joint, Driver)),
+        drivers=frozenset(name for name, joint in joints if joint.is_driver),
         coordinates=sum(2 if body.inertia is None else 3 for body in mechanism.bodies.values()),
         length=_length(mechanism),
         motions=tuple(motions.numbers),
@@ -179,22 +171,10 @@ def _pairs(mechanism: Mechanism, number: dict[str, int], motions: _Motions) -> l
     pairs: list[_Pair] = []
     for j, joint in enumerate(mechanism.joints.values()):
         a, b = joint.bodies
-        ends = (number[a], number[b])
-        if isinstance(joint, Driver):
-            kind, motion = f"driver_{joint.coordinate}", motions.add(joint.motion)
-            pairs.append(_Pair(j, 0, 1, kind, ends, (0.0, 0.0, *joint.point, 0.0, 0.0), motion))
-            continue
-        points = (*joint.points[0], *joint.points[1])
-        if isinstance(joint, Distance):
-            pairs.append(_Pair(j, 0, 1, "distance", ends, (*points, joint.length, 0.0)))
-            continue
-        if isinstance(joint, Prismatic):
-            pairs.append(_Pair(j, 0, 1, "point_on_line", ends, (*points, *joint.direction)))
-        else:
-            pairs.append(_Pair(j, 0, 2, "revolute", ends, (*points, 0.0, 0.0)))
-        if isinstance(joint, Prismatic | Weld):
-            angle = mechanism.relative_angle(a, b) if joint.angle is None else joint.angle
-            pairs.append(_Pair(j, len(joint.rows) - 1, 1, "fixed_angle", ends, (*points, angle, 0.0)))
+        for one in joint.constraints(mechanism.relative_angle(a, b)):
+            motion = -1 if one.motion is None else motions.add(one.motion)
+            numbers = (*one.points, *one.constants)
+            pairs.append(_Pair(j, one.first_row, one.rows, one.kind, (number[a], number[b]), numbers, motion))
     return pairs
 
 
@@ -216,26 +196,16 @@ class _Forces:
 
     def add(self, name: str, force: Force) -> None:
         match force:
-            case SpringDamper():
-                points = (*force.points[0], *force.points[1])
-                self.add_spring("two_points", force.bodies, points, (force.stiffness, force.damping, force.free_length))
-            case TorsionSpring():
-                numbers = (force.stiffness, force.damping, force.free_angle)
-                self.add_spring("relative_angle", force.bodies, (0.0,) * 4, numbers)
+            case SpringDamper() | TorsionSpring():
+                self.add_spring(force.pathway, force.linear)
             case Law():
                 self.add_law(name, force)
-            case Torque():
-                reaction = self.number[force.reaction_body or "ground"]
-                self.add_load(TORQUE, force.body, reaction, (force.value,), (0.0, 0.0))
-            case PointForce():
-                kind = BODY_FORCE if force.frame == "body" else POINT_FORCE
-                self.add_load(kind, force.body, self.number["ground"], force.value, force.point)
+            case Torque() | PointForce():
+                self.add_load(force.load)
 
-    def add_spring(
-        self, pathway: str, bodies: tuple[str, str], points: Numbers, linear: Numbers, law: int = -1
-    ) -> None:
-        self.springs.append((PATHWAYS[pathway], *(self.number[name] for name in bodies), law))
-        self.spring_points.append((*points, 0.0, 0.0))
+    def add_spring(self, pathway: Pathway | SpringDamper | TorsionSpring, linear: Numbers, law: int = -1) -> None:
+        self.springs.append((PATHWAYS[pathway.kind], *(self.number[name] for name in pathway.bodies), law))
+        self.spring_points.append((*pathway.flat_points, 0.0, 0.0))
         self.linear.append(linear)
 
     def add_law(self, name: str, force: Law) -> None:
@@ -243,28 +213,16 @@ class _Forces:
             compiled, block = bind_law(force.force_law, force, force.law_id)
         except SpecError as error:
             raise error.located(prefix=f"model.forces.{name}") from None
-        self.add_spring(*pathway_kind(force.pathway), (0.0, 0.0, 0.0), len(self.laws))
+        self.add_spring(force.pathway, (0.0, 0.0, 0.0), len(self.laws))
         self.laws.append((name, compiled))
         self.law_rows.append((compiled.address, len(self.law_parameters), compiled.claims))
         self.law_parameters += block
 
-    def add_load(
-        self, kind: int, body: str, reaction: int, values: tuple[Motion, ...], point: tuple[float, float]
-    ) -> None:
-        motions = [self.motions.add(value) for value in values]
-        self.loads.append((kind, self.number[body], reaction, *motions, *[-1] * (2 - len(motions))))
-        self.load_points.append(point)
-
-
-def pathway_kind(pathway: Pathway) -> tuple[str, tuple[str, str], Numbers]:
-    """Return a pathway's kind among the definitions, its bodies, and the points (x_a, y_a, x_b, y_b) on them [m]."""
-    match pathway:
-        case TwoPoints():
-            return "two_points", pathway.bodies, (*pathway.points[0], *pathway.points[1])
-        case RelativeAngle():
-            return "relative_angle", pathway.bodies, (0.0,) * 4
-        case Coordinate():
-            return f"coordinate_{pathway.coordinate}", pathway.bodies, (0.0, 0.0, *pathway.point)
+    def add_load(self, load: AppliedLoad) -> None:
+        motions = [self.motions.add(value) for value in load.values]
+        bodies = (self.number[load.body], self.number[load.reaction_body])
+        self.loads.append((LOADS[load.kind], *bodies, *motions, *[-1] * (2 - len(motions))))
+        self.load_points.append(load.point)
 
 
 def _length(mechanism: Mechanism) -> float:
@@ -293,7 +251,7 @@ def _is_well_scaled(mechanism: Mechanism) -> bool:
             if name in arms:
                 arms[name] = max(arms[name], x * x + y * y)
         a = joint.bodies[0]
-        if isinstance(joint, Prismatic | Driver) and a in arms:  # the body is pushed at the other's point, on its frame
+        if joint.point_moves_on_first and a in arms:  # the reaction on `a` acts at the point of the other body
             for _, name, point in joint.attachments()[-1:]:
                 x, y = mechanism.to_local(a, mechanism.to_global(name, point))
                 arms[a] = max(arms[a], x * x + y * y)

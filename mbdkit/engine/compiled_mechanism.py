@@ -9,9 +9,7 @@ import numpy as np
 
 from mbdkit.engine.jit.law_compiler import CompiledLaw
 from mbdkit.engine.kernels.system import Topology
-from mbdkit.mechanism.elements import (
-    Motion,
-)
+from mbdkit.mechanism.values import Motion
 from mbdkit.text import counted, listed
 
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import GROUND
+from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.time_expression import FUNCTIONS, Compiler, Program
 from mbdkit.text import did_you_mean, listed

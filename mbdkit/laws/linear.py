@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbdkit.mechanism.elements import Element, NotNegative, Number
 from mbdkit.mechanism.force_law import ExpressionLaw
+from mbdkit.mechanism.values import NotNegative, Number
+from mbdkit.strict_model import StrictModel
 
 if TYPE_CHECKING:
     import sympy
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 SUMMARY = "A linear spring and damper, on any pathway."
 
 
-class LinearOptions(Element):
+class LinearOptions(StrictModel):
     """Options of `linear`: the force is ``stiffness * (length - free_length) + damping * rate``."""
 
     stiffness: NotNegative = 0.0

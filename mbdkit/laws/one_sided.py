@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from mbdkit.mechanism.elements import Element, NotNegative, Number
 from mbdkit.mechanism.force_law import ExpressionLaw
+from mbdkit.mechanism.values import NotNegative, Number
+from mbdkit.strict_model import StrictModel
 
 if TYPE_CHECKING:
     import sympy
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 SUMMARY = "A spring and damper that only pulls (a rope) or only pushes (a stop)."
 
 
-class OneSidedOptions(Element):
+class OneSidedOptions(StrictModel):
     """Options of `one-sided`: a linear spring and damper that acts on one side of its free length alone.
 
     With ``acts: tension`` it is slack while shorter than its free length and never pushes; with ``acts: compression``

@@ -9,8 +9,9 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import Element, NotNegative, Number, columns_of
 from mbdkit.mechanism.force_law import FunctionLaw
+from mbdkit.mechanism.values import NotNegative, Number, columns_of
+from mbdkit.strict_model import StrictModel
 
 SUMMARY = "A spring whose force is a table over its length: a cubic spline, linear beyond its ends."
 
@@ -21,7 +22,7 @@ def _check(value: Any) -> Any:
     return _columns(value)
 
 
-class TableOptions(Element):
+class TableOptions(StrictModel):
     """Options of `table`: a spring whose force over its length is given by points, and a linear damper.
 
     The force is the cubic spline through the points, with the not-a-knot condition at both ends (three points give a

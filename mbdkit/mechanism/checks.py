@@ -1,4 +1,4 @@
-"""Checks across the elements of a mechanism: names that exist and are sane, and what can stand between which bodies."""
+"""Checks across the elements of a mechanism: names, bodies of elements, springs without effect, spans of tables."""
 
 from __future__ import annotations
 
@@ -6,16 +6,19 @@ import math
 from collections.abc import Callable, Container, Iterable, Mapping
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import GROUND, Body, Driver, PointForce, Revolute, SpringDamper, Table, Torque, Weld
-from mbdkit.mechanism.law_element import Law, TwoPoints
-from mbdkit.mechanism.mechanism_data import Assembly, Force, Joint
+from mbdkit.mechanism.bodies import GROUND, Body
+from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
+from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.mechanism_data import Assembly
+from mbdkit.mechanism.values import Table
 from mbdkit.text import did_you_mean, listed
 
 ROUNDING = 1e-9
-"""By how much of its length a run may leave a table: what adding up steps makes of its end."""
+"""Share of its length by which a run may leave a table: the end of a run is a sum of rounded steps."""
 
 COINCIDENT = 1e-12
-"""Distance of two points [m], or share of their coordinates, below which it is round-off."""
+"""Distance of two points [m], relative to coordinates above 1 m, that counts as round-off."""
 
 
 def check_mechanism(
@@ -30,13 +33,13 @@ def check_mechanism(
     points = {name for name, body in bodies.items() if body.inertia is None}
     for name, joint in joints.items():
         _check_element(f"model.joints.{name}", joint, bodies, points)
-    pins = {_ends(joint): name for name, joint in joints.items() if isinstance(joint, Revolute | Weld)}
+    pins = {_ends(joint): name for name, joint in joints.items() if joint.joins_points}
     for name, force in forces.items():
         _check_element(f"model.forces.{name}", force, bodies, points)
         if (line := _line(force)) is not None and (pin := pins.get(_ends(line))) is not None:
             raise SpecError(
-                f"joint '{pin}' holds these two points together, so that a spring between them can do nothing",
-                key=f"model.forces.{name}{_POINTS[type(line)]}",
+                f"joint '{pin}' holds these two points together, so that a spring between them has no effect",
+                key=f"model.forces.{name}.{line.pathway_key}points",
             )
     for index, name in enumerate(assembly.fix):
         check_known(name, bodies, f"model.assembly.fix[{index}]")
@@ -44,15 +47,8 @@ def check_mechanism(
 
 def check_tables(joints: Mapping[str, Joint], forces: Mapping[str, Force], start: float, end: float) -> None:
     """Raise a SpecError for the first table that does not cover the times from `start` to `end` [s]."""
-    used: list[tuple[str, object]] = []
-    for name, joint in joints.items():
-        if isinstance(joint, Driver):
-            used.append((f"model.joints.{name}.motion", joint.motion))
-    for name, force in forces.items():
-        if isinstance(force, Torque):
-            used.append((f"model.forces.{name}.value", force.value))
-        elif isinstance(force, PointForce):
-            used += [(f"model.forces.{name}.value[{i}]", value) for i, value in enumerate(force.value)]
+    used = [(f"model.joints.{name}.{key}", value) for name, joint in joints.items() for key, value in joint.motions()]
+    used += [(f"model.forces.{name}.{key}", value) for name, force in forces.items() for key, value in force.motions()]
     for key, motion in used:
         if not isinstance(motion, Table):
             continue
@@ -66,14 +62,14 @@ def check_tables(joints: Mapping[str, Joint], forces: Mapping[str, Force], start
 
 
 def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) -> None:
-    """Raise a SpecError for the first spring whose two ends are in one place, where it has no direction to push in.
+    """Raise a SpecError for the first spring whose two ends coincide at the start, so that it has no direction.
 
     Parameters
     ----------
     forces
         The force elements by name.
     placed
-        Returns the body of a name where the assembled start has it.
+        Returns the body of a name, with the position of the assembled start.
     """
     for name, force in forces.items():
         line = _line(force)
@@ -81,13 +77,13 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
             continue
         a, b = (
             point if body == GROUND else placed(body).to_global(point)
-            for body, point in zip(line.bodies, line.points, strict=True)
+            for body, point in zip(line.pathway.bodies, (point for _, _, point in line.attachments()), strict=True)
         )
         if math.dist(a, b) <= COINCIDENT * max(1.0, *map(abs, (*a, *b))):
             raise SpecError(
                 f"the two ends are in one place at the start, ({a[0]:.6g}, {a[1]:.6g}), so that the spring has no "
                 "direction to push in; move a point apart, or take a spring-damper with the free_length 0",
-                key=f"model.forces.{name}{_POINTS[type(line)]}",
+                key=f"model.forces.{name}.{line.pathway_key}points",
             )
 
 
@@ -114,18 +110,14 @@ def check_known(name: object, bodies: Iterable[str], key: str) -> None:
         raise SpecError(f"there is no body '{name}'{hint}", key=key)
 
 
-_POINTS: dict[type, str] = {SpringDamper: ".points", TwoPoints: ".pathway.points"}
+def _line(force: Force) -> SpringDamper | Law | None:
+    """Return the force element if it acts along the line between two points."""
+    return force if isinstance(force, SpringDamper | Law) and force.pathway.is_line else None
 
 
-def _line(force: Force) -> SpringDamper | TwoPoints | None:
-    """Return the line between two points that a force element acts along, if it does."""
-    if isinstance(force, SpringDamper):
-        return force
-    return force.pathway if isinstance(force, Law) and isinstance(force.pathway, TwoPoints) else None
-
-
-def _ends(element: Revolute | Weld | SpringDamper | TwoPoints) -> frozenset[tuple[str, tuple[float, float]]]:
-    return frozenset(zip(element.bodies, element.points, strict=True))
+def _ends(element: Joint | SpringDamper | Law) -> frozenset[tuple[str, tuple[float, float]]]:
+    """Return both ends of an element as (body, point in its frame)."""
+    return frozenset((name, point) for _, name, point in element.attachments())
 
 
 def _described(element: Joint | Force) -> str:

@@ -1,42 +1,36 @@
-"""Turn what pydantic says about an element into one SpecError with a key path and a suggestion."""
+"""Translate a pydantic error about an element into one SpecError with a key path and a suggestion."""
 
 from __future__ import annotations
 
-from typing import get_args
+from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import (
-    Body,
-    Distance,
-    Driver,
-    PointForce,
-    Prismatic,
-    Revolute,
-    SpringDamper,
-    Torque,
-    TorsionSpring,
-    Weld,
-)
-from mbdkit.mechanism.law_element import Coordinate, Law, RelativeAngle, TwoPoints, find_law
+from mbdkit.mechanism.bodies import Body
+from mbdkit.mechanism.forces import Force
+from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.law_element import Law, find_law
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
+from mbdkit.mechanism.pathways import Pathway
 from mbdkit.text import did_you_mean, listed
 
-_BY_TYPE: dict[str, type[BaseModel]] = {
-    cls.model_fields["type"].default: cls
-    for cls in (Revolute, Prismatic, Weld, Distance, Driver, SpringDamper, TorsionSpring, Torque, PointForce, Law)
-}
-_PATHWAYS: dict[str, type[BaseModel]] = {
-    get_args(cls.model_fields["type"].annotation)[0]: cls for cls in (TwoPoints, RelativeAngle, Coordinate)
-}
+
+def _members(union: Any) -> dict[str, type[BaseModel]]:
+    """Return the models of an annotated union by the value of their `type`."""
+    models = [get_args(one)[0] if get_origin(one) is Annotated else one for one in get_args(get_args(union)[0])]
+    return {get_args(model.model_fields["type"].annotation)[0]: model for model in models}
+
+
+_BY_TYPE = _members(Joint) | _members(Force)
+_PATHWAYS = _members(Pathway)
 
 
 def spec_error(error: ValidationError, prefix: str, root: type[BaseModel]) -> SpecError:
-    """Return the first complaint of `error` about a `root` at key path `prefix` as a SpecError."""
-    complaints = error.errors(include_url=False)
-    # An unknown key comes after the missing ones but is often the reason for one.
-    first = next((one for one in complaints if one["type"] == "extra_forbidden"), complaints[0])
+    """Return the first entry of `error`, from the validation of a `root` at key path `prefix`, as a SpecError."""
+    entries = error.errors(include_url=False)
+    # pydantic lists missing keys first, but a mistyped key is often the reason why one is missing.
+    first = next((one for one in entries if one["type"] == "extra_forbidden"), entries[0])
     owner, location = _owner(root, list(first["loc"]))
     if first["type"].startswith("union_tag"):
         location.append("type")

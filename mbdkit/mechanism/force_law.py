@@ -1,4 +1,4 @@
-"""Force laws: the tension of a force element as a function of length, rate and time, as their authors write them.
+"""Force laws as their authors write them: the tension of a force element as a function of length, rate and time.
 
 A law is the scalar force ``F(s, s', t)`` along a pathway of length ``s``: positive pulls the two bodies together. It
 comes with ``dF/ds``, ``dF/ds'`` and, where it has one, its potential ``V(s)``, whose slope is the force at rate zero.
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import sympy
 
 ARGUMENTS = ("length", "rate", "time")
-"""What every law is a function of: s [m or rad], its rate s' [m/s or rad/s], and time [s]."""
+"""Arguments of every law: s [m or rad], its rate s' [m/s or rad/s] and time [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,14 +27,13 @@ class ExpressionLaw:
     ----------
     force
         F as an expression in symbols named ``length``, ``rate``, ``time`` and like the law's options, or a function
-        without arguments that returns it, which is called only when the law has to be compiled or shown. What its
-        derivatives are taken of has to be written with functions of SymPy; where it has corners or jumps, with
-        ``Piecewise``, ``Min``, ``Max`` or ``Abs``.
+        without arguments that returns it and is called only to compile or show the law. The expression must consist
+        of SymPy functions, and of ``Piecewise``, ``Min``, ``Max`` or ``Abs`` where it has corners or jumps.
     potential
         V, likewise, in ``length`` and options; its derivative by length is checked to be the force at rate zero, on
         which time must have no influence. Left out, the law has none.
     passive
-        Whether what is not stored is dissipated.
+        Whether all power that is not stored is dissipated.
     parameters
         Turns an instance of the law's options into a number for each other symbol, by name; left out, these are the
         options themselves.
@@ -60,7 +59,7 @@ class FunctionLaw:
         Whether the fourth number is a potential: its derivative by length is the force at rate zero, on which time has
         no influence.
     passive
-        Whether what is not stored is dissipated.
+        Whether all power that is not stored is dissipated.
     parameters
         Turns an instance of the law's options into the numbers that the function is given, any number of them; left
         out, these are the options in the order in which they are defined.

@@ -1,14 +1,13 @@
-"""Force elements by law: a pathway, which has a length, and a force law by name, which pulls along it."""
+"""The element of type ``law``: a pathway and the name of the force law that acts along it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import (
     BaseModel,
     ConfigDict,
-    Field,
     ModelWrapValidatorHandler,
     ValidationError,
     ValidationInfo,
@@ -16,72 +15,12 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails, to_json
 
-from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import Attachment, Between, BetweenPoints, Element, Points
+from mbdkit.mechanism import higher_layers
+from mbdkit.mechanism.bodies import Attachment, Element
 from mbdkit.mechanism.force_law import ForceLaw
+from mbdkit.mechanism.pathways import Pathway
 
 OptionsClass = type[BaseModel]
-
-
-class TwoPoints(BetweenPoints):
-    """The distance of two points [m]; a positive force pulls them together."""
-
-    type: Literal["two-points"]
-
-
-class RelativeAngle(Between):
-    """``angle_b - angle_a`` [rad]; a positive torque turns b back towards a."""
-
-    type: Literal["relative-angle"]
-
-    def attachments(self) -> list[Attachment]:
-        """Return (key, body name, point in its frame) of each point that is held."""
-        return []
-
-    def angles(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body whose own angle takes part, so that it cannot be a point mass."""
-        return self.places()
-
-
-class Coordinate(Between):
-    """``x`` or ``y`` of b's point in a's frame, from a's origin [m]; a positive force makes it smaller."""
-
-    type: Literal["coordinate"]
-    coordinate: Literal["x", "y"]
-    """Which coordinate is the length."""
-    points: Points | None = None
-    """``[[0, 0], b's point]``; left out, b's origin."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _no_angle(cls, data: Any) -> Any:
-        if isinstance(data, Mapping) and data.get("coordinate") == "angle":
-            raise SpecError("the pathway along an angle is written {type: relative-angle, ...}", key="coordinate")
-        return data
-
-    @model_validator(mode="after")
-    def _points_fit(self) -> Coordinate:
-        if self.points is not None and self.points[0] != (0.0, 0.0):
-            raise SpecError(
-                "should be [0, 0]: a coordinate is measured from the origin of the first body", key="points[0]"
-            )
-        return self
-
-    @property
-    def point(self) -> tuple[float, float]:
-        """B's point in b's frame [m]."""
-        return (0.0, 0.0) if self.points is None else self.points[1]
-
-    def attachments(self) -> list[Attachment]:
-        """Return (key, body name, point in its frame) of each point that is held."""
-        return [("points[1]", self.bodies[1], self.point)]
-
-    def angles(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body whose own angle takes part, so that it cannot be a point mass."""
-        return self.places()[:1]
-
-
-Pathway = Annotated[TwoPoints | RelativeAngle | Coordinate, Field(discriminator="type")]
 
 
 class Law(Element):
@@ -91,7 +30,7 @@ class Law(Element):
     that are installed.
     """
 
-    # The options of a law are fields of a class of its own, which `law_element` makes; that class is strict.
+    # The options of a law are fields of a subclass made by `mbdkit.registry.item_options.law_element`, which is strict.
     model_config = ConfigDict(extra="ignore")
 
     type: Literal["law"] = "law"
@@ -99,6 +38,8 @@ class Law(Element):
     """Name of the force law, such as one-sided or table."""
     pathway: Pathway
     """What the length is, and between which bodies."""
+    pathway_key: ClassVar[str] = "pathway."
+    """Prefix of the keys of the pathway."""
 
     force_law: ClassVar[ForceLaw]
     """The law itself."""
@@ -128,11 +69,11 @@ class Law(Element):
         return [(f"pathway.{key}", name) for key, name in self.pathway.places()]
 
     def attachments(self) -> list[Attachment]:
-        """Return (key, body name, point in its frame) of each point that is held."""
+        """Return (key, body name, point in its frame) of each body-fixed point of the element."""
         return [(f"pathway.{key}", name, point) for key, name, point in self.pathway.attachments()]
 
     def angles(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body whose own angle takes part, so that it cannot be a point mass."""
+        """Return (key, body name) of each body whose angle the element uses, and which is therefore no point mass."""
         return [(f"pathway.{key}", name) for key, name in self.pathway.angles()]
 
 
@@ -148,7 +89,7 @@ def find_law(name: str, context: Any = None) -> type[Law]:
     name
         Short or long name.
     context
-        Context of a validation, whose ``find_law`` is a `FindLaw`; without it, all that is installed is searched.
+        Context of a validation, whose ``find_law`` is a `FindLaw`; without it, the installed laws are searched.
 
     Raises
     ------
@@ -156,15 +97,12 @@ def find_law(name: str, context: Any = None) -> type[Law]:
         If there is none, with the key ``law``.
     """
     given: FindLaw | None = context.get("find_law") if isinstance(context, Mapping) else None
-    if given is None:
-        from mbdkit.registry.manager import find_installed_law
-
-        given = find_installed_law
-    return given(name)
+    element: type[Law] = (given or higher_layers.find_installed_law)(name)
+    return element
 
 
 def _below(error: ValidationError, law_id: str) -> ValidationError:
-    """Return the same complaints with the law's name before their locations, as a tag in a union would be."""
+    """Return the same errors with the law's name before their locations, as pydantic puts the tag of a union."""
     lines: list[InitErrorDetails] = []
     for details in error.errors(include_url=False):
         context = details.get("ctx", {})

@@ -1,4 +1,4 @@
-"""The mechanism: bodies, joints and forces by name, with a builder, a check, and the way to and from a spec."""
+"""The mechanism: bodies, joints and forces by name, with a builder, checks, and conversion to and from a spec."""
 
 from __future__ import annotations
 
@@ -8,35 +8,25 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from mbdkit.errors import SpecError
+from mbdkit.mechanism import higher_layers
+from mbdkit.mechanism.bodies import GROUND, Body
 from mbdkit.mechanism.checks import check_known, check_mechanism, check_name, check_tables
 from mbdkit.mechanism.element_errors import spec_error
-from mbdkit.mechanism.elements import (
-    GROUND,
-    Body,
-    Distance,
-    Driver,
-    Element,
-    Point,
-    PointForce,
-    Prismatic,
-    Revolute,
-    SpringDamper,
-    Table,
-    Torque,
-    TorsionSpring,
-    Weld,
-)
+from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.joints import Distance, Driver, Joint, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
-from mbdkit.mechanism.mechanism_data import Assembly, Force, Joint, MechanismData
+from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
+from mbdkit.mechanism.values import Point, Table
+from mbdkit.strict_model import StrictModel
 from mbdkit.text import counted
 
 if TYPE_CHECKING:
-    from mbdkit.symbolic.symbolic_system import SymbolicSystem
+    from mbdkit.mechanism.symbolic_system import SymbolicSystem
 
 Pair = Sequence[float]
 Value = float | str | Table | Mapping[str, Any]
 """A number, an expression of t, or ``{"table": [[t, ...], [value, ...]]}``."""
-AnyElement = TypeVar("AnyElement", bound=Element)
+AnyElement = TypeVar("AnyElement", bound=StrictModel)
 
 _POINT: TypeAdapter[tuple[float, float]] = TypeAdapter(Point)
 
@@ -44,8 +34,8 @@ _POINT: TypeAdapter[tuple[float, float]] = TypeAdapter(Point)
 class Mechanism:
     """A planar multibody system as data.
 
-    Built by its methods or by :meth:`from_spec`. Bodies are named by text: :meth:`body` returns the name, ready for use
-    as an argument, and `ground` is the global frame. A point is given either in the bodies' own frames (`points`) or in
+    Built by its methods or by :meth:`from_spec`. Bodies are referred to by name: :meth:`body` returns the name, and
+    `ground` is the global frame. A point is given either in the bodies' own frames (`points`) or in
     the global frame at the initial positions (`at`, `from_`, `to`); add a body before the joints on it.
 
     Parameters
@@ -437,7 +427,7 @@ class Mechanism:
         self.forces[name] = _make(PointForce, key, body=body, point=place, value=value, frame=frame)
 
     def hold(self, *bodies: str, tolerance: float = 1e-12) -> None:
-        """Say which bodies stay where they are while the start is made consistent, and to which residual.
+        """Choose the bodies that keep their positions while the start is made consistent, and the residual allowed.
 
         Parameters
         ----------
@@ -457,7 +447,7 @@ class Mechanism:
         return (point[0], point[1]) if body == GROUND else self.bodies[body].to_local((point[0], point[1]))
 
     def to_global(self, body: str, point: Pair) -> tuple[float, float]:
-        """Return where a `point` (x, y) [m] of the frame of `body` is at the initial position."""
+        """Return the global coordinates of a `point` (x, y) [m] of the frame of `body` at the initial position."""
         return (point[0], point[1]) if body == GROUND else self.bodies[body].to_global((point[0], point[1]))
 
     def relative_angle(self, a: str, b: str) -> float:
@@ -474,8 +464,8 @@ class Mechanism:
         ]
 
     def description(self) -> str:
-        """Return what it is made of in a line: numbers of elements and of constraint rows."""
-        drivers = sum(isinstance(joint, Driver) for joint in self.joints.values())
+        """Return the numbers of elements and of constraint rows in one line."""
+        drivers = sum(joint.is_driver for joint in self.joints.values())
         rows = sum(len(joint.rows) for joint in self.joints.values())
         return (
             f"{counted(len(self.bodies), 'body', 'bodies')}, {counted(len(self.joints) - drivers, 'joint')}, "
@@ -483,7 +473,7 @@ class Mechanism:
         )
 
     def validate(self) -> None:
-        """Check that names exist and are sane, and that each element can stand between the bodies that it names.
+        """Check that names are valid and known, and that each element suits the bodies that it names.
 
         Raises
         ------
@@ -553,22 +543,21 @@ class Mechanism:
     # ---- its equations -------------------------------------------------------------------------------------------
 
     def to_sympy(self, *, numbers: bool = True) -> SymbolicSystem:
-        """Return its index-1 equations of motion as SymPy matrices, which print as LaTeX and evaluate to numbers.
+        """Return the index-1 equations of motion as SymPy matrices, which print as LaTeX and evaluate to numbers.
 
         Parameters
         ----------
         numbers
-            Whether masses, lengths, stiffnesses and the like are put in as numbers, or stay symbols whose values
-            ``parameters`` keeps. Expressions of t stay as they were written.
+            Whether masses, lengths, stiffnesses and other parameters are inserted as numbers; otherwise they stay
+            symbols, with their values in ``parameters``. Expressions of t stay as they were written.
 
         Raises
         ------
         SpecError
             With the key path of the first thing that is wrong, or of a force that has no symbolic form.
         """
-        from mbdkit.symbolic.build import build_system
-
-        return build_system(self, numbers=numbers)
+        system: SymbolicSystem = higher_layers.symbolic_system(self, numbers)
+        return system
 
     # ---- private -------------------------------------------------------------------------------------------------
 
@@ -622,5 +611,5 @@ def _point(value: Any, key: str) -> tuple[float, float]:
         raise spec_error(error, key, MechanismData) from None
 
 
-def _plain(element: Element) -> dict[str, Any]:
+def _plain(element: StrictModel) -> dict[str, Any]:
     return element.model_dump(mode="json", exclude_defaults=True)

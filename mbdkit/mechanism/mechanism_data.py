@@ -1,35 +1,19 @@
-"""A mechanism as plain data, as it stands in a spec: every element by name, told apart by its type."""
+"""The free-form model ``mechanism`` as a spec holds it: gravity, bodies, joints, forces and assembly."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field, SerializeAsAny
+from pydantic import BeforeValidator, Field
 
-from mbdkit.mechanism.elements import (
-    Body,
-    Distance,
-    Driver,
-    Element,
-    Point,
-    PointForce,
-    Positive,
-    Prismatic,
-    Revolute,
-    SpringDamper,
-    Torque,
-    TorsionSpring,
-    Weld,
-    sequence,
-)
-from mbdkit.mechanism.law_element import Law
-
-Joint = Annotated[Revolute | Prismatic | Weld | Distance | Driver, Field(discriminator="type")]
-Force = Annotated[SpringDamper | TorsionSpring | Torque | PointForce | SerializeAsAny[Law], Field(discriminator="type")]
-"""A law's options are fields of the class that its law makes, and are dumped as well."""
+from mbdkit.mechanism.bodies import Body
+from mbdkit.mechanism.forces import Force
+from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.values import Point, Positive, sequence
+from mbdkit.strict_model import StrictModel
 
 
-class Assembly(Element):
+class Assembly(StrictModel):
     """How the initial state is made consistent with the joints."""
 
     fix: Annotated[tuple[str, ...], BeforeValidator(sequence)] = ()
@@ -38,7 +22,7 @@ class Assembly(Element):
     """Largest residual of a start that counts as consistent [m, rad, m/s, rad/s]; such a start is left untouched."""
 
 
-class MechanismData(Element):
+class MechanismData(StrictModel):
     """The `mechanism` model as it stands in a spec: everything about a mechanism, by name."""
 
     gravity: Point = (0.0, -9.81)

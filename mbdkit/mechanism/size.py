@@ -1,4 +1,4 @@
-"""How large a mechanism is: what its misalignments are compared with."""
+"""Size of a mechanism: the length with which its misalignments are compared."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ if TYPE_CHECKING:
 
 
 def mechanism_size(mechanism: Mechanism, position: np.ndarray) -> float:
-    """Return the longer side of the upright box around all joint points and centres of mass [m].
+    """Return the longer side of the axis-parallel bounding box of all joint points and centres of mass [m].
 
     Parameters
     ----------
     mechanism
         The mechanism.
     position
-        (B, 3) place [m] and angle [rad] of each body, in the order of the mechanism.
+        (B, 3) centre of mass [m] and angle [rad] of each body, in the order of the mechanism.
     """
     pose = dict(zip(mechanism.bodies, np.asarray(position, dtype=float), strict=True))
     points = [row[:2] for row in pose.values()]

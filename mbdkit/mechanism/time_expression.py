@@ -64,7 +64,7 @@ _BINARY = {"add", "sub", "mul", "div", "pow", "atan2", "min", "max"}
 
 
 TIME = dict.fromkeys(("time", "T"), " (the time is t)")
-"""What is said of names that others give the time."""
+"""Hints for names under which other programs know the time."""
 
 
 @dataclass(frozen=True)
@@ -89,12 +89,12 @@ class Expression:
 
     @staticmethod
     def parse(text: str) -> Expression:
-        """Return the expression that `text` says.
+        """Return the expression of a text.
 
         Raises
         ------
         SpecError
-            What cannot be read, and where in the text.
+            With the position in the text of the first part that is not a valid expression.
         """
         return _parse(text)
 
@@ -149,14 +149,14 @@ class Compiler:
     Parameters
     ----------
     text
-        What the user wrote.
+        The expression as the user wrote it.
 
     Attributes
     ----------
     wanted
-        What an expression may hold beside operators, in words.
+        The operands that an expression may hold, for messages.
     hint
-        What is added where a text is no expression at all.
+        Addition to the message about a syntax error.
     """
 
     wanted = "an expression of t, which has numbers, t, pi"
@@ -175,7 +175,7 @@ class Compiler:
                 self.refuse(f"the character {letter!r} is not part of an expression", place)
 
     def unquoted(self) -> str:
-        """Return the text without what stands in quotes, which only some expressions have, place by place."""
+        """Return the text with quoted parts blanked, of the same length; only subclasses know quotes."""
         return self.source
 
     def program(self) -> list[tuple[str, float]]:
@@ -223,7 +223,7 @@ class Compiler:
         return self.operand(node)
 
     def operand(self, node: ast.expr) -> list[tuple[str, float]]:
-        """Return the program of what is neither a number nor an operation; all of it is refused here."""
+        """Return the program of an operand other than a number; this class refuses all of them."""
         if isinstance(node, ast.Name):
             name = self.segment(node)
             hint = TIME.get(name) or did_you_mean(name, ["t", "pi", *FUNCTIONS]) or "; known are t, pi and functions"
@@ -286,7 +286,7 @@ class Compiler:
         return program
 
     def constant(self, compute: Callable[[], float], node: ast.expr) -> list[tuple[str, float]]:
-        """Return the program of a number that stands in the text or follows from such."""
+        """Return the program of a number that is written in the text or computed from constants in it."""
         try:
             value = compute()
         except (ArithmeticError, ValueError):

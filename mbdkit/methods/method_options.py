@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from mbdkit.methods.kinds import Tolerances
+from mbdkit.strict_model import StrictModel
 
 
-class Options(BaseModel):
-    """Base of all options: strict, frozen, no unknown keys."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
+class Options(StrictModel):
+    """Base of the options of the built-in methods."""
 
 
 class ExplicitOptions(Options):

@@ -1,4 +1,4 @@
-"""A chain of rods that hangs from the ground, with a start that fits its joints to round-off."""
+"""A chain of rods that hangs from the ground, whose initial positions meet the joints to round-off."""
 
 from __future__ import annotations
 

@@ -6,9 +6,10 @@ from typing import Annotated
 
 from pydantic import BeforeValidator
 
-from mbdkit.mechanism.elements import Element, Number, Point, Positive, pair
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.values import Number, Point, Positive, pair
 from mbdkit.models._chain import chain
+from mbdkit.strict_model import StrictModel
 
 SUMMARY = "Two rods in a chain."
 
@@ -17,7 +18,7 @@ PositivePair = Annotated[tuple[Positive, Positive], _two]
 NumberPair = Annotated[tuple[Number, Number], _two]
 
 
-class DoublePendulumOptions(Element):
+class DoublePendulumOptions(StrictModel):
     """Parameters of `double-pendulum`, two of each, from the ground outwards."""
 
     lengths: PositivePair = (1.0, 1.0)

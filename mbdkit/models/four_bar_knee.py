@@ -44,10 +44,11 @@ import math
 from pydantic import Field
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import Element, NotNegative, Number, Point, Points, Positive
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.values import NotNegative, Number, Point, Points, Positive
 from mbdkit.models._crossed_four_bar import CrossedFourBar
 from mbdkit.models._leg import FRACTIONS, GAIT2D, WINTER, foot, shank
+from mbdkit.strict_model import StrictModel
 
 SUMMARY = "The lower leg on a crossed four-bar linkage, the thigh held, with springs and dampers."
 
@@ -65,7 +66,7 @@ MOUNTING = 0.009  # m, of the tibial link's middle below the knee joint, at that
 DAMPER = "knee-damping"
 
 
-class KneeLinks(Element):
+class KneeLinks(StrictModel):
     """Lengths of the links [m]; what is left out is scaled with the height."""
 
     tibial: Positive | None = None
@@ -78,7 +79,7 @@ class KneeLinks(Element):
     """Posterior cruciate rod, from joint D to joint A [m]."""
 
 
-class KneePitches(Element):
+class KneePitches(StrictModel):
     """How far the links point below the forward horizontal when the leg is straight [rad]."""
 
     femoral: Number = math.radians(27.5)
@@ -87,7 +88,7 @@ class KneePitches(Element):
     """Tibial link, from joint A to joint B [rad]."""
 
 
-class KneeSpring(Element):
+class KneeSpring(StrictModel):
     """A linear spring and damper between a point of the thigh and a point of the shank."""
 
     points: Points
@@ -101,7 +102,7 @@ class KneeSpring(Element):
     """Length without force [m]."""
 
 
-class FourBarKneeOptions(Element):
+class FourBarKneeOptions(StrictModel):
     """Parameters of `four-bar-knee`."""
 
     height: Positive = 1.78

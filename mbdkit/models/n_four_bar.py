@@ -9,9 +9,10 @@ from typing import Annotated
 from pydantic import Field
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import Element, Number, Point, Positive
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.memory import available_memory, in_gib
+from mbdkit.strict_model import StrictModel
 
 SUMMARY = "N four-bar windows in a row, which pass two singular positions a turn (IFToMM benchmark A02)."
 
@@ -39,7 +40,7 @@ BYTES_PER_WINDOW = 40_000
 """Memory that a window of two rods and three joints takes while its mechanism is compiled [bytes]."""
 
 
-class NFourBarOptions(Element):
+class NFourBarOptions(StrictModel):
     """Parameters of `n-four-bar`."""
 
     n: Annotated[int, Field(ge=1)] = 2

@@ -7,10 +7,11 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field, model_validator
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import Element, Number, Point, Positive, sequence
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.values import Number, Point, Positive, sequence
 from mbdkit.memory import available_memory, in_gib
 from mbdkit.models._chain import chain
+from mbdkit.strict_model import StrictModel
 
 SUMMARY = "A chain of n rods, equal or each with its own parameters."
 
@@ -25,7 +26,7 @@ PositiveList = Annotated[tuple[Positive, ...], _list, Field(min_length=1)]
 NumberList = Annotated[tuple[Number, ...], _list, Field(min_length=1)]
 
 
-class NPendulumOptions(Element):
+class NPendulumOptions(StrictModel):
     """Parameters of `n-pendulum`.
 
     Each quantity is either one number for all rods or, under its plural name, a list with one number for each rod from

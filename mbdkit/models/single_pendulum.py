@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from mbdkit.mechanism.elements import Element, Number, Point, Positive
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.models._chain import chain
+from mbdkit.strict_model import StrictModel
 
 SUMMARY = "One rod on a pin."
 
 
-class SinglePendulumOptions(Element):
+class SinglePendulumOptions(StrictModel):
     """Parameters of `single-pendulum`."""
 
     length: Positive = 1.0

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mbdkit.plot.shapes import Array, convex_hull
 
 if TYPE_CHECKING:
-    from mbdkit.mechanism.elements import Prismatic
+    from mbdkit.mechanism.joints import SlidingJoint
     from mbdkit.mechanism.mechanism import Mechanism
 
 GROUND = -1
@@ -151,16 +151,18 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
     sketch = _Sketch(list(mechanism.bodies))
     for name, joint in mechanism.joints.items():
         sketch.joint(name, joint)
-        if joint.type == "prismatic":
-            sketch.guide(joint, _travel(mechanism, joint))
+        if joint.mark == "slide":
+            sliding: Any = joint
+            sketch.guide(sliding, _travel(mechanism, sliding))
     for force in mechanism.forces.values():
         ends = sketch.attach(force)
-        if force.type == "spring-damper" or (force.type == "law" and force.pathway.type == "two-points"):
+        pathway = getattr(force, "pathway", None)
+        if pathway is not None and pathway.is_line:
             sketch.springs.append((ends[0], ends[1]))
     return sketch.finish()
 
 
-def _travel(mechanism: Mechanism, joint: Prismatic) -> tuple[float, float]:
+def _travel(mechanism: Mechanism, joint: SlidingJoint) -> tuple[float, float]:
     """Return the ends of a guide, measured along its axis from its point [m]: past the slider, with room to move."""
     elements = [*mechanism.joints.values(), *mechanism.forces.values()]
     places = [mechanism.to_global(name, point) for one in elements for _, name, point in one.attachments()]
@@ -209,7 +211,7 @@ class _Sketch:
             index = self.point(body, local)
             found.append(index)
             if body == GROUND:
-                if index not in self.grounds and element.type != "driver":
+                if index not in self.grounds and getattr(element, "mark", "") != "none":
                     self.grounds.append(index)
                 continue
             self.touched[body].append(index)
@@ -219,19 +221,19 @@ class _Sketch:
 
     def joint(self, name: str, joint: Any) -> None:
         """Enter a joint: a bar for a distance, nothing for a driver, a mark at its point for all others."""
-        ends = self.attach(joint, joint=joint.type != "driver")
-        if joint.type == "distance":
+        ends = self.attach(joint, joint=joint.mark != "none")
+        if joint.mark == "bar":
             self.bars.append((ends[0], ends[1]))
-        elif joint.type != "driver" and ends:
+        elif joint.mark != "none" and ends:
             moving = [index for index in ends if self.owner[index] != GROUND]
-            marks = {"prismatic": self.sliders, "weld": self.welds}.get(joint.type, self.pins)
-            place = ends[1] if joint.type == "prismatic" else moving[0] if moving else ends[0]
+            marks = {"pin": self.pins, "slide": self.sliders, "weld": self.welds}[joint.mark]
+            place = ends[1] if joint.mark == "slide" else moving[0] if moving else ends[0]
             marks.append(place)
             if len(moving) == 2:
                 self.moving.append(Trace(name, place))
                 self.traced.update(self.owner[index] for index in moving)
 
-    def guide(self, joint: Prismatic, travel: tuple[float, float]) -> None:
+    def guide(self, joint: SlidingJoint, travel: tuple[float, float]) -> None:
         """Enter the line of a prismatic joint, from one end of its travel to the other."""
         (x, y), (dx, dy) = joint.points[0], joint.direction
         low, high = (self.point(self.index[joint.bodies[0]], (x + s * dx, y + s * dy)) for s in travel)

@@ -72,22 +72,14 @@ def _gaps_of(mechanism: Mechanism, drawing: Drawing, poses: Array) -> Gaps:
     index = {"ground": -1} | {name: number for number, name in enumerate(mechanism.bodies)}
     names, ends, vectors = [], [], []
     for name, joint in mechanism.joints.items():
-        if joint.type == "driver":
+        if joint.is_driver or joint.points is None:
             continue
         a, b = (index[body] for body in joint.bodies)
         found = [_find(drawing, body, local) for body, local in zip((a, b), joint.points, strict=True)]
         gap = _world(poses, b, joint.points[1]) - _world(poses, a, joint.points[0])
-        if joint.type == "prismatic":
-            angle = poses[:, a, 2] if a >= 0 else np.zeros(len(poses))
-            x, y = joint.direction
-            normal = np.stack([-np.sin(angle) * x - np.cos(angle) * y, np.cos(angle) * x - np.sin(angle) * y], axis=-1)
-            gap = np.sum(gap * normal, axis=-1, keepdims=True) * normal
-        elif joint.type == "distance":
-            apart = np.hypot(gap[:, 0], gap[:, 1])[:, None]
-            gap = gap * np.divide(apart - joint.length, apart, out=np.zeros_like(apart), where=apart > 0)
         names.append(name)
         ends.append((found[0], found[1]))
-        vectors.append(gap)
+        vectors.append(joint.gap(gap, poses[:, a, 2] if a >= 0 else np.zeros(len(poses))))
     stacked = np.stack(vectors, axis=1) if vectors else np.zeros((len(poses), 0, 2))
     return Gaps(tuple(names), tuple(ends), stacked)
 

@@ -10,13 +10,11 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchem
 
 from mbdkit.errors import PluginError
 from mbdkit.mechanism.law_element import Law
+from mbdkit.strict_model import STRICT
 
 if TYPE_CHECKING:
     from mbdkit.registry.catalogue import Registered
     from mbdkit.registry.items import ForceLawPlugin
-
-STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
 
 _TAKEN = (*Law.model_fields, "name", "a", "b", "along", "from_", "to", "points")
 """What an element of type law and `Mechanism.law` have of their own."""

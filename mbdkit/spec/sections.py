@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.checks import check_name
+from mbdkit.strict_model import StrictModel
 
 QUANTITIES = ("constraints", "energy", "joints")
 
@@ -23,12 +24,8 @@ Count = Annotated[int, BeforeValidator(_whole), Field(ge=1, le=2**53)]
 Positive = Annotated[float, Field(gt=0)]
 
 
-class Section(BaseModel):
-    """Base of all sections: strict, frozen, and no key that it does not know."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
+class Section(StrictModel):
+    """Base of the sections of a spec."""
 
 
 class Time(Section):

@@ -1,4 +1,4 @@
-"""``python -m mbdkit.symbolic [--check]``: write the generated element kernels, or say whether they are fresh."""
+"""``python -m mbdkit.symbolic [--check]``: write the generated element kernels, or check that they are current."""
 
 from __future__ import annotations
 

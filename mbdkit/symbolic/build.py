@@ -1,7 +1,7 @@
-"""Put the elements' definitions together: from a mechanism, by name, to the matrices of its `SymbolicSystem`.
+"""Assemble the symbolic equations of a mechanism, its `SymbolicSystem`, from the definitions of its elements.
 
-Constraints come from the compiled mechanism, row by row and kind by kind, so that a new kind of joint needs nothing
-here. A force is its virtual work along a pathway or a point of the definitions; a new kind of force is a method.
+Each joint lists its constraints by kind, so a new joint type needs no change here. A force is its virtual work along a
+pathway or at a point of the definitions.
 """
 
 from __future__ import annotations
@@ -17,34 +17,26 @@ import numpy as np
 import sympy as sp
 from sympy.core.function import UndefinedFunction
 
-from mbdkit.engine.compile_mechanism import compile_mechanism, pathway_kind
-from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.jit.law_compiler import law_parameters
-from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import GROUND, PointForce, SpringDamper, Table, Torque, TorsionSpring
+from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.force_law import ExpressionLaw
+from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.joints import Constraint
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.mechanism_data import Force
+from mbdkit.mechanism.pathways import Pathway
+from mbdkit.mechanism.symbolic_system import SymbolicSystem
 from mbdkit.mechanism.time_expression import Expression
+from mbdkit.mechanism.values import Table
 from mbdkit.symbolic import definitions as d
 from mbdkit.symbolic.symbolic_law import LENGTH, RATE, law_expressions
 from mbdkit.symbolic.symbolic_law import T as LAW_TIME
-from mbdkit.symbolic.symbolic_system import SymbolicSystem
 
 TIME = sp.Symbol("t", real=True)
 
 Jet = tuple[sp.Expr, sp.Expr, sp.Expr]
 """A motion with its first two derivatives by time."""
-
-_CONSTANTS = {
-    ("distance", 4): ("L", "L"),
-    ("point_on_line", 4): ("e_x", "e^{x}"),
-    ("point_on_line", 5): ("e_y", "e^{y}"),
-    ("fixed_angle", 4): ("phi", r"\varphi"),
-}
-"""Name and LaTeX of a constraint kind's parameter that is not part of a point; others are p4 and p5."""
 
 _LETTERS = {"stiffness": ("k", "k"), "damping": ("c", "c"), "free_length": ("l", r"\ell")}
 """Name and LaTeX of a law's parameter; others are called as they are."""
@@ -60,7 +52,7 @@ def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
     mechanism
         Bodies, joints and forces by name.
     numbers
-        Whether masses, lengths and the like are put in as numbers, or stay symbols.
+        Whether masses, lengths and other parameters are inserted as numbers; otherwise they stay symbols.
 
     Raises
     ------
@@ -76,7 +68,6 @@ class _Builder:
 
     def __init__(self, mechanism: Mechanism, numbers: bool):
         self.mechanism, self.numbers = mechanism, numbers
-        self.compiled: CompiledMechanism = compile_mechanism(mechanism)
         self.names: dict[sp.Symbol, str] = {TIME: "t"}
         self.parameters: dict[sp.Symbol, float] = {}
         self.functions: set[str] = set()
@@ -167,79 +158,79 @@ class _Builder:
 
     def constraints(self) -> tuple[list[sp.Expr], list[list[sp.Expr]], list[sp.Expr], list[sp.Symbol]]:
         """Return Phi, the rows of Phi_q, gamma and the multipliers, in the order of the rows' labels."""
-        kinds = {code: name for name, code in KINDS.items()}
-        top = self.compiled.topology
-        owners = {
-            pair: name
-            for name, pairs in zip(self.compiled.joints, self.compiled.joint_pairs, strict=True)
-            for pair in pairs
-        }
-        values: dict[int, dict[sp.Symbol, sp.Expr]] = {}
         constraints, jacobian, gamma, multipliers = [], [], [], []
-        for row in self.compiled.rows:
-            code, a, b, motion = (int(x) for x in top.pairs[row.pair])
-            kind, joint = kinds[code], owners[row.pair]
-            if row.pair not in values:
-                given = top.pair_parameters[row.pair].tolist()
-                parameters = [
-                    *self.point(joint, self.bodies[a], given[:2]),
-                    *self.point(joint, self.bodies[b], given[2:4]),
-                ]
-                for i, x in enumerate(given[4:], start=4):
-                    letter, tex = _CONSTANTS.get((kind, i), (f"p{i}", f"p^{{({i})}}"))
-                    parameters.append(self.parameter(x, letter, joint, tex=tex))
-                jet = _jet(self.compiled.motions[motion]) if motion >= 0 else None
-                values[row.pair] = self.values(a, b, parameters, jet)
-            terms = _constraint_terms(kind)
-            here = values[row.pair]
-            constraints.append(terms["phi"][row.place].xreplace(here))
-            gamma.append(terms["gamma"][row.place].xreplace(here))
-            whole = [sp.Integer(0)] * len(self.q)
-            self.spread([x.xreplace(here) for x in terms["jacobian"].row(row.place)], a, b, whole)
-            jacobian.append(whole)
-            label = row.label.rpartition(".")[2]
-            shown = label if len(label) == 1 else _text(label)
-            multipliers.append(self.symbol(f"lambda_{joint}_{label}", rf"\lambda_{{{_text(joint)},{shown}}}"))
+        for name, joint in self.mechanism.joints.items():
+            a, b = (self.bodies.index(body) for body in joint.bodies)
+            for one in joint.constraints(self.mechanism.relative_angle(*joint.bodies)):
+                terms = _constraint_terms(one.kind)
+                jet = None if one.motion is None else _jet(one.motion)
+                here = self.values(a, b, self.constraint_parameters(name, joint.bodies, one), jet)
+                for place in range(one.rows):
+                    constraints.append(terms["phi"][place].xreplace(here))
+                    gamma.append(terms["gamma"][place].xreplace(here))
+                    whole = [sp.Integer(0)] * len(self.q)
+                    self.spread([x.xreplace(here) for x in terms["jacobian"].row(place)], a, b, whole)
+                    jacobian.append(whole)
+                    label = joint.rows[one.first_row + place]
+                    shown = label if len(label) == 1 else _text(label)
+                    tex = rf"\lambda_{{{_text(name)},{shown}}}"
+                    multipliers.append(self.symbol(f"lambda_{name}_{label}", tex))
         return constraints, jacobian, gamma, multipliers
+
+    def constraint_parameters(self, joint: str, bodies: tuple[str, str], one: Constraint) -> list[sp.Expr]:
+        """Return the parameters p0 to p5 of a constraint."""
+        first, second = bodies
+        parameters = [*self.point(joint, first, one.points[:2]), *self.point(joint, second, one.points[2:])]
+        named = _kind(one.kind).constants
+        for i, x in enumerate(one.constants):
+            letter, tex = named[i] if i < len(named) else (f"p{i + 4}", f"p^{{({i + 4})}}")
+            parameters.append(self.parameter(x, letter, joint, tex=tex))
+        return parameters
 
     def add_force(self, name: str, force: Force) -> None:
         """Add the generalized forces of a force element."""
         match force:
-            case SpringDamper(bodies=(a, b), points=points):
-                free = self.parameter(force.free_length, "l", name, tex=r"\ell")
-                held = [*self.point(name, a, points[0]), *self.point(name, b, points[1])]
-                self.add_spring("two_points", name, force, free, held)
-            case TorsionSpring():
-                free = self.parameter(force.free_angle, "phi", name, tex=r"\varphi")
-                self.add_spring("relative_angle", name, force, free, [])
-            case Torque():
-                gradient = _pathway_terms("relative_angle")[1]
-                self.add(gradient.T * _jet(force.value)[0], force.reaction_body or GROUND, force.body, [])
+            case SpringDamper() | TorsionSpring():
+                self.add_spring(name, force)
             case Law():
                 self.add_law(name, force)
-            case PointForce():
-                place = d.jacobian((d.xb + d.bx, d.yb + d.by), d.BODY_COORDINATES)
-                value = sp.Matrix([_jet(x)[0] for x in force.value])
-                if force.frame == "body":
-                    value = sp.Matrix([[d.cb, -d.sb], [d.sb, d.cb]]) * value
-                held = [sp.Integer(0)] * 2 + self.point(name, force.body, force.point)
-                self.add(place.T * value, GROUND, force.body, held)
+            case Torque() | PointForce():
+                self.add_load(name, force.load)
             case _:
                 raise SpecError(f"a {force.type} has no symbolic form", key=f"model.forces.{name}")
 
-    def add_spring(
-        self, pathway: str, name: str, force: SpringDamper | TorsionSpring, free: sp.Expr, held: Sequence[sp.Expr]
-    ) -> None:
+    def add_load(self, name: str, load: AppliedLoad) -> None:
+        """Add the generalized forces of a load."""
+        values = [_jet(x)[0] for x in load.values]
+        if load.kind == "torque":
+            gradient = _pathway_terms("relative_angle")[1]
+            self.add(gradient.T * values[0], load.reaction_body, load.body, [])
+            return
+        place = d.jacobian((d.xb + d.bx, d.yb + d.by), d.BODY_COORDINATES)
+        value = sp.Matrix(values)
+        if load.kind == "body_force":
+            value = sp.Matrix([[d.cb, -d.sb], [d.sb, d.cb]]) * value
+        held = [sp.Integer(0)] * 2 + self.point(name, load.body, load.point)
+        self.add(place.T * value, load.reaction_body, load.body, held)
+
+    def add_spring(self, name: str, force: SpringDamper | TorsionSpring) -> None:
         """Add a linear spring and damper, of tension F = k (s - s_0) + c s', on a pathway: Q = -F s_q."""
-        length, gradient = _pathway_terms(pathway)
+        length, gradient = _pathway_terms(force.kind)
         rate = (gradient * sp.Matrix(d.BODY_VELOCITIES))[0]
+        letter, tex = ("l", r"\ell") if force.length_unit == "m" else ("phi", r"\varphi")
+        free = self.parameter(force.linear.free, letter, name, tex=tex)
+        held = self.pathway_points(name, force)
         stiffness, damping = self.parameter(force.stiffness, "k", name), self.parameter(force.damping, "c", name)
         self.add(-(stiffness * (length - free) + damping * rate) * gradient.T, *force.bodies, held)
 
+    def pathway_points(self, name: str, pathway: Pathway | SpringDamper | TorsionSpring) -> list[sp.Expr]:
+        """Return the parameters of the points of a pathway."""
+        (a, b), points = pathway.bodies, pathway.flat_points
+        return [*self.point(name, a, points[:2]), *self.point(name, b, points[2:])]
+
     def add_law(self, name: str, force: Law) -> None:
         """Add the force F of a law on its pathway: Q = -F s_q; a law that is no expression stays a function F."""
-        pathway, bodies, points = pathway_kind(force.pathway)
-        length, gradient = _pathway_terms(pathway)
+        length, gradient = _pathway_terms(force.pathway.kind)
         rate = (gradient * sp.Matrix(d.BODY_VELOCITIES))[0]
         law = force.force_law
         names, values = law_parameters(law, force, force.law_id)
@@ -252,8 +243,7 @@ class _Builder:
             tension = tension.xreplace(known)
         else:
             tension = self.numeric_law(name, law.function, np.array(values))(length, rate, TIME)
-        held = [*self.point(name, bodies[0], points[:2]), *self.point(name, bodies[1], points[2:])]
-        self.add(-tension * gradient.T, *bodies, held)
+        self.add(-tension * gradient.T, *force.bodies, self.pathway_points(name, force.pathway))
 
     def numeric_law(self, name: str, function: Any, parameters: np.ndarray) -> Any:
         """Return the force of a law as a function that has no formula, only numbers: of length, rate and time."""
@@ -305,10 +295,14 @@ class _Builder:
                 whole[place] += term
 
 
+def _kind(name: str) -> d.ConstraintKind:
+    return next(one for one in d.CONSTRAINTS if one.name == name)
+
+
 @cache
 def _constraint_terms(kind: str) -> dict[str, sp.Matrix]:
     """Return ``phi``, ``jacobian`` and ``gamma`` of a constraint kind in the symbols of the definitions."""
-    derived = d.derive_constraint(next(one for one in d.CONSTRAINTS if one.name == kind))
+    derived = d.derive_constraint(_kind(kind))
     return {name: derived[name].applyfunc(_shortest) for name in ("phi", "jacobian", "gamma")}
 
 

@@ -1,8 +1,8 @@
-"""Position-level definitions of every element, in SymPy: the one place where mechanics is written down.
+"""Position-level definitions of every element in SymPy, from which all derivatives in use are generated.
 
 Planar bodies have the coordinates ``q = (x, y, theta)``: centre of mass and tilt. A body-fixed point ``s`` of body
 ``b`` is at ``r_b + R(theta_b) s`` in the global frame. An element joins a first body ``a`` and a second body ``b``;
-ground is a body that stays at ``q = 0``. From the functions below the generator derives every derivative in use.
+ground is a body that stays at ``q = 0``.
 """
 
 from __future__ import annotations
@@ -82,6 +82,8 @@ class ConstraintKind:
     name: str
     rows: tuple[sp.Expr, ...]
     note: str
+    constants: tuple[tuple[str, str], ...] = ()
+    """Name and LaTeX of the parameters behind the points, ``p4`` and ``p5``."""
 
 
 _ARM = (xb + bx - xa, yb + by - ya)
@@ -90,12 +92,19 @@ _IN_A = (ca * _ARM[0] + sa * _ARM[1], ca * _ARM[1] - sa * _ARM[0])
 
 CONSTRAINTS = (
     ConstraintKind("revolute", (gx, gy), "Two points coincide: Phi = p_b - p_a"),
-    ConstraintKind("distance", (length - PARAMETERS[4],), "Phi = |p_b - p_a| - length"),
+    ConstraintKind("distance", (length - PARAMETERS[4],), "Phi = |p_b - p_a| - length", (("L", "L"),)),
     ConstraintKind("driver_angle", (thb - tha - u,), "Phi = theta_b - theta_a - u(t)"),
     ConstraintKind("driver_x", (_IN_A[0] - u,), "Phi = x of b's point in a's frame - u(t)"),
     ConstraintKind("driver_y", (_IN_A[1] - u,), "Phi = y of b's point in a's frame - u(t)"),
-    ConstraintKind("point_on_line", (nx * gx + ny * gy,), "Phi = distance of b's point from the line through a's"),
-    ConstraintKind("fixed_angle", (thb - tha - PARAMETERS[4],), "Phi = theta_b - theta_a - angle"),
+    ConstraintKind(
+        "point_on_line",
+        (nx * gx + ny * gy,),
+        "Phi = distance of b's point from the line through a's",
+        (("e_x", "e^{x}"), ("e_y", "e^{y}")),
+    ),
+    ConstraintKind(
+        "fixed_angle", (thb - tha - PARAMETERS[4],), "Phi = theta_b - theta_a - angle", (("phi", r"\varphi"),)
+    ),
 )
 
 

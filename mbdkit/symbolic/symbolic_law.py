@@ -1,4 +1,4 @@
-"""Force laws written in SymPy: checked, differentiated, and written out as Python source."""
+"""Force laws written in SymPy: their checks, derivatives and Python source."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def law_expressions(law: ExpressionLaw, names: Sequence[str]) -> tuple[sp.Expr, 
     Raises
     ------
     PluginError
-        For what is no expression of these.
+        If the law is not an expression of these symbols.
     """
     potential = 0 if law.potential is None else law.potential
     return _expression(law.force, names, ARGUMENTS), _expression(potential, names, ARGUMENTS[:1])
@@ -62,7 +62,7 @@ def law_source(law: ExpressionLaw, example: Mapping[str, float]) -> str:
     Raises
     ------
     PluginError
-        Where it has no derivatives, or its potential is not that of its force.
+        If SymPy cannot differentiate the force, or the potential does not belong to it.
     """
     names = list(example)
     force, potential = (_without_corners(one) for one in law_expressions(law, names))

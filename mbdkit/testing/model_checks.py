@@ -10,7 +10,7 @@ import numpy as np
 
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.motions import MAX_DEPTH, motions_at
-from mbdkit.mechanism.elements import Driver
+from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.simulation import build, simulate

@@ -10,8 +10,8 @@ from pydantic import BaseModel, ValidationError
 
 from mbdkit.errors import SpecError
 from mbdkit.registry.catalogue import Registered
-from mbdkit.registry.item_options import STRICT
 from mbdkit.spec.explain import explain
+from mbdkit.strict_model import STRICT
 from mbdkit.text import listed
 
 Options = TypeVar("Options", bound=BaseModel)

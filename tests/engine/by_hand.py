@@ -13,20 +13,12 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from mbdkit.mechanism.elements import (
-    Distance,
-    Driver,
-    PointForce,
-    Prismatic,
-    Revolute,
-    SpringDamper,
-    Table,
-    Torque,
-    TorsionSpring,
-    Weld,
-)
-from mbdkit.mechanism.law_element import Coordinate, Law, RelativeAngle, TwoPoints
+from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.joints import Distance, Driver, Prismatic, Revolute, Weld
+from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.pathways import Coordinate, RelativeAngle, TwoPoints
+from mbdkit.mechanism.values import Table
 
 TINY = 1e-200
 """Size of a complex step: its square vanishes beside anything."""

@@ -14,9 +14,10 @@ from typing import Any, get_args
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn
 
-from mbdkit.mechanism.elements import GROUND, Distance, Driver
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.forces import Force
+from mbdkit.mechanism.joints import Distance, Driver, Joint
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.mechanism_data import Force, Joint
 
 from .by_hand import ByHand
 

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from mbdkit.engine.assembly import AssembledState, assemble
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import Body
+from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.mechanism import Mechanism
 
 from .compiled import Compiled

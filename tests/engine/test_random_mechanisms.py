@@ -25,7 +25,7 @@ from mbdkit.engine.assembly import assemble
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.workspace import Workspace
-from mbdkit.mechanism.elements import Revolute, Weld
+from mbdkit.mechanism.joints import Revolute, Weld
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
 from mbdkit.spec.yaml_reader import read_yaml

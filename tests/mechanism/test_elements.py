@@ -6,19 +6,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from mbdkit.mechanism.elements import (
-    Body,
-    Distance,
-    Driver,
-    PointForce,
-    Prismatic,
-    Revolute,
-    SpringDamper,
-    Table,
-    Torque,
-    TorsionSpring,
-    Weld,
-)
+from mbdkit.mechanism.bodies import Body
+from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.joints import Distance, Driver, Prismatic, Revolute, Weld
+from mbdkit.mechanism.values import Table
 
 POINTS = ((0.0, 0.0), (1.0, 0.0))
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.elements import Body, Revolute
+from mbdkit.mechanism.bodies import Body
+from mbdkit.mechanism.joints import Revolute
 from mbdkit.mechanism.mechanism import Mechanism
 
 SPEC = {

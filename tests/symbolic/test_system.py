@@ -18,10 +18,10 @@ from mbdkit.engine.kernels.observe import constraints_at, observe
 from mbdkit.engine.singularity import new_vectors
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import SpecError
+from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.mechanism_data import Force
+from mbdkit.mechanism.symbolic_system import SymbolicSystem
 from mbdkit.spec import load_spec
-from mbdkit.symbolic.symbolic_system import SymbolicSystem
 
 T = 0.7
 STATES = range(5)

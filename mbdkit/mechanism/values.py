@@ -1,0 +1,138 @@
+"""Types of the values of elements: numbers, points, motions in time and tables, with their checks."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.time_expression import Expression
+from mbdkit.strict_model import StrictModel
+
+
+def _shown(value: Any) -> str:
+    """Return a value as an error message shows it, cut to at most 60 characters."""
+    text = "nothing" if value is None else repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def pair(wanted: str) -> Callable[[Any], Any]:
+    """Return a validator for a list, tuple or array of two items; its error says that `wanted` should be given."""
+
+    def check(value: Any) -> Any:
+        plain = value.tolist() if hasattr(value, "tolist") else value
+        if isinstance(plain, list):
+            plain = tuple(plain)
+        if not isinstance(plain, tuple):
+            raise SpecError(f"should be {wanted}, not {_shown(plain)}")
+        if len(plain) != 2:
+            raise SpecError(f"should be {wanted}, not {len(plain)} item{'s' * (len(plain) != 1)}")
+        return plain
+
+    return check
+
+
+def sequence(value: Any) -> Any:
+    """Return a list or array as a tuple, and any other value unchanged."""
+    plain = value.tolist() if hasattr(value, "tolist") else value
+    return tuple(plain) if isinstance(plain, list) else plain
+
+
+def _motion(value: Any) -> Any:
+    """Accept finite numbers and valid expressions of time, and convert mappings to tables."""
+    if isinstance(value, str):
+        Expression.parse(value)
+    elif isinstance(value, Mapping):
+        if list(value) != ["table"]:
+            raise SpecError(
+                f"should be {{table: [[t, ...], [value, ...]]}}, not a mapping with the keys {_shown([*value])}"
+            )
+        return Table(table=columns_of(value["table"], "table"))
+    elif isinstance(value, Table):
+        return value
+    elif isinstance(value, bool) or not isinstance(value, int | float):
+        raise SpecError(
+            'should be a number, an expression of t such as "0.5*sin(2*pi*t)", or {table: [[t, ...], [value, ...]]}, '
+            f"not {_shown(value)}"
+        )
+    elif not abs(value) <= sys.float_info.max:
+        raise SpecError(f"should be a finite number, not {value!r}")
+    return value
+
+
+def columns_of(value: Any, key: str = "", *, at: str = "times", of: str = "values", shown: str = "t, value") -> Any:
+    """Return the two columns of a table as tuples of floats.
+
+    Parameters
+    ----------
+    value
+        Two columns of equal length, two rows or more; the first column strictly increasing.
+    key
+        Key of the table, for messages.
+    at, of
+        Names of the contents of the first and the second column, in the plural, for messages.
+    shown
+        Names of one entry of each column, for messages.
+
+    Raises
+    ------
+    SpecError
+        If no spline passes through the points.
+    """
+    first, second = shown.split(", ")
+    try:
+        columns = pair(f"a column of {at} and a column of {of}, [[{first}, ...], [{second}, ...]]")(value)
+    except SpecError as error:
+        raise error.located(prefix=key) from None
+    columns = [sequence(column) for column in columns]
+    for number, column in enumerate(columns):
+        if not isinstance(column, tuple):
+            raise SpecError(f"should be a list of numbers, not {_shown(column)}", key=f"{key}[{number}]")
+        for row, x in enumerate(column):
+            if isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= sys.float_info.max:
+                raise SpecError(f"should be a finite number, not {_shown(x)}", key=f"{key}[{number}][{row}]")
+    times, values = (tuple(float(x) for x in column) for column in columns)
+    if len(times) != len(values):
+        raise SpecError(f"a table needs as many {of} as {at}; it has {len(values)} and {len(times)}", key=key)
+    if len(times) < 2:
+        raise SpecError(f"a table needs two points or more, not {len(times)}", key=key)
+    for row in range(1, len(times)):
+        if not times[row - 1] < times[row]:
+            raise SpecError(
+                f"{at} must increase: {times[row]!r} comes after {times[row - 1]!r}", key=f"{key}[0][{row}]"
+            )
+    return times, values
+
+
+# Bounds are stated here as well as in `StrictModel`, for validators of these types outside of a model.
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Point = Annotated[tuple[Number, Number], BeforeValidator(pair("two numbers [x, y]"))]
+Points = Annotated[tuple[Point, Point], BeforeValidator(pair("two points, one in each body's frame, [[x, y], [x, y]]"))]
+BodyPair = Annotated[tuple[str, str], BeforeValidator(pair("two body names [first, second]"))]
+Columns = Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidator(columns_of)]
+
+
+class Table(StrictModel):
+    """A function of time by points: the cubic spline through them, with the not-a-knot condition at both ends.
+
+    Three points give a parabola and two a line. The first and second derivatives are continuous. The third jumps at
+    the points, so a method of high order keeps its order only if its steps end there. A run must lie within the table.
+    """
+
+    table: Columns
+    """Times [s], strictly increasing, and the values at them: ``[[t, ...], [value, ...]]``."""
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time [s]."""
+        return self.table[0][0], self.table[0][-1]
+
+
+Motion = Annotated[Number | str | Table, BeforeValidator(_motion)]
+"""A function of time: a number, an expression of t, or a table."""
+MotionPair = Annotated[tuple[Motion, Motion], BeforeValidator(pair("two numbers, expressions of t or tables [x, y]"))]
