@@ -37,7 +37,7 @@ from mbdkit.engine.kernels.system import (
     unfold_multipliers,
 )
 from mbdkit.engine.kernels.vectors import copy, stays_finite
-from mbdkit.methods.lobatto import coefficients
+from mbdkit.methods.lobatto_pair import coefficients
 from mbdkit.stepping.collocation import report_divergence, stage_divergence
 from mbdkit.stepping.compiled_method import Family
 from mbdkit.stepping.position_convergence import (
