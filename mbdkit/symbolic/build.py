@@ -19,12 +19,12 @@ from sympy.core.function import UndefinedFunction
 
 from mbdkit.engine.compile_mechanism import compile_mechanism, pathway_kind
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.jit.law_compiler import law_parameters
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.elements import GROUND, PointForce, SpringDamper, Table, Torque, TorsionSpring
 from mbdkit.mechanism.force_law import ExpressionLaw
 from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.law_parameters import law_parameters
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import Force
 from mbdkit.mechanism.time_expression import Expression
