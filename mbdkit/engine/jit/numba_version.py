@@ -14,7 +14,7 @@ import os
 from importlib.metadata import version
 from typing import Any
 
-TESTED_NUMBA = ("0.61", "0.68")
+TESTED_NUMBA = ("0.68", "0.68")
 """Oldest and newest Numba, as major.minor, with which the numerical tests passed."""
 
 
