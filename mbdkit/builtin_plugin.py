@@ -1,4 +1,4 @@
-"""The plugin of mbdkit itself: its models, integrators and force laws arrive like anybody's."""
+"""The plugin of mbdkit itself: its models, integrators and force laws are registered like those of any plugin."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def mbdkit_models() -> list[ModelPlugin]:
 @hookimpl
 def mbdkit_integrators() -> list[IntegratorPlugin]:
     """Return the integrators that mbdkit ships."""
-    from mbdkit.methods.builtin import INTEGRATORS
+    from mbdkit.methods.discovery import integrators
 
-    return list(INTEGRATORS)
+    return integrators()
 
 
 @hookimpl

@@ -100,15 +100,21 @@ def plugins_verify(
 
 @plugins_app.command("doctor")
 def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
-    """Say how loading each plugin went.
+    """Say how loading each plugin went, and whether this Numba is a tested one.
 
-    Exit status 4 if one could not be loaded.
+    Exit status 4 if a plugin could not be loaded. With another Numba than the
+    tested ones, and with MBDKIT_PLAIN_NUMBA=1, kernels are compiled without
+    Numba's internals: more slowly, with the same results.
     """
+    from mbdkit.engine.jit.numba_version import numba_report, numba_text
     from mbdkit.registry import describe
     from mbdkit.registry.manager import load_installed
 
     installed = load_installed()
-    print(json.dumps(describe.diagnosis(installed)) if as_json else describe.diagnosis_text(installed))
+    if as_json:
+        print(json.dumps({**describe.diagnosis(installed), "numba": numba_report()}))
+    else:
+        print(f"{describe.diagnosis_text(installed)}\n{numba_text()}")
     if not describe.is_sound(installed):
         raise typer.Exit(terminal.PLUGIN_FAILED)
 

@@ -10,7 +10,7 @@ import numpy as np
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.iteration_matrix import IterationMatrix, Pivots, chosen_pivots, classes_of, vector
-from mbdkit.engine.jit.bundle import Hold
+from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels import equations
 from mbdkit.engine.kernels.observe import baumgarte_at
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
@@ -85,7 +85,7 @@ class EquationsOfMotion:
         mechanism = workspace.mechanism
         self._workspace = workspace
         self._view = equations.new_view(workspace)
-        self._hold = Hold(self._view)
+        self._hold = PinnedBundle(self._view)
         self.address = self._hold.address
         self.n, self.m = 3 * len(mechanism.bodies), len(mechanism.solved_rows)
         self.bodies = mechanism.bodies

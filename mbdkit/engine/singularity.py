@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import inlined, kernel, part
+from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
 from mbdkit.engine.kernels.lu import substitute
 from mbdkit.engine.kernels.system import constraint_rows, independent_rows, load_engine, prepare
 from mbdkit.engine.self_stress import scaled_matrix, smallest_stress
@@ -54,7 +54,7 @@ def new_vectors(workspace: Workspace) -> np.ndarray:
     return np.zeros((len(workspace.mechanism.topology.pairs), COLUMNS))
 
 
-@part
+@subkernel
 def _pair_factors(pairs, rows, jac, weight, near):
     """Write the Cholesky factor of each pair's block of Phi_q M^-1 Phi_q^T into the last columns; return how many."""
     count = 0
@@ -85,7 +85,7 @@ def _noise(n, multiplier):
     return x - np.floor(x) - 0.5
 
 
-@part
+@subkernel
 def _disturb(rows, near):
     """Mix noise into the second vector; return whether the first one knew anything before it is made up."""
     known = 0.0
@@ -99,7 +99,7 @@ def _disturb(rows, near):
     return known > 0.0
 
 
-@part
+@subkernel
 def _scale(near):
     """Write the right sides ``D^-1 x`` of both vectors where their images will stand."""
     for k in range(len(near)):
@@ -109,7 +109,7 @@ def _scale(near):
             near[k, 5 + c] = l10 * near[k, c] + l11 * near[k, c + 1]
 
 
-@part
+@subkernel
 def _solve_both(start, row, diagonal, below, near):
     """Solve with the Schur complement for both right sides in place; see `mbdkit.engine.kernels.schur.solve`."""
     n = len(diagonal)
@@ -150,7 +150,7 @@ def _solve_pivoted(rows, row_index, pattern, factors, right, solution, near):
                 near[k, c + r] = solution[row_index[k, r]]
 
 
-@part
+@subkernel
 def _products(rows, near):
     """Scale the solutions to the images y of both vectors x; return x.x, y.y and x.y, three of each kind."""
     x00 = x01 = x11 = y00 = y01 = y11 = h00 = h01 = h11 = 0.0
@@ -176,7 +176,7 @@ def _products(rows, near):
     return x00, x01, x11, y00, y01, y11, h00, h01, h11
 
 
-@part
+@subkernel
 def _turn(near, along, size0, size1, z0, z1):
     """Make the images orthonormal, turn them by (z0, z1), and let them be the next vectors."""
     for k in range(len(near)):

@@ -17,7 +17,7 @@ from mbdkit.engine.elimination_order import (
     schur_schedule,
     symbolic_lu,
 )
-from mbdkit.engine.jit.bundle import Hold
+from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels import element_kernels as e
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.forces import BODY_FORCE, PATHWAYS, POINT_FORCE
@@ -105,8 +105,8 @@ class Workspace:
             row_index=self.mechanism.row_index,
             failed=np.array([-1]),
         )
-        self._engine = Hold(Engine(top, self.scratch, self.solver))
-        self._stepping_engine = Hold(Engine(self.stepping_topology, self.scratch, self.solver))
+        self._engine = PinnedBundle(Engine(top, self.scratch, self.solver))
+        self._stepping_engine = PinnedBundle(Engine(self.stepping_topology, self.scratch, self.solver))
 
     @property
     def engine(self) -> int:
@@ -209,8 +209,8 @@ class Workspace:
         other = copy(self)
         other.pivotings = 0
         other.solver = self.solver._replace(pivoted=self.solver.pivoted.copy())
-        other._engine = Hold(self._engine.bundle._replace(solver=other.solver))
-        other._stepping_engine = Hold(self._stepping_engine.bundle._replace(solver=other.solver))
+        other._engine = PinnedBundle(self._engine.bundle._replace(solver=other.solver))
+        other._stepping_engine = PinnedBundle(self._stepping_engine.bundle._replace(solver=other.solver))
         return other
 
     def use_pivots(self) -> None:

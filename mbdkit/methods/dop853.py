@@ -1,7 +1,7 @@
-"""The method of Dormand and Prince of order 8 with its estimates of orders 5 and 3 and dense output of order 7.
+"""The method of Dormand and Prince of order 8 with error estimates of orders 5 and 3 and dense output of order 7.
 
-Twelve stages make the step; dense output takes four more. Coefficients after Hairer, Norsett and Wanner (1993), II.5
-and II.6, as published with their code DOP853, to 30 digits.
+A step has twelve stages; dense output evaluates four more. The coefficients are those published with the code DOP853
+of Hairer, Norsett and Wanner (1993), II.5 and II.6, to 30 digits.
 """
 
 from __future__ import annotations
@@ -9,17 +9,16 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING
 
+from mbdkit.methods.common_claims import HAIRER_NORSETT_WANNER, embedded_claims
+from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.methods.method_options import ControlledOptions
 from mbdkit.methods.tableau import ButcherTableau
+from mbdkit.registry.items import IntegratorPlugin
 
 if TYPE_CHECKING:
     import numpy as np
 
     from mbdkit.methods.embedded_estimate import EmbeddedPair
-
-REFERENCE = """@book{hairer1993,
-  author = {Hairer, Ernst and N{\\o}rsett, Syvert P. and Wanner, Gerhard},
-  title = {Solving Ordinary Differential Equations {I}: Nonstiff Problems},
-  edition = {2}, publisher = {Springer}, year = {1993}, doi = {10.1007/978-3-540-78862-1}}"""
 
 STAGES = 12
 
@@ -247,7 +246,7 @@ def tableau() -> ButcherTableau:
     """Return the tableau of the method of order 8."""
     a = [[row.get(j, 0) for j in range(i)] for i, row in enumerate(_A[:STAGES])]
     b = [_A[STAGES].get(j, 0) for j in range(STAGES)]
-    return ButcherTableau("dop853", a, b, _C[:STAGES], order=8, reference=REFERENCE)
+    return ButcherTableau("dop853", a, b, _C[:STAGES], order=8, reference=HAIRER_NORSETT_WANNER)
 
 
 @cache
@@ -264,3 +263,17 @@ def pair() -> EmbeddedPair:
     parts = [b, first - b, 2 * b - first - last, *_matrix(_D, len(_A))]
     error = np.array([fine[:STAGES], (b - rough)[:STAGES]])
     return EmbeddedPair(error, 8, a, c, nested_polynomials(parts))
+
+
+FAMILY = "explicit"
+INTEGRATORS = (
+    IntegratorPlugin(
+        name="dop853",
+        summary="Dormand-Prince: explicit, 12 stages, order 8, fixed or adaptive steps.",
+        options=ControlledOptions,
+        create=lambda options: ExplicitRungeKutta(tableau(), pair(), options.tolerances()),
+        claims=embedded_claims(order=8, stages=12),
+        references=(HAIRER_NORSETT_WANNER,),
+        dense_output=True,
+    ),
+)

@@ -1,6 +1,6 @@
 """The method of Dormand and Prince of order 5, its estimate of order 4, and dense output of order 4.
 
-Seven stages, of which the last is the first of the next step. Dense output after Hairer, Norsett and Wanner (1993),
+Seven stages; the last one is the first one of the next step. Dense output is that of Hairer, Norsett and Wanner (1993),
 II.6.
 """
 
@@ -9,7 +9,11 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING
 
+from mbdkit.methods.common_claims import embedded_claims
+from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.methods.method_options import ControlledOptions
 from mbdkit.methods.tableau import ButcherTableau
+from mbdkit.registry.items import IntegratorPlugin
 
 if TYPE_CHECKING:
     from mbdkit.methods.embedded_estimate import EmbeddedPair
@@ -65,3 +69,17 @@ def pair() -> EmbeddedPair:
     first, last = np.eye(7)[0], np.eye(7)[6]
     parts = [b, first - b, 2 * b - first - last, np.array(_D)]
     return EmbeddedPair(np.array([_ERROR]), 5, a, c, nested_polynomials(parts))
+
+
+FAMILY = "explicit"
+INTEGRATORS = (
+    IntegratorPlugin(
+        name="dopri5",
+        summary="Dormand-Prince: explicit, 7 stages, order 5, fixed or adaptive steps.",
+        options=ControlledOptions,
+        create=lambda options: ExplicitRungeKutta(tableau(), pair(), options.tolerances()),
+        claims=embedded_claims(order=5, stages=7),
+        references=(REFERENCE,),
+        dense_output=True,
+    ),
+)

@@ -1,16 +1,22 @@
 """Gauss-Legendre collocation, s stages, order 2 s: symmetric and symplectic.
 
 With s = 2 and 3 these are the s2IRK and s3IRK of the source paper. Its Table 4 misprints three coefficients of s = 3
-(a_12 = 2/9 + sqrt15/15, a_13 = 5/36 + sqrt15/30, b_2 = 4/19); a tableau with them is refused by its own row sums.
+(a_12 = 2/9 + sqrt15/15, a_13 = 5/36 + sqrt15/30, b_2 = 4/19); the check of row sums refuses the printed tableau.
 """
 
 from __future__ import annotations
 
 from functools import cache
+from typing import Annotated
 
 import mpmath
+from pydantic import Field
 
+from mbdkit.methods.common_claims import ORDER_DRIFT, TOLERANCE_DRIFT
+from mbdkit.methods.kinds import ImplicitRungeKutta
+from mbdkit.methods.method_options import ImplicitOptions
 from mbdkit.methods.tableau import ButcherTableau, Coefficient, collocation
+from mbdkit.registry.items import Claims, IntegratorPlugin
 
 REFERENCE = """@article{butcher1964,
   author = {Butcher, John C.},
@@ -49,3 +55,50 @@ def tableau(stages: int) -> ButcherTableau:
         roots = sorted(mpmath.re(x) for x in mpmath.polyroots(legendre[::-1], maxsteps=200, extraprec=200))
         nodes = [(1 + x) / 2 for x in roots]
     return collocation(name, nodes, order=2 * stages, reference=REFERENCE)
+
+
+class GaussOptions(ImplicitOptions):
+    """Gauss-Legendre collocation."""
+
+    stages: Annotated[int, Field(ge=1, le=6)] = 2
+    """Number of stages s; the order is 2 s."""
+
+
+def _create(options: GaussOptions) -> ImplicitRungeKutta:
+    return ImplicitRungeKutta(
+        tableau(options.stages),
+        options.stage_solver,
+        options.tolerance,
+        options.max_iterations,
+        options.tolerances(),
+    )
+
+
+def _claims(options: GaussOptions) -> Claims:
+    # A step size that depends on earlier steps differs in the reversed motion, so adaptive steps are neither symmetric
+    # nor symplectic; every single step still conserves quadratic invariants.
+    fixed = not options.adaptive
+    return Claims(
+        order=2 * options.stages if fixed else None,
+        symmetric=fixed,
+        symplectic=fixed,
+        quadratic_invariants=True,
+        stages=options.stages,
+        adaptive=options.adaptive,
+        drift=ORDER_DRIFT if fixed else TOLERANCE_DRIFT,
+        needs=("tangents",) if options.stage_solver == "newton" else ("accelerations",),
+    )
+
+
+FAMILY = "collocation"
+INTEGRATORS = (
+    IntegratorPlugin(
+        name="gauss",
+        summary="Gauss-Legendre collocation: implicit, 1 to 6 stages, order 2 s, symmetric, symplectic; or adaptive.",
+        options=GaussOptions,
+        create=_create,
+        claims=_claims,
+        references=(REFERENCE,),
+        dense_output=True,
+    ),
+)

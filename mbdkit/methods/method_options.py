@@ -1,4 +1,7 @@
-"""Options of the built-in integrators, as a spec writes them under ``integrator:``."""
+"""Bases of the options of integration methods, as a spec writes them under ``integrator:``.
+
+Options of one method only are in the file of that method.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ class Options(StrictModel):
 
 
 class ExplicitOptions(Options):
-    """An explicit method of fixed order has nothing to choose."""
+    """Options of an explicit method in fixed steps: none."""
 
 
 class ControlledOptions(Options):
@@ -33,14 +36,14 @@ class ControlledOptions(Options):
     """Absolute error tolerance of adaptive steps [m, rad, m/s, rad/s]; left out: the number that `rtol` is."""
 
     @model_validator(mode="after")
-    def _tolerances_are_of_use(self) -> ControlledOptions:
+    def _tolerances_need_adaptive_steps(self) -> ControlledOptions:
         for name in ("rtol", "atol"):
             if getattr(self, name) is not None and not self.adaptive:
                 raise PydanticCustomError("mbdkit", f"takes `{name}` only with `adaptive: true`")
         return self
 
     def tolerances(self) -> Tolerances | None:
-        """Return the tolerances that steps are chosen by; None for fixed steps."""
+        """Return the tolerances of adaptive steps; None for fixed steps."""
         if not self.adaptive:
             return None
         rtol = self.rtol if self.rtol is not None else 1e-6
@@ -56,42 +59,3 @@ class ImplicitOptions(ControlledOptions):
     """Stop when the stage accelerations change by less than this, relative to their size; left out: at stagnation."""
     max_iterations: Annotated[int, Field(ge=2, le=10_000)] = 50
     """Iterations in one step after which the stage equations count as unsolved."""
-
-
-class GaussOptions(ImplicitOptions):
-    """Gauss-Legendre collocation."""
-
-    stages: Annotated[int, Field(ge=1, le=6)] = 2
-    """Number of stages s; the order is 2 s."""
-
-
-class RattleOptions(Options):
-    """How the positions of a step are found that meet the constraints."""
-
-    tolerance: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] | None = None
-    """Stop when positions are expected to change by less than this, relative to their size; left out: at stagnation."""
-    max_iterations: Annotated[int, Field(ge=2, le=10_000)] = 50
-    """Iterations in one step after which its equations count as unsolved."""
-
-
-class PairOptions(RattleOptions):
-    """A pair of Lobatto IIIA and IIIB."""
-
-    stages: Literal[2, 3] = 3
-    """Number of stages s; the order is 2 s - 2. Two stages make RATTLE."""
-
-
-class RadauOptions(ImplicitOptions):
-    """Radau IIA collocation."""
-
-    stages: Literal[2, 3, 5] = 3
-    """Number of stages s; the order is 2 s - 1."""
-
-
-class AdaptiveOptions(Options):
-    """A method of SciPy that controls its own error."""
-
-    rtol: Annotated[float, Field(ge=2.3e-14, lt=1, allow_inf_nan=False)] = 1e-8
-    """Relative error tolerance of a step; SciPy takes none below 100 roundings, 2.3e-14."""
-    atol: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1e-10
-    """Absolute error tolerance of a step [m, rad, m/s, rad/s]."""

@@ -1,21 +1,27 @@
-"""Radau IIA collocation in fixed steps, order 2 s - 1: stiffly accurate and L-stable, for stiff springs and dampers.
+"""Radau IIA collocation, s stages, order 2 s - 1: stiffly accurate and L-stable, for stiff springs and dampers.
 
-Not to be confused with SciPy's adaptive `Radau`: forced to a fixed step, that one stops its Newton iteration early and
-its constraints drift hundreds of times faster.
+This is not SciPy's adaptive `Radau`. With a fixed step size, SciPy's solver stops its Newton iteration early, and its
+constraints drift hundreds of times faster.
 """
 
 from __future__ import annotations
 
 from functools import cache
+from typing import Literal
 
 import mpmath
 
+from mbdkit.methods.common_claims import HAIRER_WANNER, ORDER_DRIFT, TOLERANCE_DRIFT
+from mbdkit.methods.kinds import ImplicitRungeKutta
+from mbdkit.methods.method_options import ImplicitOptions
 from mbdkit.methods.tableau import ButcherTableau, collocation
+from mbdkit.registry.items import Claims, IntegratorPlugin, Orders
 
-REFERENCE = """@book{hairer1996,
-  author = {Hairer, Ernst and Wanner, Gerhard},
-  title = {Solving Ordinary Differential Equations {II}: Stiff and Differential-Algebraic Problems},
-  edition = {2}, publisher = {Springer}, year = {1996}, doi = {10.1007/978-3-642-05221-7}}"""
+GEAR = """@article{gear1985,
+  author = {Gear, C. W. and Leimkuhler, B. and Gupta, G. K.},
+  title = {Automatic integration of {E}uler-{L}agrange equations with constraints},
+  journal = {Journal of Computational and Applied Mathematics},
+  volume = {12--13}, pages = {77--90}, year = {1985}, doi = {10.1016/0377-0427(85)90008-1}}"""
 
 _CLOSED_FORMS: dict[int, tuple[list[list[str]], list[str], list[str]]] = {
     2: ([["5/12", "-1/12"], ["3/4", "1/4"]], ["3/4", "1/4"], ["1/3", "1"]),
@@ -37,9 +43,65 @@ def tableau(stages: int) -> ButcherTableau:
     name = f"radau-iia-{stages}"
     if stages in _CLOSED_FORMS:
         a, b, c = _CLOSED_FORMS[stages]
-        return ButcherTableau(name, a, b, c, order=2 * stages - 1, reference=REFERENCE)
+        return ButcherTableau(name, a, b, c, order=2 * stages - 1, reference=HAIRER_WANNER)
     with mpmath.workdps(75):
         difference = mpmath.taylor(lambda x: mpmath.legendre(stages, x) - mpmath.legendre(stages - 1, x), 0, stages)
         roots = sorted(mpmath.re(x) for x in mpmath.polyroots(difference[::-1], maxsteps=200, extraprec=200))
         nodes = [(1 + x) / 2 for x in roots[:-1]] + [mpmath.mpf(1)]
-    return collocation(name, nodes, order=2 * stages - 1, reference=REFERENCE)
+    return collocation(name, nodes, order=2 * stages - 1, reference=HAIRER_WANNER)
+
+
+class RadauOptions(ImplicitOptions):
+    """Radau IIA collocation."""
+
+    stages: Literal[2, 3, 5] = 3
+    """Number of stages s; the order is 2 s - 1."""
+
+
+def _create(options: RadauOptions) -> ImplicitRungeKutta:
+    return ImplicitRungeKutta(
+        tableau(options.stages),
+        options.stage_solver,
+        options.tolerance,
+        options.max_iterations,
+        options.tolerances(),
+    )
+
+
+_DRIFT_BY_FORMULATION = (
+    "index-1 drifts with the method's order, growing with time; index-3 meets the joints in positions to round-off, "
+    "index-2 in velocities, ggl in both; what index-2 misses in positions grows with time, "
+    "what index-3 misses in velocities does not"
+)
+
+
+def _claims(options: RadauOptions) -> Claims:
+    # Hairer, Lubich and Roche (1989) prove the orders of index 2 for all s, and those of index 3 for s >= 3.
+    s, order = options.stages, 2 * options.stages - 1
+    fixed = not options.adaptive
+    newton = options.stage_solver == "newton"
+    orders = {"index-2": Orders(order, order, s), "index-3": Orders(order, s, s - 1), "ggl": Orders(order, order, s)}
+    index_1 = ORDER_DRIFT if fixed else TOLERANCE_DRIFT
+    return Claims(
+        order=order if fixed else None,
+        stages=s,
+        adaptive=options.adaptive,
+        drift=_DRIFT_BY_FORMULATION if newton else index_1,
+        needs=("tangents",) if newton else ("accelerations",),
+        formulations=("index-1", *orders) if newton else ("index-1",),
+        orders=orders if newton and fixed else {},
+    )
+
+
+FAMILY = "collocation"
+INTEGRATORS = (
+    IntegratorPlugin(
+        name="radau-iia",
+        summary="Radau IIA collocation: implicit, 2, 3 or 5 stages, order 2 s - 1, L-stable; or adaptive steps.",
+        options=RadauOptions,
+        create=_create,
+        claims=_claims,
+        references=(HAIRER_WANNER, GEAR),
+        dense_output=True,
+    ),
+)

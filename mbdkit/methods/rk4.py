@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from functools import cache
 
+from mbdkit.methods.common_claims import explicit_claims
+from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.methods.method_options import ExplicitOptions
 from mbdkit.methods.tableau import ButcherTableau
+from mbdkit.registry.items import IntegratorPlugin
 
 REFERENCE = """@article{kutta1901,
   author = {Kutta, Wilhelm},
@@ -23,3 +27,16 @@ def tableau() -> ButcherTableau:
         order=4,
         reference=REFERENCE,
     )
+
+
+FAMILY = "explicit"
+INTEGRATORS = (
+    IntegratorPlugin(
+        name="rk4",
+        summary="Classical Runge-Kutta: explicit, 4 stages, order 4, fixed steps.",
+        options=ExplicitOptions,
+        create=lambda options: ExplicitRungeKutta(tableau()),
+        claims=explicit_claims(order=4, stages=4),
+        references=(REFERENCE,),
+    ),
+)

@@ -1,15 +1,19 @@
 """Gill's variant of the four-stage Runge-Kutta method of order 4.
 
-Gill (1951) chose the free parameters, with 1/sqrt(2), so that a step needs three storage registers and corrects its
-own rounding. Both served machines of his day: here the tableau is one of the explicit family, whose steps are summed
-with compensation as all others are.
+Gill (1951) chose the free parameters, which contain 1/sqrt(2), so that a step needs three storage registers and
+compensates its own rounding errors. Neither is used here: the tableau is stepped like any other explicit one, and the
+sums of all explicit steps are compensated.
 """
 
 from __future__ import annotations
 
 from functools import cache
 
+from mbdkit.methods.common_claims import explicit_claims
+from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.methods.method_options import ExplicitOptions
 from mbdkit.methods.tableau import ButcherTableau
+from mbdkit.registry.items import IntegratorPlugin
 
 REFERENCE = """@article{gill1951,
   author = {Gill, Stanley},
@@ -30,3 +34,16 @@ def tableau() -> ButcherTableau:
         order=4,
         reference=REFERENCE,
     )
+
+
+FAMILY = "explicit"
+INTEGRATORS = (
+    IntegratorPlugin(
+        name="rk-gill",
+        summary="Runge-Kutta-Gill: explicit, 4 stages, order 4, fixed steps.",
+        options=ExplicitOptions,
+        create=lambda options: ExplicitRungeKutta(tableau()),
+        claims=explicit_claims(order=4, stages=4),
+        references=(REFERENCE,),
+    ),
+)

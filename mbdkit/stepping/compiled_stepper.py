@@ -10,7 +10,7 @@ import numpy as np
 
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.jit.bundle import Hold
+from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
 from mbdkit.engine.workspace import Workspace
@@ -73,9 +73,9 @@ class CompiledStepper:
         self.time = timetable.start
         rows = max(2, min(MAX_ROWS, MAX_ROW_BYTES // (16 * workspace.mechanism.size)))
         self.common = new_common(workspace, rows, own_multipliers=family.carries_multipliers)
-        self.hold = Hold(self.common)
+        self.hold = PinnedBundle(self.common)
         self.plan = new_plan(timetable, control, workspace.stabilization)
-        self._plan = Hold(self.plan)
+        self._plan = PinnedBundle(self.plan)
         self.worst_pairs = self.common.worst
         self._renewed: set[tuple[int, int]] = set()
         size = timetable.step
@@ -96,7 +96,7 @@ class CompiledStepper:
         self._row_times = np.zeros(0)
         self._drive(self._plan, 0)  # compiles the driver, or loads it, before the first step is timed
 
-    def _drive(self, plan: Hold, budget: int) -> tuple[int, int]:
+    def _drive(self, plan: PinnedBundle, budget: int) -> tuple[int, int]:
         """Attempt up to `budget` steps of a plan in compiled code; return (status, rows)."""
         family = self.family
         status, rows = driver.drive(
@@ -216,7 +216,7 @@ class CompiledStepper:
         worst, before = c.worst.copy(), [x.copy() for x in kept]
         for x in kept:
             x[0] = 0
-        status, _ = self._drive(Hold(plan), 1)
+        status, _ = self._drive(PinnedBundle(plan), 1)
         done = status == OK and self._accepted == 1
         for x, value in zip(kept, before, strict=True):
             x[:] = value

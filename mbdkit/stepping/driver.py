@@ -1,6 +1,6 @@
 """The compiled driver: the loop over steps of every compiled method, with fixed or controlled step size.
 
-A method provides two compiled functions (`mbdkit.engine.jit.cache.entry`) that receive two addresses: `run`, of the
+A method provides two compiled functions (`mbdkit.engine.jit.entry`) that receive two addresses: `run`, of the
 bundle of the run (`mbdkit.stepping.run_state`), and `method`, of the method's own bundle.
 
 ``attempt(run, method, t, h, want_error)``
@@ -16,7 +16,8 @@ once for all methods.
 
 from __future__ import annotations
 
-from mbdkit.engine.jit.cache import call_entry, kernel, part
+from mbdkit.engine.jit.decorators import kernel, subkernel
+from mbdkit.engine.jit.entry import call_entry
 from mbdkit.engine.kernels.constraints import constraint_positions
 from mbdkit.engine.kernels.projection import mass_norm, project_positions, project_velocities
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_rows, prepare
@@ -41,7 +42,7 @@ ROW_MARGIN = 1e-9
 """A row by interval that is nearer to the end than this share of the interval is replaced by the row of the end."""
 
 
-@part
+@subkernel
 def _has_ended(plan, progress):
     """Return whether all steps have been taken."""
     if plan.control.controlled[0]:
@@ -49,7 +50,7 @@ def _has_ended(plan, progress):
     return progress.accepted[0] >= plan.times.steps[0]
 
 
-@part
+@subkernel
 def _chosen_step(plan, progress):
     """Return the start and the size of the next step."""
     times = plan.times
@@ -61,7 +62,7 @@ def _chosen_step(plan, progress):
     return t, times.step[0] if progress.accepted[0] < times.steps[0] - 1 else times.last_step[0]
 
 
-@part
+@subkernel
 def _end_of_step(plan, progress):
     """Return start, size and end of the step just accepted, and whether it is the last."""
     times, h = plan.times, progress.last_size[0]
@@ -74,7 +75,7 @@ def _end_of_step(plan, progress):
     return t, h, times.end[0] if last else t + h, last
 
 
-@part
+@subkernel
 def _local_error(c, plan):
     """Return the estimate of the local error over the tolerance."""
     error = scaled_norm(plan.control, c.est_q, c.est_v, c.from_q, c.from_v, c.dq, c.dv)
@@ -84,14 +85,14 @@ def _local_error(c, plan):
     return error
 
 
-@part
+@subkernel
 def _baumgarte_term(c, t):
     """Return the largest ``|2 alpha (Phi_q v + Phi_t) + beta^2 Phi|`` at the state."""
     prepare(c.top, c.w, t, c.q)
     return constraint_rows(c.top, c.w, c.q, c.v)
 
 
-@part
+@subkernel
 def _reject(c, plan, h, solved, error):
     """Reject a step of size `h` and choose a smaller one."""
     progress = c.progress
@@ -102,7 +103,7 @@ def _reject(c, plan, h, solved, error):
     c.moved[0] = SAME
 
 
-@part
+@subkernel
 def _accept(c, plan, t, h, error):
     """Accept a step of size `h` from `t`, and choose the size of the next."""
     progress, interval = c.progress, c.interval
@@ -118,7 +119,7 @@ def _accept(c, plan, t, h, error):
     progress.pending[0] = 1
 
 
-@part
+@subkernel
 def _note_projection(c):
     """Count a projection, and record the size of its correction."""
     interval = c.interval
@@ -131,7 +132,7 @@ def _note_projection(c):
     interval.velocity_correction[0] = max(interval.velocity_correction[0], moved_v)
 
 
-@part
+@subkernel
 def _try_step(run, method, attempt, plan):
     """Attempt the next step with its projection, and accept or reject it; return a status.
 
@@ -175,7 +176,7 @@ def _try_step(run, method, attempt, plan):
     return OK
 
 
-@part
+@subkernel
 def _write_row(c, row, t, q, v, gain, lam):
     """Write a recorded state, and begin a new interval."""
     c.row_time[row] = t
@@ -191,7 +192,7 @@ def _write_row(c, row, t, q, v, gain, lam):
             c.row_lam[row, k, 0], c.row_lam[row, k, 1] = lam[k, 0], lam[k, 1]
 
 
-@part
+@subkernel
 def _dense_row(run, method, dense, row, t, h, at, mode):
     """Write the state at a time within the pending step, by dense output; return a status.
 
@@ -220,7 +221,7 @@ def _dense_row(run, method, dense, row, t, h, at, mode):
     return OK
 
 
-@part
+@subkernel
 def _write_inner_rows(run, method, dense, plan, rows):
     """Write the rows by interval within the pending step after `rows` others; return a status and the new number.
 
@@ -241,7 +242,7 @@ def _write_inner_rows(run, method, dense, plan, rows):
     return OK, rows
 
 
-@part
+@subkernel
 def note_misalignment(c, t, q):
     """Raise ``worst`` (P,) to the squared norm of each pair's Phi if that is larger."""
     prepare(c.still, c.w, t, q)
@@ -252,7 +253,7 @@ def note_misalignment(c, t, q):
             c.worst[k] = gap
 
 
-@part
+@subkernel
 def _add_energies(c):
     """Add the energies gained in a step to their compensated sums."""
     for m in range(2):
@@ -262,7 +263,7 @@ def _add_energies(c):
         c.energy[m] = new
 
 
-@part
+@subkernel
 def _advance_time(plan, progress):
     """Move the time to the end of the pending step; return whether that is the end of the run."""
     t, h, reached, last = _end_of_step(plan, progress)
@@ -279,7 +280,7 @@ def _advance_time(plan, progress):
     return last
 
 
-@part
+@subkernel
 def _advance(c, plan):
     """Add the increments of the pending step to the state; return a status and whether the run has ended."""
     if not (stays_finite(c.q, c.dq) and stays_finite(c.v, c.dv)):

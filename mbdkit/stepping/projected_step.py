@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import call_entry, part
+from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.entry import call_entry
 from mbdkit.engine.kernels.projection import (
     EPS,
     FEW_ROUNDINGS,
@@ -29,7 +30,7 @@ IDLE, IDLE_RATIO = 2, 0.9
 so far, and already at the level of rounding errors."""
 
 
-@part
+@subkernel
 def _push(c, t, q, push_q, push_v):
     """Write ``M^-1 Phi_q(q)^T mu`` into `push_q` and the same with nu into `push_v`."""
     position_rows(c.still, c.w, t, q)
@@ -48,7 +49,7 @@ def _push(c, t, q, push_q, push_v):
                     push_v[3 * b + i] += g * c.nu[k, r]
 
 
-@part
+@subkernel
 def _newton_on(c, residual, multipliers):
     """Change `multipliers` by ``-(Phi_q M^-1 Phi_q^T)^-1 residual / 2`` with the rows evaluated last."""
     for k in range(len(residual)):
@@ -62,7 +63,7 @@ def _newton_on(c, residual, multipliers):
     return status
 
 
-@part
+@subkernel
 def _symmetric_step(common, own, attempt, t, h):
     """Take a step with symmetric projection: the same multipliers correct the state before and after the step.
 
@@ -124,7 +125,7 @@ def _symmetric_step(common, own, attempt, t, h):
     return DIVERGED
 
 
-@part
+@subkernel
 def _passes_bound(c, t, q, v, bound):
     """Return whether positions or velocities at `t` violate a constraint by more than `bound`."""
     position_rows(c.still, c.w, t, q)
@@ -136,7 +137,7 @@ def _passes_bound(c, t, q, v, bound):
     return not largest_residual(c.still, c.miss) <= bound
 
 
-@part
+@subkernel
 def take(common, own, attempt, t, h, want_error, mode):
     """Compute one step, and its projection if that is symmetric; write its end into ``new_q, new_v``; return a status.
 
@@ -159,7 +160,7 @@ def take(common, own, attempt, t, h, want_error, mode):
     return OK
 
 
-@part
+@subkernel
 def project(common, t, mode, due, bound):
     """Project the end of a step if that is due; return a status and whether the step is projected."""
     c = load_common(common)

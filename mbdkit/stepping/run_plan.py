@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import loader
+from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.stabilization import NONE
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.step_control import ControlData, control_data
@@ -121,4 +121,4 @@ def single_step(plan: RunPlan, t: float, h: float, *, projected: bool) -> RunPla
     )
 
 
-load_plan = loader(lambda: new_plan(Timetable(0.0, 1.0, step=1.0, steps=1), None, NONE))
+load_plan = bundle_loader(lambda: new_plan(Timetable(0.0, 1.0, step=1.0, steps=1), None, NONE))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import loader
+from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.kernels.equations import example_workspace
 from mbdkit.engine.kernels.system import Scratch, Solver, Topology
 
@@ -204,4 +204,4 @@ def new_common(workspace: Workspace, rows: int, *, own_multipliers: bool = False
     )  # fmt: skip
 
 
-load_common = loader(lambda: new_common(example_workspace(), 1))
+load_common = bundle_loader(lambda: new_common(example_workspace(), 1))

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import part
+from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels.observe import first_order_rates
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def control_data(control: Control | None, min_size: float) -> ControlData:
     )
 
 
-@part
+@subkernel
 def scaled_norm(control, error_q, error_v, q, v, dq, dv):
     """Return the root mean square of errors over ``atol + rtol |y|``, y the larger of both ends of the step.
 
@@ -145,7 +145,7 @@ def scaled_norm(control, error_q, error_v, q, v, dq, dv):
     return np.sqrt(total / (2 * n))
 
 
-@part
+@subkernel
 def combined_error(fine, rough):
     """Return the error from two estimates of different order, as in DOP853."""
     if fine > 0.0:
@@ -153,7 +153,7 @@ def combined_error(fine, rough):
     return fine
 
 
-@part
+@subkernel
 def fitted_size(t, h, end):
     """Return the size `h` of a step from `t`, changed so that the steps end at `end` and the last is not too short."""
     if t + END_MARGIN * h >= end:
@@ -163,13 +163,13 @@ def fitted_size(t, h, end):
     return h
 
 
-@part
+@subkernel
 def is_too_small(control, t, h, end):
     """Return whether the step size is below the smallest one; the last step of a run may be."""
     return not h > control.min_size[0] and t + END_MARGIN * h < end
 
 
-@part
+@subkernel
 def factor_after_acceptance(control, error, last_error, retrying):
     """Return h_new / h after an accepted step.
 
@@ -186,7 +186,7 @@ def factor_after_acceptance(control, error, last_error, retrying):
     return factor
 
 
-@part
+@subkernel
 def factor_after_rejection(control, solved, error):
     """Return h_new / h after a rejected step, by the error alone; `solved` tells whether there is an error."""
     if solved and error < np.inf:

@@ -17,13 +17,13 @@ import numpy as np
 import sympy as sp
 from sympy.core.function import UndefinedFunction
 
-from mbdkit.engine.jit.law_compiler import law_parameters
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.force_law import ExpressionLaw
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Constraint
 from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.law_parameters import law_parameters
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Pathway
 from mbdkit.mechanism.symbolic_system import SymbolicSystem

@@ -35,7 +35,7 @@ Entries that are zero for every argument are never written.
 # fmt: off
 from math import sqrt
 
-from mbdkit.engine.jit.cache import element, part
+from mbdkit.engine.jit.decorators import subkernel
 '''
 
 _LEVELS = {
@@ -108,7 +108,7 @@ def _kernel(name: str, arguments: str, note: str, outputs: Sequence[tuple[str, s
                 expressions.append(entry)
     temporaries, reduced_all = sp.cse(expressions, symbols=sp.numbered_symbols("t", real=True), optimizations="basic")
     printer = _Printer()
-    lines = ["@element", f"def {name}({arguments}):", f'    """{note}"""']
+    lines = ["@subkernel", f"def {name}({arguments}):", f'    """{note}"""']
     lines += _reads([e for _, e in temporaries] + list(reduced_all), printer)
     lines += [f"    {symbol} = {printer.doprint(expr)}" for symbol, expr in temporaries]
     lines += [f"    {target} = {_literal(printer, expr)}" for target, expr in zip(targets, reduced_all, strict=True)]
@@ -198,7 +198,7 @@ def _loop_over_pairs(level: str, kinds: Sequence[str]) -> str:
     """
     arguments, note = _LEVELS[level]
     outer = ["pairs", "p", *(name for name in arguments.split(", ") if name != "p")]
-    lines = ["@part", f"def constraint_{level}s({', '.join(outer)}):", f'    """{note}"""']
+    lines = ["@subkernel", f"def constraint_{level}s({', '.join(outer)}):", f'    """{note}"""']
     lines += ["    for k in range(len(pairs)):"]
     lines += ["        kind, a, b, m = pairs[k, 0], pairs[k, 1], pairs[k, 2], pairs[k, 3]"]
     for code, kind in enumerate(kinds):

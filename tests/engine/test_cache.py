@@ -62,7 +62,7 @@ def compiled_files(folder: Path) -> dict[str, int]:
 def test_an_edited_kernel_is_compiled_anew_by_one_process_while_another_waits(tmp_path: Path) -> None:
     # expected: with gamma's sign turned the motion differs; the file that calls the kernel has not changed
     package = copied(tmp_path / "package")
-    kernels = package / "mbdkit" / "engine" / "elements.py"
+    kernels = package / "mbdkit" / "engine" / "kernels" / "element_kernels.py"
     text = kernels.read_text()
     begin = text.index("def revolute_acceleration")
     edited = re.sub(r"gamma\[k, 0\] = (.*)", r"gamma[k, 0] = -(\1)", text[begin:], count=1)
@@ -112,7 +112,7 @@ def test_the_fingerprint_changes_with_any_kernel_source(tmp_path: Path, monkeypa
     before = cache.fingerprint()
     sources = cache.kernel_sources()
     names = {path.name for path in sources}
-    assert {"elements.py", "schur.py", "lu.py", "system.py", "explicit.py", "implicit.py"} <= names
+    assert {"element_kernels.py", "schur.py", "lu.py", "system.py", "explicit.py"} <= names
     for path in sources:
         text = path.read_text()
         path.write_text(text + "\n")
@@ -124,7 +124,7 @@ def test_the_fingerprint_changes_with_any_kernel_source(tmp_path: Path, monkeypa
 def test_every_compiled_function_lives_in_a_file_that_the_fingerprint_covers() -> None:
     package = Path(mbdkit.__file__).parent
     covered = {path.resolve() for path in cache.kernel_sources()}
-    decorated = re.compile(r"^@(kernel|part|inlined|element)$", re.MULTILINE)
+    decorated = re.compile(r"^@(kernel|subkernel|inlined|entry)$", re.MULTILINE)
     compiled = {path.resolve() for path in package.rglob("*.py") if decorated.search(path.read_text())}
     assert len(compiled) > 5
     assert compiled <= covered

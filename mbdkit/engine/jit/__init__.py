@@ -1,1 +1,1 @@
-"""Everything that depends on the internals of Numba: compilation, its cache, and calls by address."""
+"""Everything that depends on Numba: compilation, the cache of compiled kernels, and calls by address."""

@@ -1,10 +1,16 @@
-"""Bundles of arrays that stay with the kernels, so that a call from Python hands over one address instead of them all.
+"""Bundles of arrays at a fixed address, so that a call from Python passes one address instead of all arrays.
 
-Unpacking the arrays of a mechanism costs 4 to 8 us a call, ten times what the kernel does with a small mechanism. So a
-bundle is unpacked once, its compiled form is kept in a block of memory, and kernels read it back from there.
+Unpacking the arrays of a mechanism takes 4 to 8 us per call, ten times the computing time of a kernel on a small
+mechanism. A bundle is therefore unpacked once into a block of memory that has the layout of the compiled NamedTuple,
+and kernels read the arrays from that block.
 
-In compiled code a bundle that was read back is a pointer to the block: it is handed on as one word, and of its arrays
-only those are read that somebody names.
+In compiled code a loaded bundle is a pointer to the block: it is passed as one word, and only the arrays that are named
+are read.
+
+Public API of Numba (``numba.extending``) and llvmlite: `intrinsic`, `infer_getattr`, `lower_getattr_generic`,
+`register_model`, `models`, and the IR builder. Internal to Numba: `AttributeTemplate`, `types.BaseNamedTuple` and the
+memory layout of an array, `_ARRAY_FIELDS`, which is checked before anything is compiled. There is no plain alternative
+to this module.
 """
 
 from __future__ import annotations
@@ -19,24 +25,27 @@ from numba import config, typeof, types
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 
-_COMPILED = not vars(config)["DISABLE_JIT"]
-_PLAIN: dict[int, Any] = {}
-"""Bundles by the address of their block, where nothing is compiled."""
+_JIT_DISABLED = vars(config)["DISABLE_JIT"]
+_PYTHON_BUNDLES: dict[int, Any] = {}
+"""Bundles by the address of their block, with NUMBA_DISABLE_JIT=1."""
+
+_ARRAY_FIELDS = ("meminfo", "parent", "nitems", "itemsize", "data", "shape", "strides")
+"""Members of an array in compiled code, in this order; `_words` writes them."""
 
 
 class _Pointer(types.Type):
-    """Points at the compiled form of a bundle."""
+    """Pointer to the compiled form of a bundle."""
 
     def __init__(self, bundle: Any):
         self.bundle = bundle
-        # a name that is short, because it becomes part of the names of all functions that take it
+        # The name is short because it becomes part of the mangled name of every function with such an argument.
         digest = hashlib.sha256(str(bundle).encode()).hexdigest()[:8]
         super().__init__(name=f"{bundle.instance_class.__name__}_{digest}")
 
 
 @register_model(_Pointer)
 class _PointerModel(models.OpaqueModel):
-    """A bare address."""
+    """Represents `_Pointer` as an address."""
 
 
 @infer_getattr
@@ -53,7 +62,10 @@ class _Attributes(AttributeTemplate):
 
 @lower_getattr_generic(_Pointer)
 def _read(context, builder, kind, value, name):
-    """Read one array of a bundle, which does not change while a kernel runs, or point at a bundle inside it."""
+    """Read one array of a bundle, or point at a bundle inside it.
+
+    ``invariant.load`` lets LLVM read an array once: a block does not change while a kernel runs.
+    """
     index = kind.bundle.fields.index(name)
     word = ir.IntType(32)
     whole = builder.bitcast(value, context.get_value_type(kind.bundle).as_pointer())
@@ -65,22 +77,23 @@ def _read(context, builder, kind, value, name):
     return found
 
 
-def loader(example: Callable[[], tuple[Any, ...]]) -> Any:
-    """Return what reads a bundle back in compiled code, given its address.
+def bundle_loader(example: Callable[[], tuple[Any, ...]]) -> Any:
+    """Return a function for compiled code that turns an address into the bundle stored there.
 
     Parameters
     ----------
     example
-        Makes a bundle of the same type; called only while something is compiled.
+        Makes a bundle of the same type; called only during compilation.
     """
-    if not _COMPILED:
-        return _PLAIN.__getitem__
+    if _JIT_DISABLED:
+        return _PYTHON_BUNDLES.__getitem__
 
     @intrinsic
     def load(typing_context, address):
         kind = _Pointer(typeof(example()))
 
         def generate(context, builder, signature, arguments):
+            _check_array_layout(context)
             return builder.inttoptr(arguments[0], context.get_value_type(kind))
 
         return kind(types.intp), generate
@@ -88,10 +101,20 @@ def loader(example: Callable[[], tuple[Any, ...]]) -> Any:
     return load
 
 
-def _words(bundle: Any) -> list[int]:
-    """Return a bundle's compiled form: of each array owner, parent, numbers of items and bytes, place, shape, strides.
+def _check_array_layout(context: Any) -> None:
+    """Raise NotImplementedError if this version of Numba stores arrays in another way than `_words` does."""
+    fields = tuple(context.data_model_manager.lookup(types.Array(types.float64, 1, "C"))._fields)
+    if fields != _ARRAY_FIELDS:
+        raise NotImplementedError(
+            f"this version of Numba stores arrays as {fields}, not as {_ARRAY_FIELDS}: install a version within the "
+            "tested range (`mbdkit plugins doctor`)"
+        )
 
-    The first two are for arrays that compiled code owns, and stay empty.
+
+def _words(bundle: Any) -> list[int]:
+    """Return the compiled form of a bundle: the members `_ARRAY_FIELDS` of each array.
+
+    The first two are zero, because Python owns the memory of all arrays.
     """
     words: list[int] = []
     for x in bundle:
@@ -102,8 +125,8 @@ def _words(bundle: Any) -> list[int]:
     return words
 
 
-class Hold:
-    """A bundle kept for the kernels; they find it under `address` for as long as this object lives.
+class PinnedBundle:
+    """A bundle that kernels find under `address` as long as this object lives.
 
     Parameters
     ----------
@@ -116,12 +139,12 @@ class Hold:
         self.replace(bundle)
 
     def replace(self, bundle: Any) -> None:
-        """Keep another bundle of the same type; `address` may change."""
+        """Store another bundle of the same type; `address` may change."""
         self.bundle = bundle
         words = _words(bundle)
         if len(words) != len(self._block):
             self._block = np.zeros(len(words), dtype=np.int64)
         self._block[:] = words
         self.address: int = self._block.ctypes.data
-        if not _COMPILED:
-            _PLAIN[self.address] = bundle
+        if _JIT_DISABLED:
+            _PYTHON_BUNDLES[self.address] = bundle

@@ -1,8 +1,8 @@
-"""Where compiled kernels live, and the decorators that put them there.
+"""The cache folder of compiled kernels, and the lock under which they are compiled.
 
-Numba's own cache looks only at the file that holds a kernel, so a change in a callee of another file would go on
-serving stale physics. Hence the cache folder is named after a hash of *all* kernel sources, the Numba version and the
-processor: ``<user cache>/mbdkit/<hash>``. Importing this module decides the folder; `kernel` and `element` use it.
+Numba's own cache checks only the file that contains a kernel: after a change to a callee in another file it would load
+outdated machine code. The cache folder is therefore named after a hash of *all* kernel sources, the version of Numba
+and the processor: ``<user cache>/mbdkit/<hash>``. It is determined when this module is imported.
 """
 
 from __future__ import annotations
@@ -14,25 +14,20 @@ import shutil
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from functools import cached_property
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import llvmlite.binding as llvm
-import numba
-from llvmlite import ir
-from numba import cfunc, config, njit, types
-from numba.extending import intrinsic
+from numba import config
 
-from mbdkit.engine.jit.part_compiler import PartCompiler
+from mbdkit.engine.jit.numba_version import INSTALLED, PLAIN
 
 _PACKAGE = Path(__file__).resolve().parents[2]
 
 
 def kernel_sources() -> list[Path]:
-    """Return every source file whose text decides what a compiled kernel does, sorted."""
+    """Return the source files of all kernels and of all functions that they call, sorted."""
     rooms = ("engine/jit", "engine/kernels", "stepping")
     return sorted(
         [*(path for room in rooms for path in (_PACKAGE / room).glob("*.py")), _PACKAGE / "engine/singularity.py"]
@@ -40,12 +35,13 @@ def kernel_sources() -> list[Path]:
 
 
 def fingerprint() -> str:
-    """Return 16 hex digits that change with any kernel source, the Numba version and the processor."""
+    """Return 16 hex digits that change with any kernel source, Numba's version, the compile path and the processor."""
     digest = hashlib.sha256()
     for path in kernel_sources():
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     features = llvm.get_host_cpu_features().flatten()
-    digest.update(f"{numba.__version__} {sys.version_info[:2]} {llvm.get_host_cpu_name()} {features}".encode())
+    path_name = "plain" if PLAIN else "fast"
+    digest.update(f"{INSTALLED} {path_name} {sys.version_info[:2]} {llvm.get_host_cpu_name()} {features}".encode())
     return digest.hexdigest()[:16]
 
 
@@ -60,7 +56,7 @@ def _user_cache() -> Path:
 
 
 def _open_cache() -> Path:
-    """Return a writable folder for compiled kernels; a temporary one, with a warning, where the user's is not."""
+    """Return a writable folder for compiled kernels; a temporary one, with a warning, if the user's is not writable."""
     folder = _user_cache() / fingerprint()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -83,7 +79,11 @@ FOLDER = _open_cache()
 
 @contextmanager
 def cached_here() -> Iterator[None]:
-    """Let Numba keep in the cache folder what is decorated meanwhile."""
+    """Let Numba cache in `FOLDER` the functions decorated inside this context.
+
+    CACHE_DIR is the documented variable NUMBA_CACHE_DIR, which Numba otherwise reads only once and for all packages.
+    If a later version renames it, the lookup fails with KeyError, and no kernel is cached in a wrong folder.
+    """
     before = vars(config)["CACHE_DIR"]
     vars(config)["CACHE_DIR"] = str(FOLDER)
     try:
@@ -92,92 +92,11 @@ def cached_here() -> Iterator[None]:
         vars(config)["CACHE_DIR"] = before
 
 
-_PLAIN: dict[int, Callable[..., Any]] = {}
-"""Entries by their address, where nothing is compiled."""
-
-
-class Entry:
-    """A compiled function that kernels call by its address, so that they need not be compiled together with it.
-
-    Its arguments are two addresses (int) and three numbers (float); it returns a status (int).
-    """
-
-    def __init__(self, function: Callable[[int, int, float, float, float], int]):
-        self.function = function
-
-    @cached_property
-    def address(self) -> int:
-        """Where it is; compiled, or read from the cache, when it is first asked for."""
-        if vars(config)["DISABLE_JIT"]:
-            _PLAIN[id(self)] = self.function
-            return id(self)
-        make: Any = cfunc
-        done = FOLDER / f"entry-{self.function.__module__}.{self.function.__name__}"
-        with ExitStack() as waiting:
-            if is_warm() and not done.exists():  # else it only has to be read, or `compiling` holds the lock already
-                print("mbdkit compiles the kernels of this method; this happens once ...", file=sys.stderr, flush=True)
-                waiting.enter_context(_locked())
-            with cached_here():
-                self._compiled = make(_ENTRY, cache=True, error_model="numpy", _nrt=False)(self.function)
-            done.touch()
-        return int(self._compiled.address)
-
-
-_ENTRY = types.int64(types.int64, types.int64, types.float64, types.float64, types.float64)
-
-
-def entry(function: Callable[..., Any]) -> Entry:
-    """Compile a function that kernels call by its address; see `Entry`."""
-    return Entry(function)
-
-
-def _call_plain(address, first, second, t, h, x):
-    return _PLAIN[address](first, second, t, h, x)
-
-
-@intrinsic
-def _call_compiled(typing_context, address, first, second, t, h, x):
-    """Call an `Entry` by its address."""
-
-    def generate(context, builder, signature, arguments):
-        word, real = ir.IntType(64), ir.DoubleType()
-        kind = ir.FunctionType(word, [word, word, real, real, real])
-        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
-
-    return types.int64(types.int64, types.int64, types.int64, types.float64, types.float64, types.float64), generate
-
-
-call_entry: Any = _call_plain if vars(config)["DISABLE_JIT"] else _call_compiled
-"""Calls the entry at an address with its five arguments."""
-
-
-def _jit(function: Callable[..., Any], **options: Any) -> Any:
-    """Compile without Numba's reference counts: kernels allocate nothing, and counting costs more than a pendulum."""
-    compiler: Any = njit
-    with cached_here():
-        return compiler(function, error_model="numpy", _nrt=False, **options)
-
-
-def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function that Python calls: cached on disk, releases the interpreter lock, IEEE arithmetic."""
-    return _jit(function, cache=True, nogil=True, no_cfunc_wrapper=True)
-
-
-def part(function: Callable[..., Any], **options: Any) -> Any:
-    """Compile a function that only kernels call; see `mbdkit.engine.jit.part_compiler`."""
-    return _jit(function, pipeline_class=PartCompiler, no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)
-
-
-def inlined(function: Callable[..., Any]) -> Any:
-    """Compile a function that only kernels call, copied into each of its callers."""
-    return part(function, forceinline=True)
-
-
-element = part
-
-
 def _marker() -> Path:
-    """Return the file that says: all kernels of these very files stand compiled (Numba goes by path and time)."""
+    """Return the file whose presence means that all kernels are compiled.
+
+    Its name depends on path and modification time of each source, because Numba's own index files do.
+    """
     stamps = [f"{path} {path.stat().st_mtime_ns}" for path in kernel_sources()]
     return FOLDER / f"compiled-{hashlib.sha256(chr(10).join(stamps).encode()).hexdigest()[:16]}"
 
@@ -188,8 +107,8 @@ def is_warm() -> bool:
 
 
 @contextmanager
-def _locked() -> Iterator[None]:
-    """Hold the compile lock, once no other process does."""
+def locked() -> Iterator[None]:
+    """Hold the compile lock; wait until no other process holds it."""
     with open(FOLDER / "lock", "w", encoding="ascii") as lock:
         if sys.platform == "win32":
             import msvcrt
@@ -204,8 +123,8 @@ def _locked() -> Iterator[None]:
 
 @contextmanager
 def compiling() -> Iterator[bool]:
-    """Hold the compile lock; yields whether this process has to compile (another may have done it meanwhile)."""
-    with _locked():
+    """Hold the compile lock; yield whether kernels remain to be compiled (another process may have compiled them)."""
+    with locked():
         cold = not is_warm()
         yield cold
         if cold:

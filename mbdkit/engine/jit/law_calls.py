@@ -1,9 +1,12 @@
-"""The call of a force law from compiled kernels: by its address, under one explicit C signature.
+"""Calls of force laws from compiled kernels: by address, with one explicit C signature.
 
-A law is a C function ``void law(double length, double rate, double time, const double *parameters, double *out)`` that
+A law is a C function ``void law(double length, double rate, double time, const double *parameters, double *out)``. It
 writes the force, its derivatives by length and by rate, and the potential into ``out[0..3]``; ``parameters[0]`` is the
-number of parameters that follow. Kernels read its address from an array, so that they stay compiled whatever laws are
-in use.
+number of parameters that follow. Kernels read the address from an array, so they need not be compiled again for other
+laws.
+
+Public API of Numba and llvmlite: `njit`, `intrinsic`, `is_jitted`, and the IR builder. Internal to Numba: the helper
+``context.make_array``, which has no public counterpart.
 """
 
 from __future__ import annotations
@@ -13,8 +16,10 @@ from typing import Any
 
 from llvmlite import ir
 from numba import njit, types
-from numba.core.dispatcher import Dispatcher
-from numba.extending import intrinsic
+from numba.extending import intrinsic, is_jitted
+
+HAS_POTENTIAL, PASSIVE = 1, 2
+"""Claims of a law, as bits: the slope of its potential is the force at rate zero; the rest of the force dissipates."""
 
 SIGNATURE = types.void(
     types.float64, types.float64, types.float64, types.CPointer(types.float64), types.CPointer(types.float64)
@@ -22,7 +27,7 @@ SIGNATURE = types.void(
 
 
 def _call_law(typing, address, length, rate, time, parameters, begin, out, row):
-    """Call the law at `address`: its block of `parameters` (N,) begins at `begin`, its results go to `out` (K, 4)."""
+    """Call the law at `address` with the `parameters` (N,) from index `begin`; it writes row `row` of `out` (K, 4)."""
     number, real = types.int64, types.float64
     vector, matrix = types.Array(real, 1, "C"), types.Array(real, 2, "C")
     signature = types.void(number, real, real, real, vector, number, matrix, number)
@@ -47,5 +52,5 @@ call_law: Any = intrinsic(_call_law)
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Return a law's function compiled by Numba, copied into its caller; as it is where its author compiled it."""
-    return function if isinstance(function, Dispatcher) else njit(function, error_model="numpy", forceinline=True)
+    """Return a law's function compiled by Numba and inlined into its caller; unchanged if its author compiled it."""
+    return function if is_jitted(function) else njit(function, error_model="numpy", forceinline=True)

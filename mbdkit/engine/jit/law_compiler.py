@@ -1,7 +1,7 @@
-"""Force laws to machine code: each a C function in a small generated module, kept in the cache folder.
+"""Compile force laws to machine code: each one is a C function in a small generated module in the cache folder.
 
-The module is named after a hash of all that its code comes from, so that it is compiled once, found again by every
-later process, and never stale. A function that no module can import, such as a lambda, is compiled in every process.
+The module is named after a hash of all sources of its code, so that it is compiled once, loaded by later processes, and
+never outdated. A function that cannot be imported, such as a lambda, is compiled in every process.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numba import types
 
 from mbdkit.engine.jit.cache import FOLDER, cached_here
-from mbdkit.engine.jit.law_calls import compiled
-from mbdkit.engine.kernels.forces import HAS_POTENTIAL, PASSIVE
-from mbdkit.errors import MbdkitError, PluginError
-from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, FunctionLaw
+from mbdkit.engine.jit.law_calls import HAS_POTENTIAL, PASSIVE, compiled
+from mbdkit.errors import PluginError
+from mbdkit.mechanism.force_law import ExpressionLaw, ForceLaw
+from mbdkit.mechanism.law_parameters import law_parameters
 from mbdkit.text import one_line
 
 _HEAD = """from math import nan
@@ -49,14 +48,24 @@ def entry(length, rate, time, parameters, out):
     results[3] = potential
 '''
 _COMPILED: dict[tuple[ForceLaw, tuple[str, ...]], CompiledLaw] = {}
-"""What this process has compiled, by law and names of parameters."""
+"""Laws compiled by this process, by law and names of parameters."""
 
 _ARGUMENTS = (types.float64, types.float64, types.float64, types.float64[::1])
 
 
 @dataclass(frozen=True)
 class CompiledLaw:
-    """A law's address, what it claims, and what keeps its code alive."""
+    """A force law in machine code.
+
+    Parameters
+    ----------
+    address
+        Address of the C function.
+    claims
+        `HAS_POTENTIAL` and `PASSIVE`, as bits.
+    keeper
+        Keeps the machine code in memory.
+    """
 
     address: int
     claims: int
@@ -64,7 +73,7 @@ class CompiledLaw:
 
 
 def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[float]]:
-    """Return the machine code of a law, and what it reads of an element: the number of its parameters, and these.
+    """Return the machine code of a law and its parameters for one element: their number, then their values.
 
     Parameters
     ----------
@@ -73,12 +82,12 @@ def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[
     options
         Instance of the law's options.
     name
-        What to call the law in messages.
+        Name of the law in messages.
 
     Raises
     ------
     PluginError
-        Where the law cannot be compiled, its derivatives missing included, or fails to make its parameters.
+        If the law cannot be compiled, lacks derivatives, or fails to make its parameters.
     """
     names, values = law_parameters(law, options, name)
     if (law, names) not in _COMPILED:
@@ -86,46 +95,8 @@ def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[
     return _COMPILED[law, names], [float(len(values)), *values]
 
 
-def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, ...], list[float]]:
-    """Return the names of a law's parameters, none for a function's, and their values; see `bind_law`."""
-    try:
-        names, values = _parameters(law, options)
-    except MbdkitError:
-        raise
-    except Exception as error:
-        raise PluginError(f"force law {name} failed to make its parameters: {one_line(error)}") from error
-    if clash := sorted(set(names) & set(ARGUMENTS)):
-        raise PluginError(
-            f"force law {name}: its parameter '{clash[0]}' has the name of what every law is a function of"
-        )
-    if not np.all(np.isfinite(values)):
-        raise PluginError(f"force law {name} made parameters that are not finite")
-    return names, values
-
-
-def _parameters(law: ForceLaw, options: Any) -> tuple[tuple[str, ...], list[float]]:
-    given: Any
-    if law.parameters is not None:
-        given = law.parameters(options)
-    elif isinstance(law, ExpressionLaw):
-        whole = {option: getattr(options, option) for option in law_options(options)}
-        given = {option: value for option, value in whole.items() if isinstance(value, int | float)}
-    else:
-        given = [getattr(options, option) for option in law_options(options)]
-    if isinstance(law, FunctionLaw):
-        return (), [float(x) for x in given]
-    names = tuple(sorted(given))
-    return names, [float(given[name]) for name in names]
-
-
-def law_options(options: Any) -> list[str]:
-    """Return the names of a law's own options, in the order of their definition, from an element that has them."""
-    own: list[str] = list(type(options).law_options.model_fields)
-    return own
-
-
 def _compile(law: ForceLaw, example: dict[str, float], name: str) -> CompiledLaw:
-    """Return the machine code of a law; an expression's parameters have the names, and may have the values, given."""
+    """Return the machine code of a law; `example` maps the names of an expression's parameters to possible values."""
     try:
         if isinstance(law, ExpressionLaw):
             keeper = _of_expression(law, example)
@@ -140,18 +111,18 @@ def _compile(law: ForceLaw, example: dict[str, float], name: str) -> CompiledLaw
 
 
 def _of_expression(law: ExpressionLaw, example: dict[str, float]) -> dict[str, Any]:
-    parts = [_origin(expression) for expression in (law.force, law.potential)]
+    origins = [_origin(expression) for expression in (law.force, law.potential)]
 
     def body() -> str:
         from mbdkit.symbolic.symbolic_law import law_source
 
         return "from math import *\n" + law_source(law, example) + "\nlaw = compiled(law)\n"
 
-    return _kept("\n".join([*parts, *example]), body)
+    return _generated_module("\n".join([*origins, *example]), body)
 
 
 def _origin(expression: Any) -> str:
-    """Return text that changes whenever the expression does."""
+    """Return text that changes with the expression."""
     if expression is None:
         return ""
     sources = _sources(expression) if callable(expression) and getattr(expression, "__code__", None) else None
@@ -175,7 +146,7 @@ def _of_function(function: Callable[..., Any]) -> dict[str, Any]:
         _check_results(function)
         return f"from {module} import {name} as _law\n\nlaw = compiled(_law)\n"
 
-    return _kept(f"{module} {name} {sources}", body)
+    return _generated_module(f"{module} {name} {sources}", body)
 
 
 def _check_results(function: Callable[..., Any]) -> None:
@@ -194,7 +165,7 @@ def _check_results(function: Callable[..., Any]) -> None:
 
 
 def _sources(function: Callable[..., Any]) -> str | None:
-    """Return a hash of the source files of a function's package; None where its text does not say what it does."""
+    """Return a hash of the source files of a function's package; None if they do not determine the function."""
     module = sys.modules.get(function.__module__)
     file = getattr(module, "__file__", None)
     if module is None or not file or module.__name__ == "__main__" or getattr(function, "__closure__", None):
@@ -212,8 +183,16 @@ def _package_hash(package: str, file: str) -> str:
     return digest.hexdigest()
 
 
-def _kept(origin: str, body: Callable[[], str]) -> dict[str, Any]:
-    """Return the names in the generated module of a law that comes from `origin`; it is written where it is missing."""
+def _generated_module(origin: str, body: Callable[[], str]) -> dict[str, Any]:
+    """Return the namespace of the generated module of a law; write the module first if it does not exist.
+
+    Parameters
+    ----------
+    origin
+        Text that changes with all sources of the law.
+    body
+        Makes the source of the law, a function ``law``.
+    """
     name = f"mbdkit_law_{hashlib.sha256((origin + _HEAD + _ENTRY).encode()).hexdigest()[:24]}"
     path = FOLDER / f"{name}.py"
     if not path.exists():

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import cos, sin
 
-from mbdkit.engine.jit.cache import part
+from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels.element_kernels import (
     CONSTRAINT_KINDS,
     constraint_accelerations,
@@ -22,7 +22,7 @@ KINDS = {name: code for code, name in enumerate(CONSTRAINT_KINDS)}
 """Code of each kind of constraint, as ``Topology.pairs`` holds it in its first column."""
 
 
-@part
+@subkernel
 def turn_bodies(q, cs):
     """Write cosine and sine of every body's tilt into `cs` (B + 1, 2); ground comes last and keeps (1, 0)."""
     for b in range(len(cs) - 1):

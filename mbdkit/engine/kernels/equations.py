@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import loader
-from mbdkit.engine.jit.cache import inlined, kernel
+from mbdkit.engine.jit.bundle import bundle_loader
+from mbdkit.engine.jit.decorators import inlined, kernel
 from mbdkit.engine.kernels.constraints import constraint_positions
 from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, residual, substitute
 from mbdkit.engine.kernels.system import (
@@ -97,9 +97,9 @@ def _example_matrix(dtype: type) -> Matrix:
     return new_matrix(pattern, new_factors(pattern, dtype), np.zeros((0, 3), dtype=np.int64))
 
 
-load_view = loader(lambda: new_view(example_workspace()))
-load_real = loader(lambda: _example_matrix(np.float64))
-load_complex = loader(lambda: _example_matrix(np.complex128))
+load_view = bundle_loader(lambda: new_view(example_workspace()))
+load_real = bundle_loader(lambda: _example_matrix(np.float64))
+load_complex = bundle_loader(lambda: _example_matrix(np.complex128))
 
 
 @inlined

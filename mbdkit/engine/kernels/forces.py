@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import part
-from mbdkit.engine.jit.law_calls import call_law
+from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.law_calls import HAS_POTENTIAL, PASSIVE, call_law
 from mbdkit.engine.kernels import element_kernels as e
 
 PATHWAYS = {name: code for code, name in enumerate(e.PATHWAY_KINDS)}
@@ -17,16 +17,13 @@ _TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y = range(len(PATHWAYS)
 TORQUE, POINT_FORCE, BODY_FORCE = range(3)
 """Kinds of loads; the force of a POINT_FORCE is given in the global frame, that of a BODY_FORCE in the body's own."""
 
-HAS_POTENTIAL, PASSIVE = 1, 2
-"""What a law claims, as bits: its force at rate zero is the slope of its potential; all else of it dissipates."""
-
 two_points_gradient, relative_angle_gradient = e.two_points_gradient, e.relative_angle_gradient
 coordinate_x_gradient, coordinate_y_gradient = e.coordinate_x_gradient, e.coordinate_y_gradient
 two_points_hessian = e.two_points_hessian
 coordinate_x_hessian, coordinate_y_hessian = e.coordinate_x_hessian, e.coordinate_y_hessian
 
 
-@part
+@subkernel
 def pathway_lengths(springs, points, q, cs, s, grad):
     """Write every pathway's length into `s` (S, 1) and its gradient into `grad` (S, 6)."""
     for k in range(len(springs)):
@@ -44,7 +41,7 @@ def pathway_lengths(springs, points, q, cs, s, grad):
             coordinate_y_gradient(k, a, b, q, cs, points, s, grad)
 
 
-@part
+@subkernel
 def path_rate(k, a, b, v, grad):
     """Return the rate s' of pathway `k`."""
     rate = 0.0
@@ -53,7 +50,7 @@ def path_rate(k, a, b, v, grad):
     return rate
 
 
-@part
+@subkernel
 def evaluate_tension(k, springs, linear, laws, parameters, time, length, rate, tension, faulty):
     """Write F, dF/ds, dF/ds' and the potential of force element `k` into its row of `tension` (S + 1, 4).
 
@@ -72,7 +69,7 @@ def evaluate_tension(k, springs, linear, laws, parameters, time, length, rate, t
             faulty[0] = law
 
 
-@part
+@subkernel
 def applied_forces(
     springs, points, linear, laws, parameters, loads, load_points, q, v, cs, u, time, s, grad, tension, faulty, force
 ):
@@ -100,7 +97,7 @@ def applied_forces(
             force[3 * body + 2] += px * fy - py * fx
 
 
-@part
+@subkernel
 def point_force(k, loads, load_points, cs, u):
     """Return the force of load `k` and its arm from the centre of mass, (F_x, F_y, p_x, p_y), in the global frame."""
     body = loads[k, 1]
@@ -112,7 +109,7 @@ def point_force(k, loads, load_points, cs, u):
     return fx, fy, px, py
 
 
-@part
+@subkernel
 def force_tangents(
     springs, points, linear, laws, parameters, loads, load_points, q, v, cs, u, time,
     s, grad, hess, tension, faulty, stiff, damp, load_stiff,
@@ -164,7 +161,7 @@ def force_tangents(
             load_stiff[k, 2] = px * fx + py * fy
 
 
-@part
+@subkernel
 def powers(springs, linear, laws, parameters, loads, load_points, pairs, v, cs, u, time, s, grad, tension, phi_t, lam):
     """Return (power of loads, drivers and active laws, dissipated power) [W]; all else as the last evaluation left it.
 
@@ -202,7 +199,7 @@ def powers(springs, linear, laws, parameters, loads, load_points, pairs, v, cs, 
     return work, lost
 
 
-@part
+@subkernel
 def potential_energy(springs, laws, mass, gravity, q, tension):
     """Return the potential energy [J] of gravity and force elements, the latter as the last evaluation left it.
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import inlined
+from mbdkit.engine.jit.decorators import inlined
 
 WORN = 1e-6
 """A pivot that has shrunk to this, relative to its size when it was chosen, asks for new pivots."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbdkit.engine.jit.cache import kernel, part
+from mbdkit.engine.jit.decorators import kernel, subkernel
 from mbdkit.engine.kernels.constraints import constraint_positions, constraint_tangents
 from mbdkit.engine.kernels.forces import potential_energy
 from mbdkit.engine.kernels.system import (
@@ -20,7 +20,7 @@ from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.singularity import singularity_distance
 
 
-@part
+@subkernel
 def reactions_of(top, w, lam, out):
     """Write force (x, y) and torque of every pair on its second body, at that body's joint point, into `out` (P, 3)."""
     for k in range(len(top.pairs)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import part
+from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels.constraints import constraint_positions
 from mbdkit.engine.kernels.system import (
     DIVERGED,
@@ -27,7 +27,7 @@ STAGNANT = 1e-9
 """A residual that stops shrinking below this share of the largest coordinate is at the level of rounding errors."""
 
 
-@part
+@subkernel
 def largest_size(q):
     """Return the largest coordinate of a state, at least 1."""
     size = 1.0
@@ -36,7 +36,7 @@ def largest_size(q):
     return size
 
 
-@part
+@subkernel
 def largest_residual(top, phi):
     """Return the largest residual of the rows that are solved for; infinite if one is not finite."""
     worst = 0.0
@@ -48,7 +48,7 @@ def largest_residual(top, phi):
     return worst
 
 
-@part
+@subkernel
 def position_rows(top, w, t, q):
     """Evaluate Phi and Phi_t of the rows that are solved for; prepares the position."""
     prepare(top, w, t, q)
@@ -57,7 +57,7 @@ def position_rows(top, w, t, q):
     fold_values(top, w.cs, w.phi_t)
 
 
-@part
+@subkernel
 def rate_rows(top, jac, phi_t, v, rate):
     """Write ``Phi_q v + Phi_t`` of the rows that are solved for into `rate` (P, 2), 0 in the others."""
     for k in range(len(top.pairs)):
@@ -71,7 +71,7 @@ def rate_rows(top, jac, phi_t, v, rate):
             rate[k, r] = total
 
 
-@part
+@subkernel
 def project_positions(still, w, solver, t, q, p, rest, x, lam):
     """Write the positions nearest to `q` in the mass metric that satisfy the constraints at `t` into `p`.
 
@@ -116,7 +116,7 @@ def project_positions(still, w, solver, t, q, p, rest, x, lam):
     return DIVERGED
 
 
-@part
+@subkernel
 def project_velocities(still, w, solver, t, q, v, x, lam):
     """Project `v` onto ``Phi_q v + Phi_t = 0`` at `t`, `q` by the smallest change in the mass metric; return a status.
 
@@ -144,7 +144,7 @@ def project_velocities(still, w, solver, t, q, v, x, lam):
     return OK
 
 
-@part
+@subkernel
 def mass_norm(mass, total, x, y):
     """Return ``sqrt((x - y)^T M (x - y) / total)`` for vectors (3 (B + 1),) and a mass matrix (B + 1, 3)."""
     square = 0.0

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import part
+from mbdkit.engine.jit.decorators import subkernel
 
 TOO_SMALL = 1e-10
 """A pivot block this much smaller than before elimination has lost ten digits: time for the pivoted solver."""
@@ -37,7 +37,7 @@ class Schur(NamedTuple):
     """(E, 4) scratch: blocks before division by the pivot."""
 
 
-@part
+@subkernel
 def factor(pairs, rows, jac, weight, start, row, update, coupling, diagonal, whole, below, scaled):
     """Assemble and factorize S; return the pair at which a pivot lost its digits, or -1.
 
@@ -99,7 +99,7 @@ def factor(pairs, rows, jac, weight, start, row, update, coupling, diagonal, who
     return -1
 
 
-@part
+@subkernel
 def solve(start, row, diagonal, below, x):
     """Solve S x = b in place; `x` (P, 2)."""
     n = len(diagonal)

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import loader
-from mbdkit.engine.jit.cache import inlined, part
+from mbdkit.engine.jit.bundle import bundle_loader
+from mbdkit.engine.jit.decorators import inlined, subkernel
 from mbdkit.engine.kernels.constraints import (
     constraint_accelerations,
     constraint_positions,
@@ -155,7 +155,7 @@ def _example() -> Engine:
     return Engine(workspace.mechanism.topology, workspace.scratch, workspace.solver)
 
 
-load_engine = loader(_example)
+load_engine = bundle_loader(_example)
 
 
 @inlined
@@ -185,7 +185,7 @@ def evaluate_powers(top, w, q, v, lam):
     )  # fmt: skip
 
 
-@part
+@subkernel
 def subtract_baumgarte(pairs, baumgarte, jac, v, phi, phi_t, gamma):
     """Subtract ``2 alpha (Phi_q v + Phi_t) + beta^2 Phi`` from gamma; return the largest of these terms."""
     rate_factor, factor = 2.0 * baumgarte[0], baumgarte[1] * baumgarte[1]
@@ -228,7 +228,7 @@ def spare_direction(top, cs, i):
     return c * x - s * y, s * x + c * y
 
 
-@part
+@subkernel
 def fold(top, cs, x):
     """Reduce the two rows of six columns of every pair, `x` (P, 12), to those that are solved for.
 
@@ -242,7 +242,7 @@ def fold(top, cs, x):
             x[k, 6 + c] = 0.0
 
 
-@part
+@subkernel
 def fold_values(top, cs, x):
     """Reduce the two values of every pair, `x` (P, 2), to those of the rows that are solved for, as `fold` does."""
     for i in range(len(top.spare)):
@@ -252,7 +252,7 @@ def fold_values(top, cs, x):
         x[k, 1] = 0.0
 
 
-@part
+@subkernel
 def independent_rows(top, cs, jac, gamma, loose):
     """Reduce the Jacobian and gamma to the rows that are solved for; the Jacobian of the others goes to `loose`."""
     for i in range(len(top.spare)):
@@ -264,7 +264,7 @@ def independent_rows(top, cs, jac, gamma, loose):
     fold_values(top, cs, gamma)
 
 
-@part
+@subkernel
 def unfold_multipliers(top, cs, lam):
     """Turn the multipliers of the rows that are solved for into those of the pairs' own rows."""
     for i in range(len(top.spare)):
@@ -275,7 +275,7 @@ def unfold_multipliers(top, cs, lam):
         lam[k, 1] = dx * across
 
 
-@part
+@subkernel
 def free_accelerations(mass, weight, gravity, has_forces, force, acc):
     """Write the accelerations that the bodies would have without joints."""
     for b in range(len(mass) - 1):
@@ -287,7 +287,7 @@ def free_accelerations(mass, weight, gravity, has_forces, force, acc):
                 acc[3 * b + i] += weight[b, i] * force[3 * b + i]
 
 
-@part
+@subkernel
 def joint_right_side(pairs, rows, jac, gamma, acc, lam):
     """Write ``Phi_q a_free - gamma`` into `lam`."""
     for k in range(len(pairs)):
@@ -300,7 +300,7 @@ def joint_right_side(pairs, rows, jac, gamma, acc, lam):
         lam[k, 1] = r1 if rows[k] == 2 else 0.0
 
 
-@part
+@subkernel
 def apply_multipliers(pairs, jac, weight, lam, acc):
     """Subtract ``M^-1 Phi_q^T lambda`` from the accelerations."""
     for k in range(len(pairs)):
@@ -329,7 +329,7 @@ def gather_values(source, scatter, rate, weight, values):
         values[x] *= weight[x]
 
 
-@part
+@subkernel
 def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
     """Solve the whole index-1 system by pivoted sparse LU with one step of refinement; return a status."""
     n3 = 3 * (len(top.mass) - 1)
@@ -455,7 +455,7 @@ def transferred(top, w, solver, i, lam):
     unfold_multipliers(top, w.cs, lam)
 
 
-@part
+@subkernel
 def stabilize_tangents(baumgarte, jac, gamma_v, res_q):
     """Turn the derivatives of gamma into those of the stabilized one; d(Phi_q v + Phi_t)/dq is -gamma_v / 2."""
     alpha, factor = baumgarte[0], baumgarte[1] * baumgarte[1]

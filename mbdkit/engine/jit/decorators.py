@@ -1,0 +1,57 @@
+"""Decorators that compile the functions of mbdkit.
+
+`kernel` is for functions that Python calls, `subkernel` and `inlined` for functions that only kernels call, and `entry`
+for functions that kernels call by address.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from numba import njit
+
+from mbdkit.engine.jit.cache import cached_here
+from mbdkit.engine.jit.entry import Entry
+from mbdkit.engine.jit.numba_version import PLAIN
+
+_KERNEL: dict[str, Any] = {"cache": True, "nogil": True}
+_SUBKERNEL: dict[str, Any] = {}
+if not PLAIN:
+    from mbdkit.engine.jit.subkernel_compiler import SubkernelCompiler
+
+    # Undocumented options of njit. `_nrt`: kernels allocate nothing, and reference counts of arrays cost more than the
+    # arithmetic of a small mechanism. Wrappers: subkernels are not called from Python, and nothing from C but entries.
+    _KERNEL |= {"_nrt": False, "no_cfunc_wrapper": True}
+    _SUBKERNEL |= {
+        "_nrt": False,
+        "no_cfunc_wrapper": True,
+        "no_cpython_wrapper": True,
+        "pipeline_class": SubkernelCompiler,
+    }
+
+
+def _compiled(function: Callable[..., Any], **options: Any) -> Any:
+    compiler: Any = njit
+    with cached_here():
+        return compiler(function, error_model="numpy", **options)
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function that Python calls: cached on disk, releases the interpreter lock, IEEE arithmetic."""
+    return _compiled(function, **_KERNEL)
+
+
+def subkernel(function: Callable[..., Any]) -> Any:
+    """Compile a function that only kernels and other subkernels call."""
+    return _compiled(function, **_SUBKERNEL)
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """Compile a function that only kernels call, copied into each of its callers."""
+    return _compiled(function, **_SUBKERNEL, forceinline=True)
+
+
+def entry(function: Callable[..., Any]) -> Entry:
+    """Compile a function that kernels call by its address; see `mbdkit.engine.jit.entry`."""
+    return Entry(function)

@@ -1,0 +1,69 @@
+"""Functions that kernels call by address, so that they need not be compiled together with their callers.
+
+An entry is a C callback of Numba. Its arguments are two addresses (int) and three numbers (float); it returns a status
+(int). `cfunc` and `intrinsic` are public API of Numba; the IR that `call_entry` generates is that of llvmlite.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from functools import cached_property
+from typing import Any
+
+from llvmlite import ir
+from numba import cfunc, config, types
+from numba.extending import intrinsic
+
+from mbdkit.engine.jit.cache import FOLDER, cached_here, is_warm, locked
+from mbdkit.engine.jit.numba_version import PLAIN
+
+_SIGNATURE = types.int64(types.int64, types.int64, types.float64, types.float64, types.float64)
+_OPTIONS: dict[str, Any] = {} if PLAIN else {"_nrt": False}  # see `mbdkit.engine.jit.decorators`
+_JIT_DISABLED = vars(config)["DISABLE_JIT"]
+_PYTHON_ENTRIES: dict[int, Callable[..., Any]] = {}
+"""Entries by address, with NUMBA_DISABLE_JIT=1."""
+
+
+class Entry:
+    """A function that kernels call by its address."""
+
+    def __init__(self, function: Callable[[int, int, float, float, float], int]):
+        self.function = function
+
+    @cached_property
+    def address(self) -> int:
+        """Address of the machine code; the first access compiles it or reads it from the cache."""
+        if _JIT_DISABLED:
+            _PYTHON_ENTRIES[id(self)] = self.function
+            return id(self)
+        make: Any = cfunc
+        done = FOLDER / f"entry-{self.function.__module__}.{self.function.__name__}"
+        with ExitStack() as stack:
+            # During the first compilation `compiling` already holds the lock; an existing `done` means a read only.
+            if is_warm() and not done.exists():
+                print("mbdkit compiles the kernels of this method; this happens once ...", file=sys.stderr, flush=True)
+                stack.enter_context(locked())
+            with cached_here():
+                self._compiled = make(_SIGNATURE, cache=True, error_model="numpy", **_OPTIONS)(self.function)
+            done.touch()
+        return int(self._compiled.address)
+
+
+def _call_python(address, first, second, t, h, x):
+    return _PYTHON_ENTRIES[address](first, second, t, h, x)
+
+
+@intrinsic
+def _call_compiled(typing_context, address, first, second, t, h, x):
+    def generate(context, builder, signature, arguments):
+        word, real = ir.IntType(64), ir.DoubleType()
+        kind = ir.FunctionType(word, [word, word, real, real, real])
+        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
+
+    return types.int64(types.int64, types.int64, types.int64, types.float64, types.float64, types.float64), generate
+
+
+call_entry: Any = _call_python if _JIT_DISABLED else _call_compiled
+"""Call the entry at an address (int64) with its five arguments."""

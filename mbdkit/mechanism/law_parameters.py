@@ -1,0 +1,63 @@
+"""The parameters of a force law: numbers made from the options of an element of type ``law``."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any
+
+from mbdkit.errors import MbdkitError, PluginError
+from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, FunctionLaw
+from mbdkit.text import one_line
+
+
+def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, ...], list[float]]:
+    """Return the names of a law's parameters (none for a function) and their values.
+
+    Parameters
+    ----------
+    law
+        The law.
+    options
+        Instance of the law's options.
+    name
+        Name of the law in messages.
+
+    Raises
+    ------
+    PluginError
+        If the law fails to make its parameters, or makes unusable ones.
+    """
+    try:
+        names, values = _parameters(law, options)
+    except MbdkitError:
+        raise
+    except Exception as error:
+        raise PluginError(f"force law {name} failed to make its parameters: {one_line(error)}") from error
+    if clash := sorted(set(names) & set(ARGUMENTS)):
+        raise PluginError(
+            f"force law {name}: its parameter '{clash[0]}' has the name of what every law is a function of"
+        )
+    if not all(isfinite(value) for value in values):
+        raise PluginError(f"force law {name} made parameters that are not finite")
+    return names, values
+
+
+def _parameters(law: ForceLaw, options: Any) -> tuple[tuple[str, ...], list[float]]:
+    given: Any
+    if law.parameters is not None:
+        given = law.parameters(options)
+    elif isinstance(law, ExpressionLaw):
+        every = {option: getattr(options, option) for option in law_options(options)}
+        given = {option: value for option, value in every.items() if isinstance(value, int | float)}
+    else:
+        given = [getattr(options, option) for option in law_options(options)]
+    if isinstance(law, FunctionLaw):
+        return (), [float(x) for x in given]
+    names = tuple(sorted(given))
+    return names, [float(given[name]) for name in names]
+
+
+def law_options(options: Any) -> list[str]:
+    """Return the names of a law's own options, in the order of their definition, from an element that has them."""
+    own: list[str] = list(type(options).law_options.model_fields)
+    return own

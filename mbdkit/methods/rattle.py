@@ -1,0 +1,40 @@
+"""RATTLE (Andersen 1983), the Lobatto IIIA-IIIB pair with two stages; see `mbdkit.methods.lobatto_pair`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from mbdkit.methods.common_claims import JAY, lobatto_pair_claims
+from mbdkit.methods.kinds import LobattoPair
+from mbdkit.methods.method_options import Options
+from mbdkit.registry.items import IntegratorPlugin
+
+ANDERSEN = """@article{andersen1983,
+  author = {Andersen, Hans C.},
+  title = {{RATTLE}: a ``velocity'' version of the {SHAKE} algorithm for molecular dynamics calculations},
+  journal = {Journal of Computational Physics}, volume = {52}, number = {1}, pages = {24--34}, year = {1983},
+  doi = {10.1016/0021-9991(83)90014-1}}"""
+
+
+class RattleOptions(Options):
+    """How the positions of a step are found that meet the constraints."""
+
+    tolerance: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] | None = None
+    """Stop when positions are expected to change by less than this, relative to their size; left out: at stagnation."""
+    max_iterations: Annotated[int, Field(ge=2, le=10_000)] = 50
+    """Iterations in one step after which its equations count as unsolved."""
+
+
+FAMILY = "partitioned"
+INTEGRATORS = (
+    IntegratorPlugin(
+        name="rattle",
+        summary="RATTLE: order 2, symmetric, symplectic, holds positions and velocities on the joints, fixed steps.",
+        options=RattleOptions,
+        create=lambda options: LobattoPair(2, options.tolerance, options.max_iterations),
+        claims=lambda options: lobatto_pair_claims(2),
+        references=(ANDERSEN, JAY),
+    ),
+)

@@ -1,0 +1,63 @@
+"""Adaptive solvers of ``scipy.integrate`` on the index-1 equations."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from mbdkit.methods.common_claims import HAIRER_NORSETT_WANNER, HAIRER_WANNER, TOLERANCE_DRIFT
+from mbdkit.methods.kinds import SciPySolver
+from mbdkit.methods.method_options import Options
+from mbdkit.registry.items import Claims, IntegratorPlugin
+
+SCIPY = """@article{scipy2020,
+  author = {Virtanen, Pauli and others},
+  title = {{SciPy} 1.0: fundamental algorithms for scientific computing in {P}ython},
+  journal = {Nature Methods}, volume = {17}, pages = {261--272}, year = {2020}, doi = {10.1038/s41592-019-0686-2}}"""
+PETZOLD = """@article{petzold1983,
+  author = {Petzold, Linda},
+  title = {Automatic selection of methods for solving stiff and nonstiff systems of ordinary differential equations},
+  journal = {SIAM Journal on Scientific and Statistical Computing},
+  volume = {4}, number = {1}, pages = {136--148}, year = {1983}, doi = {10.1137/0904010}}"""
+
+
+class AdaptiveOptions(Options):
+    """A method of SciPy that controls its own error."""
+
+    rtol: Annotated[float, Field(ge=2.3e-14, lt=1, allow_inf_nan=False)] = 1e-8
+    """Relative error tolerance of a step; SciPy takes none below 100 roundings, 2.3e-14."""
+    atol: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1e-10
+    """Absolute error tolerance of a step [m, rad, m/s, rad/s]."""
+
+
+def _scipy(name: str, solver: str, summary: str, reference: str, *, jacobian: bool = False) -> IntegratorPlugin:
+    """Return the plugin item of a solver class; `jacobian`: the solver takes the Jacobian of the right side."""
+    needs = ("accelerations", "tangents") if jacobian else ("accelerations",)
+    return IntegratorPlugin(
+        name=name,
+        summary=summary,
+        options=AdaptiveOptions,
+        create=lambda options: SciPySolver(solver, options.rtol, options.atol, needs_jacobian=jacobian),
+        claims=lambda options: Claims(
+            adaptive=True, drift=TOLERANCE_DRIFT, needs=needs, stabilizations=("none", "baumgarte")
+        ),
+        references=(SCIPY, reference),
+        dense_output=True,
+    )
+
+
+FAMILY = "scipy"
+INTEGRATORS = (
+    _scipy(
+        "scipy-radau", "Radau", "SciPy's Radau IIA: implicit, order 5, adaptive steps.", HAIRER_WANNER, jacobian=True
+    ),
+    _scipy("scipy-dop853", "DOP853", "SciPy's DOP853: explicit, order 8, adaptive steps.", HAIRER_NORSETT_WANNER),
+    _scipy(
+        "scipy-lsoda",
+        "LSODA",
+        "SciPy's LSODA: Adams and BDF with automatic switching, adaptive steps.",
+        PETZOLD,
+        jacobian=True,
+    ),
+)
