@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from mbdkit.cli.common_options import Archive, Debug, Overwrite, Quiet
+from mbdkit.plot.plot_kinds import PLOT_KINDS
+
+_KINDS_HELP = "; ".join(f"{kind}: {summary}" for kind, summary in PLOT_KINDS.items()) + "."
+
+
+def _check_kind(kind: str) -> str:
+    if kind not in PLOT_KINDS:
+        raise typer.BadParameter(f"there is no kind of plot {kind!r}; the kinds are {', '.join(PLOT_KINDS)}")
+    return kind
 
 
 def plot(
     archive: Archive,
-    kind: Annotated[
-        Literal["trajectory", "drift", "energy", "reactions"], typer.Option("--kind", help="What to plot.")
-    ] = "trajectory",
+    kind: Annotated[str, typer.Option("--kind", metavar="KIND", callback=_check_kind, help=_KINDS_HELP)] = "trajectory",
     output: Annotated[
         Path | None,
         typer.Option(
@@ -45,7 +52,7 @@ def animate(
 ) -> None:
     """Animate a run. A film of the same name is replaced."""
     from mbdkit.archive.reader import load
-    from mbdkit.plot.animate import animate as draw
+    from mbdkit.report.animate import animate as draw
 
     with load(archive) as loaded:
         target = draw(loaded, output or archive.with_suffix(".gif"))

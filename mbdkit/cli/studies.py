@@ -56,11 +56,11 @@ def study(
         result = carry_out(spec, out=path, workers=workers or _cores(), shard=part, progress=progress, notify=notify)
     page, told, values = None, "", {}
     if with_report:
-        from mbdkit.report.report import written
-        from mbdkit.report.verdict_text import plain_values, terminal
+        from mbdkit.report.report import write_report
+        from mbdkit.report.verdict_text import json_values, terminal_text
 
-        page, verdict = written(path, overwrite=True)
-        told, values = terminal(verdict), plain_values(verdict)
+        page, verdict = write_report(path, overwrite=True)
+        told, values = terminal_text(verdict), json_values(verdict)
     if as_json:
         more = {} if page is None else {"report": str(page)} | ({"verdict": values} if values else {})
         print(json.dumps(outcome(result) | more))
