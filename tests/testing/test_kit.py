@@ -12,7 +12,7 @@ import mbdkit
 import mbdkit.testing
 from mbdkit.registry.manager import registry
 from mbdkit.testing import Report, Result, conformance
-from mbdkit.testing.kit import subject_of, verify
+from mbdkit.testing.kit import plugin_under_test, verify
 from mbdkit.testing.trial_models import DRIVEN_PENDULUM
 from mbdkit.testing.verification_page import html
 from mbdkit.testing.verification_table import BEGIN, END, VARIANTS, title
@@ -93,7 +93,7 @@ def test_nothing_is_verified_without_a_check_of_its_geometry() -> None:
     assert report(result("order.x", "pass"), result("geometry.x", "pass")).verified
     bare = report(result("order.x", "pass"), result("geometry.x", "skip"))
     assert not bare.verified
-    assert bare.verdict() == "not verified: no check of geometry could be carried out; 1 check run, 1 skipped"
+    assert bare.verdict() == "not verified: no check of the group geometry could be run; 1 check run, 1 skipped"
 
 
 def test_a_warning_is_no_failure_and_a_failure_is_named() -> None:
@@ -128,7 +128,7 @@ def test_the_table_in_the_readme_has_every_integrator_with_what_it_claims_now() 
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     expected = []
     for name, options in VARIANTS:
-        order = subject_of("integrator", f"mbdkit:{name}", options).claims.order
+        order = plugin_under_test("integrator", f"mbdkit:{name}", options).claims.order
         expected.append([title(name, options), "adaptive" if order is None else f"{order:g}"])
     assert [row[:2] for row in cells] == expected
     assert {row[-1].rpartition(", ")[2] for row in cells} == {"0 failed"}
