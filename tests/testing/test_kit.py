@@ -82,7 +82,8 @@ def test_a_decorated_test_fails_where_the_check_does_and_skips_where_it_does() -
 
 
 def result(name: str, outcome: Any) -> Result:
-    return Result(name, "It does.", outcome, "because" if outcome != "pass" else "", {"x": float("nan")}, 0.1)
+    cause = "because" if outcome != "pass" else ""
+    return Result(outcome, cause, {"x": float("nan")}, name, "It does.", 0.1)
 
 
 def report(*results: Result) -> Report:
@@ -109,14 +110,14 @@ def test_a_report_as_json_holds_no_number_that_json_has_not() -> None:
 
 
 def test_a_report_as_a_page_names_every_check_and_escapes_what_plugins_say() -> None:
-    page = html([report(Result("order.x", "It <b>does</b>.", "fail", "1 < 2", {}, 0.1))])
+    page = html([report(Result("fail", "1 < 2", {}, "order.x", "It <b>does</b>.", 0.1))])
     assert "order.x: It &lt;b&gt;does&lt;/b&gt;." in page
     assert "1 &lt; 2." in page
     assert "http" not in page.replace("http-equiv", "")
 
 
 @pytest.mark.parametrize("kind", ["integrator", "model", "force-law"])
-def test_every_check_has_a_name_of_its_own_in_a_room_and_says_what_it_does(kind: Any) -> None:
+def test_every_check_has_a_name_of_its_own_in_a_group_and_says_what_it_does(kind: Any) -> None:
     checks = list(mbdkit.testing.checks_of(kind))
     assert len({check.name for check in checks}) == len(checks)
     assert all(check.what.endswith(".") and len(check.what) > 30 for check in checks)
