@@ -1,4 +1,8 @@
-"""The command ``mbdkit``: each command says what it does in its docstring; what it needs is imported when it runs."""
+"""The command ``mbdkit``.
+
+To add a command, write its function in a file of this folder and add it to the tuple below; its docstring is its help.
+Commands import what they need when they run, so that `mbdkit --help` is quick.
+"""
 
 from __future__ import annotations
 
@@ -36,14 +40,14 @@ def mbdkit(
     ] = False,
     debug: Debug = False,
 ) -> None:
-    """Planar multibody dynamics: a spec goes in, a trustworthy HDF5 archive comes out.
+    """Simulate planar multibody mechanisms and record joint drift.
 
     Exit status: 0 done, 1 a rerun differs or a plugin is not verified, 2 the input is wrong, 3 the integration stopped
     early, 4 a plugin failed, 130 interrupted.
 
-    Environment: MBDKIT_PLUGINS=a,b loads plugins of these distributions alone, of none if it is empty;
-    MBDKIT_DISABLE_PLUGINS=a,b leaves these out; MBDKIT_STRICT_PLUGINS=1 refuses to work where a plugin cannot be
-    loaded; MBDKIT_CACHE_DIR is where compiled code is kept.
+    Environment: MBDKIT_PLUGINS=a,b loads plugins of these distributions only, none if empty;
+    MBDKIT_DISABLE_PLUGINS=a,b excludes these; MBDKIT_STRICT_PLUGINS=1 makes a plugin that cannot be loaded an
+    error; MBDKIT_CACHE_DIR is the folder for compiled code.
     """
 
 
@@ -62,5 +66,7 @@ def main() -> None:
     """Run the command line."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # a name that the terminal has no letters for
+            stream.reconfigure(
+                errors="backslashreplace"
+            )  # a name may contain characters that the terminal cannot encode
     app(prog_name="mbdkit")

@@ -1,4 +1,4 @@
-"""Run archives, described and checked: `archive`."""
+"""Commands on run archives: `archive`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ archive_app = typer.Typer(help="Describe and check run archives.", **PLAIN)
 def archive_info(archives: Archives, as_json: AsJson = False, debug: Debug = False) -> None:
     """Describe run archives.
 
-    With --json, one object whose "archives" is a list.
+    With --json, prints one object with a list "archives".
     """
     from mbdkit.archive.info import describe, text
 
@@ -30,9 +30,9 @@ def archive_info(archives: Archives, as_json: AsJson = False, debug: Debug = Fal
 
 @archive_app.command("check")
 def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False) -> None:
-    """Check run archives to the last array.
+    """Check the structure and contents of run archives.
 
-    Exit status 2 if anything is wrong with one.
+    Exit status 2 if an archive is damaged.
     """
     from mbdkit.archive.archive_check import check
 

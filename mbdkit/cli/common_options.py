@@ -1,4 +1,4 @@
-"""What the commands share: their arguments and options, and how they are shown."""
+"""Arguments and options that several commands share."""
 
 from __future__ import annotations
 
@@ -31,11 +31,9 @@ Archive = Annotated[Path, typer.Argument(metavar="FILE.h5", help="A run archive.
 Archives = Annotated[list[Path], typer.Argument(metavar="FILE.h5", help="Run archives.")]
 Set = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set", metavar="KEY=VALUE", help="Set one key of the spec, such as time.step=0.005; may be repeated."
-    ),
+    typer.Option("--set", metavar="KEY=VALUE", help="Set a key of the spec, such as time.step=0.005; may be repeated."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file, once the new one is complete.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file when the new one is complete.")]
 Debug = Annotated[bool, typer.Option("--debug", callback=_set_debug, help="Show the traceback of an error.")]

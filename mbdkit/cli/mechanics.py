@@ -1,4 +1,4 @@
-"""A mechanism without a run: `equilibrium`, `modes`, `kinematics`."""
+"""Commands that analyse a mechanism without integrating: `equilibrium`, `modes`, `kinematics`."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ def equilibrium(
     assignments: Set = None,
     write: Annotated[
         Path | None,
-        typer.Option("--write", metavar="FILE.yaml", help="Write the spec anew, its mechanism at rest there."),
+        typer.Option("--write", metavar="FILE.yaml", help="Write the spec with the equilibrium as its start."),
     ] = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Find where a mechanism rests: positions, reactions, stability.
+    """Find a static equilibrium with reactions and stability.
 
-    The search goes downhill from the start, with drivers and loads held as they
-    are at the start time. Velocities do not count.
+    The search descends from the start. Drivers and loads keep their values of
+    the start time; velocities are ignored.
     """
     from mbdkit.mechanics import mechanics_summary
     from mbdkit.mechanics.equilibrium import equilibrium_of, spec_at
@@ -52,21 +52,21 @@ def modes(
     assignments: Set = None,
     at: Annotated[
         Literal["equilibrium", "start"],
-        typer.Option("--at", help="At rest in the equilibrium near the start, or in the start as it is."),
+        typer.Option("--at", help="Linearise at the equilibrium near the start, or at the start."),
     ] = "equilibrium",
     count: Annotated[
-        int | None, typer.Option("--count", min=1, metavar="N", help="How many modes, the slowest first.")
+        int | None, typer.Option("--count", min=1, metavar="N", help="Number of modes, the slowest first.")
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="FILE.png", help="Draw the modes: PNG, SVG or PDF by the suffix."),
+        typer.Option("-o", "--output", metavar="FILE.png", help="Draw the modes to a PNG, SVG or PDF file."),
     ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
     """Find natural frequencies, damping ratios and mode shapes.
 
-    Drivers are held to their motion. A picture of the same name is replaced.
+    Drivers prescribe their motion. An existing picture is replaced.
     """
     from mbdkit.mechanics import mechanics_summary
     from mbdkit.mechanics.modes import modes_of
@@ -100,7 +100,7 @@ def kinematics(
 ) -> None:
     """Compute the motion that drivers prescribe, without forces.
 
-    The mechanism must be fully driven; times are those of the spec, step by step.
+    The mechanism must be fully driven. Times are the steps of the spec.
     """
     from mbdkit.mechanics import mechanics_summary
     from mbdkit.mechanics.kinematics import kinematics_of

@@ -1,4 +1,4 @@
-"""Where commands write: names by default, and what is refused before any work."""
+"""Output files of commands: default names, and checks before any work."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from pathlib import Path
 
 
 def stem(spec: str) -> str:
-    """Return the name that results of a spec get by default, without suffix."""
+    """Return the default name of results of a spec, without suffix."""
     return "stdin" if spec == "-" else Path(spec).stem
 
 
 def check_new(path: Path, source: str, overwrite: bool) -> None:
-    """Refuse an archive that cannot be written, before any work."""
+    """Raise SpecError if an archive cannot be written."""
     from mbdkit.archive.part_file import check_target
     from mbdkit.errors import SpecError
 
     if source != "-" and os.path.isfile(path) and os.path.isfile(source) and os.path.samefile(path, source):
         raise SpecError(
-            "this is what is read here, so it is not written to; choose another name with -o "
+            "this file is the input, which is not overwritten; choose another name with -o "
             "(and `mbdkit rerun` runs an archive again)",
             file=path,
         )
@@ -28,7 +28,7 @@ def check_new(path: Path, source: str, overwrite: bool) -> None:
 
 
 def check_free(path: Path, source: str, overwrite: bool) -> None:
-    """Refuse to write over a file that exists, or over what is read, before any work."""
+    """Raise SpecError if a file cannot be written, exists, or is the input."""
     from mbdkit.errors import SpecError
 
     if path.is_dir():
@@ -38,6 +38,6 @@ def check_free(path: Path, source: str, overwrite: bool) -> None:
     if not path.exists():
         return
     if source != "-" and os.path.isfile(source) and os.path.samefile(path, source):
-        raise SpecError("this is what is read here, so it is not written to; choose another name", file=path)
+        raise SpecError("this file is the input, which is not overwritten; choose another name", file=path)
     if not overwrite:
         raise SpecError("this file exists; choose another name, or replace it with --overwrite", file=path)

@@ -1,4 +1,4 @@
-"""Plugins, listed, shown, verified, diagnosed and begun: `plugins`."""
+"""Commands on plugins: `plugins`."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from mbdkit import terminal
 from mbdkit.cli.common_options import PLAIN, AsJson, Debug, Overwrite, Quiet
 from mbdkit.terminal import count_bar, say, silence
 
-plugins_app = typer.Typer(help="List, verify, diagnose and begin plugins.", **PLAIN)
+plugins_app = typer.Typer(help="List, verify, diagnose and create plugins.", **PLAIN)
 
 
 @plugins_app.command("list")
 def plugins_list(as_json: AsJson = False, debug: Debug = False) -> None:
-    """List what is installed, and what could not be loaded."""
+    """List installed plugins, and those that could not be loaded."""
     from mbdkit.registry import describe
     from mbdkit.registry.manager import load_installed
 
@@ -31,10 +31,10 @@ def plugins_show(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Show the options, claims and references of one.
+    """Show the options, claims and references of a plugin.
 
-    With --json, one object whose "plugins" is a list: a model and an integrator
-    may share a name.
+    With --json, prints one object with a list "plugins": a model and an
+    integrator may share a name.
     """
     from mbdkit.registry import describe
 
@@ -50,11 +50,11 @@ def plugins_verify(
     name: Annotated[str, typer.Argument(metavar="ID", help="A name such as gauss, or an id such as mbdkit:gauss.")],
     assignments: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Set one of its options, such as stages=3; may be repeated."),
+        typer.Option("--set", metavar="KEY=VALUE", help="Set an option, such as stages=3; may be repeated."),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Leave out the slow checks.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Skip the slow checks.")] = False,
     as_json: AsJson = False,
-    as_html: Annotated[bool, typer.Option("--html", help="Write a page as well.")] = False,
+    as_html: Annotated[bool, typer.Option("--html", help="Also write an HTML page.")] = False,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="FILE.html", help="The page; by default ./NAME-verification.html."),
@@ -63,11 +63,11 @@ def plugins_verify(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Hold one to what it claims, by the checks of mbdkit.testing.
+    """Verify the claims of a plugin by the checks of mbdkit.testing.
 
-    Exit status 1 if it is not verified: a check failed, or none of those that
-    matter most could be run. With --json, one object whose "reports" is a list:
-    a model and an integrator may share a name.
+    Exit status 1 if it is not verified: a check failed, or no check of the
+    required group could be run. With --json, prints one object with a list
+    "reports": a model and an integrator may share a name.
     """
     from mbdkit.registry import describe
     from mbdkit.spec.reading import read_assignments
@@ -100,7 +100,7 @@ def plugins_verify(
 
 @plugins_app.command("doctor")
 def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
-    """Say how loading each plugin went, and whether this Numba is a tested one.
+    """Show for each plugin whether it was loaded, and whether the installed Numba is a tested version.
 
     Exit status 4 if a plugin could not be loaded. With another Numba than the
     tested ones, and with MBDKIT_PLAIN_NUMBA=1, kernels are compiled without
@@ -123,15 +123,15 @@ def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
 def plugins_new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the distribution, such as mbdkit-rocket.")],
     kind: Annotated[
-        Literal["integrator", "tableau", "model", "force-law"], typer.Option("--kind", help="What it is to offer.")
+        Literal["integrator", "tableau", "model", "force-law"], typer.Option("--kind", help="Kind of plugin.")
     ],
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Make the project of a new plugin in ./NAME.
+    """Create the project of a new plugin in ./NAME.
 
-    It installs as it is, its tests pass, and its README says what to change.
-    Nothing that exists is touched.
+    It can be installed at once, its tests pass, and its README says what to
+    change. Existing files are not changed.
     """
     from mbdkit.scaffold.new_plugin import new_project
 

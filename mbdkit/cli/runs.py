@@ -1,4 +1,4 @@
-"""One run: `run`, `validate`, `rerun`."""
+"""Commands that run a spec: `run`, `validate`, `rerun`."""
 
 from __future__ import annotations
 
@@ -58,7 +58,8 @@ def run(
 def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> None:
     """Check a spec without running it.
 
-    Its mechanism is built and its start made consistent; what that moves is said.
+    The mechanism is built and its start made consistent; changes of the start are
+    printed.
     """
     from mbdkit.spec import load_spec
 
@@ -76,13 +77,13 @@ def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> N
     if checked.stabilized.kind != "none":
         print(f"stabilized   {checked.stabilized.describe()}")
     if checked.events:
-        print("events       with the values of their expressions at the start")
+        print("events       with values of their expressions at the start")
         print(table([("EVENT", "DIRECTION", "ACTION", "AT START", "WHEN"), *_events(checked, problem)], indent="  "))
     if start.changed:
         print(f"start        made consistent, with residuals {start.residual:.2g} and {start.velocity_residual:.2g}")
         print(table([("BODY", "MOVED", "TURNED", "VELOCITY", "RATE"), *_moves(start)], indent="  "))
     else:
-        print("start        consistent as it is, left untouched")
+        print("start        consistent, unchanged")
 
 
 def _events(spec: RunSpec, problem: Workspace) -> list[tuple[str, ...]]:
@@ -96,7 +97,7 @@ def _events(spec: RunSpec, problem: Workspace) -> list[tuple[str, ...]]:
 
 
 def _moves(start: AssembledState) -> list[tuple[str, ...]]:
-    """Return a row for each body whose start was changed, the largest moves first."""
+    """Return a row for each body whose start was changed, the largest changes first."""
     changes = {
         name: (moved, start.moved_angle[name], start.changed_velocity[name], start.changed_rate[name])
         for name, moved in start.moved_position.items()
@@ -115,7 +116,7 @@ def rerun(
     archive: Archive,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="FILE.h5", help="Keep the new archive; by default it is not."),
+        typer.Option("-o", "--output", metavar="FILE.h5", help="Keep the new archive; by default it is discarded."),
     ] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -123,7 +124,7 @@ def rerun(
 ) -> None:
     """Run the spec in an archive again and compare.
 
-    Exit status 1 if the data differ; the largest relative difference is said.
+    Exit status 1 if the data differ; prints the largest relative difference.
     """
     if output is not None:
         check_new(output, str(archive), overwrite)
@@ -150,7 +151,7 @@ def rerun(
             comparison = compare(before, after)
             if not quiet:
                 if before.status in ("interrupted", "running"):
-                    print(f"{archive} was cut short ({before.status}), so it has fewer rows")
+                    print(f"{archive} is incomplete ({before.status}), so it has fewer rows")
                 print(comparison)
     if not comparison.same_data:
         raise typer.Exit(terminal.DIFFERS)
@@ -158,7 +159,7 @@ def rerun(
 
 @contextmanager
 def _placing(spec: RunSpec) -> Iterator[None]:
-    """Give errors about this spec the file and line where it was written."""
+    """Add file and line to errors about this spec."""
     from mbdkit.errors import SpecError
 
     try:
@@ -180,7 +181,7 @@ def _outcome(result: Run) -> dict[str, Any]:
 
 
 def _exit_with(result: Run, *, told: bool = False) -> None:
-    """Leave with the exit status that the run's status asks for; say why, unless the summary has `told` already."""
+    """Exit with the exit status of an incomplete run; print the reason unless the summary has `told` it."""
     if result.status == "complete":
         return
     if not told:

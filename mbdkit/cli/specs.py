@@ -1,4 +1,4 @@
-"""What specs are made of: `schema` and `examples`."""
+"""Commands for writing specs: `schema` and `examples`."""
 
 from __future__ import annotations
 
@@ -12,16 +12,14 @@ from mbdkit.cli.common_options import PLAIN, Debug
 from mbdkit.text import table
 
 schema_app = typer.Typer(help="Print the JSON schema of a spec, for editors.", **PLAIN)
-examples_app = typer.Typer(
-    help="List the packaged examples, or copy one to edit it.", **{**PLAIN, "no_args_is_help": False}
-)
+examples_app = typer.Typer(help="List the packaged examples, or copy one.", **{**PLAIN, "no_args_is_help": False})
 
 
 @schema_app.command("run")
 def schema_run(debug: Debug = False) -> None:
     """Print the JSON schema of a run spec.
 
-    It has the options of every model, integrator and force law that is installed.
+    It contains the options of all installed models, integrators and force laws.
     """
     from mbdkit.spec.schema import run_schema
 
@@ -32,7 +30,7 @@ def schema_run(debug: Debug = False) -> None:
 def schema_study(debug: Debug = False) -> None:
     """Print the JSON schema of a study spec.
 
-    It has the options of every model and integrator that is installed.
+    It contains the options of all installed models and integrators.
     """
     from mbdkit.spec.schema import study_schema
 
@@ -43,26 +41,26 @@ def schema_study(debug: Debug = False) -> None:
 def examples(context: typer.Context, debug: Debug = False) -> None:
     """List the packaged examples.
 
-    Run one by its name, or copy its spec to change it.
+    Run one by its name, or copy its spec to edit it.
     """
     if context.invoked_subcommand is not None:
         return
     from mbdkit.spec import example_names, load_spec
 
-    print(table([("NAME", "WHAT"), *((name, load_spec(name).title) for name in example_names())]))
+    print(table([("NAME", "TITLE"), *((name, load_spec(name).title) for name in example_names())]))
 
 
 @examples_app.command("copy")
 def examples_copy(
     name: Annotated[str, typer.Argument(metavar="NAME", help="An example, as listed.")],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE.yaml", help="Where to; by default ./NAME.yaml.")
+        Path | None, typer.Option("-o", "--output", metavar="FILE.yaml", help="The file; by default ./NAME.yaml.")
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """Write the spec of an example, comments included.
+    """Copy the spec of an example to a file, with its comments.
 
-    An existing file is never replaced.
+    An existing file is not replaced.
     """
     from mbdkit.errors import SpecError
     from mbdkit.spec import example_text

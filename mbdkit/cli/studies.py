@@ -1,4 +1,4 @@
-"""Families of runs: `study`."""
+"""Studies, which are families of runs: `study`."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ def study(
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option("--workers", min=1, metavar="N", help="How many processes compute; by default one a core."),
+        typer.Option("--workers", min=1, metavar="N", help="Number of processes; by default one per core."),
     ] = None,
     shard: Annotated[
         str | None, typer.Option("--shard", metavar="i/N", help="Compute only part i of N of the runs.")
     ] = None,
     executor: Annotated[
-        Literal["local"], typer.Option("--executor", help="Where the processes are: on this machine.")
+        Literal["local"], typer.Option("--executor", help="Where the processes run: on this machine.")
     ] = "local",
     with_report: Annotated[
         bool,
         typer.Option(
-            "--report", help="Write report.html and figures/ as well, anew; print the table that the study is made for."
+            "--report", help="Also write report.html and figures/, replacing old ones, and print the headline table."
         ),
     ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Run a family of specs and collect what comes out.
+    """Run a study: a family of runs.
 
-    The folder gets one archive a run and index.h5, one row a run. A second call
-    computes only what is missing; runs that failed are results like others.
+    Writes an archive for each run, and index.h5 with a row for each run. A second
+    call computes only missing runs; failed runs are not repeated.
     """
     from mbdkit.studies.execute import Shard
     from mbdkit.studies.study import study as carry_out
@@ -56,11 +56,11 @@ def study(
         result = carry_out(spec, out=path, workers=workers or _cores(), shard=part, progress=progress, notify=notify)
     page, told, values = None, "", {}
     if with_report:
-        from mbdkit.report.report import written
-        from mbdkit.report.verdict_text import plain_values, terminal
+        from mbdkit.report.report import write_report
+        from mbdkit.report.verdict_text import json_values, terminal_text
 
-        page, verdict = written(path, overwrite=True)
-        told, values = terminal(verdict), plain_values(verdict)
+        page, verdict = write_report(path, overwrite=True)
+        told, values = terminal_text(verdict), json_values(verdict)
     if as_json:
         more = {} if page is None else {"report": str(page)} | ({"verdict": values} if values else {})
         print(json.dumps(outcome(result) | more))
@@ -73,5 +73,5 @@ def study(
 
 
 def _cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1

@@ -1,1 +1,1 @@
-"""Figures and animations of runs: pure functions of recorded data that draw on Matplotlib axes."""
+"""Plots and videos of runs, drawn by Matplotlib from recorded data."""

@@ -1,4 +1,4 @@
-"""What a picture says about the run that it shows: title, model, method, step, and how the run ended."""
+"""Heading of a picture: title, model, method, step size and status of the run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Caption:
     settings
         Model, integrator, step and status in one line.
     alarm
-        How a run that is not complete ended; empty for a complete one.
+        Status and reason of a run that is not complete; else empty.
     """
 
     title: str
@@ -48,7 +48,7 @@ def caption(run: Run) -> Caption:
 
 
 def method(spec: Mapping[str, Any]) -> str:
-    """Return the integrator of a spec in a few words, such as ``gauss, 2 stages``."""
+    """Return the integrator of a spec with its main options, such as ``gauss, 2 stages``."""
     integrator = spec.get("integrator", {})
     words = [str(integrator.get("name", ""))]
     if integrator.get("stages") is not None:
@@ -58,14 +58,14 @@ def method(spec: Mapping[str, Any]) -> str:
 
 
 def plain_name(choice: Any, default: str) -> str:
-    """Return what a formulation or a stabilization of a spec is called, such as ``symmetric projection``."""
+    """Return the name of a formulation or stabilization of a spec, such as ``symmetric projection``."""
     if not isinstance(choice, Mapping):
         return str(choice)
     return f"{'symmetric ' * bool(choice.get('symmetric'))}{choice.get('name', default)}"
 
 
 def _departures(spec: Mapping[str, Any]) -> list[str]:
-    """Formulation and stabilization, where they are not the defaults."""
+    """Return the names of a formulation and a stabilization other than the default."""
     found = []
     for key, default in (("formulation", "index-1"), ("stabilization", "none")):
         value = spec.get(key) or default

@@ -1,7 +1,7 @@
-"""A mechanism as something to draw: every body through the points that joints and force elements have on it.
+"""Drawing of a mechanism: each body is drawn through the attachment points of joints and force elements.
 
-A drawing is a flat table of points, each fixed on one body (or on the ground), and lists of indices into it: outlines,
-pins, springs. Turning it with the bodies' poses gives the world coordinates of all points at all times in one go.
+A drawing is a table of points, each fixed on a body or on the ground, and lists of indices into it: outlines, pins,
+springs. The poses of the bodies give the global coordinates of all points at all times.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbdkit.plot.shapes import Array, convex_hull
+from mbdkit.plot.plane_geometry import Array, convex_hull
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.joints import SlidingJoint
@@ -25,7 +25,7 @@ GROUND = -1
 
 @dataclass(frozen=True)
 class Trace:
-    """A point whose path is worth drawing: `label` and the `point`'s index in the drawing's table."""
+    """A point whose path is drawn: its label and its index in the table of the drawing."""
 
     label: str
     point: int
@@ -33,28 +33,28 @@ class Trace:
 
 @dataclass(frozen=True)
 class Drawing:
-    """What to draw of a mechanism with P points.
+    """Drawing of a mechanism with P points.
 
     Parameters
     ----------
     bodies
-        Names of the B bodies, in the order in which poses are given.
+        Names of the B bodies, in the order of the poses.
     owner
         Body index of each point, -1 for the ground, shape (P,).
     local
         Points in their body's frame [m], shape (P, 2).
     outlines
-        For each body the points it is drawn through, in order: one (a disc), two (a rod) or more (a closed outline).
+        Points of each body in order: one (a disc), two (a rod) or more (a closed outline).
     pins, grounds, centres
         Points drawn as joints, as ground symbols and as centres of mass.
     springs, bars
         Pairs of points joined by a spring, or by a massless bar (a distance joint).
     guides, sliders
-        Pairs of points between which a prismatic joint's line is drawn, and the points that slide on them.
+        Pairs of points that are the ends of the line of a prismatic joint, and the points that slide on them.
     welds
         Points drawn as rigid connections.
     traces
-        Points whose paths are drawn: free ends first, then moving joints.
+        Points whose paths can be drawn: free ends first, then moving joints.
     """
 
     bodies: tuple[str, ...]
@@ -79,7 +79,7 @@ class Drawing:
         poses
             x [m], y [m] and angle [rad] of each body, shape (..., B, 3).
         points
-            Indices of the K points wanted; all P if left out.
+            Indices of K points; by default all P.
 
         Returns
         -------
@@ -90,7 +90,7 @@ class Drawing:
         owner, local = self.owner[chosen], self.local[chosen]
         fixed = owner == GROUND
         pose = poses[..., np.where(fixed, 0, owner), :]
-        with np.errstate(invalid="ignore"):  # of a run that failed
+        with np.errstate(invalid="ignore"):  # a failed run may contain infinities
             cosine, sine = np.cos(pose[..., 2]), np.sin(pose[..., 2])
         x = pose[..., 0] + cosine * local[:, 0] - sine * local[:, 1]
         y = pose[..., 1] + sine * local[:, 0] + cosine * local[:, 1]
@@ -98,7 +98,7 @@ class Drawing:
 
 
 def draw_spec(spec: Mapping[str, Any], bodies: Sequence[str]) -> Drawing:
-    """Return the drawing of the model of a run spec, or of its bodies' centres where that model is missing.
+    """Return the drawing of the model of a run spec, or of the centres of mass if the model is not available.
 
     Parameters
     ----------
@@ -109,20 +109,20 @@ def draw_spec(spec: Mapping[str, Any], bodies: Sequence[str]) -> Drawing:
     """
     try:
         mechanism = build_mechanism(spec)
-    except Exception:  # a plugin that is missing, older or broken is no reason to show nothing
+    except Exception:  # a missing, outdated or broken plugin must not prevent a picture
         return draw_centres(bodies)
     return draw_mechanism(mechanism) if list(mechanism.bodies) == list(bodies) else draw_centres(bodies)
 
 
 def build_mechanism(spec: Mapping[str, Any]) -> Mechanism:
-    """Return the mechanism of a plain run spec, as its model builds it (before assembly).
+    """Return the mechanism of a run spec, before assembly.
 
     Raises
     ------
     SpecError
         The model is not installed.
     pydantic.ValidationError
-        The installed model does not know the spec's parameters.
+        The installed model does not accept the parameters.
     """
     from mbdkit.registry.items import ModelPlugin
     from mbdkit.registry.manager import registry
@@ -134,7 +134,7 @@ def build_mechanism(spec: Mapping[str, Any]) -> Mechanism:
 
 
 def draw_centres(bodies: Sequence[str]) -> Drawing:
-    """Return a drawing that has the centre of mass of each of the `bodies` and nothing else."""
+    """Return a drawing of the centres of mass of the `bodies` only."""
     indices = tuple(range(len(bodies)))
     return Drawing(
         bodies=tuple(bodies),
@@ -163,7 +163,7 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
 
 
 def _travel(mechanism: Mechanism, joint: SlidingJoint) -> tuple[float, float]:
-    """Return the ends of a guide, measured along its axis from its point [m]: past the slider, with room to move."""
+    """Return the ends of a guide along its axis [m], beyond its point and the slider by a quarter of the size."""
     elements = [*mechanism.joints.values(), *mechanism.forces.values()]
     places = [mechanism.to_global(name, point) for one in elements for _, name, point in one.attachments()]
     room = 0.25 * float(np.max(np.ptp(np.array(places), axis=0))) or 1.0
@@ -174,7 +174,7 @@ def _travel(mechanism: Mechanism, joint: SlidingJoint) -> tuple[float, float]:
 
 
 class _Sketch:
-    """A drawing in the making: the table of points grows as elements are attached."""
+    """Builder of a drawing: adds the points of one element after the other."""
 
     def __init__(self, bodies: list[str]):
         self.bodies = bodies
@@ -195,7 +195,7 @@ class _Sketch:
         self.traced: set[int] = set()  # bodies that have a traced point
 
     def point(self, body: int, local: tuple[float, float]) -> int:
-        """Return the index of a point of a body, the same one for the same place."""
+        """Return the index of a point of a body; equal points share an index."""
         key = (body, round(local[0], 12), round(local[1], 12))
         if key not in self.known:
             self.known[key] = len(self.owner)
@@ -204,7 +204,7 @@ class _Sketch:
         return self.known[key]
 
     def attach(self, element: Any, *, joint: bool = False) -> list[int]:
-        """Enter the points of a joint or force element and return their indices."""
+        """Add the points of a joint or force element and return their indices."""
         found = []
         for _, name, local in element.attachments():
             body = self.index[name]
@@ -220,7 +220,7 @@ class _Sketch:
         return found
 
     def joint(self, name: str, joint: Any) -> None:
-        """Enter a joint: a bar for a distance, nothing for a driver, a mark at its point for all others."""
+        """Add a joint: a distance joint as a bar, a driver not at all, any other as a mark at its point."""
         ends = self.attach(joint, joint=joint.mark != "none")
         if joint.mark == "bar":
             self.bars.append((ends[0], ends[1]))
@@ -234,13 +234,13 @@ class _Sketch:
                 self.traced.update(self.owner[index] for index in moving)
 
     def guide(self, joint: SlidingJoint, travel: tuple[float, float]) -> None:
-        """Enter the line of a prismatic joint, from one end of its travel to the other."""
+        """Add the line of a prismatic joint between two distances along its axis [m]."""
         (x, y), (dx, dy) = joint.points[0], joint.direction
         low, high = (self.point(self.index[joint.bodies[0]], (x + s * dx, y + s * dy)) for s in travel)
         self.guides.append((low, high))
 
     def finish(self) -> Drawing:
-        """Return the drawing, with the outlines and free ends worked out."""
+        """Return the drawing with outlines and free ends."""
         free: list[Trace] = []
         outlines, centres = [], []
         for body, name in enumerate(self.bodies):
@@ -272,7 +272,7 @@ class _Sketch:
         )
 
     def _free_end(self, body: int) -> tuple[float, float] | None:
-        """Mirror of a body's joints about its centre of mass, where they all lie to one side of it."""
+        """Return the joints of a body mirrored at its centre of mass, if they all lie on one side of it."""
         held = np.array([self.local[index] for index in dict.fromkeys(self.held[body])]).reshape(-1, 2)
         if not len(held):
             return None
@@ -283,13 +283,13 @@ class _Sketch:
         return -float(middle[0]), -float(middle[1])
 
     def _outline(self, indices: Iterable[int]) -> tuple[int, ...]:
-        """Return the points of the convex hull of a body's points, in order; its two ends if they are in one line."""
+        """Return the corners of the convex hull of points in order; two if the points are collinear."""
         chosen = list(dict.fromkeys(indices))
         return tuple(chosen[corner] for corner in convex_hull(np.array([self.local[index] for index in chosen])))
 
 
 def choose_traces(drawing: Drawing) -> tuple[Trace, ...]:
-    """Return all traces of a drawing that has few, else four of them, evenly spread."""
+    """Return up to six traces: all of them, or four evenly spread if there are more."""
     count = len(drawing.traces)
     if count <= 6:
         return drawing.traces
@@ -297,7 +297,7 @@ def choose_traces(drawing: Drawing) -> tuple[Trace, ...]:
 
 
 def trace_points(drawing: Drawing, traces: Sequence[Trace]) -> tuple[Drawing, list[int]]:
-    """Return a drawing of the `traces`' points alone, and the bodies whose poses it needs."""
+    """Return a drawing of the points of `traces` only, and the indices of the bodies whose poses it needs."""
     owners = [int(drawing.owner[trace.point]) for trace in traces]
     few = sorted(set(owners))
     points = Drawing(

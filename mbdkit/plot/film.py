@@ -1,4 +1,4 @@
-"""A run as a film: the still parts of the picture drawn once, the mechanism in every frame; as GIF or MP4."""
+"""A run as a video, GIF or MP4: the background is drawn once, the mechanism in every frame."""
 
 from __future__ import annotations
 
@@ -14,34 +14,33 @@ from PIL import Image
 
 from mbdkit.errors import SpecError
 from mbdkit.plot.caption import caption
-from mbdkit.plot.pose import Pose, body_colors
+from mbdkit.plot.downsampling import evenly
+from mbdkit.plot.pose import Pose, body_colors, trace_colors
 from mbdkit.plot.scene import Scene, scene
-from mbdkit.plot.series import evenly
 from mbdkit.plot.style import ALARM, INK, PALETTE, PAPER, SPRING, dress, new_figure, quietly
-from mbdkit.plot.trajectory import trace_colors
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 RATE = 25
-"""Frames a second."""
+"""Frames per second."""
 _LENGTH = {"shortest": 2.0, "longest": 16.0}  # seconds
 _MOST = 401
 _WIDTH = 6.4  # inches, at 100 dpi
-_TAIL = 1.5  # seconds of the animation for which a path stays to be seen
-_STILL = 1.0  # seconds for which the last frame stays
+_TAIL = 1.5  # length of the visible paths, in seconds of the video
+_STILL = 1.0  # duration of the last frame, in seconds
 _COLORS = 96
 
 
 class Film:
-    """Draws the frames of a scene, one after the other, on one canvas.
+    """Draws the frames of a scene on one canvas.
 
     Parameters
     ----------
     run
         The run, for the heading.
     shown
-        What to show of it.
+        The scene.
     """
 
     def __init__(self, run: Run, shown: Scene):
@@ -85,12 +84,12 @@ class Film:
 
 
 def _digits(shown: Scene) -> int:
-    """Digits after the point that tell one frame from the next."""
+    """Return the number of decimals that distinguishes the times of consecutive frames."""
     return int(np.clip(np.ceil(-np.log10(shown.speed / RATE)), 0, 9))
 
 
 def write_gif(run: Run, target: Path) -> None:
-    """Write a run as an animated GIF that repeats for ever."""
+    """Write a run as an animated GIF that repeats endlessly."""
     film = Film(run, scene(run, rate=RATE, most=_MOST, **_LENGTH))
     palette = _palette([film.picture(frame) for frame in evenly(len(film), 4)])
     pictures = (
@@ -104,11 +103,11 @@ def write_gif(run: Run, target: Path) -> None:
 
 
 def _palette(samples: list[NDArray[np.uint8]]) -> Image.Image:
-    """Return the lines' own colours and the commonest others of some frames: the paper stays as white as it is."""
+    """Return the colours of the lines and the most frequent other colours of some frames, so that all stay exact."""
     own = np.array([list(bytes.fromhex(color[1:])) for color in (PAPER, INK, SPRING, ALARM, *PALETTE)])
     pixels = np.concatenate([sample.reshape(-1, 3) for sample in samples])
     colors, counts = np.unique(pixels, axis=0, return_counts=True)
-    # Pillow's search is coarse: what lies close to a line's own colour would take its place
+    # Pillow's colour search is coarse: it would replace a line's colour by one close to it
     apart = np.abs(colors[:, None, :].astype(int) - own).max(axis=2).min(axis=1) > 8
     common = colors[apart][np.argsort(-counts[apart], kind="stable")[:_COLORS]]
     image = Image.new("P", (1, 1))
@@ -117,12 +116,12 @@ def _palette(samples: list[NDArray[np.uint8]]) -> Image.Image:
 
 
 def write_mp4(run: Run, target: Path) -> None:
-    """Write a run as an MP4 video by ffmpeg.
+    """Write a run as an MP4 video, encoded by ffmpeg.
 
     Raises
     ------
     SpecError
-        Matplotlib finds no ffmpeg, or ffmpeg fails.
+        ffmpeg is not found, or fails.
     """
     if not FFMpegWriter.isAvailable():
         raise SpecError(

@@ -1,4 +1,4 @@
-"""Mode shapes as a picture: the mechanism where it was linearised, and moved to either side along each mode."""
+"""Picture of mode shapes: the linearised state, and the mechanism displaced in both directions of each mode."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from mbdkit.mechanics.modes import Modes
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.plot.caption import Caption
 from mbdkit.plot.drawing_geometry import draw_mechanism
+from mbdkit.plot.plane_geometry import view_box
 from mbdkit.plot.pose import Pose, body_colors
-from mbdkit.plot.shapes import view_box
 from mbdkit.plot.style import FAINT, FORMATS, dress, new_figure, save
 
 MOST = 6
-"""Modes in one picture."""
+"""Largest number of modes in a picture."""
 
 AMPLITUDE = 0.12
-"""How far the point that moves most is moved, relative to the mechanism's size."""
+"""Largest displacement of a point, as a share of the mechanism's size."""
 
 STEEPEST = 0.8
-"""How far a body is turned at most [rad]."""
+"""Largest rotation of a body [rad]."""
 
 
 def plot_modes(found: Modes, mechanism: Mechanism, title: str, path: str | os.PathLike[str]) -> Path:
-    """Draw the slowest modes, six at most, into a file, which is replaced if it is there.
+    """Draw up to six of the slowest modes into a file. An existing file is replaced.
 
     Parameters
     ----------
     found
         The modes.
     mechanism
-        Whose they are.
+        The mechanism.
     title
         Heading.
     path
-        File to write; its suffix, .png, .svg or .pdf, is the format.
+        File to write. Its suffix, .png, .svg or .pdf, selects the format.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def plot_modes(found: Modes, mechanism: Mechanism, title: str, path: str | os.Pa
     height = lines * (float(np.clip(2.4 * (y1 - y0) / (x1 - x0), 1.2, 4.0)) + 0.6) + 0.6
     left = len(found.eigenvalues) - count
     more = f" · {left} more not shown" if left else ""
-    note = f"linearised at t = {found.time:g} s · grey: the state itself · amplitudes made up, places in m{more}"
+    note = f"linearised at t = {found.time:g} s · grey: that state · amplitudes are arbitrary, axes in m{more}"
     figure = new_figure(Caption(title, note), max(width, 6.0), height)
     for k in range(count):
         axes = dress(figure.add_subplot(lines, columns, k + 1))

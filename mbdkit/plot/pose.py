@@ -1,4 +1,4 @@
-"""A mechanism in one pose on Matplotlib axes, built once and then moved from frame to frame."""
+"""Matplotlib artists of a mechanism, created once and moved from pose to pose."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from matplotlib.lines import Line2D
 from matplotlib.path import Path
 from numpy.typing import NDArray
 
-from mbdkit.plot.drawing_geometry import Drawing
-from mbdkit.plot.shapes import Array, zigzag
+from mbdkit.plot.drawing_geometry import Drawing, Trace
+from mbdkit.plot.plane_geometry import Array, zigzag
 from mbdkit.plot.style import FAINT, INK, PALETTE, PAPER, SPRING
 
-_CROWD = 40  # bodies from which on pins and centres of mass would only hide the picture
+_CROWD = 40  # number of bodies above which pins and centres of mass are left out
 _GROUND_MARK = Path(
     [(0, 0), (-0.6, -1), (0.6, -1), (0, 0)]
     + [(-1, -1), (1, -1)]
@@ -27,27 +27,35 @@ _GROUND_MARK = Path(
 
 
 def body_colors(drawing: Drawing) -> list[str]:
-    """Return a colour for each body: one of its own where there are few bodies, else the ink's."""
+    """Return a colour for each body: different colours for few bodies, one colour for many."""
     if len(drawing.bodies) > len(PALETTE):
         return [INK] * len(drawing.bodies)
     return list(PALETTE[: len(drawing.bodies)])
 
 
+def trace_colors(drawing: Drawing, traces: Sequence[Trace]) -> list[str]:
+    """Return a colour for each trace: that of its body if every body has its own, else one for each trace."""
+    owners = [int(drawing.owner[trace.point]) for trace in traces]
+    if len(drawing.bodies) <= len(PALETTE) and len(set(owners)) == len(owners):
+        return [PALETTE[owner] for owner in owners]
+    return [PALETTE[index % len(PALETTE)] for index in range(len(traces))]
+
+
 class Pose:
-    """The artists of one mechanism.
+    """Artists of a mechanism.
 
     Parameters
     ----------
     axes
-        Where to draw.
+        Axes to draw on.
     drawing
-        What to draw.
+        Drawing of the mechanism.
     colors
         Colour of each body.
     size
         Size of the mechanism [m], for the width of the springs.
     alpha
-        1 for a mechanism in full strength, less for one that stays in the background.
+        Opacity; less than 1 for a mechanism in the background.
     """
 
     def __init__(self, axes: Axes, drawing: Drawing, colors: Sequence[str], size: float, alpha: float = 1.0):
@@ -125,7 +133,7 @@ class Pose:
             line(drawing.welds, linestyle="", marker="s", markersize=5, color=INK, zorder=7)
 
     def _strokes(self, strokes: Sequence[Sequence[int]]) -> list[int]:
-        """Indices of one polyline through all strokes, with a gap (the row after the last point) between them."""
+        """Return point indices of one polyline through all strokes; the index after the last point is a gap."""
         gap = len(self.drawing.owner)
         points: list[int] = []
         for stroke in strokes:
@@ -134,7 +142,7 @@ class Pose:
         return points
 
     def move(self, world: Array) -> None:
-        """Put the mechanism to the global coordinates `world` (P, 2) of its points [m]."""
+        """Move the mechanism to the global coordinates `world` (P, 2) of its points [m]."""
         points = np.vstack([world, [[np.nan, np.nan]]])
         for artist, indices in self._lines:
             artist.set_data(points[indices].T)

@@ -1,6 +1,6 @@
-"""What an animation shows: a choice of recorded rows, the poses in them, the paths, and the part of the plane to see.
+"""Data of an animation: selected rows with their poses, paths of points, and limits of the axes.
 
-Every frame is a recorded row, nothing is made up between rows: joints that come apart in a picture did so in the run.
+Every frame is a recorded row, without interpolation: a gap in a frame is a gap of the run.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from mbdkit.plot.downsampling import evenly, take
 from mbdkit.plot.drawing_geometry import Drawing, Trace, choose_traces, draw_spec, trace_points
-from mbdkit.plot.series import evenly, take
-from mbdkit.plot.shapes import Array, view_box
+from mbdkit.plot.plane_geometry import Array, view_box
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -25,24 +25,24 @@ _SPEEDS = [digit * 10.0**power for power in range(-9, 10) for digit in (1.0, 2.0
 
 @dataclass(frozen=True)
 class Scene:
-    """A run made ready for animation.
+    """Data of an animation with F frames.
 
     Parameters
     ----------
     drawing
-        What to draw.
+        Drawing of the mechanism.
     speed
-        Seconds of the run in a second of the animation.
+        Seconds of the run per second of the animation.
     time
         Time of each frame [s], shape (F,).
     poses
         x [m], y [m] and angle [rad] of each body in each frame, shape (F, B, 3).
     traces
-        The points whose paths are shown.
+        The K points whose paths are shown.
     path_time, paths
         Times [s], shape (R,), and global coordinates [m] of those points, shape (R, K, 2).
     xlim, ylim
-        Part of the plane to see [m].
+        Limits of the axes [m].
     """
 
     drawing: Drawing
@@ -57,7 +57,7 @@ class Scene:
 
     @property
     def pace(self) -> str:
-        """How time runs, in words."""
+        """The speed as text."""
         if self.speed == 1.0:
             return "real time"
         faster = self.speed > 1.0
@@ -65,19 +65,19 @@ class Scene:
 
 
 def scene(run: Run, *, rate: float, most: int, shortest: float, longest: float) -> Scene:
-    """Choose and read what an animation of a run shows.
+    """Return the data of an animation of a run.
 
     Parameters
     ----------
     run
         The run.
     rate
-        Frames a second.
+        Frames per second.
     most
         Largest number of frames.
     shortest, longest
-        Durations [s] between which the animation runs in real time; a shorter run is slowed down, a longer one is made
-        faster, by a round factor.
+        Durations [s]. A run between them is shown in real time; a shorter run is slowed down and a longer one
+        accelerated by a round factor.
     """
     time = np.asarray(run.time, dtype=np.float64)
     duration = float(time[-1] - time[0])
@@ -96,7 +96,7 @@ def scene(run: Run, *, rate: float, most: int, shortest: float, longest: float) 
 
 
 def round_speed(duration: float, shortest: float, longest: float) -> float:
-    """Return the round factor by which a run is made faster or slower, so that it lasts between two times [s]."""
+    """Return the round speed factor that brings a duration between `shortest` and `longest` [s]."""
     if duration > longest:
         return min(speed for speed in _SPEEDS if duration / speed <= longest)
     if 0.0 < duration < shortest:
@@ -105,7 +105,7 @@ def round_speed(duration: float, shortest: float, longest: float) -> float:
 
 
 def nearest_rows(time: Array, wanted: Array | Sequence[float]) -> NDArray[np.intp]:
-    """Return the row whose `time` (T,), increasing, is nearest to each of the times `wanted` (F,)."""
+    """Return the rows whose increasing `time` (T,) is nearest to the times `wanted` (F,)."""
     wanted = np.asarray(wanted)
     if len(time) == 1:
         return np.zeros(len(wanted), dtype=np.intp)

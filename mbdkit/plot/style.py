@@ -1,4 +1,4 @@
-"""How every picture looks: palette, axes, heading and the way a file is written."""
+"""Common style of all pictures: palette, axes, heading, and writing to a file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mbdkit.files import replacing
 from mbdkit.plot.caption import Caption
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9")
-"""Six colours that stay apart for colour-blind readers (Okabe and Ito, with a darker purple)."""
+"""Six colours that colour-blind readers can distinguish (Okabe and Ito, with a darker purple)."""
 INK, FAINT, GRID, PAPER = "#222222", "#666666", "#E4E4E4", "#FFFFFF"
 ALARM, SPRING = "#B00020", "#7A4FBF"
 DPI = 150
@@ -26,9 +26,9 @@ _LINE = 0.2  # inches of a heading line
 
 
 def new_figure(caption: Caption, width: float = 7.2, height: float = 4.8, dpi: int = DPI) -> Figure:
-    """Return an empty figure of `width` x `height` inches with the heading of a run, on a canvas of its own.
+    """Return an empty figure of `width` x `height` inches with a heading.
 
-    The axes added to it are laid out below the heading; no global state of Matplotlib is read or changed.
+    Axes are laid out below the heading. The figure has its own canvas: no global state of Matplotlib is used.
     """
     figure = Figure(figsize=(width, height), dpi=dpi, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
@@ -40,7 +40,7 @@ def new_figure(caption: Caption, width: float = 7.2, height: float = 4.8, dpi: i
 
 
 def heading(figure: Figure, caption: Caption) -> float:
-    """Write the heading of a run into the top left corner of a figure and return its height in inches."""
+    """Write the heading into the top left corner of a figure and return its height in inches."""
     width, height = figure.get_size_inches()
     room = int(width / 0.069)  # characters of 8.5 points
     lines = [
@@ -63,7 +63,7 @@ def _cut(text: str, length: int) -> str:
 
 
 def dress(axes: Axes, xlabel: str = "", ylabel: str = "") -> Axes:
-    """Give `axes` the common look and its labels (with units) and return it."""
+    """Give `axes` the common style and labels with units, and return it."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):
@@ -78,7 +78,7 @@ def dress(axes: Axes, xlabel: str = "", ylabel: str = "") -> Axes:
 
 
 def powers_of_ten(axes: Axes) -> None:
-    """Write the y ticks of `axes` with one power of ten above the axis where they are large or small."""
+    """Factor a power of ten out of the y ticks of `axes` if they are large or small."""
     formatter = ScalarFormatter(useOffset=False, useMathText=True)
     formatter.set_powerlimits((-3, 4))
     axes.yaxis.set_major_formatter(formatter)
@@ -86,7 +86,10 @@ def powers_of_ten(axes: Axes) -> None:
 
 
 def legend(axes: Axes, handles: Sequence[Any], labels: Sequence[str], title: str | None = None) -> None:
-    """Put a legend to the right of `axes`, its text taken literally (no mathematics, no hidden names)."""
+    """Put a legend to the right of `axes`.
+
+    Labels are taken literally: no mathematics, and a leading underscore does not hide them.
+    """
     if not handles:
         return
     box = axes.legend(
@@ -108,13 +111,13 @@ def legend(axes: Axes, handles: Sequence[Any], labels: Sequence[str], title: str
 
 
 def save(figure: Figure, target: Path) -> None:
-    """Write `figure` to `target` in the format of its suffix, atomically."""
+    """Write `figure` to `target` atomically, in the format of its suffix."""
     with replacing(target) as temporary:
         quietly(lambda: figure.savefig(temporary, format=target.suffix[1:].lower(), dpi=DPI))
 
 
 def quietly(draw: Callable[[], Any]) -> Any:
-    """Call `draw` without Matplotlib's warnings of characters that its font lacks (a title may be in any script)."""
+    """Call `draw` without Matplotlib's warnings about missing glyphs: a title may be in any script."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         return draw()

@@ -1,1 +1,1 @@
-"""Reports: a run or a study as one self-contained HTML page, with its verdict, figures and tables."""
+"""HTML pages: reports of runs and studies, and animations; each page is self-contained and works offline."""

@@ -1,4 +1,4 @@
-"""A run as one HTML page that plays it on a canvas: no network, all data inside."""
+"""Animation of a run as a self-contained HTML page with a canvas."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from mbdkit.report.templating import render
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-_NUMBERS = 450_000  # of poses in a page, about three megabytes
+_NUMBERS = 450_000  # pose values in a page, about three megabytes
 
 
 def write_html(run: Run, target: Path) -> None:
-    """Write a run as a page with controls."""
+    """Write the page of a run."""
     target.write_text(page(run), encoding="utf-8")
 
 

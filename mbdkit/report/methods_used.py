@@ -1,4 +1,4 @@
-"""What was used, in words and with references: formulation, models and integrators of one or several specs."""
+"""The methods section of a report: formulation, models and integrators of run specs, with references."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _EQUATIONS = (
     "their index-1 form, M q'' + \u03a6_q\u1d40 \u03bb = Q and \u03a6_q q'' = \u03b3, at every evaluation."
 )
 _UNSTABILIZED = (
-    "Nothing pulls the joints back together: they are held at the level of accelerations, so that the errors of the "
-    "integration show as misalignment, the distance by which the two points of a joint fail to meet."
+    "No stabilization is used: the constraints hold at acceleration level only, so integration errors appear as "
+    "misalignment, the distance between the two points of a joint."
 )
 
 
 @dataclass(frozen=True)
 class Methods:
-    """A methods section: `paragraphs` of text, and `bibtex`, the entries of exactly what was used."""
+    """A methods section: paragraphs of text, and the BibTeX entries of the methods used."""
 
     paragraphs: tuple[str, ...]
     bibtex: tuple[str, ...]
@@ -55,7 +55,7 @@ def methods(specs: Iterable[Mapping[str, Any]]) -> Methods:
 
 
 def _used(specs: Iterable[Mapping[str, Any]], kind: str) -> dict[str, list[dict[str, Any]]]:
-    """Return the names that occur in a section of the specs, each with the different options it occurs with."""
+    """Return the names in a section of the specs, each with its distinct options."""
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for spec in specs:
         options = {key: value for key, value in spec[kind].items() if key != "name"} if kind == "integrator" else {}
@@ -71,7 +71,7 @@ def _find(kind: Kind, name: str) -> Registered | None:
 
 
 def _paragraph(item: Registered, used: list[dict[str, Any]]) -> str:
-    """Return what an item is and with which settings it was used: each setting once, with all its values."""
+    """Return the description of an item and its settings, each setting with all its values."""
     values: dict[str, dict[str, None]] = {}
     for options in used:
         for key, value in options.items():
@@ -92,10 +92,10 @@ def _paragraph(item: Registered, used: list[dict[str, Any]]) -> str:
 
 
 def _claims(plugin: IntegratorPlugin, options: Mapping[str, Any], *, alone: bool) -> str:
-    """Return what an integrator claims of itself with these options; its order only where they are `alone`."""
+    """Return the claims of an integrator with these options; the order only if they are the only ones."""
     try:
         claims = plugin.claims(plugin.options.model_validate_json(json.dumps(options)))
-    except Exception:  # a plugin of another version may refuse them, or fail in any way
+    except Exception:  # another version of a plugin may refuse them or fail in any way
         return ""
     return _claim_words(claims, alone) if isinstance(claims, Claims) else ""
 
@@ -111,7 +111,7 @@ def _stabilization(specs: Iterable[Mapping[str, Any]]) -> str:
     names = {plain_name(spec.get("stabilization") or "none", "none") for spec in specs}
     if names == {"none"}:
         return _UNSTABILIZED
-    return f"Stabilization of the constraints: {listed(sorted(names), 'and')}; what is said of drift holds without it."
+    return f"Stabilization of the constraints: {listed(sorted(names), 'and')}; statements about drift apply without it."
 
 
 def _own_reference() -> str:

@@ -1,4 +1,4 @@
-"""The data of an animation in a page: poses, paths and the gaps of the joints, as `templates/player.js` reads them."""
+"""JSON data of an animation on a page: poses, paths and joint gaps, read by `templates/player.js`."""
 
 from __future__ import annotations
 
@@ -7,34 +7,33 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.plot.gaps import Gaps, gaps
-from mbdkit.plot.pose import body_colors
+from mbdkit.plot.joint_gaps import Gaps, gaps
+from mbdkit.plot.plane_geometry import Array
+from mbdkit.plot.pose import body_colors, trace_colors
 from mbdkit.plot.scene import Scene, scene
-from mbdkit.plot.shapes import Array
 from mbdkit.plot.style import PALETTE
-from mbdkit.plot.trajectory import trace_colors
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 RATE = 50
-"""Frames a second, where there are not too many bodies."""
-_GRAIN = 1.0 / 20_000  # of the view: a fourteenth of a pixel on a wide screen
+"""Frames per second, unless there are many bodies."""
+_GRAIN = 1.0 / 20_000  # share of the view: a fourteenth of a pixel on a wide screen
 _ANGLE = 2e-4  # rad
-_JOINTS = 40  # whose gaps are worth magnifying
+_JOINTS = 40  # largest number of joints with gaps
 
 
 def film_data(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
-    """Return what a page needs to play a run.
+    """Return the data of an animation of a run.
 
     Parameters
     ----------
     run
-        The run; it has rows.
+        A run with rows.
     numbers
-        About so many numbers of poses, six bytes each.
+        Approximate number of pose values, six bytes each.
     label
-        What the run is called where a page plays several.
+        Name of the run on a page with several.
     """
     most = int(np.clip(numbers // (3 * max(1, len(run.bodies))), 30, 1_000))
     shown = scene(run, rate=RATE, most=most, shortest=2.0, longest=30.0)
@@ -42,7 +41,7 @@ def film_data(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
 
 
 def _scene_data(shown: Scene) -> dict[str, Any]:
-    """Return the drawing and its poses: integers in grains of the view, angles in units of `_ANGLE`."""
+    """Return the drawing and its poses as integers: positions in units of `grain`, angles in units of `_ANGLE`."""
     drawing = shown.drawing
     (x0, x1), (y0, y1) = shown.xlim, shown.ylim
     size = max(x1 - x0, y1 - y0)
@@ -78,7 +77,7 @@ def _scene_data(shown: Scene) -> dict[str, Any]:
 
 
 def _gap_data(spec: Mapping[str, Any], shown: Scene) -> dict[str, Any]:
-    """Return the gaps of the joints that come apart the most, in metres, and the largest of all that are shown."""
+    """Return the gaps of the joints with the largest gaps [m], and the largest of them in a frame."""
     found: Gaps = gaps(spec, shown.drawing, shown.poses).largest(_JOINTS)
     size = np.hypot(found.vectors[..., 0], found.vectors[..., 1])
     return {
@@ -94,5 +93,5 @@ def _short(values: Array, digits: int) -> list[float | None]:
 
 
 def _color_key(color: str) -> int | str:
-    """Return the page's name of a colour: its place in the palette, or the ink."""
+    """Return the key of a colour on the page: its index in the palette, or ``ink``."""
     return PALETTE.index(color) if color in PALETTE else "ink"

@@ -1,4 +1,4 @@
-"""`report`: a run archive or a study folder as one self-contained page, and its figures as pictures."""
+"""`report`: a run archive or study folder as a self-contained page, and its charts as images."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from mbdkit.analysis.verdict import Verdict
 from mbdkit.archive.reader import load
 from mbdkit.errors import SpecError
 from mbdkit.files import check_suffix, replacing
-from mbdkit.report.report_page import Document
-from mbdkit.report.run_report import run_document
-from mbdkit.report.still import still_files, write_stills
-from mbdkit.report.verdict_text import markdown
+from mbdkit.plot.chart_images import image_files, write_chart_images
+from mbdkit.report.report_page import ReportPage
+from mbdkit.report.run_report import run_report
+from mbdkit.report.verdict_text import markdown_text
 
 SUFFIXES = (".html", ".htm", ".md")
 
@@ -26,11 +26,11 @@ def report(
     figures: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Write the report of a run or of a study; see `written`, which returns its verdict as well."""
-    return written(path, output, figures=figures, overwrite=overwrite)[0]
+    """Write the report of a run or study and return its file; see `write_report`."""
+    return write_report(path, output, figures=figures, overwrite=overwrite)[0]
 
 
-def written(
+def write_report(
     path: str | os.PathLike[str],
     output: str | os.PathLike[str] | None = None,
     *,
@@ -44,23 +44,23 @@ def written(
     path
         A run archive or a study folder.
     output
-        The page, ending in .html; left out, ``NAME-report.html`` beside the archive, or ``report.html`` in the folder.
-        Ending in .md: verdict, claims and tables alone, in Markdown.
+        The page, ending in .html; by default ``NAME-report.html`` beside the archive or ``report.html`` in the folder.
+        If it ends in .md, verdict, claims and tables are written as Markdown.
     figures
-        Folder for the figures as PNG and SVG. Left out, a run's are not written, and those of a study go to ``figures``
-        in its folder if its page goes there too.
+        Folder for the charts as PNG and SVG. By default charts of a run are not written, and charts of a study are
+        written to ``figures`` in its folder, unless `output` is given.
     overwrite
-        Whether files that exist may be replaced.
+        Whether existing files may be replaced.
 
     Returns
     -------
     Path, Verdict
-        The page, and what it says.
+        The file and the verdict.
 
     Raises
     ------
     SpecError
-        There is nothing at `path` to report on, or the page or a figure cannot be written; nothing is written then.
+        `path` does not exist, or the page or a chart cannot be written. Files are checked before any is written.
     """
     source = Path(path)
     is_study = os.path.isdir(source)
@@ -74,30 +74,30 @@ def written(
         raise SpecError("there is no run archive or study folder of this name", file=source)
     _check(target, folder, overwrite)
     with _document(source, is_study) as document:
-        page = markdown(document) if target.suffix == ".md" else document.html()
+        page = markdown_text(document) if target.suffix == ".md" else document.html()
         stands = os.path.isfile(target) and target.read_bytes() == page.encode()
         with replacing(target) as temporary:
             temporary.write_bytes(page.encode())
         drawn = document.verdict.figures
-        if folder is not None and not (stands and all(file.exists() for file in still_files(drawn, folder))):
-            write_stills(drawn, folder)  # most of the time goes here: pictures of the very same page are kept
+        if folder is not None and not (stands and all(file.exists() for file in image_files(drawn, folder))):
+            write_chart_images(drawn, folder)  # slow, so skipped if the page is unchanged and all images exist
     return target, document.verdict
 
 
 @contextmanager
-def _document(source: Path, is_study: bool) -> Iterator[Document]:
+def _document(source: Path, is_study: bool) -> Iterator[ReportPage]:
     if is_study:
-        from mbdkit.report.study_report import study_document
+        from mbdkit.report.study_report import study_report
         from mbdkit.studies.study import load_study
 
-        yield study_document(load_study(source))
+        yield study_report(load_study(source))
     else:
         with load(source) as run:
-            yield run_document(run)
+            yield run_report(run)
 
 
 def _check(target: Path, folder: Path | None, overwrite: bool) -> None:
-    """Refuse what cannot be written, before any work."""
+    """Raise SpecError if the page or the charts cannot be written."""
     check_suffix(target, SUFFIXES, "a report")
     if os.path.isdir(target):
         raise SpecError("this is a folder; name a file with -o", file=target)
@@ -112,7 +112,7 @@ def _check(target: Path, folder: Path | None, overwrite: bool) -> None:
             raise SpecError(f"the folder {folder.parent} does not exist; create it first", file=folder)
         return
     if not os.path.isdir(folder):
-        raise SpecError("this is not a folder; name one for the figures with --figures", file=folder)
+        raise SpecError("this is not a folder; choose a folder for the figures with --figures", file=folder)
     if any(folder.iterdir()) and not overwrite:
         raise SpecError(
             "this folder is not empty; choose another with --figures, or replace the figures of the same names with "

@@ -1,4 +1,4 @@
-"""A report as a page: what it holds, whatever it is about, and how it is written."""
+"""The page of a report, of a run or a study: its contents and its HTML."""
 
 from __future__ import annotations
 
@@ -10,34 +10,35 @@ from typing import Any
 import numpy as np
 
 from mbdkit.analysis.verdict import Answer, Cell, Column, Figure, Table, Verdict
-from mbdkit.report.interactive import axis_title, figure_data, shown
+from mbdkit.plot.chart_images import axis_title, visible_points
+from mbdkit.report.chart_data import chart_data
 from mbdkit.report.methods_used import Methods
 from mbdkit.report.templating import render
 
 _MARKS = {Answer.YES: "\u2713", Answer.NO: "\u2717", Answer.PARTLY: "\u25d0", Answer.OPEN: "?"}
-NO_FAILURES = Table("failures", "Runs that failed", (Column("run"), Column("why")), ())
+NO_FAILURES = Table("failures", "Runs that failed", (Column("run"), Column("reason")), ())
 
 
 @dataclass(frozen=True)
-class Document:
-    """What a report holds.
+class ReportPage:
+    """Contents of a report.
 
     Parameters
     ----------
     title, settings, alarm
-        Its heading, a line on what it is about, and what went wrong (empty if nothing did).
+        Heading, a line with the main settings, and a warning (empty if there is none).
     verdict
-        The verdict with its figures and tables.
+        The verdict with its charts and tables.
     films
-        Data of animations, as `film_data` returns it; none where nothing moves.
+        Data of animations, as `film_data` returns them.
     failures
-        The runs that failed, with reasons.
+        Table of the failed runs with reasons.
     methods
-        What was used.
+        The methods section.
     environment
-        Where it was run: versions and platform.
+        Table of versions and platform.
     reproduce, commands, spec
-        How to get the same again: a sentence, the commands, and the spec.
+        How to reproduce the results: a sentence, commands, and the spec.
     """
 
     title: str
@@ -54,7 +55,7 @@ class Document:
 
     @property
     def contents(self) -> list[tuple[str, str]]:
-        """The sections below the verdict: anchor and title."""
+        """Anchor and title of each section below the verdict."""
         sections = [
             ("failed", "Runs that failed", bool(self.failures.rows)),
             ("motion", "Motion", bool(self.films)),
@@ -68,16 +69,16 @@ class Document:
 
     @property
     def figure_data(self) -> dict[str, Any]:
-        """The figures as the page draws them, by name."""
-        return {figure.name: figure_data(figure) for figure in self.verdict.figures}
+        """Data of the charts by name."""
+        return {figure.name: chart_data(figure) for figure in self.verdict.figures}
 
     @property
     def summaries(self) -> dict[str, Table]:
-        """For each figure the ends and extremes of its curves, for those who do not see them."""
+        """Table of each chart by name, as its text alternative."""
         return {figure.name: _summary(figure) for figure in self.verdict.figures}
 
     def html(self) -> str:
-        """Return the page."""
+        """Return the HTML."""
         from mbdkit import __version__
 
         filters: dict[str, Callable[..., Any]] = {"cell": cell_text, "mark": _MARKS.__getitem__, "numeric": _is_numeric}
@@ -85,7 +86,7 @@ class Document:
 
 
 def cell_text(value: Cell) -> str:
-    """Return a table's cell as text."""
+    """Return a cell of a table as text."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -103,9 +104,9 @@ def _is_numeric(table: Table, column: int) -> bool:
 
 
 def _summary(figure: Figure) -> Table:
-    """Return a table of the curves of a figure: few points as they are, many by their ends and extremes."""
+    """Return a table of the points of a chart or, if there are many, of ends and extremes of its curves."""
     x, y = axis_title(figure.x), axis_title(figure.y)
-    seen = [(line, shown(line, figure)) for line in figure.lines]
+    seen = [(line, visible_points(line, figure)) for line in figure.lines]
     if sum(int(np.sum(mask)) for _, mask in seen) <= 60:
         rows: Sequence[tuple[Cell, ...]] = [
             (line.label, float(a), float(b))

@@ -1,4 +1,4 @@
-"""The report of one run: its verdict, motion, figures and tables, and how to get it again."""
+"""The report of one run."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.plot.caption import caption
-from mbdkit.plot.series import require_rows
+from mbdkit.plot.downsampling import require_rows
 from mbdkit.report.methods_used import methods
 from mbdkit.report.player_data import film_data
-from mbdkit.report.report_page import Document
+from mbdkit.report.report_page import ReportPage
 from mbdkit.report.run_verdict import run_verdict
 from mbdkit.spec.yaml_reader import write_yaml
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-_NUMBERS = 240_000  # of poses, about a megabyte and a half
+_NUMBERS = 240_000  # pose values, about 1.5 megabytes
 
 
-def run_document(run: Run) -> Document:
+def run_report(run: Run) -> ReportPage:
     """Return the report of a run.
 
     Raises
@@ -30,30 +30,30 @@ def run_document(run: Run) -> Document:
     """
     require_rows(run)
     head = caption(run)
-    return Document(
+    return ReportPage(
         title=head.title,
         settings=head.settings,
-        alarm=head.alarm.partition(": ")[0],  # the verdict, just below, says why
+        alarm=head.alarm.partition(": ")[0],  # the verdict states the reason
         verdict=run_verdict(run),
         films=(film_data(run, _NUMBERS),),
         methods=methods([run.spec]),
-        environment=environment(run.provenance, {"run": run.run_id, "made (UTC)": run.created_utc}),
-        reproduce="Save the spec below as run.yaml. With the versions above on one machine the arrays are the same to "
-        f"the bit; their SHA-256 is {run.data_sha256 or 'unknown, for the run did not end'}.",
+        environment=environment(run.provenance, {"run": run.run_id, "created (UTC)": run.created_utc}),
+        reproduce="Save the spec below as run.yaml. With the same versions on the same machine the arrays are "
+        f"identical bit for bit; their SHA-256 is {run.data_sha256 or 'unknown, because the run did not finish'}.",
         commands=f"mbdkit run run.yaml\nmbdkit rerun {run.path.name if run.path else 'run.h5'}",
         spec=yaml_text(run.spec),
     )
 
 
 def environment(provenance: Mapping[str, Any], first: Mapping[str, str]) -> Table:
-    """Return the table of what is known of where a run was made, `first` things first."""
+    """Return the table of the provenance of a run, with the rows `first` at its top."""
     rows: list[tuple[Cell, ...]] = [(name, str(value)) for name, value in first.items()]
     rows += [(name.replace("_", " "), str(value)) for name, value in sorted(provenance.items())]
-    return Table("environment", "Environment", (Column("what"), Column("value")), tuple(rows))
+    return Table("environment", "Environment", (Column("item"), Column("value")), tuple(rows))
 
 
 def yaml_text(spec: Mapping[str, Any]) -> str:
-    """Return a run spec as YAML, its keys in the usual order."""
+    """Return a run spec as YAML with its keys in the usual order."""
     return write_yaml({key: spec[key] for key in sorted(spec, key=_place)})
 
 

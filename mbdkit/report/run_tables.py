@@ -1,4 +1,4 @@
-"""The tables of a run's report: its joints, and what it cost."""
+"""The tables of a run's report: joints, events and cost."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.archive.layout import COUNTERS, TIMINGS
-from mbdkit.plot.curves import joint_quantity
+from mbdkit.plot.joint_quantity import joint_quantity
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 JOINTS = 50
-"""So many joints are listed, those that came apart the most."""
+"""Largest number of joints in the table."""
 EVENTS = 50
-"""So many crossings of events are listed, the first ones."""
+"""Largest number of event crossings in the table."""
 _QUANTITIES = (
     ("velocity misalignment", "joints/velocity_misalignment", "m/s"),
     ("reaction force", "joints/reaction_force", "N"),
@@ -32,9 +32,9 @@ def run_tables(run: Run) -> tuple[Table, ...]:
 
 
 def _events(run: Run) -> Table:
-    """Return the crossings of events, the first ones of many."""
+    """Return the table of event crossings, limited to the first."""
     specs = run.spec["events"]
-    columns = (Column("event"), Column("when this crosses zero"), Column("direction"), Column("time", "s"))
+    columns = (Column("event"), Column("zero crossing of"), Column("direction"), Column("time", "s"))
     rows: list[tuple[Cell, ...]] = [
         (
             event.name,
@@ -65,12 +65,12 @@ def _joints(run: Run) -> Table:
         for column, joint in sorted(order)
     ]
     left = len(run.joint_names) - len(rows)
-    note = f"Those {JOINTS} of {len(run.joint_names)} joints that came apart the most." if left else ""
+    note = f"The {JOINTS} of {len(run.joint_names)} joints with the largest misalignment." if left else ""
     return Table("joints", "Joints", tuple(columns), tuple(rows), note)
 
 
 def _magnitude(part: np.ndarray) -> np.ndarray:
-    """Return the magnitudes of vectors (R, J, 2); numbers (R, J) are left as they are."""
+    """Return the magnitudes of vectors (R, J, 2); scalars (R, J) are unchanged."""
     return part if part.ndim == 2 else np.hypot(part[..., 0], part[..., 1])
 
 
@@ -81,4 +81,4 @@ def _cost(run: Run) -> Table:
         if name in run.stats
     ]
     rows += [(f"{name.removesuffix('_s')} time [s]", float(run.stats[name])) for name in TIMINGS if name in run.stats]
-    return Table("cost", "Cost", (Column("what"), Column("how much")), tuple(rows))
+    return Table("cost", "Cost", (Column("item"), Column("value")), tuple(rows))

@@ -1,4 +1,4 @@
-"""The verdict on one run in plain words: whether it completed, whether its joints and its energy hold."""
+"""The verdict on one run: completion, misalignment of its joints, and energy balance."""
 
 from __future__ import annotations
 
@@ -9,20 +9,22 @@ import numpy as np
 
 from mbdkit.analysis.growth import Growth, growth_law
 from mbdkit.analysis.verdict import Answer, Claim, Verdict
-from mbdkit.plot.curves import Quantity, joint_quantity
+from mbdkit.plot.downsampling import bands, take
 from mbdkit.plot.drawing_geometry import draw_spec
-from mbdkit.plot.series import bands, take
-from mbdkit.report.quantity_text import ROUND_OFF, count, duration, length, proportion
-from mbdkit.report.run_figures import run_figures
+from mbdkit.plot.joint_quantity import JointQuantity, angle_misalignment, joint_misalignment
+from mbdkit.plot.quantity_text import count, duration, length, proportion
+from mbdkit.report.run_charts import run_charts
 from mbdkit.report.run_tables import run_tables
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 HOLDS = 1e-3
-"""Misalignment as a share of the mechanism's size, and energy error as a share of the largest kinetic energy, above
-which a result is not to be trusted: it could be seen with the naked eye."""
+"""Limit above which a result is not trusted: misalignment as a share of the mechanism's size, energy error as a share
+of the largest kinetic energy. A misalignment of this share is visible in a picture."""
 
+ROUND_OFF = 1e-12
+"""Misalignment, as a share of the mechanism's size, that counts as round-off of double precision."""
 _LAWS = {
     "bounded": "it does not grow",
     "linear": "it grows in proportion to time",
@@ -32,12 +34,12 @@ _LAWS = {
 
 
 def run_verdict(run: Run) -> Verdict:
-    """Return what a run says, with its figures and tables.
+    """Return the verdict on a run, with its charts and tables.
 
     Parameters
     ----------
     run
-        A run that has rows.
+        A run with rows.
     """
     claims = [_completion(run)]
     if run.records("joints/misalignment") and run.joint_names:
@@ -51,7 +53,7 @@ def run_verdict(run: Run) -> Verdict:
         sentence=" ".join(claim.sentence for claim in claims),
         claims=tuple(claims),
         tables=run_tables(run),
-        figures=run_figures(run),
+        figures=run_charts(run),
         notes=_notes(run),
     )
 
@@ -62,8 +64,8 @@ def _notes(run: Run) -> tuple[str, ...]:
     shared = ""
     if run.records("joints/reaction_force"):
         names = str(run.file["joints/reaction_force"].attrs.get("not_unique", ""))
-        shared = f" The reactions of {names} are not unique: of all that hold the mechanism alike, the least are shown."
-    return (f"The joints hold more than they need, with {run.redundancy}.{shared}",)
+        shared = f" The reactions of {names} are not unique; of all equivalent ones, those of least norm are shown."
+    return (f"The mechanism is overconstrained: {run.redundancy}.{shared}",)
 
 
 def _completion(run: Run) -> Claim:
@@ -74,40 +76,40 @@ def _completion(run: Run) -> Claim:
     if run.status == "complete":
         sentence = f"The run completed: {motion}{taken}{cost}."
         if run.status_reason:
-            sentence += f" It was asked to end there: {run.status_reason.removeprefix('event: ')}"
+            sentence += f" It ended at an event: {run.status_reason.removeprefix('event: ')}"
     elif run.status == "running":
-        sentence = f"The run did not end: it crashed, or is still under way, after {motion}."
+        sentence = f"The run has not finished: it crashed or is still running, after {motion}."
     else:
         reason = run.status_reason.removeprefix("interrupted: ").rstrip(".")
         word = "failed" if run.status == "failed" else "was interrupted"
         sentence = f"The run {word} at t = {end:.6g} s, after {motion}{taken}: {reason}."
     answer = Answer.YES if run.status == "complete" else Answer.NO
-    return Claim("completion", "The run came to its end", "", f"{end:.6g} s", answer, sentence)
+    return Claim("completion", "The run completed", "", f"{end:.6g} s", answer, sentence)
 
 
 def _joints(run: Run) -> Claim:
-    quantity = joint_quantity(run, "misalignment", "joints/misalignment", "m")
+    quantity = joint_misalignment(run)
     worst = max(run.joints.values(), key=lambda joint: np.nan_to_num(joint.misalignment_max, nan=math.inf))
     most, size = worst.misalignment_max, mechanism_size(run)
     if not math.isfinite(most):
-        sentence = f"Joint {worst.name} came apart without bounds."
+        sentence = f"Joint {worst.name} has an unbounded misalignment."
         return Claim("misalignment", "The joints stay together", "", "not finite", Answer.NO, sentence)
     share = most / size if size > 0 else math.nan
-    parts = [f"The worst joint, {worst.name}, comes apart by {length(most)} at most"]
+    parts = [f"The largest misalignment is {length(most)}, of joint {worst.name}"]
     if most == 0.0:
-        parts = ["No joint comes apart at all"]
+        parts = ["All joints stay closed exactly"]
     elif share <= ROUND_OFF:
-        parts.append("which is no more than the round-off of double precision")
+        parts.append("which is round-off of double precision")
     elif math.isfinite(share):
         parts.append(f"{proportion(share)} of the mechanism's size")
         parts += _growth_words(quantity, list(run.joint_names).index(worst.name))
     answer = Answer.OPEN if not math.isfinite(share) else Answer.NO if share > HOLDS else Answer.YES
-    advice = " That is too much to trust the forces: take a smaller step or a method of higher order."
+    advice = " This is too large for reliable forces: use a smaller step or a method of higher order."
     sentence = ", ".join(parts) + "." + (advice if answer is Answer.NO else "")
     return Claim("misalignment", "The joints stay together", "", f"{most:.3g} m ({worst.name})", answer, sentence)
 
 
-def _growth_words(quantity: Quantity, column: int) -> list[str]:
+def _growth_words(quantity: JointQuantity, column: int) -> list[str]:
     values = quantity.data.high[:, column]
     try:
         growth: Growth = growth_law(quantity.data.time, values)
@@ -120,14 +122,14 @@ def _growth_words(quantity: Quantity, column: int) -> list[str]:
 
 
 def _angles(run: Run) -> list[Claim]:
-    quantity = joint_quantity(run, "angle misalignment", "joints/angle_misalignment", "rad")
+    quantity = angle_misalignment(run)
     if quantity.zero:
         return []
     column, most = quantity.largest
     name = quantity.joints[column]
-    sentence = f"The held or driven angle that is off most, {name}, is off by {most:.2g} rad."
+    sentence = f"The largest error of a prescribed angle is {most:.2g} rad, of joint {name}."
     answer = Answer.NO if most > HOLDS else Answer.YES
-    return [Claim("angles", "Held and driven angles hold", "", f"{most:.3g} rad ({name})", answer, sentence)]
+    return [Claim("angles", "Prescribed angles are met", "", f"{most:.3g} rad ({name})", answer, sentence)]
 
 
 def _energy(run: Run) -> Claim:
@@ -136,13 +138,13 @@ def _energy(run: Run) -> Claim:
     off, most = float(balance.peaks[0]), float(kinetic.peaks[0])
     share = off / most if most > 0 else math.nan
     if not math.isfinite(off) or not np.all(np.isfinite(balance.high)):
-        sentence = "The energy grew without bounds."
+        sentence = "The energy is unbounded."
         return Claim("energy", "Energy is balanced", "", "not finite", Answer.NO, sentence)
     sentence = f"Energy is balanced to {off:.2g} J"
     sentence += f", {proportion(share)} of the largest kinetic energy." if math.isfinite(share) else "."
     answer = Answer.OPEN if not math.isfinite(share) else Answer.NO if share > HOLDS else Answer.YES
     if answer is Answer.NO:
-        sentence += " That is too much: take a smaller step or a method of higher order."
+        sentence += " This is too large: use a smaller step or a method of higher order."
     return Claim("energy", "Energy is balanced", "", f"{off:.3g} J", answer, sentence)
 
 

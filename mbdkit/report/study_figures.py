@@ -1,4 +1,4 @@
-"""The figures of a study that brings none of its own: misalignment, error and cost against its axes and each other."""
+"""General charts of a study: misalignment, error and cost against its axes and against each other."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
 
 _DECADE = 8.0
-"""Factor between the ends of an axis from which on it is logarithmic."""
+"""Ratio of largest to smallest value from which an axis is logarithmic."""
 _UNITS = {"time.step": "s", "time.end": "s", "time.start": "s"}
 
 
 @dataclass(frozen=True)
 class _Measure:
-    """A column of the index that is drawn: what it is, and its unit."""
+    """A column of the index that is drawn, with its title and axis."""
 
     column: str
     title: str
@@ -40,7 +40,7 @@ _MEASURES = (
 
 
 def study_figures(study: Study) -> tuple[Figure, ...]:
-    """Return figures for every family of a study: each measure against each axis of numbers, and against the cost."""
+    """Return charts of every family of a study: each measure against each numeric axis and against the cost."""
     figures: list[Figure] = []
     for name, title in study.families.items():
         points = study.family(name)
@@ -56,7 +56,7 @@ def study_figures(study: Study) -> tuple[Figure, ...]:
 
 
 def _against_axis(measure: _Measure, key: str, points: Sequence[StudyPoint], family: str, title: str) -> list[Figure]:
-    """Return the figure of a measure over an axis; none if its values are no numbers."""
+    """Return the chart of a measure over an axis; none if its values are not numeric."""
     labels = [point.axes[key] for point in points]
     if not all(isinstance(label, int | float) for label in labels) or len(set(labels)) < 2:
         return []
@@ -80,7 +80,7 @@ def _against_axis(measure: _Measure, key: str, points: Sequence[StudyPoint], fam
 
 
 def _against_cost(measure: _Measure, points: Sequence[StudyPoint], family: str, title: str) -> list[Figure]:
-    """Return the figure of a measure over the evaluations that it cost; none where all cost the same."""
+    """Return the chart of a measure over the number of evaluations; none if that is the same for all runs."""
     if len(np.unique(_COST.of(points))) < 2:
         return []
     numbers = [
@@ -98,7 +98,7 @@ def _against_cost(measure: _Measure, points: Sequence[StudyPoint], family: str, 
             _slug(family, measure.title, "over-cost"),
             f"{measure.title} against cost",
             f"{measure.axis.label.capitalize()} over the right-side evaluations of each run{_of(family, title)}; "
-            "further down and to the left is better.",
+            "lower left is better.",
             _COST.axis,
             measure.axis,
             tuple(lines),
@@ -107,7 +107,7 @@ def _against_cost(measure: _Measure, points: Sequence[StudyPoint], family: str, 
 
 
 def _lines(points: Sequence[StudyPoint], along: str) -> list[tuple[str, str, list[StudyPoint]]]:
-    """Return the points that differ along one axis alone: what they are called, their method, and they themselves."""
+    """Return label, method and points of each group of runs that differ along one axis only."""
     found: dict[tuple[str, str], list[StudyPoint]] = {}
     for point in points:
         label = ", ".join(str(other) for key, other in point.axes.items() if key != along)

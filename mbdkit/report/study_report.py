@@ -1,4 +1,4 @@
-"""The report of a study: the verdict on it, with its runs, those that failed, and how to get it again."""
+"""The report of a study."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from mbdkit.analysis.verdicts import judge
 from mbdkit.analysis.verdicts.points import value
 from mbdkit.archive.reader import load
 from mbdkit.errors import SpecError
+from mbdkit.plot.quantity_text import count
 from mbdkit.report.methods_used import methods
 from mbdkit.report.player_data import film_data
-from mbdkit.report.quantity_text import count
-from mbdkit.report.report_page import NO_FAILURES, Document
+from mbdkit.report.report_page import NO_FAILURES, ReportPage
 from mbdkit.report.run_report import environment
 from mbdkit.report.run_verdict import HOLDS, mechanism_size
 from mbdkit.report.study_figures import study_figures
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
 
 _FILMS = 6
-_NUMBERS = 40_000  # of poses in each film
+_NUMBERS = 40_000  # pose values of each film
 _COLUMNS = (
     (Column("largest misalignment", "m"), "misalignment_max"),
     (Column("energy balance", "J"), "energy_balance_max"),
@@ -37,20 +37,20 @@ _COLUMNS = (
     (Column("wall time", "s"), "wall_s"),
 )
 _OF_A_RUN = ("command", "assembly", "model", "integrator")
-"""Provenance that differs from run to run by its nature."""
+"""Provenance that is specific to a run."""
 
 
-def study_document(study: Study) -> Document:
+def study_report(study: Study) -> ReportPage:
     """Return the report of a study, complete or not.
 
     Raises
     ------
     SpecError
-        The study names a verdict that there is none of.
+        The study names an unknown verdict.
     """
     states = Counter(point.status for point in study.points)
     missing = states["missing"] + sum(point.status == "missing" for point in study.references)
-    return Document(
+    return ReportPage(
         title=" ".join((study.spec.title or study.folder.resolve().name).split()),
         settings=_settings(study, states),
         alarm=f"{count(missing, 'run')} missing: `mbdkit study` computes them" if missing else "",
@@ -59,8 +59,8 @@ def study_document(study: Study) -> Document:
         failures=_failures(study),
         methods=methods(_specs(study)),
         environment=_environment(study),
-        reproduce="Save the spec below as study.yaml. Every run lies in the study's folder, with its own spec in it, "
-        "and `mbdkit rerun` repeats it.",
+        reproduce="Save the spec below as study.yaml. The study's folder contains an archive of every run, "
+        "with its spec; `mbdkit rerun` repeats a run.",
         commands="mbdkit study study.yaml -o again\nmbdkit report again",
         spec=(study.folder / "study.yaml").read_text(encoding="utf-8"),
     )
@@ -75,7 +75,7 @@ def _settings(study: Study, states: Mapping[str, int]) -> str:
 
 
 def _verdict(study: Study) -> Verdict:
-    """Return the study's own verdict, with general figures where it brings none, and with the table of all runs."""
+    """Return the verdict of the study with general charts if it has none, and with the table of all runs."""
     verdict = judge(study)
     return replace(verdict, figures=verdict.figures or study_figures(study), tables=(*verdict.tables, _runs(study)))
 
@@ -106,11 +106,11 @@ def _failures(study: Study) -> Table:
         (point.number, ": ".join(filter(None, [point.family, point.label or "reference"])), point.reason)
         for point in study.failures
     ]
-    return replace(NO_FAILURES, columns=(Column("run"), Column("which"), Column("why")), rows=tuple(rows))
+    return replace(NO_FAILURES, columns=(Column("run"), Column("member"), Column("reason")), rows=tuple(rows))
 
 
 def _films(study: Study) -> Iterable[dict[str, Any]]:
-    """Yield the film of one run of each family: of those whose joints hold, the one that comes apart the most."""
+    """Yield the animation of one run of each family: the largest misalignment that is within the limit `HOLDS`."""
     for name in list(study.families)[:_FILMS]:
         ranked = [point for point in study.family(name) if value(point, "misalignment_max") >= 0 and point.path]
         ranked.sort(key=lambda point: -value(point, "misalignment_max"))
@@ -128,7 +128,7 @@ def _specs(study: Study) -> list[dict[str, Any]]:
 
 
 def _spec_of(point: StudyPoint) -> dict[str, Any]:
-    """Return the canonical spec of a run; its archive has it where a plugin that it needs is not installed."""
+    """Return the canonical spec of a run, from its archive if a plugin is not installed."""
     try:
         return dict(json.loads(point.spec.canonical_json()))
     except SpecError:
@@ -139,7 +139,7 @@ def _spec_of(point: StudyPoint) -> dict[str, Any]:
 
 
 def _environment(study: Study) -> Table:
-    """Return what the runs say of where they were made; where they differ, all of it."""
+    """Return the table of the provenance of all runs, with all distinct values."""
     said: dict[str, dict[str, None]] = {}
     for point in (*study.points, *study.references):
         run = study.run(point)

@@ -1,4 +1,4 @@
-"""HTML pages from the templates of this room: every text escaped, every file they need written into them."""
+"""HTML pages from the templates in this folder, with texts escaped and all files inlined."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def render(template: str, values: Mapping[str, Any], filters: Mapping[str, Calla
     template
         Name of the template.
     values
-        What it shows; texts are escaped.
+        Values that it shows; texts are escaped.
     filters
-        Functions that the template applies to values.
+        Filters of the template.
     """
     environment = _environment()
     environment.filters.update(filters or {})
@@ -29,13 +29,13 @@ def render(template: str, values: Mapping[str, Any], filters: Mapping[str, Calla
 
 
 def script_json(value: Any) -> Markup:
-    """Return compact JSON that may stand inside a script element: nothing in it can end the element."""
+    """Return compact JSON for a script element, escaped so that it cannot end the element."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
     return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
 
 
 def inline(name: str) -> Markup:
-    """Return one of our own style sheets or scripts, to be written into a page as it is."""
+    """Return a style sheet or script of this folder, unescaped."""
     return Markup(files("mbdkit.report").joinpath("templates", name).read_text(encoding="utf-8"))
 
 

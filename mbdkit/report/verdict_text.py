@@ -1,4 +1,4 @@
-"""What a verdict says, as plain text for a terminal and as Markdown for a file."""
+"""A verdict as text for the terminal, as JSON values and as Markdown."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from collections.abc import Sequence
 from typing import Any
 
 from mbdkit.analysis.verdict import Table, Verdict
-from mbdkit.report.report_page import Document, cell_text
+from mbdkit.report.report_page import ReportPage, cell_text
 from mbdkit.text import table as aligned
 
 
 def headlines(verdict: Verdict) -> tuple[Table, ...]:
-    """Return the tables that a verdict is made for; none where it names none."""
+    """Return the headline tables of a verdict."""
     return tuple(table for table in verdict.tables if table.headline)
 
 
-def terminal(verdict: Verdict) -> str:
-    """Return claims and headline tables for a terminal; empty where there is no headline table.
+def terminal_text(verdict: Verdict) -> str:
+    """Return claims and headline tables for the terminal; empty if there is no headline table.
 
     Parameters
     ----------
@@ -33,8 +33,8 @@ def terminal(verdict: Verdict) -> str:
     return "\n".join(filter(None, parts))
 
 
-def plain_values(verdict: Verdict) -> dict[str, Any]:
-    """Return sentence, claims and headline tables of a verdict for JSON; empty where there is no headline table.
+def json_values(verdict: Verdict) -> dict[str, Any]:
+    """Return sentence, claims and headline tables as JSON values; empty if there is no headline table.
 
     Parameters
     ----------
@@ -50,8 +50,8 @@ def plain_values(verdict: Verdict) -> dict[str, Any]:
     return {"sentence": values["sentence"], "claims": values["claims"], "tables": tables}
 
 
-def markdown(document: Document) -> str:
-    """Return a report as Markdown: its verdict, the claims, and its headline tables, or all where it has none.
+def markdown_text(document: ReportPage) -> str:
+    """Return a report as Markdown: verdict, claims, and headline tables or, if there are none, all tables.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Where a plugin begins: a distribution that installs, passes its tests and is ready to be changed."""
+"""Project templates for new plugins."""

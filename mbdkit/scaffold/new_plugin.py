@@ -1,4 +1,4 @@
-"""Makes the project of a new plugin from templates."""
+"""Create the project of a new plugin from templates."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 @dataclass(frozen=True)
 class _Flavour:
-    """What differs between the kinds."""
+    """Template values that differ between the kinds of project."""
 
     kind: Kind
     what: str
@@ -85,16 +85,16 @@ _FLAVOURS: dict[NewKind, _Flavour] = {
 
 
 def new_project(name: str, kind: NewKind, folder: Path | None = None) -> Path:
-    """Make the project of a new plugin.
+    """Create the project of a new plugin.
 
     Parameters
     ----------
     name
-        Name of the distribution and of its folder; the plugin in it goes without a leading ``mbdkit-``.
+        Name of the distribution and of its folder; the name of the plugin is the same without a leading ``mbdkit-``.
     kind
-        What it offers.
+        Kind of plugin.
     folder
-        Where to make it; the working directory if left out.
+        Parent folder; by default the working directory.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def new_project(name: str, kind: NewKind, folder: Path | None = None) -> Path:
     Raises
     ------
     SpecError
-        If the name will not do, or there is anything of this name already.
+        The name is invalid or in use.
     """
     target = (folder or Path()) / name
     package, item = name.replace("-", "_"), name.removeprefix("mbdkit-")
@@ -126,7 +126,7 @@ def new_project(name: str, kind: NewKind, folder: Path | None = None) -> Path:
 
 
 def _check_free(name: str, package: str, item: str, kind: Kind) -> None:
-    """Raise SpecError where the name of the distribution, of its package or of its plugin is in use."""
+    """Raise SpecError if the name of the distribution, package or plugin is in use."""
     if keyword.iskeyword(package) or package in sys.stdlib_module_names:
         raise SpecError(f"'{name}' is no name for a new plugin: Python uses it itself; mbdkit-{name} would do")
     try:

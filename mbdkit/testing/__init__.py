@@ -1,18 +1,17 @@
-"""The conformance kit: one list of named checks for Python, for pytest and for ``mbdkit plugins verify``."""
+"""The conformance kit: named checks of plugins, for Python, pytest and ``mbdkit plugins verify``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+from mbdkit.testing.check_result import Report, Result
 from mbdkit.testing.kit import checks_of, verify
-from mbdkit.testing.outcome import Finding, Report, Result
 from mbdkit.testing.pytest_suite import Case, ConformanceWarning, cases, conformance
 
 __all__ = [
     "Case",
     "ConformanceWarning",
-    "Finding",
     "Report",
     "Result",
     "cases",
@@ -26,15 +25,15 @@ __all__ = [
 
 
 def check_integrator(name: str, options: Mapping[str, Any] | None = None, *, quick: bool = False) -> Report:
-    """Take an integrator through all checks; see `mbdkit.testing.kit.verify`."""
+    """Run all checks of an integrator; see `mbdkit.testing.kit.verify`."""
     return verify("integrator", name, options, quick=quick)
 
 
 def check_model(name: str, options: Mapping[str, Any] | None = None, *, quick: bool = False) -> Report:
-    """Take a model through all checks; see `mbdkit.testing.kit.verify`."""
+    """Run all checks of a model; see `mbdkit.testing.kit.verify`."""
     return verify("model", name, options, quick=quick)
 
 
 def check_force_law(name: str, options: Mapping[str, Any] | None = None, *, quick: bool = False) -> Report:
-    """Take a force law through all checks; see `mbdkit.testing.kit.verify`."""
+    """Run all checks of a force law; see `mbdkit.testing.kit.verify`."""
     return verify("force-law", name, options, quick=quick)

@@ -1,4 +1,4 @@
-"""A named check: a function with one sentence of docstring, carried out so that no plugin can take it down."""
+"""A named check: a function whose docstring states the requirement, run so that no plugin can crash the kit."""
 
 from __future__ import annotations
 
@@ -7,88 +7,87 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 from mbdkit.errors import MbdkitError
-from mbdkit.testing.outcome import Finding, Result, failed, skipped
+from mbdkit.testing.check_result import Result, failed, skipped
 from mbdkit.text import one_line
 
-Subject = TypeVar("Subject")
-PATIENCE = 60.0
-"""Seconds after which a check counts as hanging."""
+UnderTest = TypeVar("UnderTest")
+TIME_LIMIT = 60.0
+"""Duration [s] after which a check fails."""
 
 
 class Skip(Exception):  # noqa: N818 - not an error
-    """Raised inside a check that cannot be carried out; its text says why."""
+    """Raised by a check that does not apply; the message is the reason."""
 
 
-class _HangingError(BaseException):
-    """Raised into a check that takes too long; no plugin that catches `Exception` can hold it."""
+class _TimeLimitError(BaseException):
+    """Raised in a check that exceeds the time limit; a plugin that catches `Exception` does not catch it."""
 
 
 @dataclass(frozen=True)
-class Check(Generic[Subject]):
-    """A check that can be carried out on any subject of its kind.
+class Check(Generic[UnderTest]):
+    """A check of one kind of plugin.
 
-    Attributes
+    Parameters
     ----------
     name
-        ``room.check``.
+        ``group.check``.
     function
-        Takes the subject, returns a `Finding` or raises `Skip`; any other exception is a failure.
+        Takes the plugin under test and returns a `Result` or raises `Skip`; any other exception is a failure.
     slow
-        Whether it takes more than a second or two, so that a quick verification leaves it out.
+        Whether a quick verification leaves it out: it takes more than a second or two.
     """
 
     name: str
-    function: Callable[[Subject], Finding]
+    function: Callable[[UnderTest], Result]
     slow: bool = False
 
     @property
     def what(self) -> str:
-        """What it does, in one sentence."""
+        """The requirement in one sentence: the first paragraph of the function's docstring."""
         return " ".join((self.function.__doc__ or "").partition("\n\n")[0].split())
 
-    def run(self, subject: Subject) -> Result:
-        """Carry it out; whatever the plugin raises becomes a failure."""
+    def run(self, under_test: UnderTest) -> Result:
+        """Run the check; an exception raised by the plugin is a failure."""
         begin = time.perf_counter()
         try:
-            with _deadline(PATIENCE):
-                finding = self.function(subject)
+            with _time_limit(TIME_LIMIT):
+                result = self.function(under_test)
         except Skip as skip:
-            finding = skipped(str(skip))
+            result = skipped(str(skip))
         except KeyboardInterrupt:
             raise
-        except _HangingError:
-            finding = failed(f"it did not come to an end within {PATIENCE:g} s")
+        except _TimeLimitError:
+            result = failed(f"it did not finish within {TIME_LIMIT:g} s")
         except MbdkitError as error:
-            finding = failed(str(error).rstrip("."))
+            result = failed(str(error).rstrip("."))
         except BaseException as error:  # a plugin may raise anything, SystemExit included
-            finding = failed(f"it raised {one_line(error)}")
-        seconds = time.perf_counter() - begin
-        return Result(self.name, self.what, finding.outcome, finding.cause, finding.figures, seconds)
+            result = failed(f"it raised {one_line(error)}")
+        return replace(result, name=self.name, what=self.what, seconds=time.perf_counter() - begin)
 
 
-def check(name: str, *, slow: bool = False) -> Callable[[Callable[[Any], Finding]], Check[Any]]:
+def check(name: str, *, slow: bool = False) -> Callable[[Callable[[Any], Result]], Check[Any]]:
     """Turn a function into a check of this name."""
 
-    def named(function: Callable[[Any], Finding]) -> Check[Any]:
+    def named(function: Callable[[Any], Result]) -> Check[Any]:
         return Check(name, function, slow)
 
     return named
 
 
 @contextmanager
-def _deadline(seconds: float) -> Iterator[None]:
-    """Raise `_HangingError` in the block after some time, where the system has alarms and nobody else uses them."""
+def _time_limit(seconds: float) -> Iterator[None]:
+    """Raise `_TimeLimitError` in the block after `seconds`, if the platform has timers and none is set."""
     usable = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
     if not usable or signal.getitimer(signal.ITIMER_REAL)[0] > 0:
         yield
         return
 
     def ring(number: int, frame: Any) -> None:
-        raise _HangingError
+        raise _TimeLimitError
 
     before = signal.signal(signal.SIGALRM, ring)
     signal.setitimer(signal.ITIMER_REAL, seconds)

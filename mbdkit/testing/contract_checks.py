@@ -1,4 +1,4 @@
-"""What every integrator owes whatever its method: options, untouched inputs, the same bits twice, the exact end."""
+"""Requirements on every integrator: options, unchanged inputs, repeatable results, exact end time."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.methods.kinds import Method, SciPySolver
 from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.testing.check import check
-from mbdkit.testing.integrator_under_test import IntegratorSubject, drive
+from mbdkit.testing.check_result import Result, failed, passed, skipped, warned
+from mbdkit.testing.integrator_under_test import IntegratorUnderTest, drive
 from mbdkit.testing.options_under_test import validated
-from mbdkit.testing.outcome import Finding, failed, passed, skipped, warned
 from mbdkit.testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM
 from mbdkit.text import counted, listed
 
@@ -23,20 +23,20 @@ STEPS = 23
 
 
 @check("contract.options")
-def options(subject: IntegratorSubject) -> Finding:
-    """Its options survive the way to JSON and back, refuse unknown keys, and each says what it is."""
-    model = subject.plugin.options
-    chosen = validated(model, subject.options)
-    again = model.model_validate_json(chosen.model_dump_json())
+def options(integrator: IntegratorUnderTest) -> Result:
+    """Its options round-trip through JSON, reject unknown keys, and have descriptions."""
+    options_type = integrator.plugin.options
+    chosen = validated(options_type, integrator.options)
+    again = options_type.model_validate_json(chosen.model_dump_json())
     if again != chosen:
-        return failed(f"options {chosen!r} come back from JSON as {again!r}")
+        return failed(f"options {chosen!r} become {again!r} in a JSON round trip")
     try:
-        subject.spec(FORCED_PENDULUM, {"end": 1.0, "step": 0.1}, options={"no-such-option": 1})
+        integrator.spec(FORCED_PENDULUM, {"end": 1.0, "step": 0.1}, options={"no-such-option": 1})
     except (ValidationError, ValueError):
         pass
     else:
-        return failed("a spec with an option that does not exist is accepted")
-    described = model.model_json_schema().get("properties", {})
+        return failed("a spec with an unknown option is accepted")
+    described = options_type.model_json_schema().get("properties", {})
     silent = [name for name, info in described.items() if not info.get("description")]
     if silent:
         return warned(f"{listed(silent, 'and')} have no description: write a docstring below each option")
@@ -44,46 +44,46 @@ def options(subject: IntegratorSubject) -> Finding:
 
 
 @check("contract.method")
-def method(subject: IntegratorSubject) -> Finding:
-    """What it creates is a method, its claims are meaningful, and it names its sources."""
-    made: object = subject.method()
-    claims = subject.claims
+def method(integrator: IntegratorUnderTest) -> Result:
+    """It creates a method, its claims are consistent, and it names references."""
+    made: object = integrator.method()
+    claims = integrator.claims
     if not isinstance(made, Method):
-        return failed(f"it made {type(made).__name__}, which is no method")
+        return failed(f"it created a {type(made).__name__}, which is not a method")
     if claims.order is None and not claims.adaptive:
-        return failed("it claims neither an order nor that it controls its own error")
+        return failed("it claims neither an order nor adaptive steps")
     if claims.adaptive != isinstance(made, SciPySolver):
-        return failed(f"it claims adaptive = {claims.adaptive}, but is of the kind {type(made).__name__}")
+        return failed(f"it claims adaptive = {claims.adaptive}, but its method is a {type(made).__name__}")
     if not claims.formulations:
-        return failed("it claims no formulation that it could serve")
+        return failed("it claims no formulation")
     if claims.multiplier_order is not None and not getattr(made, "carries_multipliers", False):
-        return failed("it claims an order of multipliers, but carries none")
-    if not subject.plugin.references:
-        return warned("it names no reference")
-    return passed(references=len(subject.plugin.references))
+        return failed("it claims an order of multipliers, but has no multipliers of its own")
+    if not integrator.plugin.references:
+        return warned("it has no references")
+    return passed(references=len(integrator.plugin.references))
 
 
 @check("contract.inputs")
-def inputs(subject: IntegratorSubject) -> Finding:
-    """It changes neither its options, nor the start of the run, nor the states that it is handed."""
-    given = validated(subject.plugin.options, subject.options)
+def inputs(integrator: IntegratorUnderTest) -> Result:
+    """It does not modify its options, the start of the run, or the states passed to it."""
+    given = validated(integrator.plugin.options, integrator.options)
     before = given.model_dump_json()
-    made = subject.plugin.create(given)
-    workspace = subject.workspace(FORCED_PENDULUM)
+    made = integrator.plugin.create(given)
+    workspace = integrator.workspace(FORCED_PENDULUM)
     start = workspace.q0.copy(), workspace.v0.copy()
     watched = _Watched(made) if isinstance(made, StepMethod) else made
-    drive(subject.stepper(workspace, 0.5, STEPS, method=watched))
+    drive(integrator.stepper(workspace, 0.5, STEPS, method=watched))
     if given.model_dump_json() != before:
-        return failed("it changed its options")
+        return failed("it modified its options")
     if not (np.array_equal(workspace.q0, start[0]) and np.array_equal(workspace.v0, start[1])):
-        return failed("it changed the start of the run")
+        return failed("it modified the start of the run")
     if isinstance(watched, _Watched) and watched.changed:
-        return failed(f"its step changed {listed(sorted(watched.changed), 'and')} of the state that it was handed")
+        return failed(f"its step modified {listed(sorted(watched.changed), 'and')} of the state passed to it")
     return passed()
 
 
 class _Watched(StepMethod):
-    """A method whose states are compared with themselves after each step."""
+    """A method that records which parts of the passed state a step modifies."""
 
     def __init__(self, method: StepMethod):
         self.method = method
@@ -107,30 +107,33 @@ def _bytes(value: Any) -> bytes:
 
 
 @check("contract.repeatable")
-def repeatable(subject: IntegratorSubject) -> Finding:
-    """Two runs give the same bits, and so does the same method object when it is used again."""
+def repeatable(integrator: IntegratorUnderTest) -> Result:
+    """Two runs are identical bit for bit, also if a method object is used again."""
     time = {"end": 0.7, "step": 0.7 / STEPS}
-    with subject.run(DRIVEN_PENDULUM, time) as first, subject.run(DRIVEN_PENDULUM, time) as second:
+    with integrator.run(DRIVEN_PENDULUM, time) as first, integrator.run(DRIVEN_PENDULUM, time) as second:
         if first.data_sha256 != second.data_sha256:
             return failed("two runs of the same spec differ")
-    made = subject.method()
-    ends = [drive(subject.stepper(subject.workspace(DRIVEN_PENDULUM), 0.7, STEPS, method=made)) for _ in range(2)]
+    made = integrator.method()
+    ends = [drive(integrator.stepper(integrator.workspace(DRIVEN_PENDULUM), 0.7, STEPS, method=made)) for _ in range(2)]
     if not all(np.array_equal(x, y) for x, y in zip(*ends, strict=True)):
-        return failed("the same method object moves differently when it is used again: it remembers its last run")
+        return failed("a method object gives different results when it is used again: it keeps state of the last run")
     return passed()
 
 
 @check("contract.picklable")
-def picklable(subject: IntegratorSubject) -> Finding:
-    """Options, method, and the states of a method with `step` survive pickling, as studies and restarts need it."""
-    made = subject.method()
-    for what, thing in (("its options", validated(subject.plugin.options, subject.options)), ("its method", made)):
+def picklable(integrator: IntegratorUnderTest) -> Result:
+    """Options, method, and the states of a method with `step` can be pickled, for studies and restarts."""
+    made = integrator.method()
+    for what, thing in (
+        ("its options", validated(integrator.plugin.options, integrator.options)),
+        ("its method", made),
+    ):
         try:
             pickle.loads(pickle.dumps(thing))
         except Exception as error:
             return failed(f"{what} cannot be pickled: {error}")
     if isinstance(made, StepMethod):
-        equations = EquationsOfMotion(subject.workspace(FORCED_PENDULUM))
+        equations = EquationsOfMotion(integrator.workspace(FORCED_PENDULUM))
         state = made.step(equations, equations.t0, StepState(equations.q0, equations.v0), 0.01)
         try:
             pickle.loads(pickle.dumps(state))
@@ -140,19 +143,19 @@ def picklable(subject: IntegratorSubject) -> Finding:
 
 
 @check("contract.end-time")
-def end_time(subject: IntegratorSubject) -> Finding:
-    """A run ends at its end to the bit, whether or not the step divides it, with every step counted once."""
+def end_time(integrator: IntegratorUnderTest) -> Result:
+    """A run ends exactly at its end time, whether or not the step divides it, and counts each step once."""
     for end, step in ((1.0, 0.3), (0.7, 0.1), (1.0, 1.0 / 3.0), (0.5, 2.0)):
-        with subject.run(FORCED_PENDULUM, {"start": 0.25, "end": 0.25 + end, "step": step}) as run:
+        with integrator.run(FORCED_PENDULUM, {"start": 0.25, "end": 0.25 + end, "step": step}) as run:
             if run.status != "complete":
-                if subject.claims.adaptive or step <= 0.1:
+                if integrator.claims.adaptive or step <= 0.1:
                     return failed(f"a run of {end:g} s did not complete: {run.status_reason}")
-                continue  # steps as large as these need not be possible
+                continue  # steps this large may fail
             last = float(run.time[-1])
             expected = int(np.ceil(end / step - 1e-9))
             if last != 0.25 + end:
                 return failed(f"a run to {0.25 + end!r} s ended at {last!r} s")
-            if not subject.claims.adaptive and run.stats["steps"] != expected:
+            if not integrator.claims.adaptive and run.stats["steps"] != expected:
                 return failed(f"{end:g} s in steps of {step:g} s took {run.stats['steps']} steps, not {expected}")
             if np.any(np.diff(run.time) <= 0):
                 return failed("recorded times do not increase")
@@ -160,13 +163,13 @@ def end_time(subject: IntegratorSubject) -> Finding:
 
 
 @check("contract.formulations")
-def formulations(subject: IntegratorSubject) -> Finding:
-    """It serves every formulation that it claims."""
-    others = [name for name in subject.claims.formulations if name != subject.formulation]
+def formulations(integrator: IntegratorUnderTest) -> Result:
+    """A run completes on every formulation that it claims."""
+    others = [name for name in integrator.claims.formulations if name != integrator.formulation]
     if not others:
-        return skipped(f"it claims {subject.formulation} alone, on which everything else is tried")
+        return skipped(f"it claims only {integrator.formulation}, which the other checks use")
     for name in others:
-        with subject.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}, formulation=name) as run:
+        with integrator.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}, formulation=name) as run:
             if run.status != "complete":
                 return failed(f"on {name} a run did not complete: {run.status_reason}")
     return passed(formulations=counted(len(others) + 1, "formulation"))

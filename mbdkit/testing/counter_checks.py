@@ -1,4 +1,4 @@
-"""Whether the counted cost of a run is what was done."""
+"""Whether the counters of a run are correct."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from mbdkit.methods.kinds import ExplicitRungeKutta, SciPySolver
 from mbdkit.methods.step_method import StepMethod
 from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.testing.check import check
-from mbdkit.testing.integrator_under_test import IntegratorSubject, drive
-from mbdkit.testing.outcome import Finding, failed, passed, skipped, warned
+from mbdkit.testing.check_result import Result, failed, passed, skipped, warned
+from mbdkit.testing.integrator_under_test import IntegratorUnderTest, drive
 from mbdkit.testing.trial_models import FORCED_PENDULUM
 from mbdkit.text import listed
 
@@ -23,7 +23,7 @@ STEPS = 17
 
 
 class InstrumentedEquations(EquationsOfMotion):
-    """Equations of motion that count their evaluations themselves."""
+    """Equations of motion that count their evaluations independently of the counters of a run."""
 
     def __init__(self, workspace: Any):
         self.seen: Counter[str] = Counter()
@@ -59,13 +59,13 @@ class InstrumentedEquations(EquationsOfMotion):
 
 
 @check("honesty.counters")
-def counters(subject: IntegratorSubject) -> Finding:
-    """The counters of a run are what instrumented equations of motion count."""
-    made = subject.method()
-    workspace = subject.workspace(FORCED_PENDULUM)
+def counters(integrator: IntegratorUnderTest) -> Result:
+    """The counters of a run agree with those of instrumented equations of motion."""
+    made = integrator.method()
+    workspace = integrator.workspace(FORCED_PENDULUM)
     if isinstance(made, SciPySolver):
-        return _of_solver(subject, made)
-    stepper = subject.stepper(workspace, 0.2, STEPS, method=made)
+        return _of_solver(integrator, made)
+    stepper = integrator.stepper(workspace, 0.2, STEPS, method=made)
     seen: dict[str, int] = {"steps": STEPS, "accepted": STEPS, "rejected": 0}
     instrumented = None
     if isinstance(stepper, PythonStepper):
@@ -88,11 +88,11 @@ def counters(subject: IntegratorSubject) -> Finding:
     if wrong:
         return failed(f"its counters say {listed(wrong, 'and')}")
     if instrumented is not None and said.factorizations < instrumented.seen["factorizations of iteration matrices"]:
-        return failed(f"its counters say {said.factorizations} factorizations, fewer than it asked for")
+        return failed(f"its counters say {said.factorizations} factorizations, fewer than it requested")
     return passed(rhs_evaluations=said.rhs_evaluations, jacobian_evaluations=said.jacobian_evaluations)
 
 
-def _of_solver(subject: IntegratorSubject, made: SciPySolver) -> Finding:
+def _of_solver(integrator: IntegratorUnderTest, made: SciPySolver) -> Result:
     base = getattr(scipy.integrate, made.solver) if isinstance(made.solver, str) else made.solver
     seen: Counter[str] = Counter()
 
@@ -112,7 +112,7 @@ def _of_solver(subject: IntegratorSubject, made: SciPySolver) -> Finding:
         return base(counted, t0, y0, end, **options)
 
     method = SciPySolver(instrumented, made.rtol, made.atol, made.needs_jacobian)  # type: ignore[arg-type]
-    stepper = subject.stepper(subject.workspace(FORCED_PENDULUM), 1.0, STEPS, method=method)
+    stepper = integrator.stepper(integrator.workspace(FORCED_PENDULUM), 1.0, STEPS, method=method)
     drive(stepper)
     wrong = [
         f"{name} {getattr(stepper.counters, name)} instead of {seen[name]}"
@@ -125,9 +125,9 @@ def _of_solver(subject: IntegratorSubject, made: SciPySolver) -> Finding:
 
 
 @check("honesty.rows")
-def rows(subject: IntegratorSubject) -> Finding:
-    """What is recorded of each interval sums up to what is counted of the whole run."""
-    with subject.run(FORCED_PENDULUM, {"end": 0.3, "step": 0.01}, output={"every": 7}) as run:
+def rows(integrator: IntegratorUnderTest) -> Result:
+    """The counters of all recorded intervals add up to those of the run."""
+    with integrator.run(FORCED_PENDULUM, {"end": 0.3, "step": 0.01}, output={"every": 7}) as run:
         if run.status != "complete":
             return failed(f"the run did not complete: {run.status_reason}")
         stats = run.stats
@@ -143,27 +143,27 @@ def rows(subject: IntegratorSubject) -> Finding:
 
 
 @check("honesty.needs")
-def needs(subject: IntegratorSubject) -> Finding:
-    """It uses tangents if it says that it needs them, and not otherwise."""
-    with subject.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}) as run:
+def needs(integrator: IntegratorUnderTest) -> Result:
+    """It uses tangents if and only if its claims name them in `needs`."""
+    with integrator.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}) as run:
         used = run.stats["jacobian_evaluations"] > 0
-    said = "tangents" in subject.claims.needs
+    said = "tangents" in integrator.claims.needs
     if used and not said:
         return failed("it uses tangents, which `needs` does not name")
-    if said and not used and not subject.claims.adaptive:
-        return warned("`needs` names tangents, which it did not use here")
+    if said and not used and not integrator.claims.adaptive:
+        return warned("`needs` names tangents, but it did not use them here")
     return passed(tangents="yes" if used else "no")
 
 
 @check("honesty.projections")
-def projections(subject: IntegratorSubject) -> Finding:
-    """Whether it moves the state back to the joints, which is no stabilization that a spec asked for."""
-    if not isinstance(subject.method(), StepMethod):
-        return skipped("it is not written as a class with `step`, so that it cannot")
-    with subject.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}) as run:
+def projections(integrator: IntegratorUnderTest) -> Result:
+    """It does not project the state onto the constraints in every step: stabilization is chosen by the spec."""
+    if not isinstance(integrator.method(), StepMethod):
+        return skipped("it is not a class with `step`, so it cannot project")
+    with integrator.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}) as run:
         count, steps = int(run.stats["projections"]), int(run.stats["steps"])
-    if count >= steps and subject.formulation == "index-1":
-        return failed("it projects in every step, which is a stabilization that no spec asked for", projections=count)
+    if count >= steps and integrator.formulation == "index-1":
+        return failed("it projects in every step, a stabilization that the spec did not request", projections=count)
     return passed(projections=count)
 
 

@@ -1,4 +1,4 @@
-"""How far joints come apart: not at all, or by which power of the step, and how that grows with time."""
+"""Misalignment of the joints: exactly zero, or its order in the step size, and its growth with time."""
 
 from __future__ import annotations
 
@@ -11,61 +11,59 @@ from mbdkit.analysis.growth import growth_law
 from mbdkit.analysis.order import observed_order
 from mbdkit.archive.run import Run
 from mbdkit.testing.check import Check, Skip, check
-from mbdkit.testing.integrator_under_test import IntegratorSubject
-from mbdkit.testing.invariant_checks import telling_step
+from mbdkit.testing.check_result import Figure, Result, failed, passed
+from mbdkit.testing.integrator_under_test import IntegratorUnderTest
+from mbdkit.testing.invariant_checks import coarse_step
 from mbdkit.testing.order_checks import BELOW, HIGH
-from mbdkit.testing.outcome import Figure, Finding, failed, passed
 from mbdkit.testing.trial_models import DRIVEN_PENDULUM, SWINGING, Model
 
 EXACT = 1e-11
-"""Misalignment [m, m/s] that is nothing but rounding and the residual of a converged iteration."""
+"""Misalignment [m, m/s] up to which rounding and converged residuals count as zero."""
 HELD = {"index-3": ("position",), "index-2": ("velocity",), "ggl": ("position", "velocity")}
-"""At which levels a formulation holds the constraints."""
+"""Levels at which a formulation enforces the constraints."""
 ROUNDING = 1e-15
 BELOW_HIGH = 0.5
-"""From order `HIGH` on few steps lie between what is too coarse and rounding: the rate is seen to this only."""
+"""Tolerance of the rate from order `HIGH` on, where few step sizes lie between too coarse ones and rounding."""
 COARSE = 0.1
-"""Misalignment [m, m/s] that is as large as the mechanism, and follows no power of the step."""
+"""Misalignment [m, m/s] too large to follow a power of the step: a tenth of the mechanism."""
 REFINEMENTS, FINEST = 24, 120
-"""Most refinements, and the factor by which they refine at most."""
+"""Largest number of refinements, and largest ratio of coarsest to finest step."""
 FEWEST = 5
-"""Steps over which a power of the step has to be seen."""
+"""Number of step sizes over which the order must be observed."""
 
 
-def _level(level: str, model: Model) -> Check[IntegratorSubject]:
-    def rate(subject: IntegratorSubject) -> Finding:
-        if subject.claims.adaptive:
-            return _of_tolerance(subject, level, model)
-        order = subject.order
+def _level(level: str, model: Model) -> Check[IntegratorUnderTest]:
+    def rate(integrator: IntegratorUnderTest) -> Result:
+        if integrator.claims.adaptive:
+            return _of_tolerance(integrator, level, model)
+        order = integrator.order
         ratio = min(2.0, 4.0 ** (1 / order))
         steps, found = [], []
         for k in range(REFINEMENTS):
-            steps.append(1.5 * telling_step(subject) / ratio**k)
-            with subject.run(model, {"end": 2.0, "step": steps[-1]}) as run:
+            steps.append(1.5 * coarse_step(integrator) / ratio**k)
+            with integrator.run(model, {"end": 2.0, "step": steps[-1]}) as run:
                 found.append(_worst(run, level))
             if found[-1] < 100 * ROUNDING or steps[0] / steps[-1] > FINEST:
                 break
         sizes = np.array(found)
         if not np.any(np.isfinite(sizes)):
-            raise Skip("no run completed, whatever the step")
+            raise Skip("no run completed at any step size")
         largest = float(np.nanmax(sizes))
         figures: dict[str, Figure] = {"largest": largest, "finest": float(sizes[-1])}
         if largest < EXACT:
             return passed(drift="exact", **figures)
-        if level in HELD.get(subject.formulation, ()):
-            return failed(f"on {subject.formulation} the joints should meet at {level} level", **figures)
+        if level in HELD.get(integrator.formulation, ()):
+            return failed(f"on {integrator.formulation} the constraints should hold at {level} level", **figures)
         small = np.where(sizes < COARSE, sizes, np.nan)
         seen = observed_order(np.array(steps), small, floor=ROUNDING, fewest=FEWEST)
         if not seen.found:
             return passed(drift="no clear power", **figures)
         figures = {"rate": round(seen.order, 3), **figures}
         if seen.order < order - (BELOW if order < HIGH else BELOW_HIGH):
-            return failed(
-                f"drift falls with order {seen.order:.2f}, slower than the claimed order {order:g}", **figures
-            )
+            return failed(f"drift has order {seen.order:.2f}, less than the claimed order {order:g}", **figures)
         return passed(drift="polynomial", **figures)
 
-    rate.__doc__ = f"Misalignment at {level} level is exact, or falls with the step at least as fast as claimed."
+    rate.__doc__ = f"Misalignment at {level} level is zero, or converges at least with the claimed order."
     return Check(f"drift.{level}", rate, slow=level == "velocity")
 
 
@@ -78,8 +76,8 @@ def _worst(run: Run, level: str) -> float:
     return float(np.max(run.array("joints/velocity_misalignment")))
 
 
-def _of_tolerance(subject: IntegratorSubject, level: str, model: Model) -> Finding:
-    with subject.run(model, {"end": 2.0}) as run:
+def _of_tolerance(integrator: IntegratorUnderTest, level: str, model: Model) -> Result:
+    with integrator.run(model, {"end": 2.0}) as run:
         size = _worst(run, level)
     if not math.isfinite(size):
         return failed("the run did not complete")
@@ -87,11 +85,11 @@ def _of_tolerance(subject: IntegratorSubject, level: str, model: Model) -> Findi
 
 
 @check("drift.growth", slow=True)
-def growth(subject: IntegratorSubject) -> Finding:
-    """By which law misalignment grows over 30 s of a double pendulum; measured, never judged."""
-    step = telling_step(subject) / 2
-    time = {"end": 30.0} if subject.claims.adaptive else {"end": 30.0, "step": step}
-    with subject.run(SWINGING, time) as run:
+def growth(integrator: IntegratorUnderTest) -> Result:
+    """Growth law of the misalignment of a double pendulum over 30 s; reported without a limit."""
+    step = coarse_step(integrator) / 2
+    time = {"end": 30.0} if integrator.claims.adaptive else {"end": 30.0, "step": step}
+    with integrator.run(SWINGING, time) as run:
         if run.status != "complete":
             raise Skip(f"the run did not complete: {run.status_reason}".rstrip("."))
         history = worst_history(run)
@@ -102,21 +100,23 @@ def growth(subject: IntegratorSubject) -> Finding:
 
 
 @check("drift.formulations")
-def formulations(subject: IntegratorSubject) -> Finding:
-    """On every further formulation that it claims, constraints hold at the levels that this one asks for."""
-    others = [name for name in subject.claims.formulations if name != subject.formulation and name in HELD]
+def formulations(integrator: IntegratorUnderTest) -> Result:
+    """On every further formulation that it claims, the constraints hold at the levels which that one enforces."""
+    others = [name for name in integrator.claims.formulations if name != integrator.formulation and name in HELD]
     if not others:
-        raise Skip("it claims no further formulation that holds constraints")
+        raise Skip("it claims no further formulation that enforces constraints")
     figures: dict[str, Figure] = {}
     for name in others:
         for level in HELD[name]:
-            with subject.run(DRIVEN_PENDULUM, {"end": 2.0, "step": telling_step(subject) / 4}, formulation=name) as run:
+            with integrator.run(
+                DRIVEN_PENDULUM, {"end": 2.0, "step": coarse_step(integrator) / 4}, formulation=name
+            ) as run:
                 size = _worst(run, level)
                 if not math.isfinite(size):
                     return failed(f"on {name} a run did not complete: {run.status_reason}")
             figures[f"{name} {level}"] = size
             if size > EXACT:
-                return failed(f"on {name} the joints should meet at {level} level", **figures)
+                return failed(f"on {name} the constraints should hold at {level} level", **figures)
     return passed(**figures)
 
 

@@ -1,4 +1,4 @@
-"""How a method fails: with a typed status, with what was computed before, and soon."""
+"""Failure of a method: with a status code, with the motion up to it, and without delay."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.errors import MbdkitError, SpecError, StepError
 from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.testing.check import Skip, check
-from mbdkit.testing.integrator_under_test import IntegratorSubject
-from mbdkit.testing.outcome import Finding, failed, passed, skipped
+from mbdkit.testing.check_result import Result, failed, passed, skipped
+from mbdkit.testing.integrator_under_test import IntegratorUnderTest
 from mbdkit.testing.trial_models import CANNOT_MEET, FORCED_PENDULUM, NO_NUMBER, OUT_OF_REACH, SWINGING
 
 TYPED = ("newton-failed", "singular", "step-too-small", "not-finite", "max-steps", "wall-time")
 
 
 def _fault(run: Run, *, allowed: tuple[str, ...] = TYPED) -> str:
-    """Return what is wrong with how a run ended; empty where it ended as it should."""
+    """Return an error in the end of a run; empty if there is none."""
     code = run.status_reason.partition(":")[0]
     if run.status == "failed" and code not in allowed:
         return f"it ended with {run.status_reason.rstrip('.')}"
@@ -32,79 +32,81 @@ def _fault(run: Run, *, allowed: tuple[str, ...] = TYPED) -> str:
 
 
 @check("failure.not-a-number")
-def not_a_number(subject: IntegratorSubject) -> Finding:
-    """A torque that becomes NaN ends the run as failed, with a typed reason and the motion before it."""
-    _refuse_to_step(subject)
-    with subject.run(NO_NUMBER, {"end": 1.0, "step": 0.01}) as run:
+def not_a_number(integrator: IntegratorUnderTest) -> Result:
+    """A torque that becomes NaN ends the run as failed, with a status code and the motion before it."""
+    _refuse_to_step(integrator)
+    with integrator.run(NO_NUMBER, {"end": 1.0, "step": 0.01}) as run:
         if run.status == "complete":
-            return failed("it ran to the end through a torque that is not a number")
+            return failed("it completed a run with a torque that is not a number")
         if fault := _fault(run):
             return failed(fault)
         if len(run.time) < 2:
-            return failed("nothing that it computed before was kept")
+            return failed("the motion before the failure was not kept")
         reached = float(run.time[-1])
         if reached > 0.52:
-            return failed(f"it went on to {reached:g} s, beyond the torque's end at 0.5 s")
+            return failed(f"it continued to {reached:g} s, although the torque is undefined after 0.5 s")
         return passed(reason=run.status_reason.partition(":")[0], reached_s=reached)
 
 
-def _refuse_to_step(subject: IntegratorSubject) -> None:
-    """Let a method with `step` step where there are no accelerations; raises `_GoesOnError` if it returns."""
-    method = subject.method()
+def _refuse_to_step(integrator: IntegratorUnderTest) -> None:
+    """Call a method with `step` where accelerations are undefined; raises `_NoStepError` if it returns."""
+    method = integrator.method()
     if not isinstance(method, StepMethod):
         return
-    equations = EquationsOfMotion(subject.workspace(NO_NUMBER))
+    equations = EquationsOfMotion(integrator.workspace(NO_NUMBER))
     try:
         method.step(equations, 0.6, StepState(equations.q0, equations.v0), 0.01)
     except StepError:
         return
-    raise _GoesOnError("it returns from a step in which there are no accelerations, as if nothing had happened")
+    raise _NoStepError(
+        "its step returns a state although the accelerations are undefined; it should raise mbdkit.StepError"
+    )
 
 
-class _GoesOnError(MbdkitError):
-    """A method that hides from the framework that a step cannot be taken."""
+class _NoStepError(MbdkitError):
+    """A method returned from a step that cannot be taken."""
 
 
 @check("failure.singular")
-def singular(subject: IntegratorSubject) -> Finding:
-    """A driver that pulls two rods beyond their reach ends in a typed reason, or in finite numbers."""
-    with subject.run(OUT_OF_REACH, {"end": 1.5, "step": 0.01}, limits={"wall_time": 10, "max_steps": 20000}) as run:
+def singular(integrator: IntegratorUnderTest) -> Result:
+    """A driver that pulls two rods beyond their reach ends the run with a status code or finite values."""
+    with integrator.run(OUT_OF_REACH, {"end": 1.5, "step": 0.01}, limits={"wall_time": 10, "max_steps": 20000}) as run:
         if fault := _fault(run):
             return failed(fault)
         if run.status == "interrupted":
-            return failed("it was interrupted by nobody")
+            return failed("it ended as interrupted without an interrupt")
         return passed(status=run.status, reason=run.status_reason.partition(":")[0], reached_s=float(run.time[-1]))
 
 
 @check("failure.inconsistent-start")
-def inconsistent_start(subject: IntegratorSubject) -> Finding:
-    """Joints that cannot meet are refused before the first step, and a start that is off is made consistent."""
+def inconsistent_start(integrator: IntegratorUnderTest) -> Result:
+    """Joints that cannot meet are an error before the first step; an inconsistent start is made consistent."""
     try:
-        subject.run(CANNOT_MEET, {"end": 1.0, "step": 0.01}).close()
+        integrator.run(CANNOT_MEET, {"end": 1.0, "step": 0.01}).close()
     except SpecError:
         pass
     else:
         return failed("joints that cannot meet were integrated")
     bodies = {name: {**body, "velocity": [0.3, -0.2]} for name, body in SWINGING["bodies"].items()}
-    with subject.run({**SWINGING, "bodies": bodies}, {"end": 0.1, "step": 0.01}) as run:
+    with integrator.run({**SWINGING, "bodies": bodies}, {"end": 0.1, "step": 0.01}) as run:
         if run.status != "complete":
-            return failed(f"from a start that was off it did not complete: {run.status_reason}")
+            return failed(f"from an inconsistent start it did not complete: {run.status_reason}")
         if float(np.max(run.array("joints/velocity_misalignment")[0])) > 1e-10:
-            return failed("it started from velocities that the joints do not allow")
+            return failed("it started from inconsistent velocities")
     return passed()
 
 
 @check("failure.impossible-tolerance")
-def impossible_tolerance(subject: IntegratorSubject) -> Finding:
-    """A tolerance that no iteration and no step can meet is refused, or ends in a typed reason or a finite result."""
-    fields = [name for name in ("tolerance", "rtol") if name in subject.plugin.options.model_fields]
+def impossible_tolerance(integrator: IntegratorUnderTest) -> Result:
+    """A tolerance that cannot be met is an error, or ends the run with a status code or a finite result."""
+    fields = [name for name in ("tolerance", "rtol") if name in integrator.plugin.options.model_fields]
     if not fields:
         return skipped("it has no option `tolerance` or `rtol`")
     name = fields[0]
     outcomes = []
     for value in (1e-300, 3e-14):
         try:
-            run = subject.run(
+            run = integrator.run(
                 FORCED_PENDULUM,
                 {"end": 0.1, "step": 0.01},
                 options={name: value},
@@ -121,22 +123,24 @@ def impossible_tolerance(subject: IntegratorSubject) -> Finding:
 
 
 @check("failure.step-limit")
-def step_limit(subject: IntegratorSubject) -> Finding:
-    """It stops after limits.max_steps and keeps every step before."""
-    with subject.run(FORCED_PENDULUM, {"end": 5.0, "step": 0.01}, limits={"max_steps": 7}) as run:
+def step_limit(integrator: IntegratorUnderTest) -> Result:
+    """It stops after limits.max_steps and keeps all steps before."""
+    with integrator.run(FORCED_PENDULUM, {"end": 5.0, "step": 0.01}, limits={"max_steps": 7}) as run:
         code = run.status_reason.partition(":")[0]
         if run.status != "failed" or code != "max-steps":
-            return failed(f"after 7 steps it should stop for max-steps, not as {run.status} {code}".rstrip())
+            return failed(
+                f"after 7 steps it should fail with max-steps, but its status is {run.status} {code}".rstrip()
+            )
         if len(run.time) != 8 or run.stats["steps"] != 7:
-            return failed(f"of 7 steps it counted {run.stats['steps']} and kept {len(run.time) - 1}")
+            return failed(f"after 7 steps it counted {run.stats['steps']} and kept {len(run.time) - 1}")
     return passed()
 
 
 @check("failure.interrupt")
-def interrupt(subject: IntegratorSubject) -> Finding:
-    """Ctrl-C ends it as interrupted, with the motion up to there."""
+def interrupt(integrator: IntegratorUnderTest) -> Result:
+    """Ctrl-C ends the run as interrupted, with the motion up to then."""
     if threading.current_thread() is not threading.main_thread():
-        raise Skip("signals reach the main thread only")
+        raise Skip("only the main thread receives signals")
     rung: list[float] = []
 
     def ring(now: float, end: float) -> None:
@@ -145,13 +149,13 @@ def interrupt(subject: IntegratorSubject) -> Finding:
             signal.raise_signal(signal.SIGINT)
 
     time = {"end": 1e6, "step": 0.01}
-    with subject.run(SWINGING, time, progress=ring, output={"every": 1000}) as run:
+    with integrator.run(SWINGING, time, progress=ring, output={"every": 1000}) as run:
         if run.status != "interrupted":
-            return failed(f"interrupted by Ctrl-C it ended as {run.status}: {run.status_reason}")
+            return failed(f"after Ctrl-C its status is {run.status}: {run.status_reason}")
         if fault := _fault(run):
             return failed(fault)
         if abs(float(run.time[-1]) - rung[0]) > 1e-9 * max(1.0, rung[0]):
-            return failed("the state that it had reached was not kept")
+            return failed("the last state before the interrupt was not kept")
     return passed(stopped_at_s=rung[0])
 
 

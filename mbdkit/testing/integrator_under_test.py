@@ -1,4 +1,4 @@
-"""An integrator under test: its claims with given options, and ways to run it on a model or on a bare workspace."""
+"""An integrator with given options under test: its claims, and methods that run it on a model or a workspace."""
 
 from __future__ import annotations
 
@@ -23,78 +23,78 @@ from mbdkit.stepping.start import start_method
 from mbdkit.testing.check import Skip
 from mbdkit.testing.options_under_test import validated
 
-Kept = TypeVar("Kept")
+Value = TypeVar("Value")
 WALL_TIME = 40.0
-"""Seconds after which a run of a check is stopped."""
+"""Time limit of a run in a check [s]."""
 
 
 @dataclass
-class IntegratorSubject:
-    """An integrator with options, ready to be tried.
+class IntegratorUnderTest:
+    """An integrator with options.
 
     Parameters
     ----------
     item
         The integrator in the registry.
     options
-        Its options as a spec would give them.
+        Its options, as in a spec.
     installed
-        The registry in which specs look their models and integrators up.
+        The registry that specs use.
     """
 
     item: Registered
     options: dict[str, Any]
     installed: Registry
-    _kept: dict[str, Any] = field(default_factory=dict)
+    _cache: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @property
     def plugin(self) -> IntegratorPlugin:
-        """The integrator as its plugin registered it."""
+        """The plugin item."""
         plugin = self.item.plugin
         assert isinstance(plugin, IntegratorPlugin)
         return plugin
 
     @cached_property
     def spec_type(self) -> type[RunSpec]:
-        """The run spec that knows this integrator."""
+        """The class of run specs that accept this integrator."""
         return spec_type(self.installed)
 
     @cached_property
     def claims(self) -> Claims:
-        """What it claims with these options."""
+        """Its claims with these options."""
         claims = self.plugin.claims(validated(self.plugin.options, self.options))
         if not isinstance(claims, Claims):
-            raise PluginError(f"{self.item.id} stated its claims as {type(claims).__name__}, not as Claims")
+            raise PluginError(f"{self.item.id} returned its claims as {type(claims).__name__}; mbdkit.Claims is needed")
         return claims
 
     @property
     def formulation(self) -> str:
-        """The formulation that it is tried on: the first that it claims to serve."""
+        """The formulation used by the checks: the first one that it claims."""
         return self.claims.formulations[0]
 
     @property
     def order(self) -> float:
-        """The order that it claims; raises Skip where it claims none."""
+        """The claimed order; raises Skip if there is none."""
         if self.claims.order is None:
-            raise Skip("it controls its own error and claims no order")
+            raise Skip("it is adaptive and claims no order")
         return self.claims.order
 
     @property
     def tableau(self) -> ButcherTableau:
-        """Its tableau; raises Skip where it is none."""
+        """Its tableau; raises Skip if it is not given by one."""
         method = self.method()
         if not isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta):
-            raise Skip("it is not a tableau")
+            raise Skip("it is not given by a tableau")
         return method.tableau
 
     def method(self, **changes: Any) -> Method:
-        """Return a new method, as a run would get it."""
+        """Return a new method, with `changes` of the options."""
         options = validated(self.plugin.options, {**self.options, **changes})
         method: Method = self.plugin.create(options)
         return method
 
     def spec(self, model: Mapping[str, Any], time: Mapping[str, Any], **sections: Any) -> RunSpec:
-        """Return the spec of a run; `sections` may bring other integrator options as ``options``."""
+        """Return the spec of a run; ``options`` among the `sections` changes options of the integrator."""
         options = sections.pop("options", {})
         data: dict[str, Any] = {
             "mbdkit": 1,
@@ -109,7 +109,10 @@ class IntegratorSubject:
     def run(
         self, model: Mapping[str, Any], time: Mapping[str, Any], *, progress: Progress | None = None, **sections: Any
     ) -> Run:
-        """Run a model in memory, whatever the end; Ctrl-C is not its end, unless `progress` may have asked for it."""
+        """Run a model in memory and return the run whatever its status.
+
+        An interrupt raises KeyboardInterrupt, unless `progress` is given: a check may use it to interrupt the run.
+        """
         run = simulate(self.spec(model, time, **sections), progress=progress, notify=_say_nothing)
         if run.status == "interrupted" and progress is None:
             run.close()
@@ -117,12 +120,12 @@ class IntegratorSubject:
         return run
 
     def final_state(self, model: Mapping[str, Any], end: float, step: float, **sections: Any) -> np.ndarray:
-        """Return positions and velocities at the end of a run, all of them in one vector; NaN where it failed."""
+        """Return positions and velocities at the end of a run in one vector; NaN if the run failed."""
         with self.run(model, {"end": end, "step": step}, output={"every": 10**9}, **sections) as run:
             return final_state(run)
 
     def workspace(self, model: Mapping[str, Any]) -> Workspace:
-        """Return a model's workspace at its consistent start."""
+        """Return the workspace of a model at its consistent start."""
         return build(self.spec(model, {"end": 1.0, "step": 0.5}), _say_nothing)[0]
 
     def stepper(
@@ -135,9 +138,22 @@ class IntegratorSubject:
         method: Method | None = None,
         single: bool = False,
     ) -> Stepper:
-        """Return a stepper from the start of `workspace` to `end` [s]; an adaptive method chooses its own steps.
+        """Return a stepper from the start of `workspace` to `end` [s].
 
-        With `single` it goes on for one step at a time.
+        Parameters
+        ----------
+        workspace
+            The workspace.
+        end
+            End time [s].
+        steps
+            Number of steps of a method with fixed steps; an adaptive method chooses its own.
+        every
+            Rows are recorded every so many steps.
+        method
+            The method; by default a new one.
+        single
+            Whether each call of `advance` takes one step.
         """
         step = None if self.claims.adaptive else (end - workspace.t0) / steps
         table = Timetable(
@@ -146,28 +162,28 @@ class IntegratorSubject:
         return start_method(method or self.method(), workspace, table)
 
     def moved(self, workspace: Workspace, end: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and velocities, ground last, at the end of steps from the start of `workspace`."""
+        """Return positions and velocities, ground last, after `steps` steps from the start of `workspace` to `end`."""
         stepper = self.stepper(workspace, end, steps)
         q, v = drive(stepper)
         return q, v
 
-    def kept(self, key: str, make: Callable[[], Kept]) -> Kept:
-        """Return what several checks share, made once."""
-        if key not in self._kept:
-            self._kept[key] = make()
-        kept: Kept = self._kept[key]
-        return kept
+    def cached(self, key: str, compute: Callable[[], Value]) -> Value:
+        """Return a value that several checks use, computed once."""
+        if key not in self._cache:
+            self._cache[key] = compute()
+        value: Value = self._cache[key]
+        return value
 
 
 def drive(stepper: Stepper, before: Callable[[], None] = lambda: None) -> tuple[np.ndarray, np.ndarray]:
-    """Advance a stepper to its end and return the state there; raises Skip where it stops early.
+    """Advance a stepper to its end and return positions and velocities there; raises Skip if it stops early.
 
     Parameters
     ----------
     stepper
         The stepper.
     before
-        Called before each stretch.
+        Called before each call of `advance`.
     """
     q = v = np.zeros(0)
     while not (stepper.finished or stepper.failure):
@@ -176,12 +192,12 @@ def drive(stepper: Stepper, before: Callable[[], None] = lambda: None) -> tuple[
         if len(stretch.time):
             q, v = stretch.q[-1], stretch.v[-1]
     if stepper.failure is not None:
-        raise Skip(f"it could not be carried out: {stepper.failure.sentence}".rstrip("."))
+        raise Skip(f"the steps could not be taken: {stepper.failure.sentence}".rstrip("."))
     return q, v
 
 
 def final_state(run: Run) -> np.ndarray:
-    """Return all positions and velocities of the last row in one vector; NaN where the run is not complete."""
+    """Return positions and velocities of the last row in one vector; NaN if the run is not complete."""
     state = np.concatenate(
         [np.asarray(run.array(f"trajectory/{name}")[-1]).ravel() for name in ("position", "velocity")]
     )
@@ -189,4 +205,4 @@ def final_state(run: Run) -> np.ndarray:
 
 
 def _say_nothing(message: str) -> None:
-    """Take no note of what takes long before the first step."""
+    """Ignore messages."""

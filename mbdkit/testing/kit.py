@@ -1,4 +1,4 @@
-"""The one list of checks of each kind of plugin, and how a plugin is taken through it."""
+"""The list of checks of each kind of plugin, and the function that runs them."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from mbdkit.testing import (
     tolerance_checks,
 )
 from mbdkit.testing.check import Check
-from mbdkit.testing.integrator_under_test import IntegratorSubject
+from mbdkit.testing.check_result import Kind, Report, Result
+from mbdkit.testing.integrator_under_test import IntegratorUnderTest
 from mbdkit.testing.options_under_test import plain_options
-from mbdkit.testing.outcome import Kind, Report, Result
 
-INTEGRATOR_CHECKS: tuple[Check[IntegratorSubject], ...] = (
+INTEGRATOR_CHECKS: tuple[Check[IntegratorUnderTest], ...] = (
     *contract_checks.CHECKS,
     *tableau_checks.CHECKS,
     *order_checks.CHECKS,
@@ -51,27 +51,27 @@ Watch = Callable[[int, int, str], None]
 
 
 def checks_of(kind: Kind, *, quick: bool = False) -> Iterator[Check[Any]]:
-    """Give the checks of a kind of plugin, in their order; without the slow ones if `quick`."""
+    """Yield the checks of a kind of plugin in order, without the slow ones if `quick`."""
     return (check for check in CHECKS[kind] if not (quick and check.slow))
 
 
-def subject_of(kind: Kind, name: str, options: Mapping[str, Any], installed: Registry | None = None) -> Any:
-    """Return a plugin with options, ready to be checked.
+def plugin_under_test(kind: Kind, name: str, options: Mapping[str, Any], installed: Registry | None = None) -> Any:
+    """Return a plugin with options, as the checks take it.
 
     Raises
     ------
     SpecError
-        Where there is no such plugin, or its options are wrong.
+        There is no such plugin, or its options are invalid.
     """
     installed = installed or registry()
     item = installed.get(kind, name)
     chosen = plain_options(item, options)
-    subjects: dict[Kind, Callable[[Registered, dict[str, Any], Registry], Any]] = {
-        "integrator": IntegratorSubject,
-        "model": model_checks.ModelSubject,
-        "force-law": force_law_checks.LawSubject,
+    types: dict[Kind, Callable[[Registered, dict[str, Any], Registry], Any]] = {
+        "integrator": IntegratorUnderTest,
+        "model": model_checks.ModelUnderTest,
+        "force-law": force_law_checks.ForceLawUnderTest,
     }
-    return subjects[kind](item, chosen, installed)
+    return types[kind](item, chosen, installed)
 
 
 def verify(
@@ -84,53 +84,53 @@ def verify(
     watch: Watch | None = None,
     notify: Callable[[str], None] = to_stderr,
 ) -> Report:
-    """Take a plugin through all checks of its kind.
+    """Run all checks of a plugin.
 
     Parameters
     ----------
     kind
-        What it is.
+        Kind of plugin.
     name
-        Its short or long name.
+        Short or long name.
     options
-        Its options; for what has neither a default nor a value here, the plainest value that the schema allows.
+        Its options. An option without default or value gets an example value; see `plain_options`.
     quick
         Whether to leave out the slow checks.
     installed
-        Where to look it up; by default, in all that is installed.
+        The registry; by default all installed plugins.
     watch
-        Called before each check with its number, the number of all, and its name.
+        Called before each check with its index, the number of checks, and its name.
     notify
-        Told what takes long.
+        Receives messages about long operations.
 
     Raises
     ------
     SpecError
-        Where there is no such plugin, or its options are wrong.
+        There is no such plugin, or its options are invalid.
     """
-    subject = subject_of(kind, name, options or {}, installed)
+    under_test = plugin_under_test(kind, name, options or {}, installed)
     ensure_compiled(notify)
     checks = list(checks_of(kind, quick=quick))
     results: list[Result] = []
     for number, check in enumerate(checks):
         if watch is not None:
             watch(number, len(checks), check.name)
-        results.append(check.run(subject))
-    item: Registered = subject.item
+        results.append(check.run(under_test))
+    item: Registered = under_test.item
     return Report(
         id=item.id,
         kind=kind,
         version=item.origin.version,
-        options=subject.options,
-        claims=_claims(kind, subject),
+        options=under_test.options,
+        claims=_claims(kind, under_test),
         results=tuple(results),
     )
 
 
-def _claims(kind: Kind, subject: Any) -> dict[str, Any]:
+def _claims(kind: Kind, under_test: Any) -> dict[str, Any]:
     if kind == "model":
         return {}
     try:
-        return asdict(subject.claims) if kind == "integrator" else dict(subject.claims)
-    except Exception:  # a check has said so
+        return asdict(under_test.claims) if kind == "integrator" else dict(under_test.claims)
+    except Exception:  # a check reports it
         return {}

@@ -1,4 +1,4 @@
-"""What every model owes: a mechanism that is the same each time, can start, and whose equations fit together."""
+"""Requirements on every model: a repeatable mechanism, a consistent start, and consistent derivatives."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.simulation import build, simulate
 from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit.testing.check import Skip, check
+from mbdkit.testing.check_result import Result, failed, passed, skipped, warned
 from mbdkit.testing.options_under_test import validated
-from mbdkit.testing.outcome import Finding, failed, passed, skipped, warned
 from mbdkit.text import listed
 
 END = 1.0
 START = 1e-10
 """Largest residual of a start [m, rad, m/s, rad/s]."""
 DERIVATIVE = 1e-6
-"""Share of its size by which a derivative may differ from differences."""
+"""Share of its size by which a derivative may differ from finite differences."""
 
 
 @dataclass
-class ModelSubject:
-    """A model with parameters, ready to be tried.
+class ModelUnderTest:
+    """A model with parameters.
 
     Parameters
     ----------
     item
         The model in the registry.
     options
-        Its parameters as a spec would give them.
+        Its parameters, as in a spec.
     installed
-        The registry in which specs look it up.
+        The registry that specs use.
     """
 
     item: Registered
@@ -48,7 +48,7 @@ class ModelSubject:
 
     @cached_property
     def spec_type(self) -> type[RunSpec]:
-        """The run spec that knows this model."""
+        """The class of run specs that accept this model."""
         return spec_type(self.installed)
 
     def spec(self, step: float, stages: int = 3, end: float = END) -> RunSpec:
@@ -63,7 +63,7 @@ class ModelSubject:
         return self.spec_type(**data)
 
     def mechanism(self) -> Mechanism:
-        """Return the mechanism, built anew."""
+        """Return a new mechanism."""
         return self.spec(0.01).mechanism()
 
     def equations(self) -> EquationsOfMotion:
@@ -72,38 +72,38 @@ class ModelSubject:
 
 
 @check("model.options")
-def options(subject: ModelSubject) -> Finding:
-    """Its parameters survive the way to JSON and back, and each says what it is."""
-    model = subject.item.plugin.options
-    chosen = validated(model, subject.options)
-    if model.model_validate_json(chosen.model_dump_json()) != chosen:
-        return failed("its parameters come back from JSON changed")
-    described = model.model_json_schema().get("properties", {})
+def options(model: ModelUnderTest) -> Result:
+    """Its parameters round-trip through JSON and have descriptions."""
+    options_type = model.item.plugin.options
+    chosen = validated(options_type, model.options)
+    if options_type.model_validate_json(chosen.model_dump_json()) != chosen:
+        return failed("its parameters change in a JSON round trip")
+    described = options_type.model_json_schema().get("properties", {})
     if silent := [name for name, info in described.items() if not info.get("description")]:
         return warned(f"{listed(silent, 'and')} have no description: write a docstring below each parameter")
     return passed(parameters=len(described))
 
 
 @check("model.repeatable")
-def repeatable(subject: ModelSubject) -> Finding:
-    """Equal parameters give equal mechanisms, parameters stay untouched, and the mechanism survives being a spec."""
-    plugin: Any = subject.item.plugin
-    given = validated(plugin.options, subject.options)
+def repeatable(model: ModelUnderTest) -> Result:
+    """Equal parameters give equal mechanisms, are not modified, and the mechanism round-trips through a spec."""
+    plugin: Any = model.item.plugin
+    given = validated(plugin.options, model.options)
     before = given.model_dump_json()
     first, second = plugin.build(given).to_spec(), plugin.build(given).to_spec()
     if given.model_dump_json() != before:
-        return failed("it changed its parameters")
+        return failed("it modified its parameters")
     if first != second:
-        return failed("built twice from the same parameters it gives two different mechanisms")
+        return failed("the same parameters give two different mechanisms")
     if Mechanism.from_spec(first).to_spec() != first:
-        return failed("its mechanism comes back from a spec changed")
+        return failed("its mechanism changes in a round trip through a spec")
     return passed(bodies=len(first["bodies"]), joints=len(first.get("joints", {})))
 
 
 @check("model.mass")
-def mass(subject: ModelSubject) -> Finding:
-    """Every mass is positive, and every inertia is positive, or that of a point mass."""
-    for name, body in subject.mechanism().to_spec()["bodies"].items():
+def mass(model: ModelUnderTest) -> Result:
+    """Every mass is positive, and every inertia is positive or absent (a point mass)."""
+    for name, body in model.mechanism().to_spec()["bodies"].items():
         inertia = body.get("inertia")
         if not body["mass"] > 0 or (inertia is not None and not inertia > 0):
             return failed(f"body '{name}' has mass {body['mass']} and inertia {inertia}")
@@ -111,9 +111,9 @@ def mass(subject: ModelSubject) -> Finding:
 
 
 @check("model.start")
-def start(subject: ModelSubject) -> Finding:
-    """Its start meets all joints and drivers, in position and velocity, without being moved far to get there."""
-    workspace, assembled = build(subject.spec(0.01), lambda message: None)
+def start(model: ModelUnderTest) -> Result:
+    """Its start satisfies all constraints in position and velocity, without a large correction."""
+    workspace, assembled = build(model.spec(0.01), lambda message: None)
     equations = EquationsOfMotion(workspace)
     t, q, v = equations.t0, equations.q0, equations.v0
     residual = float(np.max(np.abs(equations.constraints(t, q)), initial=0.0))
@@ -121,16 +121,16 @@ def start(subject: ModelSubject) -> Finding:
     moved = max(assembled.moved_position.values(), default=0.0) if assembled.changed else 0.0
     figures = {"residual": residual, "velocity_residual": rate, "moved_m": float(moved)}
     if max(residual, rate) > START:
-        return failed("its start does not meet the joints", **figures)
+        return failed("its start does not satisfy the constraints", **figures)
     if moved > 1e-3:
-        return warned("its start had to be moved to meet the joints", **figures)
+        return warned("its start had to be moved to satisfy the constraints", **figures)
     return passed(**figures)
 
 
 @check("model.jacobian")
-def jacobian(subject: ModelSubject) -> Finding:
-    """The derivatives of the constraints, by position, along the motion, and twice along it, agree with differences."""
-    equations = subject.equations()
+def jacobian(model: ModelUnderTest) -> Result:
+    """Jacobian, rates and accelerations of the constraints agree with finite differences."""
+    equations = model.equations()
     if equations.m == 0:
         raise Skip("it has no joints")
     worst, e = 0.0, 1e-5
@@ -150,7 +150,7 @@ def jacobian(subject: ModelSubject) -> Finding:
         twice = (equations.constraint_rates(*later) - equations.constraint_rates(*earlier)) / (2 * e)
         worst = max(worst, _share(twice, exact @ a - equations.gamma(t, q, v)))
     if worst > DERIVATIVE:
-        return failed("a derivative of its constraints does not agree with differences", difference=worst)
+        return failed("a derivative of its constraints differs from finite differences", difference=worst)
     return passed(difference=worst)
 
 
@@ -159,10 +159,10 @@ def _share(found: np.ndarray, exact: np.ndarray) -> float:
 
 
 @check("model.drivers")
-def drivers(subject: ModelSubject) -> Finding:
-    """The motion of each driver has a rate and an acceleration that its value and its rate are the integrals of."""
-    compiled = build(subject.spec(0.01), lambda message: None)[0].mechanism
-    driven = {name for name, joint in subject.mechanism().joints.items() if isinstance(joint, Driver)}
+def drivers(model: ModelUnderTest) -> Result:
+    """Rate and acceleration of each driver's motion are the derivatives of its value and rate."""
+    compiled = build(model.spec(0.01), lambda message: None)[0].mechanism
+    driven = {name for name, joint in model.mechanism().joints.items() if isinstance(joint, Driver)}
     if not driven:
         raise Skip("it has no drivers")
     top = compiled.topology
@@ -183,17 +183,17 @@ def drivers(subject: ModelSubject) -> Finding:
             if defect > DERIVATIVE:
                 at = float(times[::2][int(np.argmax(missed))])
                 return failed(
-                    f"the {what} of a driver's motion is missing something near t = {at:.3g} s", defect=defect
+                    f"the {what} of a driver's motion is not the derivative near t = {at:.3g} s", defect=defect
                 )
     return passed(drivers=len(driven), defect=worst)
 
 
 @check("energy.balance")
-def balance(subject: ModelSubject) -> Finding:
-    """What energy its motion gains is what its loads and drivers put in, the better the finer the step."""
+def balance(model: ModelUnderTest) -> Result:
+    """The energy balance of loads and drivers converges to zero with the step."""
     found, steps = [], (0.02, 0.01, 0.005, 0.0025)
     for step in steps:
-        with simulate(subject.spec(step, stages=2), notify=lambda message: None) as run:
+        with simulate(model.spec(step, stages=2), notify=lambda message: None) as run:
             if run.status != "complete":
                 found.append(np.nan)
                 continue
@@ -206,16 +206,14 @@ def balance(subject: ModelSubject) -> Finding:
     if last[-1] < 1e-9 or last[-1] < last[0] / 4 ** (len(last) - 1):
         return passed(**figures)
     if last[-1] < last[0] / 2:
-        return warned(
-            "its energy balance gets better with the step, but slowly: a force that is not smooth?", **figures
-        )
-    return failed("its energy balance does not get better with the step", **figures)
+        return warned("its energy balance converges slowly with the step; a force may not be smooth", **figures)
+    return failed("its energy balance does not converge with the step", **figures)
 
 
 @check("energy.run")
-def completes(subject: ModelSubject) -> Finding:
-    """A run of a second completes, and its joints stay together."""
-    with simulate(subject.spec(0.002), notify=lambda message: None) as run:
+def completes(model: ModelUnderTest) -> Result:
+    """A run of one second completes; its misalignment is reported."""
+    with simulate(model.spec(0.002), notify=lambda message: None) as run:
         if run.status != "complete":
             return failed(f"a run of {END:g} s did not complete: {run.status_reason}".rstrip("."))
         if not run.joints:

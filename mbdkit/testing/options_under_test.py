@@ -1,4 +1,4 @@
-"""Options for a plugin under test: as given, and for what has no default the plainest value that its schema allows."""
+"""Options of a plugin under test: given values, and example values for options without default."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Options = TypeVar("Options", bound=BaseModel)
 
 
 def plain_options(item: Registered, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return options that make the item: `given`, and an example for each other one that has no default.
+    """Return valid options of an item: `given`, and an example value for each other option without default.
 
     An example is the first of ``examples`` in the option's JSON schema, the first of its choices, or a number within
     its bounds, 1 if that is one.
@@ -26,7 +26,7 @@ def plain_options(item: Registered, given: Mapping[str, Any]) -> dict[str, Any]:
     Raises
     ------
     SpecError
-        Where the options are wrong, or one has neither default nor example.
+        The options are invalid, or one has neither default nor example value.
     """
     model: type[BaseModel] = item.plugin.options
     schema = model.model_json_schema()
@@ -53,7 +53,7 @@ def plain_options(item: Registered, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def validated(model: type[Options], options: Mapping[str, Any]) -> Options:
-    """Return the options that plain values make; they are read as JSON, as all of a spec is."""
+    """Return the options with these values, read as JSON like a spec."""
     return model.model_validate_json(json.dumps(options))
 
 

@@ -1,4 +1,4 @@
-"""The order of convergence: exact on polynomials, and observed on nonlinear problems that depend on time."""
+"""Order of convergence: exactness on polynomials, and observed order on nonlinear non-autonomous problems."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from mbdkit.analysis.order import ObservedOrder, observed_order
 from mbdkit.methods.step_method import StepMethod
 from mbdkit.testing.check import Check, Skip, check
-from mbdkit.testing.integrator_under_test import IntegratorSubject, final_state
-from mbdkit.testing.outcome import Figure, Finding, failed, passed, skipped, warned
+from mbdkit.testing.check_result import Figure, Result, failed, passed, skipped, warned
+from mbdkit.testing.integrator_under_test import IntegratorUnderTest, final_state
 from mbdkit.testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM, FOUR_BAR, Model, pushed
 
 PROBLEMS: dict[str, Model] = {
@@ -21,21 +21,22 @@ PROBLEMS: dict[str, Model] = {
     "four-bar": FOUR_BAR,
 }
 ENDS = {"forced-pendulum": 1.0, "driven-pendulum": 3.0, "four-bar": 1.0}
-"""How long each moves [s]: long enough that errors follow a power of the step before they meet rounding."""
+"""Duration of each [s]: long enough that errors follow a power of the step before they reach rounding."""
 BELOW, ABOVE = 0.2, 0.5
-"""An order lower than claimed by more than `BELOW` is an over-claim, one higher by more than `ABOVE` an under-claim."""
+"""An order lower than claimed by more than `BELOW` fails; one higher by more than `ABOVE` is a warning."""
 MOST_STEPS, MOST_PYTHON_STEPS = 8192, 1024
 FIRST_STEPS = 5
 HIGH = 8
-"""Order above which errors may meet rounding before they follow a power of the step."""
+"""Order above which errors may reach rounding before they follow a power of the step."""
 POLYNOMIAL = 1e-13
 
 
 @cache
 def reference(problem: str) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the state and the multipliers at the end, and their floor of rounding.
+    """Return the reference state and multipliers at the end, and the rounding error of the state.
 
-    They come from Gauss collocation with 6 stages in 60 steps a second; the floor is the difference to 75 a second.
+    They are computed by Gauss collocation with 6 stages in 60 steps per second; the rounding error is the difference
+    to 75 steps per second.
     """
     from mbdkit.simulation import run
 
@@ -51,37 +52,37 @@ def reference(problem: str) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 class Convergence:
-    """Errors of an integrator over a sequence of steps, on one problem.
+    """Errors of an integrator on a problem, over a sequence of step sizes.
 
     Parameters
     ----------
-    subject
+    integrator
         The integrator.
     problem
         Name of the problem.
     formulation
-        The formulation; by default the one that the integrator is tried on.
+        The formulation; by default the one that the checks use.
 
     Attributes
     ----------
     steps
         (K,) step sizes [s], coarsest first.
     position_errors, velocity_errors, multiplier_errors
-        (K,) largest error of any of them at the end; NaN where the run failed.
+        (K,) largest error at the end; NaN if the run failed.
     floor
-        Floor of rounding.
+        Rounding error of the reference.
     """
 
-    def __init__(self, subject: IntegratorSubject, problem: str, formulation: str | None = None):
+    def __init__(self, integrator: IntegratorUnderTest, problem: str, formulation: str | None = None):
         state, multipliers, self.floor = reference(problem)
-        formulation = formulation or subject.formulation
-        claimed = subject.claims.orders_on(formulation)
+        formulation = formulation or integrator.formulation
+        claimed = integrator.claims.orders_on(formulation)
         assert claimed is not None
         self.order = max(claimed.positions, claimed.velocities)
         steps, errors, end = [], [], ENDS[problem]
-        for number in numbers_of_steps(subject, min(order for order in claimed if order is not None)):
+        for number in numbers_of_steps(integrator, min(order for order in claimed if order is not None)):
             time = {"end": end, "step": end / number}
-            with subject.run(PROBLEMS[problem], time, output={"every": 10**9}, formulation=formulation) as run:
+            with integrator.run(PROBLEMS[problem], time, output={"every": 10**9}, formulation=formulation) as run:
                 of_positions, of_velocities = (float(np.max(np.abs(x))) for x in np.split(final_state(run) - state, 2))
                 of_multipliers = math.nan
                 if claimed.multipliers is not None and run.status == "complete":
@@ -102,39 +103,39 @@ class Convergence:
 
     @property
     def observed(self) -> ObservedOrder:
-        """The order of positions and velocities."""
+        """The observed order of positions and velocities."""
         return self.observed_in(self.errors)
 
     def observed_in(self, errors: np.ndarray) -> ObservedOrder:
-        """Return the order that errors (K,) of positions or velocities show."""
+        """Return the observed order of errors (K,) of positions or velocities."""
         return observed_order(self.steps, errors, floor=self.floor, fewest=4 if self.order > HIGH else 3)
 
 
-def numbers_of_steps(subject: IntegratorSubject, order: float) -> Iterator[int]:
-    """Give numbers of steps, refined so that the error of a method of some order falls fourfold each time."""
+def numbers_of_steps(integrator: IntegratorUnderTest, order: float) -> Iterator[int]:
+    """Yield numbers of steps, refined such that the error of a method of this order falls fourfold each time."""
     ratio = min(2.0, max(4.0 ** (1 / order), 1.05))
-    most = MOST_PYTHON_STEPS if isinstance(subject.method(), StepMethod) else MOST_STEPS
+    most = MOST_PYTHON_STEPS if isinstance(integrator.method(), StepMethod) else MOST_STEPS
     exact = float(FIRST_STEPS)
     while exact <= most:
         yield round(exact)
         exact = max(exact * ratio, round(exact) + 1)
 
 
-def convergence(subject: IntegratorSubject, problem: str) -> Convergence:
-    """Return the errors on a problem, computed once."""
-    return subject.kept(f"convergence on {problem}", lambda: Convergence(subject, problem))
+def convergence(integrator: IntegratorUnderTest, problem: str) -> Convergence:
+    """Return the errors on a problem, cached."""
+    return integrator.cached(f"convergence on {problem}", lambda: Convergence(integrator, problem))
 
 
-def judged(claimed: float, observed: ObservedOrder, errors: np.ndarray, what: str = "order") -> Finding:
-    """Hold an observed order to the claimed one."""
+def compare_orders(claimed: float, observed: ObservedOrder, errors: np.ndarray, what: str = "order") -> Result:
+    """Compare an observed order with the claimed one."""
     finite = errors[np.isfinite(errors)]
     if len(finite) == 0:
-        return failed("no run completed, whatever the step")
+        return failed("no run completed at any step size")
     figures = {"claimed": claimed, "smallest_error": float(finite.min())}
     if not observed.found:
         if claimed > HIGH and finite.min() < 1e-12:
-            return skipped("its errors meet rounding before they follow a power of the step", **figures)
-        return failed(f"it claims {what} {claimed:g}, but its errors follow no order at all", **figures)
+            return skipped("its errors reach rounding before they follow a power of the step", **figures)
+        return failed(f"it claims {what} {claimed:g}, but its errors follow no power of the step", **figures)
     figures = {
         "measured": round(observed.order, 3),
         "coarsest": observed.steps[0],
@@ -142,50 +143,50 @@ def judged(claimed: float, observed: ObservedOrder, errors: np.ndarray, what: st
         **figures,
     }
     if observed.order < claimed - BELOW:
-        return failed(f"it claims {what} {claimed:g}, and shows {observed.order:.2f}", **figures)
+        return failed(f"it claims {what} {claimed:g}, but the observed one is {observed.order:.2f}", **figures)
     if observed.order > claimed + ABOVE:
-        return warned(f"it claims {what} {claimed:g}, and shows {observed.order:.2f}", **figures)
+        return warned(f"it claims {what} {claimed:g}, but the observed one is {observed.order:.2f}", **figures)
     return passed(**figures)
 
 
-def _on(problem: str) -> Check[IntegratorSubject]:
-    def observed(subject: IntegratorSubject) -> Finding:
-        claimed = subject.order
-        found = convergence(subject, problem)
-        return judged(claimed, found.observed, found.errors)
+def _on(problem: str) -> Check[IntegratorUnderTest]:
+    def observed(integrator: IntegratorUnderTest) -> Result:
+        claimed = integrator.order
+        found = convergence(integrator, problem)
+        return compare_orders(claimed, found.observed, found.errors)
 
     observed.__doc__ = (
-        f"Its error on the {problem.replace('-', ' ')}, nonlinear and dependent on time, falls with the claimed order."
+        f"Its error on the {problem.replace('-', ' ')}, nonlinear and non-autonomous, converges with the claimed order."
     )
     return Check(f"order.{problem}", observed, slow=problem == "driven-pendulum")
 
 
 @check("order.multipliers")
-def multipliers(subject: IntegratorSubject) -> Finding:
-    """The multipliers that it carries itself converge with the order that it claims for them."""
-    claimed = subject.claims.multiplier_order
+def multipliers(integrator: IntegratorUnderTest) -> Result:
+    """Its own multipliers converge with the order claimed for them."""
+    claimed = integrator.claims.multiplier_order
     if claimed is None:
         raise Skip("it claims no order of multipliers")
-    found = convergence(subject, "forced-pendulum")
-    return judged(
+    found = convergence(integrator, "forced-pendulum")
+    return compare_orders(
         claimed, observed_order(found.steps, found.multiplier_errors), found.multiplier_errors, "order of multipliers"
     )
 
 
 @check("order.formulations", slow=True)
-def formulations(subject: IntegratorSubject) -> Finding:
-    """On every further formulation that it claims, positions, velocities and multipliers converge as claimed there."""
-    others = [name for name in subject.claims.formulations if name != subject.formulation]
+def formulations(integrator: IntegratorUnderTest) -> Result:
+    """On every further formulation that it claims, positions, velocities and multipliers converge as claimed."""
+    others = [name for name in integrator.claims.formulations if name != integrator.formulation]
     if not others:
-        raise Skip(f"it claims {subject.formulation} alone")
-    if subject.claims.adaptive:
-        raise Skip("it controls its own error and claims no order")
+        raise Skip(f"it claims only {integrator.formulation}")
+    if integrator.claims.adaptive:
+        raise Skip("it is adaptive and claims no order")
     figures: dict[str, Figure] = {}
     remark = ""
     for name in others:
-        claimed = subject.claims.orders_on(name)
+        claimed = integrator.claims.orders_on(name)
         assert claimed is not None
-        found = Convergence(subject, "forced-pendulum", name)
+        found = Convergence(integrator, "forced-pendulum", name)
         seen = []
         kinds = (
             ("positions", claimed.positions, found.position_errors),
@@ -196,7 +197,7 @@ def formulations(subject: IntegratorSubject) -> Finding:
             if order is None:
                 continue
             observed = observed_order(found.steps, errors) if what == "multipliers" else found.observed_in(errors)
-            finding = judged(order, observed, errors, f"order of {what}")
+            finding = compare_orders(order, observed, errors, f"order of {what}")
             if finding.outcome == "fail":
                 return failed(f"on {name} {finding.cause}", **finding.figures)
             if finding.outcome == "warn":
@@ -207,14 +208,14 @@ def formulations(subject: IntegratorSubject) -> Finding:
 
 
 @check("order.polynomials")
-def polynomials(subject: IntegratorSubject) -> Finding:
-    """A method of order p takes a mass whose velocity is a polynomial of degree p to the right place in one step."""
-    order = int(subject.order)
+def polynomials(integrator: IntegratorUnderTest) -> Result:
+    """A method of order p integrates a mass whose velocity is a polynomial of degree p exactly in one step."""
+    order = int(integrator.order)
     worst, first = 0.0, None
     for power in range(order):
-        with subject.run(pushed(power), {"end": 1.0, "step": 1.0}) as run:
+        with integrator.run(pushed(power), {"end": 1.0, "step": 1.0}) as run:
             if run.status != "complete":
-                raise Skip(f"a free mass could not be moved: {run.status_reason}".rstrip("."))
+                raise Skip(f"the run of a free mass did not complete: {run.status_reason}".rstrip("."))
             body = run["mass"]
             defect = abs(float(body.velocity[-1, 0]) - 1 / (power + 1))
             if power < order - 1:
@@ -224,9 +225,9 @@ def polynomials(subject: IntegratorSubject) -> Finding:
             first = power
     if first is None:
         return passed(degree=order, defect=worst)
-    cause = f"under the force t^{first} one step of 1 s is not exact, as order {order} would have it"
-    if isinstance(subject.method(), StepMethod):
-        return warned(f"{cause} of a method that is linear in the forces", defect=worst)
+    cause = f"under the force t^{first} one step of 1 s is not exact, as order {order} requires"
+    if isinstance(integrator.method(), StepMethod):
+        return warned(f"{cause} of methods that are linear in the forces", defect=worst)
     return failed(cause, defect=worst)
 
 

@@ -1,4 +1,4 @@
-"""The kit inside a plugin's own tests: one line makes every check a test."""
+"""The checks as pytest tests of a plugin."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from functools import cache
 from typing import Any
 
 from mbdkit.testing.check import Check
-from mbdkit.testing.kit import checks_of, subject_of
-from mbdkit.testing.outcome import Kind, Result, figures_text
+from mbdkit.testing.check_result import Kind, Result, figures_text
+from mbdkit.testing.kit import checks_of, plugin_under_test
 
 
 class ConformanceWarning(UserWarning):
-    """A check that passed with a remark."""
+    """Warning for a check that passed with a remark."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One check of one plugin, as a test: call it.
+    """A check of a plugin as a test; calling it runs the check.
 
-    A failure raises AssertionError, a warning is warned of, what does not apply is skipped.
+    A failure raises AssertionError, a remark issues a ConformanceWarning, and a check that does not apply is skipped.
     """
 
     kind: Kind
@@ -30,13 +30,13 @@ class Case:
     check: Check[Any]
 
     def __call__(self) -> Result:
-        """Carry the check out."""
+        """Run the check."""
         import pytest
 
         from mbdkit.stepping.warm_up import ensure_compiled
 
         ensure_compiled()
-        result = self.check.run(_subject(self.kind, self.plugin, self.options))
+        result = self.check.run(_under_test(self.kind, self.plugin, self.options))
         if result.outcome == "skip":
             pytest.skip(result.cause)
         if result.outcome == "fail":
@@ -52,12 +52,12 @@ class Case:
 
 
 @cache
-def _subject(kind: Kind, name: str, options: tuple[tuple[str, Any], ...]) -> Any:
-    return subject_of(kind, name, dict(options))
+def _under_test(kind: Kind, name: str, options: tuple[tuple[str, Any], ...]) -> Any:
+    return plugin_under_test(kind, name, dict(options))
 
 
 def cases(kind: Kind, name: str, options: dict[str, Any] | None = None, *, quick: bool = False) -> Iterator[Case]:
-    """Give the checks of a plugin as tests to be called."""
+    """Yield the checks of a plugin as tests."""
     frozen = tuple((options or {}).items())
     return (Case(kind, name, frozen, check) for check in checks_of(kind, quick=quick))
 
@@ -70,12 +70,12 @@ def conformance(
     options: dict[str, Any] | None = None,
     quick: bool = False,
 ) -> Callable[[Callable[[Case], Any]], Callable[[Case], Any]]:
-    """Decorate a test with the argument ``case``: it runs once for each check of a plugin, under the check's name.
+    """Return a decorator that runs a test once for each check of a plugin, with the check as its argument ``case``.
 
     Parameters
     ----------
     integrator, model, force_law
-        The plugin, by short or long name: exactly one of the three.
+        Short or long name of the plugin; exactly one of the three is given.
     options
         Its options.
     quick
@@ -97,6 +97,6 @@ def conformance(
     if force_law is not None:
         named.append(("force-law", force_law))
     if len(named) != 1:
-        raise TypeError("conformance takes exactly one of integrator=, model= and force_law=")
+        raise TypeError("conformance needs exactly one of integrator=, model= and force_law=")
     kind, name = named[0]
     return pytest.mark.parametrize("case", list(cases(kind, name, options, quick=quick)), ids=str)

@@ -1,4 +1,4 @@
-"""What follows from the coefficients of a Runge-Kutta method alone, to 60 digits."""
+"""Properties of a Runge-Kutta method that follow from its coefficients, to 60 digits."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import numpy as np
 
 from mbdkit.methods.tableau import ButcherTableau, TableauError
 from mbdkit.testing.check import check
-from mbdkit.testing.integrator_under_test import IntegratorSubject
-from mbdkit.testing.outcome import Finding, failed, passed, warned
+from mbdkit.testing.check_result import Result, failed, passed, warned
+from mbdkit.testing.integrator_under_test import IntegratorUnderTest
 
 
 @check("tableau.row-sums")
-def row_sums(subject: IntegratorSubject) -> Finding:
+def row_sums(integrator: IntegratorUnderTest) -> Result:
     """Each row of its matrix sums to its node."""
-    a, _, c = subject.tableau.floats()
+    a, _, c = integrator.tableau.floats()
     defect = float(np.max(np.abs(a.sum(axis=1) - c)))
     if defect > 1e-12:
         return failed("a row does not sum to its node", defect=defect)
@@ -22,9 +22,9 @@ def row_sums(subject: IntegratorSubject) -> Finding:
 
 
 @check("tableau.trees")
-def trees(subject: IntegratorSubject) -> Finding:
-    """It meets the order condition of every rooted tree up to the order that it claims, and of no order beyond."""
-    tableau, order = subject.tableau, int(subject.order)
+def trees(integrator: IntegratorUnderTest) -> Result:
+    """It satisfies the order conditions of all rooted trees up to the claimed order, and not of the next."""
+    tableau, order = integrator.tableau, int(integrator.order)
     try:
         tableau.check_trees(order)
     except TableauError as error:
@@ -33,45 +33,45 @@ def trees(subject: IntegratorSubject) -> Finding:
         tableau.check_trees(order + 1)
     except TableauError:
         return passed(order=order)
-    return warned(f"it claims order {order}, but meets the conditions of order {order + 1}", order=order + 1)
+    return warned(f"it claims order {order}, but satisfies the conditions of order {order + 1}", order=order + 1)
 
 
 @check("tableau.symmetry")
-def symmetry(subject: IntegratorSubject) -> Finding:
-    """It is its own adjoint where it claims to be symmetric: a step back undoes a step."""
-    return _held("symmetric", subject.claims.symmetric, subject.tableau.is_symmetric)
+def symmetry(integrator: IntegratorUnderTest) -> Result:
+    """It is symmetric (its own adjoint) if and only if it claims to be."""
+    return _held("symmetric", integrator.claims.symmetric, integrator.tableau.is_symmetric)
 
 
 @check("tableau.symplecticity")
-def symplecticity(subject: IntegratorSubject) -> Finding:
-    """It meets the condition for conserving quadratic invariants where it claims to, or to be symplectic."""
-    claimed = subject.claims.symplectic or subject.claims.quadratic_invariants
-    return _held("symplectic", claimed, subject.tableau.is_symplectic)
+def symplecticity(integrator: IntegratorUnderTest) -> Result:
+    """It satisfies the condition of symplecticity if it claims to be symplectic or to conserve quadratic invariants."""
+    claimed = integrator.claims.symplectic or integrator.claims.quadratic_invariants
+    return _held("symplectic", claimed, integrator.tableau.is_symplectic)
 
 
-def _held(word: str, claimed: bool, true: bool) -> Finding:
+def _held(word: str, claimed: bool, true: bool) -> Result:
     if claimed and not true:
-        return failed(f"it claims to be {word}, which its coefficients are not")
+        return failed(f"it claims to be {word}, but its coefficients are not")
     if true and not claimed:
-        return warned(f"its coefficients are {word}, which it does not claim")
+        return warned(f"its coefficients are {word}, but it does not claim it")
     return passed(**{word: "yes" if true else "no"})
 
 
 @check("tableau.stages")
-def stages(subject: IntegratorSubject) -> Finding:
-    """It has as many stages as it claims."""
-    tableau = subject.tableau
-    if subject.claims.stages is None:
-        return warned(f"it claims no number of stages, and has {tableau.stages}", stages=tableau.stages)
-    if subject.claims.stages != tableau.stages:
-        return failed(f"it claims {subject.claims.stages} stages, and has {tableau.stages}")
+def stages(integrator: IntegratorUnderTest) -> Result:
+    """It has the claimed number of stages."""
+    tableau = integrator.tableau
+    if integrator.claims.stages is None:
+        return warned(f"it claims no number of stages; it has {tableau.stages}", stages=tableau.stages)
+    if integrator.claims.stages != tableau.stages:
+        return failed(f"it claims {integrator.claims.stages} stages, but has {tableau.stages}")
     return passed(stages=tableau.stages)
 
 
 @check("tableau.stability")
-def stability(subject: IntegratorSubject) -> Finding:
-    """Its stability function at infinity, and its largest modulus on the imaginary axis; measured, never judged."""
-    tableau = subject.tableau
+def stability(integrator: IntegratorUnderTest) -> Result:
+    """Modulus of the stability function at infinity and on the imaginary axis; reported without a limit."""
+    tableau = integrator.tableau
     axis = max(abs(stability_function(tableau, 1j * 10.0**x)) for x in np.linspace(-2, 3, 101))
     return passed(at_infinity=at_infinity(tableau), on_imaginary_axis=float(axis))
 
@@ -86,7 +86,7 @@ def stability_function(tableau: ButcherTableau, z: complex) -> complex:
 
 
 def at_infinity(tableau: ButcherTableau) -> float:
-    """Return the modulus of the stability function far out on the negative axis; infinity if it grows."""
+    """Return the modulus of the stability function at minus infinity; inf if it is unbounded."""
     with mpmath.workdps(60):
         a, b, _ = (mpmath.matrix(x.tolist()) for x in tableau.floats())
         s = tableau.stages

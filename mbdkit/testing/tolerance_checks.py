@@ -1,30 +1,30 @@
-"""Whether a method that controls its own error obeys: tighter tolerances, smaller errors."""
+"""Errors of adaptive methods decrease with the tolerance."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from mbdkit.testing.check import Check, Skip
-from mbdkit.testing.integrator_under_test import IntegratorSubject, final_state
+from mbdkit.testing.check_result import Result, failed, passed
+from mbdkit.testing.integrator_under_test import IntegratorUnderTest, final_state
 from mbdkit.testing.order_checks import ENDS, PROBLEMS, reference
-from mbdkit.testing.outcome import Finding, failed, passed
 
 TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)
 OBEYS = 10.0
-"""Least factor by which four decades of tolerance should reduce the error."""
+"""Least factor by which four decades of tolerance must reduce the error."""
 
 
-def _on(problem: str) -> Check[IntegratorSubject]:
-    def obeys(subject: IntegratorSubject) -> Finding:
-        if not subject.claims.adaptive:
-            raise Skip("it goes in fixed steps")
-        if "rtol" not in subject.plugin.options.model_fields:
+def _on(problem: str) -> Check[IntegratorUnderTest]:
+    def obeys(integrator: IntegratorUnderTest) -> Result:
+        if not integrator.claims.adaptive:
+            raise Skip("it has fixed steps")
+        if "rtol" not in integrator.plugin.options.model_fields:
             raise Skip("it has no option `rtol`")
         state, _, floor = reference(problem)
         errors = []
         for rtol in TOLERANCES:
-            options = {"rtol": rtol, **({"atol": rtol} if "atol" in subject.plugin.options.model_fields else {})}
-            with subject.run(
+            options = {"rtol": rtol, **({"atol": rtol} if "atol" in integrator.plugin.options.model_fields else {})}
+            with integrator.run(
                 PROBLEMS[problem], {"end": ENDS[problem]}, options=options, output={"every": 10**9}
             ) as run:
                 errors.append(float(np.max(np.abs(final_state(run) - state))))
@@ -33,10 +33,10 @@ def _on(problem: str) -> Check[IntegratorSubject]:
             return failed("a run did not complete", **figures)
         for coarse, fine in zip(errors, errors[2:], strict=False):
             if fine > max(coarse / OBEYS, 100 * floor):
-                return failed("its error does not follow its tolerance", **figures)
+                return failed("its error does not decrease with the tolerance", **figures)
         return passed(**figures)
 
-    obeys.__doc__ = f"Its error on the {problem.replace('-', ' ')} falls with its tolerance."
+    obeys.__doc__ = f"Its error on the {problem.replace('-', ' ')} decreases with the tolerance."
     return Check(f"tolerance.{problem}", obeys, slow=problem == "driven-pendulum")
 
 

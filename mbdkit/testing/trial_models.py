@@ -1,4 +1,4 @@
-"""Mechanisms to try a method on, as models of a spec; each is there for what only it shows."""
+"""Test problems as models of a spec."""
 
 from __future__ import annotations
 
@@ -117,19 +117,19 @@ COASTING["bodies"] = {
     "rod1": _rod(1.0, 1.0, (0.0, 0.0), -1.0, 1.0),
     "rod2": {**_rod(0.8, 0.7, (math.cos(1.0), -math.sin(1.0)), -1.9), "velocity": [math.sin(1.0), math.cos(1.0)]},
 }
-"""Two rods that move without any force but those in their joints."""
+"""Two moving rods without applied forces."""
 
 NO_NUMBER: Model = {
     **SWINGING,
     "forces": {"torque": {"type": "torque", "body": "rod1", "value": "sqrt(0.5 - t)"}},
 }
-"""A torque that is no number any more after half a second."""
+"""A torque that is undefined after half a second."""
 
 OUT_OF_REACH: Model = {
     **_two_rods((-0.8, 0.8)),
     "forces": {},
 }
-"""Two rods whose far end a driver pulls farther than they reach, which they notice within a second."""
+"""Two rods whose far end a driver pulls beyond their reach within a second."""
 OUT_OF_REACH["joints"]["pull"] = {
     "type": "driver",
     "bodies": ["ground", "rod2"],
@@ -145,7 +145,7 @@ CANNOT_MEET: Model = {
         "far": {"type": "revolute", "bodies": ["ground", "rod2"], "points": [[9.0, 0.0], [0.4, 0.0]]},
     },
 }
-"""Two rods that are to reach a point five rods away."""
+"""Two rods with a joint at a point far out of reach."""
 
 
 def pushed(power: int) -> Model:

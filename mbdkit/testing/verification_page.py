@@ -1,4 +1,4 @@
-"""A verification as one page of HTML that works offline."""
+"""Verification reports as a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ruamel.yaml.compat import StringIO
 from mbdkit.errors import SpecError
 from mbdkit.files import check_suffix, replacing
 from mbdkit.report.templating import render
-from mbdkit.testing.outcome import Report, figures_text
+from mbdkit.testing.check_result import Report, figures_text
 
 _TONES = {"pass": "yes", "fail": "no", "warn": "partly", "skip": "open"}
 
@@ -28,7 +28,7 @@ def html(reports: Sequence[Report]) -> str:
 
 
 def check_page(target: Path, *, overwrite: bool) -> None:
-    """Refuse a page that cannot be written, before any work; raises SpecError."""
+    """Raise SpecError if a page cannot be written."""
     check_suffix(target, (".html", ".htm"), "a verification")
     if os.path.isdir(target):
         raise SpecError("this is a folder; name a file with -o", file=target)

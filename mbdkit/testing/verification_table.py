@@ -1,7 +1,7 @@
-"""All integrators that mbdkit ships, verified, as a table for the README of this folder.
+"""Table of the verification of all built-in integrators, for the README of this folder.
 
-``python -m mbdkit.testing.verification_table README.md`` verifies them, which takes a minute or two, and replaces the
-table in that file; without a file it is printed. The exit status is 1 if one is not verified.
+``python -m mbdkit.testing.verification_table README.md`` verifies them within a minute or two and replaces the
+table in that file; without a file it prints the table. The exit status is 1 if one is not verified.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from mbdkit.analysis.energy import SURE
+from mbdkit.testing.check_result import Figure, Report
 from mbdkit.testing.kit import verify
-from mbdkit.testing.outcome import Figure, Report
 
 ROUNDING = 1e-12
-"""Change of energy [J] that is nothing but rounding."""
+"""Change of energy [J] that counts as rounding."""
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("rk4", {}),
@@ -50,7 +50,7 @@ HEADING = (
 
 
 def title(name: str, options: dict[str, Any]) -> str:
-    """Return what a row is called."""
+    """Return the first cell of a row."""
     return " ".join([f"`{name}`", *(f"{value}" for value in options.values())])
 
 
@@ -107,7 +107,7 @@ def markdown(reports: Sequence[tuple[str, Report]]) -> str:
 
 
 def main(files: Sequence[str]) -> int:
-    """Verify all, and print the table or put it into a file; return the exit status."""
+    """Verify all integrators, print the table or write it into files, and return the exit status."""
     reports = []
     for name, options in VARIANTS:
         report = verify("integrator", f"mbdkit:{name}", options)

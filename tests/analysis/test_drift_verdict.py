@@ -16,7 +16,7 @@ from mbdkit.analysis.verdict import UNDECIDED, Answer
 from mbdkit.analysis.verdicts import judge
 from mbdkit.analysis.verdicts.combination import combinations
 from mbdkit.analysis.verdicts.drift import COLUMNS, drift, order_meets
-from mbdkit.report.verdict_text import plain_values, terminal
+from mbdkit.report.verdict_text import json_values, terminal_text
 from mbdkit.spec.study_loading import load_study_spec
 
 STEPS = (0.1, 0.05, 0.025, 0.0125)
@@ -196,10 +196,10 @@ def test_an_order_meets_another_within_a_fifth(found: float | str, answer: Answe
 
 def test_the_table_goes_to_the_terminal_and_into_json() -> None:
     verdict = drift(projected())
-    text = terminal(verdict)
+    text = terminal_text(verdict)
     assert "rod        Gauss 2, projected " in text
     assert "yes    Ordinary projection takes reversibility" in text
-    values = json.loads(json.dumps(plain_values(verdict), allow_nan=False))
+    values = json.loads(json.dumps(json_values(verdict), allow_nan=False))
     assert [table["name"] for table in values["tables"]] == ["drift"]
     assert len(values["tables"][0]["rows"]) == 3
 

@@ -12,8 +12,8 @@ from PIL import Image
 
 from mbdkit.errors import SpecError
 from mbdkit.plot import film
-from mbdkit.plot.animate import animate
 from mbdkit.plot.scene import nearest_rows, round_speed, scene
+from mbdkit.report.animate import animate
 from mbdkit.report.animation_page import page
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> @@DATA@@ & \"q\""
@@ -121,7 +121,14 @@ def test_a_page_holds_all_that_it_needs_and_asks_the_network_for_nothing(make_ru
 
 def test_a_page_has_labelled_controls(make_run):
     text = page(make_run())
-    for name in ("Play", 'aria-label="Time"', 'aria-label="One frame on"', 'role="group"', 'lang="en"', "viewport"):
+    for name in (
+        "Play",
+        'aria-label="Time"',
+        'aria-label="One frame forward"',
+        'role="group"',
+        'lang="en"',
+        "viewport",
+    ):
         assert name in text
     assert Outline(text).tags.count("button") == 3
 

@@ -12,7 +12,7 @@ from mbdkit.analysis.verdict import Answer
 from mbdkit.errors import SpecError
 from mbdkit.report.methods_used import methods
 from mbdkit.report.report import report
-from mbdkit.report.run_report import run_document, yaml_text
+from mbdkit.report.run_report import run_report, yaml_text
 from mbdkit.report.run_verdict import run_verdict
 from mbdkit.spec import example_names, load_spec
 from mbdkit.spec.yaml_reader import read_yaml
@@ -35,7 +35,7 @@ class Elements(HTMLParser):
 
 
 def test_a_page_is_whole_and_names_no_address_outside_of_itself(make_run):
-    elements = Elements(run_document(make_run()).html())
+    elements = Elements(run_report(make_run()).html())
     assert [link for link in elements.links if not link.startswith(("#", "data:"))] == []
     assert {link[1:] for link in elements.links if link.startswith("#")} <= set(elements.ids)
     assert len(set(elements.ids)) == len(elements.ids)
@@ -44,14 +44,14 @@ def test_a_page_is_whole_and_names_no_address_outside_of_itself(make_run):
 
 def test_a_page_says_what_the_browser_may_do():
     with mbdkit.run("pendulum") as run:
-        text = run_document(run).html()
+        text = run_report(run).html()
     assert "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:" in text
     assert len(text) < 4_000_000
 
 
 def test_hostile_text_adds_no_element(make_run):
     tame, evil = (
-        run_document(
+        run_report(
             make_run(
                 title=text, bodies=[text, "b"], joints=[text, "J2"], model={"name": "acme:crane"},
                 status="failed", reason=f"singular: {text}",
@@ -97,7 +97,7 @@ def test_the_verdict_names_the_worst_joint_and_the_size_of_its_gap(make_run):
         data["joints/misalignment"][:, 1] = 2.5e-6 * data["time"] / data["time"][-1]
 
     verdict = run_verdict(make_run(change=pull))
-    assert "The worst joint, J2, comes apart by 2.5 \u00b5m at most" in verdict.sentence
+    assert "The largest misalignment is 2.5 \u00b5m, of joint J2" in verdict.sentence
     assert "it grows in proportion to time" in verdict.sentence
     assert [claim.answer for claim in verdict.claims] == [Answer.YES] * 3
 
@@ -105,10 +105,10 @@ def test_the_verdict_names_the_worst_joint_and_the_size_of_its_gap(make_run):
 @pytest.mark.parametrize(
     ("path", "values", "name", "words"),
     [
-        ("joints/misalignment", 0.05, "misalignment", "too much to trust the forces"),
-        ("joints/misalignment", np.inf, "misalignment", "came apart without bounds"),
-        ("energy/balance", 0.2, "energy", "That is too much"),
-        ("energy/balance", np.nan, "energy", "grew without bounds"),
+        ("joints/misalignment", 0.05, "misalignment", "too large for reliable forces"),
+        ("joints/misalignment", np.inf, "misalignment", "has an unbounded misalignment"),
+        ("energy/balance", 0.2, "energy", "This is too large"),
+        ("energy/balance", np.nan, "energy", "energy is unbounded"),
     ],
 )
 def test_what_cannot_be_trusted_is_called_so(make_run, path, values, name, words):
@@ -130,7 +130,7 @@ def test_reactions_that_are_not_unique_are_called_so():
         (note,) = run_verdict(run).notes
         assert "2 redundant rows: joint bolt" in note
         assert "The reactions of pin, bolt are not unique" in note
-        assert note in run_document(run).html()
+        assert note in run_report(run).html()
 
 
 def test_a_run_that_failed_says_when_and_why(make_run):
@@ -141,14 +141,14 @@ def test_a_run_that_failed_says_when_and_why(make_run):
 
 
 def test_what_was_not_recorded_is_left_out(make_run):
-    document = run_document(make_run(quantities=frozenset()))
+    document = run_report(make_run(quantities=frozenset()))
     assert [figure.name for figure in document.verdict.figures] == ["trajectory"]
     assert document.html()
 
 
 @pytest.mark.parametrize("rods", [1, 60])
 def test_mechanisms_small_and_large_can_be_reported(make_run, rods):
-    document = run_document(make_run(rods=rods))
+    document = run_report(make_run(rods=rods))
     assert len(document.verdict.table("joints").rows) == min(rods, 50)
     assert all(len(figure.lines) <= 6 for figure in document.verdict.figures)
     assert len(document.html()) < 4_000_000
@@ -160,13 +160,13 @@ def test_a_run_that_flew_apart_can_be_reported(make_run):
             if values is not data["time"]:
                 values[-3:] = np.array([1e300, np.inf, np.nan]).reshape(3, *[1] * (values.ndim - 1))
 
-    text = run_document(make_run(change=spoil, status="failed", reason="not-finite: the state is not finite")).html()
+    text = run_report(make_run(change=spoil, status="failed", reason="not-finite: the state is not finite")).html()
     assert "NaN" not in text.split('id="figure-data">')[1].split("</script>")[0]
 
 
 def test_a_run_without_rows_is_refused(make_run):
     with pytest.raises(SpecError, match="no rows"):
-        run_document(make_run(rows=0, status="interrupted"))
+        run_report(make_run(rows=0, status="interrupted"))
 
 
 @pytest.fixture
@@ -230,7 +230,7 @@ def test_events_are_listed_and_marked_in_figures_over_time():
         assert [mark.label for mark in figure.marks] == ["low <b>", ""]
         assert [mark.x for mark in figure.marks] == run.events.time.tolist()
         assert verdict.figure("trajectory").marks == ()
-        page = run_document(run).html()
+        page = run_report(run).html()
         assert "low &lt;b&gt;" in page
         assert "low <b>" not in page
 
@@ -247,4 +247,4 @@ def test_a_run_that_an_event_ended_completed():
     with mbdkit.run("pendulum", events={"low": {"when": "rod1.angle + pi/2", "action": "stop"}}) as run:
         claim = run_verdict(run).claim("completion")
         assert claim.answer is Answer.YES
-        assert "It was asked to end there: 'low' crossed zero downwards at t = 0.4833" in claim.sentence
+        assert "It ended at an event: 'low' crossed zero downwards at t = 0.4833" in claim.sentence

@@ -11,7 +11,7 @@ import mbdkit
 from mbdkit.plot.caption import caption
 from mbdkit.report.player_data import film_data
 from mbdkit.report.report import report
-from mbdkit.report.run_report import run_document
+from mbdkit.report.run_report import run_report
 from mbdkit.report.templating import render
 from tests.report.browser import executable, launched, opened, until
 
@@ -106,7 +106,7 @@ def test_the_slider_magnifies_the_gaps(page):
     tab.get_by_role("button", name="Pause").click()
     tab.locator("#scrub").evaluate("e => { e.value = e.max; e.dispatchEvent(new Event('input')); }")
     slider = tab.get_by_label("Magnify the gaps in the joints")
-    assert slider.get_attribute("aria-valuetext") == "as they are"
+    assert slider.get_attribute("aria-valuetext") == "not magnified"
     assert alarmed(tab) == 0
     counts = []
     for share in (0.8, 0.9, 1.0):
@@ -300,7 +300,7 @@ def test_text_from_a_spec_does_no_harm(browser, make_run, tmp_path):
         model={"name": f"acme:{EVIL}"},
     )  # fmt: skip
     path = tmp_path / "evil.html"
-    path.write_text(run_document(run).html(), encoding="utf-8")
+    path.write_text(run_report(run).html(), encoding="utf-8")
     watched = opened(browser, path)
     tab = watched.page
     tab.wait_for_timeout(300)

@@ -7,7 +7,7 @@ import pytest
 
 from mbdkit.report.report import report
 from mbdkit.report.report_page import cell_text
-from mbdkit.report.study_report import study_document
+from mbdkit.report.study_report import study_report
 from mbdkit.studies.execute import Shard
 from mbdkit.studies.study import load_study
 from mbdkit.studies.study import study as run_study
@@ -16,7 +16,7 @@ from tests.report.conftest import STUDY
 
 @pytest.fixture
 def document(study_folder):
-    return study_document(load_study(study_folder))
+    return study_report(load_study(study_folder))
 
 
 def test_every_run_is_in_the_table_and_every_failure_has_its_reason(document):
@@ -62,7 +62,7 @@ def test_the_film_is_of_the_run_that_comes_apart_the_most_and_still_holds(docume
 
 def test_runs_that_are_missing_are_said_on_top(tmp_path):
     folder = tmp_path / "half"
-    document = study_document(run_study(STUDY, out=folder, shard=Shard.parse("1/2"), notify=lambda text: None))
+    document = study_report(run_study(STUDY, out=folder, shard=Shard.parse("1/2"), notify=lambda text: None))
     assert document.alarm.endswith("missing: `mbdkit study` computes them")
     assert document.html()
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.report.study_report import study_document
+from mbdkit.report.study_report import study_report
 from mbdkit.studies.study_summary import outcome, summary
 from tests.installing import install_project, python
 
@@ -59,7 +59,7 @@ def test_what_is_not_installed_is_left_out_and_named(done: mbdkit.Study) -> None
     assert "2 complete, 2 left out" in summary(done)
     assert "the distribution mbdkit-generalized-alpha is not installed" in summary(done)
     assert outcome(done)["left_out"] == 2
-    document = study_document(done)
+    document = study_report(done)
     assert document.settings.endswith("2 complete \u00b7 2 left out")
     assert [row[2] for row in document.verdict.table("runs").rows] == ["complete"] * 2 + ["left-out"] * 2
     assert document.html()
@@ -84,7 +84,7 @@ def test_with_the_plugin_what_was_left_out_is_computed_and_nothing_else(done: mb
         assert np.log2(values[2][name] / values[3][name]) == pytest.approx(2.0, abs=0.2)
     assert values[2]["reversibility_defect"] > 1e-8
     assert values[0]["reversibility_defect"] < 1e-13
-    assert study_document(study).html()
+    assert study_report(study).html()
 
 
 def test_runs_are_made_there_and_back_once(done: mbdkit.Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

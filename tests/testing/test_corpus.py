@@ -10,7 +10,7 @@ import mbdkit
 from mbdkit.registry.catalogue import Registry
 from mbdkit.stepping.warm_up import ensure_compiled
 from mbdkit.testing import Report, Result, checks_of, verify
-from mbdkit.testing.kit import subject_of
+from mbdkit.testing.kit import plugin_under_test
 
 from . import corpus
 
@@ -123,7 +123,7 @@ def outcome(kind: Any, installed: Registry, name: str) -> Result:
     assert not installed.failures
     ensure_compiled()  # a check has a minute, in which nothing should have to be compiled
     check = next(check for check in checks_of(kind) if check.name == name)
-    return check.run(subject_of(kind, "acme:mine", {}, installed))
+    return check.run(plugin_under_test(kind, "acme:mine", {}, installed))
 
 
 @pytest.mark.parametrize("name", RIGHT)
@@ -149,10 +149,10 @@ def test_the_right_method_beside_it_is_not_accused(name: str) -> None:
 
 
 def test_a_method_that_tries_for_ever_is_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mbdkit.testing.check.PATIENCE", 1.0)
+    monkeypatch.setattr("mbdkit.testing.check.TIME_LIMIT", 1.0)
     found = outcome("integrator", corpus.offer_method(corpus.Endless, **RK4), "failure.not-a-number")
     assert found.outcome == "fail"
-    assert found.cause == "it did not come to an end within 1 s"
+    assert found.cause == "it did not finish within 1 s"
 
 
 def test_an_under_claim_is_a_warning_and_no_failure() -> None:

@@ -12,7 +12,7 @@ import mbdkit
 import mbdkit.testing
 from mbdkit.registry.manager import registry
 from mbdkit.testing import Report, Result, conformance
-from mbdkit.testing.kit import subject_of, verify
+from mbdkit.testing.kit import plugin_under_test, verify
 from mbdkit.testing.trial_models import DRIVEN_PENDULUM
 from mbdkit.testing.verification_page import html
 from mbdkit.testing.verification_table import BEGIN, END, VARIANTS, title
@@ -82,7 +82,8 @@ def test_a_decorated_test_fails_where_the_check_does_and_skips_where_it_does() -
 
 
 def result(name: str, outcome: Any) -> Result:
-    return Result(name, "It does.", outcome, "because" if outcome != "pass" else "", {"x": float("nan")}, 0.1)
+    cause = "because" if outcome != "pass" else ""
+    return Result(outcome, cause, {"x": float("nan")}, name, "It does.", 0.1)
 
 
 def report(*results: Result) -> Report:
@@ -93,7 +94,7 @@ def test_nothing_is_verified_without_a_check_of_its_geometry() -> None:
     assert report(result("order.x", "pass"), result("geometry.x", "pass")).verified
     bare = report(result("order.x", "pass"), result("geometry.x", "skip"))
     assert not bare.verified
-    assert bare.verdict() == "not verified: no check of geometry could be carried out; 1 check run, 1 skipped"
+    assert bare.verdict() == "not verified: no check of the group geometry could be run; 1 check run, 1 skipped"
 
 
 def test_a_warning_is_no_failure_and_a_failure_is_named() -> None:
@@ -109,14 +110,14 @@ def test_a_report_as_json_holds_no_number_that_json_has_not() -> None:
 
 
 def test_a_report_as_a_page_names_every_check_and_escapes_what_plugins_say() -> None:
-    page = html([report(Result("order.x", "It <b>does</b>.", "fail", "1 < 2", {}, 0.1))])
+    page = html([report(Result("fail", "1 < 2", {}, "order.x", "It <b>does</b>.", 0.1))])
     assert "order.x: It &lt;b&gt;does&lt;/b&gt;." in page
     assert "1 &lt; 2." in page
     assert "http" not in page.replace("http-equiv", "")
 
 
 @pytest.mark.parametrize("kind", ["integrator", "model", "force-law"])
-def test_every_check_has_a_name_of_its_own_in_a_room_and_says_what_it_does(kind: Any) -> None:
+def test_every_check_has_a_name_of_its_own_in_a_group_and_says_what_it_does(kind: Any) -> None:
     checks = list(mbdkit.testing.checks_of(kind))
     assert len({check.name for check in checks}) == len(checks)
     assert all(check.what.endswith(".") and len(check.what) > 30 for check in checks)
@@ -128,7 +129,7 @@ def test_the_table_in_the_readme_has_every_integrator_with_what_it_claims_now() 
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     expected = []
     for name, options in VARIANTS:
-        order = subject_of("integrator", f"mbdkit:{name}", options).claims.order
+        order = plugin_under_test("integrator", f"mbdkit:{name}", options).claims.order
         expected.append([title(name, options), "adaptive" if order is None else f"{order:g}"])
     assert [row[:2] for row in cells] == expected
     assert {row[-1].rpartition(", ")[2] for row in cells} == {"0 failed"}

@@ -110,9 +110,9 @@ def test_the_energy_of_a_pair_has_no_trend_over_a_hundred_thousand_steps(
 def test_a_pair_leads_back_to_its_start(method: tuple[dict[str, Any], str]) -> None:
     # expected: the start itself; the pairs are symmetric (Hairer, Lubich and Wanner, VII.1.4)
     from mbdkit.engine.workspace import Workspace
-    from mbdkit.testing.kit import subject_of
+    from mbdkit.testing.kit import plugin_under_test
 
-    subject = subject_of("integrator", f"mbdkit:{method[0]['name']}", {})
+    subject = plugin_under_test("integrator", f"mbdkit:{method[0]['name']}", {})
     problem = subject.workspace(SWINGING)
     q, v = subject.moved(problem, 5.0, 250)
     back = Workspace(problem.mechanism, 0.0, q, -v, formulation="index-3")

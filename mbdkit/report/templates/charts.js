@@ -3,7 +3,7 @@
 const figures = JSON.parse(document.getElementById("figure-data").textContent);
 const dark = window.matchMedia("(prefers-color-scheme: dark)"), coarse = window.matchMedia("(pointer: coarse)");
 const MARGIN = { l: 62, r: 14, t: 8, b: 48 };
-// Margins that follow the labels, and labels that follow the scale, would chase each other.
+// With equal scales, automatic margins would oscillate: labels change the margins, which change the scale and labels.
 const EQUAL = { scaleanchor: "x", scaleratio: 1, automargin: false };
 // plotly.js reads texts as markup; names from specs are plain text.
 const plain = text => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
@@ -14,7 +14,7 @@ function palette() {
 }
 
 function traces(figure, color) {
-  // Paths that coincide are told apart by their width.
+  // Different widths keep coinciding paths distinguishable.
   const width = number => figure.equal && figure.lines.length < 5 ? 1.6 + 1.3 * (figure.lines.length - 1 - number) : 1.8;
   return figure.lines.map((line, number) => ({
     type: "scatter", visible: !line.hidden, x: line.x, y: line.y, name: plain(line.label),
@@ -67,14 +67,14 @@ function drawAll() {
   for (const chart of document.querySelectorAll(".chart")) {
     const figure = figures[chart.dataset.figure], kept = chart.layout;
     const wanted = layout(figure, color);
-    if (kept) for (const name of ["xaxis", "yaxis"]) {       // keep what the reader zoomed into
+    if (kept) for (const name of ["xaxis", "yaxis"]) {       // keep the reader's zoom
       if (kept[name].autorange === false) { wanted[name].range = kept[name].range; wanted[name].autorange = false; }
     }
     Plotly.react(chart, traces(figure, color), wanted, { ...OPTIONS, toImageButtonOptions: { filename: figure.name, scale: 2 } });
   }
 }
 
-// --- the key: a button for each curve, which hides and shows it ---
+// --- legend: a button for each curve hides and shows it ---
 const DASHES = { solid: "", dash: "6 4", dot: "2 3", dashdot: "6 3 2 3", longdash: "10 4" };
 const MARKS = {
   circle: "M14 2.5a3.5 3.5 0 1 0 .01 0z", square: "M10.8 2.8h6.4v6.4h-6.4z", diamond: "M14 1.5l4.5 4.5-4.5 4.5-4.5-4.5z",
@@ -113,7 +113,7 @@ for (const chart of document.querySelectorAll(".chart")) {
   });
 }
 
-// --- the keyboard does what the mouse does ---
+// --- keyboard control ---
 function ranges(chart, change) {
   const update = {};
   for (const name of ["xaxis", "yaxis"]) {

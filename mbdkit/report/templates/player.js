@@ -6,12 +6,12 @@ const [canvas, scrub, play, back, next, choice, speed, whole, clock, magnify, ga
   ["stage", "scrub", "play", "back", "next", "film", "speed", "whole", "clock", "magnify", "gap", "legend"]
     .map(id => document.getElementById(id));
 const stage = new Stage(canvas);
-const REST = 0.8;            // seconds for which the last frame stays before the film starts again
-const WIDEST = 0.12;         // of the picture: the largest gap at the slider's end
+const REST = 0.8;            // pause [s] on the last frame before the animation restarts
+const WIDEST = 0.12;         // share of the picture: the largest gap at the end of the slider
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 let run, frames, start, end, time, frame = 0, playing = false, rested = 0, before = 0, pending = 0, visible = true;
 
-// --- numbers for people ---
+// --- number formatting ---
 const power = value => value === 0 ? "0" : value >= 0.01 && value < 1000
   ? String(Number(value.toPrecision(3))) : value.toExponential(1).replace("e+", "e");
 const magnification = () => 10 ** Number(magnify.value);
@@ -34,7 +34,7 @@ function draw() {
   if (magnify.disabled) return;
   const now = largestGap(), factor = magnification();
   gap.textContent = factor === 1
-    ? `as they are: the largest gap is ${power(now)} m now, ${power(run.gaps.largest)} m at most`
+    ? `not magnified: the largest gap is ${power(now)} m now, ${power(run.gaps.largest)} m over all frames`
     : `${power(factor)} times: the largest gap, ${power(now)} m now, is drawn as ${power(now * factor)} m`;
 }
 
@@ -47,7 +47,7 @@ function show(number) {
 
 function magnified() {
   const factor = magnification();
-  magnify.setAttribute("aria-valuetext", factor === 1 ? "as they are" : `${power(factor)} times`);
+  magnify.setAttribute("aria-valuetext", factor === 1 ? "not magnified" : `${power(factor)} times`);
   draw();
 }
 
@@ -104,7 +104,7 @@ function load(number) {
   magnify.disabled = most <= 0;
   magnify.max = Math.max(0, most);
   if (magnify.disabled) {
-    gap.textContent = run.gaps.largest > 0 ? "The gaps are wide enough to be seen as they are." : "There is no gap to magnify.";
+    gap.textContent = run.gaps.largest > 0 ? "The gaps are visible without magnification." : "The joints have no gaps.";
   }
   magnified();
   show(Math.min(frame, frames - 1));

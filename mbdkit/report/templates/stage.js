@@ -1,7 +1,7 @@
 "use strict";
-/* A mechanism on a canvas: `new Stage(canvas)`, `show(film)`, `draw(frame, whole, magnification)`. */
+/* Draws a mechanism on a canvas: `new Stage(canvas)`, `show(film)`, `draw(frame, whole, magnification)`. */
 class Stage {
-  static TAIL = 1.5;   // seconds of the animation for which a path stays
+  static TAIL = 1.5;   // length of the visible paths, in seconds of the animation
   static NAMES = ["paper", "ink", "faint", "grid", "spring", "alarm", "c0", "c1", "c2", "c3", "c4", "c5"];
 
   constructor(canvas) {
@@ -69,8 +69,8 @@ class Stage {
     return [this.vectors[k], this.vectors[k + 1]];
   }
 
-  /* Move the ends of the bodies apart, so that every gap is drawn magnified and about its middle; the ground stays.
-     Where several joints share a point of a body, it moves by the mean. */
+  /* Move the ends of the bodies apart so that every gap is magnified about its middle; ground points do not move.
+     A point of a body that several joints share moves by the mean. */
   pull(frame, magnification) {
     const { owner, gaps } = this.film, moves = new Map();
     const move = (index, x, y) => {
@@ -240,7 +240,7 @@ class Stage {
     this.pen.fill();
   }
 
-  /* A gap that can be seen: both halves of the joint, and a line between them. */
+  /* Draw a visible gap: both points of the joint and a line between them. */
   apart(end, gap, magnification) {
     const [dx, dy] = gap.map(value => value * magnification * this.scale), [x, y] = this.at(end);
     if (!(Math.hypot(dx, dy) > 1.5) || !Number.isFinite(x + y)) return;

@@ -1,7 +1,7 @@
-"""Lobatto methods for mbdkit: tableaus alone, which mbdkit checks to 50 digits and steps in compiled code.
+"""Lobatto methods for mbdkit, given by tableaus.
 
-All have s stages with both ends of the step among their nodes, and order 2 s - 2. IIIA is collocation; the others
-follow from it by the conditions that are named below (Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.4
+All have s stages, nodes at both ends of the step, and order 2 s - 2. IIIA is collocation; the others follow from it by
+the conditions given below (Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.4
 and VI.4; Hairer and Wanner, Solving ODEs II, IV.5; IIID after Chan 1990).
 """
 
@@ -39,7 +39,7 @@ class LobattoOptions(ImplicitOptions):
 
 
 class LobattoIIIBOptions(ImplicitOptions):
-    """Lobatto IIIB, whose rows do not sum to its nodes with two stages."""
+    """Lobatto IIIB with at least three stages: with two, its rows do not sum to its nodes."""
 
     stages: Annotated[int, Field(ge=3, le=6)] = 3
     """Number of stages s; the order is 2 s - 2."""
@@ -98,7 +98,7 @@ def _integrator(
 
 @mbdkit.hookimpl
 def mbdkit_integrators() -> list[mbdkit.IntegratorPlugin]:
-    """Offer the methods to mbdkit."""
+    """Register the methods."""
     return [
         _integrator("a", "symmetric", symmetric=True),
         _integrator("b", "symmetric", LobattoIIIBOptions, symmetric=True),

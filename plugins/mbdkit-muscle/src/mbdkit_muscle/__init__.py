@@ -1,8 +1,8 @@
-"""The passive element of a Hill-type muscle for mbdkit: a force law, as an example for laws of your own.
+"""The passive element of a Hill-type muscle for mbdkit: an example of a force law.
 
-A fibre pulls from its optimal length on, exponentially, until it reaches its maximal isometric force at a strain of
-`strain`; beyond, it goes on in a straight line, as Thelen's tendon does beyond its toe region. A damper lies parallel
-to it (Millard et al. 2013). The tendon is rigid, which Millard et al. call for where tendons are short.
+Beyond its optimal length the fibre force rises exponentially, up to the maximal isometric force at the strain `strain`;
+beyond that it is linear, like Thelen's tendon beyond its toe region. A damper acts in parallel (Millard et al. 2013).
+The tendon is rigid, as Millard et al. recommend for short tendons.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class MuscleOptions(BaseModel):
-    """A muscle that is not activated."""
+    """A muscle without activation."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
 
@@ -52,7 +52,7 @@ class MuscleOptions(BaseModel):
     strain: Positive = 0.6
     """Strain of the fibre at its maximal isometric force (Thelen 2003: 0.6, and 0.5 in older adults)."""
     shape: Annotated[float, Field(gt=0, le=50)] = 5.0
-    """How suddenly the exponential rises (Thelen 2003: 5)."""
+    """Shape factor of the exponential (Thelen 2003: 5)."""
     damping: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.1
     """Damping force at ten optimal lengths a second, over the maximal isometric force (Millard et al. 2013: 0.1)."""
 
@@ -62,7 +62,7 @@ def passive_muscle() -> mbdkit.ExpressionLaw:
     length, rate, force, optimal, tendon, strain, shape, damping = sympy.symbols(
         "length rate max_force optimal_length tendon_length strain shape damping", real=True
     )
-    x = ((length - tendon) / optimal - 1) / strain  # 0 where the fibre becomes taut, 1 at the maximal force
+    x = ((length - tendon) / optimal - 1) / strain  # 0 at the optimal length, 1 at the maximal force
     rise = sympy.exp(shape) - 1
     steepest = shape * sympy.exp(shape) / rise
     pull = sympy.Piecewise((0, x <= 0), ((sympy.exp(shape * x) - 1) / rise, x <= 1), (1 + steepest * (x - 1), True))
@@ -78,6 +78,6 @@ def passive_muscle() -> mbdkit.ExpressionLaw:
 
 @mbdkit.hookimpl
 def mbdkit_force_laws() -> list[mbdkit.ForceLawPlugin]:
-    """Offer the law to mbdkit."""
+    """Register the law."""
     summary = "A muscle that is not activated: exponential toe, then straight, with a parallel damper."
     return [mbdkit.ForceLawPlugin("passive-muscle", summary, MuscleOptions, passive_muscle(), REFERENCES)]

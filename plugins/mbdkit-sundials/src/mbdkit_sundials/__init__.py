@@ -1,8 +1,8 @@
 """CVODE and IDA of SUNDIALS for mbdkit, each as an `OdeSolver` of SciPy around scikit-sundae.
 
-mbdkit hands such a class its first-order equations y' = f(t, y) of index 1 with y = (q, v) and two energies, and their
-exact Jacobian J = df/dy. CVODE takes both as they are. IDA takes them as a residual, y' - f(t, y) = 0, whose matrix is
-c I - J. Steps are those that SUNDIALS chooses; between them its own interpolant is evaluated, of the step's order.
+mbdkit passes such a class its first-order equations y' = f(t, y) of index 1 with y = (q, v) and two energies, and their
+exact Jacobian J = df/dy. CVODE uses both directly. IDA takes them as a residual, y' - f(t, y) = 0, whose matrix is
+c I - J. SUNDIALS chooses the steps; its interpolant gives the solution between them.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Rates = Callable[[float, np.ndarray], np.ndarray]
 
 
 class SundialsOptions(BaseModel):
-    """How large an error a step may make."""
+    """Tolerances and order."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
 
@@ -55,14 +55,14 @@ class SundialsOptions(BaseModel):
 
 
 class CvodeOptions(SundialsOptions):
-    """How large an error a step may make, and by which family of formulas."""
+    """Tolerances, order and family of formulas."""
 
     family: Literal["BDF", "Adams"] = "BDF"
-    """`BDF` for stiff springs and dampers; `Adams`, of order 1 to 12 whatever `max_order`, for the rest."""
+    """`BDF` for stiff springs and dampers; `Adams`, of order 1 to 12 regardless of `max_order`, otherwise."""
 
 
 class Interpolant(DenseOutput):  # type: ignore[misc]
-    """The solution over the last step, as SUNDIALS interpolates it; valid until the next step."""
+    """Interpolant of SUNDIALS over the last step; valid until the next step."""
 
     def __init__(self, t_old: float, t: float, solver: Any):
         super().__init__(t_old, t)
@@ -70,12 +70,12 @@ class Interpolant(DenseOutput):  # type: ignore[misc]
 
     def _call_impl(self, t: np.ndarray) -> np.ndarray:
         found = [np.array(self.solver.step(float(x), "normal").y) for x in np.atleast_1d(t)]
-        self.solver.step(self.t, "normal")  # or else the next step would be this one again
+        self.solver.step(self.t, "normal")  # otherwise the next step would repeat this one
         return np.stack(found, axis=-1) if np.ndim(t) else found[0]
 
 
 class SundialsSolver(OdeSolver, ABC):  # type: ignore[misc]
-    """One step after the other of a solver of SUNDIALS; subclasses make the solver."""
+    """A solver of SUNDIALS that takes one step at a time; subclasses create the solver."""
 
     t: float
     y: np.ndarray
@@ -102,15 +102,15 @@ class SundialsSolver(OdeSolver, ABC):  # type: ignore[misc]
         """Return the solver for tolerances and first step."""
 
     def start(self, y0: np.ndarray) -> None:
-        """Hand the initial values to the solver."""
+        """Pass the initial values to the solver."""
         self.solver.init_step(self.t, y0)
 
     def _step_impl(self) -> tuple[bool, str | None]:
-        with redirect_stdout(io.StringIO()):  # where scikit-sundae prints what its message says again
+        with redirect_stdout(io.StringIO()):  # scikit-sundae also prints its message
             found = self.solver.step(self.t_bound, "onestep", self.t_bound)
         if not found.success:
             return False, str(found.message)
-        if found.t - self.t < 10 * np.spacing(self.t):  # SUNDIALS would go on for ever
+        if found.t - self.t < 10 * np.spacing(self.t):  # SUNDIALS would continue endlessly
             return False, self.TOO_SMALL_STEP
         self.t, self.y = float(found.t), np.array(found.y)
         self.njev, self.nlu = int(found.njev), int(found.njev)
@@ -124,7 +124,7 @@ class Cvode(SundialsSolver):
     """CVODE on y' = f(t, y)."""
 
     def new_solver(self, options: dict[str, Any]) -> Any:
-        """Return a CVODE that is given f and its Jacobian."""
+        """Return a CVODE for f and its Jacobian."""
 
         def rates(t: float, y: np.ndarray, out: np.ndarray) -> None:
             out[:] = self.fun(t, y)
@@ -140,7 +140,7 @@ class Ida(SundialsSolver):
     """IDA on y' - f(t, y) = 0."""
 
     def new_solver(self, options: dict[str, Any]) -> Any:
-        """Return an IDA that is given the residual and its matrix."""
+        """Return an IDA for the residual and its matrix."""
 
         def residual(t: float, y: np.ndarray, yp: np.ndarray, out: np.ndarray) -> None:
             out[:] = yp - self.fun(t, y)
@@ -151,7 +151,7 @@ class Ida(SundialsSolver):
         return IDA(residual, jacfn=matrix, max_order=self.max_order, **options)
 
     def start(self, y0: np.ndarray) -> None:
-        """Hand the initial values and rates to the solver."""
+        """Pass the initial values and rates to the solver."""
         self.solver.init_step(self.t, y0, self.fun(self.t, y0))
 
 
@@ -181,7 +181,7 @@ def _integrator(
 
 @mbdkit.hookimpl
 def mbdkit_integrators() -> list[mbdkit.IntegratorPlugin]:
-    """Offer the solvers to mbdkit."""
+    """Register the solvers."""
     return [
         _integrator(
             "sundials-cvode", "CVODE of SUNDIALS: BDF or Adams, adaptive steps and order.", CvodeOptions, Cvode

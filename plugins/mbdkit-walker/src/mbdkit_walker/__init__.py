@@ -1,10 +1,11 @@
-"""A pair of walking legs for mbdkit: a model with drivers, as an example for models of your own.
+"""A pair of walking legs for mbdkit: an example of a model with drivers.
 
-The hips stay in place, as on a treadmill. Each leg is a thigh and a shank with its foot; half a cycle lies between the
-legs. Hips follow measured angles; knees follow theirs, or swing freely against a damper, as in a simple prosthesis.
+The hips are fixed, as on a treadmill. Each leg is a thigh and a shank with its foot; the legs are half a cycle apart.
+Hips follow measured angles. Knees follow measured angles too, or swing freely against a damper, as in a simple
+prosthesis.
 
 Segments are fractions of body mass and height (Winter 2009, table 4.1). Angles are the means of 39 boys at 20 points
-of the cycle (Olshen et al. 1989), which a trigonometric polynomial of six harmonics goes through as nearly as it can.
+of the cycle (Olshen et al. 1989), approximated by a trigonometric polynomial with six harmonics.
 """
 
 from __future__ import annotations
@@ -86,7 +87,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class WalkerOptions(BaseModel):
-    """Who walks, how fast, and what the knees do."""
+    """Person, speed and knees."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
 
@@ -115,7 +116,7 @@ def angle(degrees: list[float], period: float, ahead: float) -> tuple[str, float
     period
         Time of a cycle [s].
     ahead
-        Part of the cycle that has passed at t = 0.
+        Share of the cycle completed at t = 0.
     """
     waves = (np.fft.rfft(np.radians(degrees)) / len(degrees)).tolist()
     terms, start = [repr(waves[0].real)], waves[0].real
@@ -163,6 +164,6 @@ def build(options: WalkerOptions) -> mbdkit.Mechanism:
 
 @mbdkit.hookimpl
 def mbdkit_models() -> list[mbdkit.ModelPlugin]:
-    """Offer the model to mbdkit."""
+    """Register the model."""
     summary = "A pair of legs on a treadmill: hips, and if wanted knees, driven by measured angles."
     return [mbdkit.ModelPlugin("walker", summary, WalkerOptions, build, REFERENCES)]

@@ -1,4 +1,4 @@
-"""Long recordings cut down to what a picture can show, read block by block so that memory stays bounded."""
+"""Downsampling of long recordings for pictures; data are read in blocks to bound the memory."""
 
 from __future__ import annotations
 
@@ -15,26 +15,25 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 Array = NDArray[np.float64]
-BLOCK = 4_000_000  # numbers read at a time
-BEYOND = 1e150  # a run that has come to such numbers has failed, and no axis holds their squares
-POINTS = 2_000  # points of a curve; more cannot be told apart at the pictures' size
+BLOCK = 4_000_000  # values read at a time
+BEYOND = 1e150  # larger values are dropped: the run has failed, and their squares overflow
+POINTS = 2_000  # points of a curve; more are indistinguishable at the size of a picture
 
 
 @dataclass(frozen=True)
 class Bands:
-    """Several curves, cut into at most a few thousand bands of rows.
+    """Several curves, downsampled to bands of consecutive rows.
 
     Parameters
     ----------
     time
         Time of each band [s], shape (K,).
     low, high
-        Smallest and largest value of each curve in each band, shape (K, J); the same where no rows were joined, nan
-        where nothing is finite.
+        Smallest and largest finite value of each curve in each band, shape (K, J); nan if there is none.
     peaks
-        Largest magnitude of each curve over all rows, shape (J,); nan where there is no finite value.
+        Largest finite magnitude of each curve over all rows, shape (J,); nan if there is none.
     exact
-        Every band is one row.
+        Whether every band is a single row.
     """
 
     time: Array
@@ -44,7 +43,7 @@ class Bands:
     exact: bool
 
     def curve(self, column: int) -> tuple[Array, Array]:
-        """Return times and values of one curve; where rows were joined it runs through both ends of each band."""
+        """Return times and values of one curve; unless exact, it passes through both extremes of each band."""
         if self.exact:
             return self.time, self.high[:, column]
         pairs = np.stack([self.low[:, column], self.high[:, column]], axis=1)
@@ -53,7 +52,7 @@ class Bands:
 
 
 def require_rows(run: Run) -> None:
-    """Refuse a run that crashed before it recorded anything.
+    """Raise an error if a run has no rows.
 
     Raises
     ------
@@ -72,7 +71,7 @@ def blocks(rows: int, width: int) -> Iterator[slice]:
 
 
 def bands(time: Array, data: Any, values: Callable[[Array], Array] = np.asarray, points: int = POINTS) -> Bands:
-    """Read an array (T, J, ...) and return its curves in bands.
+    """Return the J curves of an array (T, J, ...) in bands.
 
     Parameters
     ----------
@@ -81,9 +80,9 @@ def bands(time: Array, data: Any, values: Callable[[Array], Array] = np.asarray,
     data
         Array or HDF5 dataset, shape (T, J, ...).
     values
-        Turns a block of rows into the J values of each row, such as a norm over the last axis.
+        Maps a block of rows to J values for each row, such as the norm over the last axis.
     points
-        Number of bands of a few curves; fewer are kept of many curves.
+        Largest number of bands; smaller for many curves.
     """
     rows, curves = data.shape[0], data.shape[1]
     count = min(rows, points, max(200, BLOCK // max(1, curves)))
@@ -107,7 +106,7 @@ def bands(time: Array, data: Any, values: Callable[[Array], Array] = np.asarray,
 
 
 def evenly(rows: int, limit: int) -> NDArray[np.intp]:
-    """Return at most `limit` row numbers out of `rows`, evenly spread, the first and the last among them."""
+    """Return at most `limit` of `rows` row numbers, evenly spread, with the first and the last."""
     return np.unique(np.linspace(0, rows - 1, min(rows, limit)).round().astype(np.intp))
 
 
@@ -118,7 +117,7 @@ def take(data: Any, rows: NDArray[np.intp], columns: Sequence[int] | None = None
         return np.asarray(data[:0], dtype=np.float64)[:, wanted]
     per_chunk = (getattr(data, "chunks", None) or (1,))[0]
     parts = []
-    if len(rows) * per_chunk < data.shape[0]:  # far between: each by itself
+    if len(rows) * per_chunk < data.shape[0]:  # sparse rows are read one at a time
         parts = [np.asarray(data[row : row + 1], dtype=np.float64)[:, wanted] for row in rows.tolist()]
     else:
         for block in blocks(data.shape[0], int(np.prod(data.shape[1:]))):

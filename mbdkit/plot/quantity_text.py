@@ -1,4 +1,4 @@
-"""Numbers in words: lengths and times in the unit that suits them, proportions, counts."""
+"""Values as text: lengths and times with a suitable unit, proportions, counts."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import math
 
 _LENGTHS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "um"), (1e-9, "nm"), (1e-12, "pm"))
 _TIMES = ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"))
-ROUND_OFF = 1e-12
-"""Drift, as a share of the mechanism's size, that is owed to double precision rather than to the method."""
 
 
 def length(value: float) -> str:
@@ -21,12 +19,12 @@ def duration(value: float) -> str:
 
 
 def proportion(value: float) -> str:
-    """Return a part of a whole: in percent where that reads well."""
+    """Return a proportion, in percent unless it is very small or large."""
     return f"{100 * value:.2g} %" if 1e-4 <= value < 10 else f"{value:.1g}"
 
 
 def count(many: int, one: str, more: str = "") -> str:
-    """Return ``1 joint``, ``4 joints``, ``12,000 steps``."""
+    """Return a count with its noun, such as ``1 joint`` or ``12,000 steps``."""
     return f"{many:,} {one if many == 1 else more or one + 's'}"
 
 

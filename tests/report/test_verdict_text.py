@@ -7,7 +7,7 @@ import re
 
 from mbdkit.analysis.verdict import Answer, Claim, Column, Table, Verdict
 from mbdkit.report.report import report
-from mbdkit.report.verdict_text import headlines, plain_values, terminal
+from mbdkit.report.verdict_text import headlines, json_values, terminal_text
 
 SHOWN = Table(
     "shown", "What it is for", (Column("method"), Column("drift", "m")), (("RK4", 1.23456e-5), ("a | b", None)),
@@ -23,7 +23,7 @@ def verdict(*tables: Table) -> Verdict:
 
 def test_the_terminal_gets_headline_tables_and_claims_alone() -> None:
     assert headlines(verdict(OTHER, SHOWN)) == (SHOWN,)
-    assert terminal(verdict(OTHER, SHOWN)).splitlines() == [
+    assert terminal_text(verdict(OTHER, SHOWN)).splitlines() == [
         "What it is for",
         "  method  drift [m]",
         "  RK4     1.235e-05",
@@ -31,9 +31,9 @@ def test_the_terminal_gets_headline_tables_and_claims_alone() -> None:
         "A note.",
         "no     Joints hold. Found: 2e-5 m.",
     ]
-    assert terminal(verdict(OTHER)) == ""
-    assert plain_values(verdict(OTHER)) == {}
-    values = json.loads(json.dumps(plain_values(verdict(OTHER, SHOWN))))
+    assert terminal_text(verdict(OTHER)) == ""
+    assert json_values(verdict(OTHER)) == {}
+    values = json.loads(json.dumps(json_values(verdict(OTHER, SHOWN))))
     assert [table["name"] for table in values["tables"]] == ["shown"]
     assert values["claims"][0]["answer"] == "no"
 

@@ -1,4 +1,4 @@
-"""`animate`: a run in motion, written to a GIF, an MP4 or an HTML page that works offline."""
+"""`animate`: an animation of a run as GIF, MP4 or self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbdkit.files import check_suffix, replacing
+from mbdkit.plot.downsampling import require_rows
 from mbdkit.plot.film import write_gif, write_mp4
-from mbdkit.plot.series import require_rows
 from mbdkit.report.animation_page import write_html
 
 if TYPE_CHECKING:
@@ -19,18 +19,18 @@ WRITERS: dict[str, Callable[[Run, Path], None]] = {".gif": write_gif, ".mp4": wr
 
 
 def animate(run: Run, path: str | os.PathLike[str]) -> Path:
-    """Write a run in motion to a file, which is replaced if it is there.
+    """Write an animation of a run. An existing file is replaced.
 
-    Every frame is a recorded row of the run. A GIF or MP4 shows 2 to 16 s in real time; a longer run is made faster and
-    a shorter one is slowed down by a round factor, and the picture says so. In a page the reader chooses.
+    Every frame is a recorded row of the run. A GIF or MP4 shows runs of 2 to 16 s in real time; a longer run is
+    accelerated and a shorter one slowed down by a round factor, which is stated. On a page the reader sets the speed.
 
     Parameters
     ----------
     run
         The run.
     path
-        File to write; its suffix is the format: .gif, .html (a page with controls that needs no network) or .mp4 (needs
-        the program ffmpeg).
+        File to write. Its suffix selects the format: .gif, .html (a page with controls) or .mp4 (needs the program
+        ffmpeg).
 
     Returns
     -------
@@ -40,7 +40,7 @@ def animate(run: Run, path: str | os.PathLike[str]) -> Path:
     Raises
     ------
     SpecError
-        The suffix is unknown, the run has no rows, ffmpeg is needed and not there, or the file cannot be written.
+        The suffix is unknown, the run has no rows, ffmpeg is needed and not installed, or the file cannot be written.
     """
     target = check_suffix(path, tuple(WRITERS), "an animation")
     require_rows(run)

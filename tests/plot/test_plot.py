@@ -3,6 +3,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
@@ -11,9 +12,11 @@ from PIL import Image
 
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.errors import SpecError
-from mbdkit.plot.save_plot import KINDS, figure, plot
+from mbdkit.plot import energy_plot, save_plot
+from mbdkit.plot.plot_kinds import PLOT_KINDS
+from mbdkit.plot.save_plot import figure, plot
 
-kinds = pytest.mark.parametrize("kind", KINDS)
+kinds = pytest.mark.parametrize("kind", PLOT_KINDS)
 
 
 def texts(picture) -> str:
@@ -48,6 +51,19 @@ def test_another_suffix_is_refused_in_a_sentence(make_run, tmp_path, name):
     with pytest.raises(SpecError, match=r"must end in \.png, \.svg or \.pdf"):
         plot(make_run(), "drift", tmp_path / name)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_line_lists_the_kinds_without_loading_matplotlib():
+    code = "import sys, mbdkit.cli, mbdkit.plot.plot_kinds; print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+def test_a_kind_with_charts_alone_is_plotted_from_them(make_run, monkeypatch):
+    monkeypatch.setattr(save_plot, "plot_module", lambda kind: SimpleNamespace(charts=energy_plot.charts))
+    picture = figure(make_run(), "any")
+    assert [axes.get_ylabel() for axes in picture.axes] == ["energy [J]", "balance [J]"]
+    assert [axes.get_xlabel() for axes in picture.axes] == ["", "time [s]"]
 
 
 def test_an_unknown_kind_is_refused_with_the_kinds_there_are(make_run):
@@ -110,7 +126,7 @@ def test_what_was_not_recorded_is_named(make_run, kind):
 def test_text_is_taken_literally(make_run, tmp_path):
     title = r"$\frac{ \undefined $ _x_ 振り子 & <b>" + " longer" * 40
     run = make_run(title=title, joints=["_a$x^$", r"$\b$"], model={"name": "acme:unknown"})
-    for kind in KINDS:
+    for kind in PLOT_KINDS:
         plot(run, kind, tmp_path / "a.png")
     assert "_a$x^$" in texts(figure(run, "drift"))
 
@@ -187,7 +203,7 @@ def test_a_mechanism_without_joints_is_drawn(make_run, tmp_path):
     time = 0.02 * np.arange(151)
     poses = np.stack([time, 3 * time - 4.9 * time**2, 0 * time], axis=-1)[:, None]
     run = make_run(model=model, bodies=["ball"], joints=[], poses=poses)
-    for kind in KINDS:
+    for kind in PLOT_KINDS:
         plot(run, kind, tmp_path / "a.png")
 
 
@@ -231,7 +247,7 @@ def test_settings_of_matplotlib_are_left_alone(make_run, tmp_path, kind):
 
 def test_drawing_needs_neither_pyplot_nor_sympy_nor_numba():
     code = (
-        "import sys, mbdkit.plot.save_plot, mbdkit.plot.animate\n"
+        "import sys, mbdkit.plot.save_plot, mbdkit.report.animate\n"
         "from mbdkit.plot.drawing_geometry import build_mechanism, draw_mechanism\n"
         "draw_mechanism(build_mechanism({'model': {'name': 'double-pendulum'}}))\n"
         "print([name for name in ('matplotlib.pyplot', 'sympy', 'numba') if name in sys.modules])"

@@ -5,7 +5,7 @@ import pytest
 
 import mbdkit
 from mbdkit.plot.drawing_geometry import draw_spec
-from mbdkit.plot.gaps import gaps
+from mbdkit.plot.joint_gaps import gaps
 from mbdkit.report.player_data import film_data
 
 ROUND_OFF = 1e-14  # m, of lengths of some metres

@@ -1,4 +1,4 @@
-"""The gaps of joints as vectors, worked out from the poses: what an animation magnifies."""
+"""Gaps of the joints as vectors, computed from poses, for an animation to magnify."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.plot.drawing_geometry import Drawing, build_mechanism
-from mbdkit.plot.shapes import Array
+from mbdkit.plot.plane_geometry import Array
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
 
-_SAME = 1e-9  # m: two points of a body that lie closer are one point of its drawing
+_SAME = 1e-9  # m: closer points of a body are one point of its drawing
 
 
 @dataclass(frozen=True)
 class Gaps:
-    """By how much the two points of each joint fail to meet.
+    """Gaps of the joints over F frames.
 
     Parameters
     ----------
@@ -28,8 +28,8 @@ class Gaps:
     ends
         For each joint the indices, in the drawing's table of points, of its points on its first and second body.
     vectors
-        From where the second body's point should be to where it is [m], in the global frame, shape (F, J, 2). Its
-        length is the joint's misalignment.
+        Vector from the required to the actual position of the second body's point [m], in the global frame, shape
+        (F, J, 2). Its length is the misalignment of the joint.
     """
 
     joints: tuple[str, ...]
@@ -37,7 +37,7 @@ class Gaps:
     vectors: Array
 
     def largest(self, count: int) -> Gaps:
-        """Return the gaps of the `count` joints that come apart the most, in their own order."""
+        """Return the `count` largest gaps, in the order of the joints."""
         size = np.nan_to_num(np.hypot(self.vectors[..., 0], self.vectors[..., 1]), nan=np.inf).max(axis=0, initial=0.0)
         kept = sorted(np.argsort(-size, kind="stable")[:count].tolist())
         return Gaps(
@@ -48,7 +48,7 @@ class Gaps:
 
 
 def gaps(spec: Mapping[str, Any], drawing: Drawing, poses: Array) -> Gaps:
-    """Return the gaps of the joints of a run; none where its model is not installed. Drivers have no gap to draw.
+    """Return the gaps of the joints of a run, drivers excepted; none if the model is not installed.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def gaps(spec: Mapping[str, Any], drawing: Drawing, poses: Array) -> Gaps:
     """
     try:
         mechanism = build_mechanism(spec)
-    except Exception:  # as in `draw_spec`: a plugin that is missing or broken is no reason to show nothing
+    except Exception:  # as in `draw_spec`: a missing or broken plugin must not prevent a picture
         return Gaps((), (), np.zeros((len(poses), 0, 2)))
     if tuple(mechanism.bodies) != drawing.bodies:
         return Gaps((), (), np.zeros((len(poses), 0, 2)))
@@ -93,11 +93,11 @@ def _find(drawing: Drawing, body: int, local: tuple[float, float]) -> int:
 
 
 def _world(poses: Array, body: int, local: tuple[float, float]) -> Array:
-    """Return a body's point in the global frame [m], shape (F, 2); the drawing's own table is rounded."""
+    """Return a point of a body in the global frame [m], shape (F, 2); the table of the drawing is rounded."""
     x, y = local
     if body < 0:
         return np.tile([x, y], (len(poses), 1))
-    with np.errstate(invalid="ignore"):  # of a run that failed
+    with np.errstate(invalid="ignore"):  # a failed run may contain infinities
         cosine, sine = np.cos(poses[:, body, 2]), np.sin(poses[:, body, 2])
     world: Array = poses[:, body, :2] + np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
     return world

@@ -1,4 +1,4 @@
-"""What came of a check, and of all checks of one plugin."""
+"""The result of one check, and the report of all checks of one plugin."""
 
 from __future__ import annotations
 
@@ -11,92 +11,80 @@ Outcome = Literal["pass", "fail", "warn", "skip"]
 Figure = float | int | str
 Kind = Literal["integrator", "model", "force-law"]
 
-NEEDED: dict[Kind, str] = {"integrator": "geometry", "model": "energy", "force-law": "derivatives"}
-"""For each kind the room of which a check must have run before the plugin counts as verified."""
+REQUIRED_GROUP: dict[Kind, str] = {"integrator": "geometry", "model": "energy", "force-law": "derivatives"}
+"""Group of checks, for each kind of plugin, of which at least one must have run for the plugin to be verified."""
 
 
 @dataclass(frozen=True)
-class Finding:
-    """What one check came to.
+class Result:
+    """Result of a check.
+
+    A check function returns the first three fields, by `passed`, `failed`, `warned` or `skipped`; `Check.run` adds the
+    others.
 
     Parameters
     ----------
     outcome
-        ``warn`` is a pass that the author should look at; ``skip`` says nothing about the plugin.
+        ``pass``; ``fail``; ``warn``, a pass with a remark for the author; or ``skip``, if the check does not apply.
     cause
-        Why, in one sentence without a full stop; empty where all is as claimed.
+        Reason in one sentence without a full stop; empty for a plain pass.
     figures
-        What was measured, by name; units stand in the names.
+        Measured values by name; units are part of the names.
+    name
+        ``group.check``, such as ``order.four-bar``.
+    what
+        What the check requires, in one sentence.
+    seconds
+        Duration [s].
     """
 
     outcome: Outcome
     cause: str = ""
     figures: dict[str, Figure] = field(default_factory=dict)
-
-
-def passed(**figures: Figure) -> Finding:
-    """Return that all is as claimed."""
-    return Finding("pass", "", figures)
-
-
-def failed(cause: str, **figures: Figure) -> Finding:
-    """Return that the plugin does not do what it claims, or what every plugin must."""
-    return Finding("fail", cause, figures)
-
-
-def warned(cause: str, **figures: Figure) -> Finding:
-    """Return that nothing is wrong, but that the author should know."""
-    return Finding("warn", cause, figures)
-
-
-def skipped(cause: str, **figures: Figure) -> Finding:
-    """Return that the check does not apply, or could tell nothing."""
-    return Finding("skip", cause, figures)
-
-
-@dataclass(frozen=True)
-class Result:
-    """One check that was carried out.
-
-    Attributes
-    ----------
-    name
-        ``room.check``, such as ``order.four-bar``.
-    what
-        What it does, in one sentence.
-    outcome, cause, figures
-        What it came to; see `Finding`.
-    seconds
-        How long it took.
-    """
-
-    name: str
-    what: str
-    outcome: Outcome
-    cause: str
-    figures: dict[str, Figure]
-    seconds: float
+    name: str = ""
+    what: str = ""
+    seconds: float = 0.0
 
     @property
-    def room(self) -> str:
-        """What stands before the dot of its name."""
+    def group(self) -> str:
+        """The part of the name before the dot."""
         return self.name.partition(".")[0]
+
+
+def passed(**figures: Figure) -> Result:
+    """Return the result of a check that passed."""
+    return Result("pass", "", figures)
+
+
+def failed(cause: str, **figures: Figure) -> Result:
+    """Return the result of a check that failed: the plugin breaks its claim or the contract."""
+    return Result("fail", cause, figures)
+
+
+def warned(cause: str, **figures: Figure) -> Result:
+    """Return the result of a check that passed with a remark for the author."""
+    return Result("warn", cause, figures)
+
+
+def skipped(cause: str, **figures: Figure) -> Result:
+    """Return the result of a check that does not apply or is inconclusive."""
+    return Result("skip", cause, figures)
 
 
 @dataclass(frozen=True)
 class Report:
-    """All checks of one plugin.
+    """Results of all checks of one plugin.
 
-    Attributes
+    Parameters
     ----------
     id, kind, version
-        What was checked: its long id, its kind, and the version of its distribution.
+        Long id and kind of the plugin, and version of its distribution.
     options
-        With which options.
+        Options of the plugin.
     claims
-        What it claims with these.
+        Claims of the plugin with these options.
     results
-        The checks, in the order in which they were carried out.
+        Results in the order of the checks.
     """
 
     id: str
@@ -107,33 +95,33 @@ class Report:
     results: tuple[Result, ...]
 
     def of(self, outcome: Outcome) -> list[Result]:
-        """Return the checks with one outcome."""
+        """Return the results with this outcome."""
         return [result for result in self.results if result.outcome == outcome]
 
     def __getitem__(self, name: str) -> Result:
-        """Return the check of this name."""
+        """Return the result of the check of this name."""
         return next(result for result in self.results if result.name == name)
 
     @property
     def run(self) -> int:
-        """How many checks were carried out; those skipped were not."""
+        """Number of checks that were not skipped."""
         return len(self.results) - len(self.of("skip"))
 
     @property
     def missing(self) -> str:
-        """The room of which a check has to be carried out and none was; empty if there is none."""
-        room = NEEDED[self.kind]
-        done = any(result.room == room and result.outcome != "skip" for result in self.results)
-        return "" if done else room
+        """The required group, if all its checks were skipped; else empty."""
+        group = REQUIRED_GROUP[self.kind]
+        done = any(result.group == group and result.outcome != "skip" for result in self.results)
+        return "" if done else group
 
     @property
     def verified(self) -> bool:
-        """Whether nothing failed, and the checks that matter most were carried out."""
+        """Whether no check failed and a check of the required group was run."""
         return not self.of("fail") and not self.missing
 
     @property
     def seconds(self) -> float:
-        """How long all checks took."""
+        """Duration of all checks [s]."""
         return sum(result.seconds for result in self.results)
 
     def verdict(self) -> str:
@@ -147,10 +135,10 @@ class Report:
             return f"verified: {counts}"
         if failures := self.of("fail"):
             return f"not verified: {len(failures)} failed ({listed(r.name for r in failures)}); {counts}"
-        return f"not verified: no check of {self.missing} could be carried out; {counts}"
+        return f"not verified: no check of the group {self.missing} could be run; {counts}"
 
     def text(self) -> str:
-        """Return the report as a table, with the cause of everything that is not a pass."""
+        """Return the report as a table with causes and measured values."""
         told = [(result, "; ".join(filter(None, [result.cause, figures_text(result)]))) for result in self.results]
         rows = [("CHECK", "OUTCOME", ""), *((result.name, result.outcome, text) for result, text in told)]
         head = f"{self.id} {self.version} ({self.kind})"
@@ -159,7 +147,7 @@ class Report:
         return f"{head}\n\n{table(rows, indent='  ')}\n\n{self.verdict()}, in {self.seconds:.0f} s"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the report as plain values; numbers that are not finite become None."""
+        """Return the report as JSON values; numbers that are not finite become None."""
         results = [asdict(result) for result in self.results]
         for result in results:
             result["figures"] = {key: _plain(value) for key, value in result["figures"].items()}
@@ -181,7 +169,7 @@ class Report:
 
 
 def figures_text(result: Result) -> str:
-    """Return the measured figures of a check in one line."""
+    """Return the measured values of a result in one line."""
     return listed(f"{name} {_shown(value)}" for name, value in result.figures.items())
 
 

@@ -1,4 +1,4 @@
-"""Plane geometry of pictures: the outline of points, a spring's zigzag, the part of the plane to see."""
+"""Plane geometry for pictures: convex hull, zigzag of a spring, and limits of the axes."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-_FLAT = 1e-9  # a corner that stands out by less than this share of the body's size is none
+_FLAT = 1e-9  # corners that protrude less than this share of the body's size are dropped
 
 
 def convex_hull(points: Array) -> list[int]:
-    """Return the indices of the corners of the convex hull of `points` (K, 2), counterclockwise, none on a side."""
+    """Return the indices of the corners of the convex hull of `points` (K, 2), counterclockwise."""
     size = float(np.ptp(points, axis=0).max())
     if size == 0.0:
         return [0]
@@ -32,14 +32,14 @@ def convex_hull(points: Array) -> list[int]:
 
 
 def zigzag(start: Array, end: Array, width: float, coils: int = 6) -> Array:
-    """Return a spring between two points as a polyline.
+    """Return the polyline of a spring between two points.
 
     Parameters
     ----------
     start, end
         Ends of the spring [m], shape (..., 2).
     width
-        Height of a tooth on either side [m].
+        Amplitude of the zigzag [m].
     coils
         Number of teeth.
 
@@ -59,34 +59,34 @@ def zigzag(start: Array, end: Array, width: float, coils: int = 6) -> Array:
 
 
 def view_box(paths: Array, poses: Array, margin: float = 0.08) -> tuple[tuple[float, float], tuple[float, float], bool]:
-    """Return the x limits and y limits [m] of a picture, and whether something lies outside of them.
+    """Return the x limits and y limits [m] of a picture, and whether points lie outside.
 
-    The box holds every finite point, unless the motion flies apart (it goes hundreds of times farther than in its first
-    tenth): then it holds what happened before.
+    The limits contain all finite points, unless the motion diverges: if it goes hundreds of times farther than in its
+    first tenth, they contain the motion before.
 
     Parameters
     ----------
     paths
         Points [m] over time, shape (R, K, 2).
     poses
-        Other points [m] to be seen, shape (..., 2).
+        Other points [m] to contain, shape (..., 2).
     margin
-        Room left around, as a share of the size.
+        Margin on each side, as a share of the size.
     """
     points = np.concatenate([paths.reshape(-1, 2), poses.reshape(-1, 2)])
     points = points[np.all(np.isfinite(points), axis=1)]
     if not len(points):
         return (-1.0, 1.0), (-1.0, 1.0), False
-    inside = np.max(np.abs(points - points[0]), axis=1) <= _reach_before_flight(paths - points[0])
+    inside = np.max(np.abs(points - points[0]), axis=1) <= _reach_before_divergence(paths - points[0])
     low, high = points[inside].min(axis=0), points[inside].max(axis=0)
     size = float(np.max(high - low)) or 1.0
-    lack = np.maximum(0.25 * size - (high - low), 0.0) / 2  # a straight path still gets a box that one can read
+    lack = np.maximum(0.25 * size - (high - low), 0.0) / 2  # keeps a straight path from collapsing the axes
     low, high = low - lack - margin * size, high + lack + margin * size
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1])), not bool(np.all(inside))
 
 
-def _reach_before_flight(paths: Array) -> float:
-    """Return how far from the start the points of a picture may lie; without end where nothing flies apart."""
+def _reach_before_divergence(paths: Array) -> float:
+    """Return the largest distance from the start to show [m]; infinite unless the motion diverges."""
     far = np.max(np.abs(paths), axis=(1, 2), initial=0.0)
     far = np.where(np.isfinite(far), far, np.inf)
     rows, reach = len(far), np.inf

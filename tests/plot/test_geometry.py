@@ -11,7 +11,7 @@ from mbdkit.plot.drawing_geometry import (
     draw_spec,
     trace_points,
 )
-from mbdkit.plot.shapes import convex_hull, view_box, zigzag
+from mbdkit.plot.plane_geometry import convex_hull, view_box, zigzag
 
 
 def rods(count: int) -> Mechanism:

@@ -1,0 +1,141 @@
+"""Charts of a report drawn by Matplotlib: on axes, or as PNG and SVG files.
+
+A chart is a `mbdkit.analysis.verdict.Figure`: lines, axes and a caption, independent of how it is drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Picture
+
+from mbdkit.analysis.verdict import Axis, Figure, Line
+from mbdkit.errors import SpecError
+from mbdkit.plot.caption import Caption
+from mbdkit.plot.style import FAINT, GRID, PALETTE, dress, legend, new_figure, powers_of_ten, save
+
+_DASHES: tuple[str | tuple[float, tuple[float, ...]], ...] = ("-", "--", ":", "-.", (0, (8.0, 3.0)))
+_MARKERS = ("o", "s", "D", "^", "P", "X")
+_FORMATS = (".png", ".svg")
+
+
+def image_files(charts: Iterable[Figure], folder: Path) -> list[Path]:
+    """Return the files that `write_chart_images` writes into a folder."""
+    return [folder / f"{chart.name}{suffix}" for chart in charts for suffix in _FORMATS]
+
+
+def write_chart_images(charts: Iterable[Figure], folder: Path) -> list[Path]:
+    """Write charts into a folder, each as PNG and SVG, and return the files.
+
+    Raises
+    ------
+    SpecError
+        The folder or a file cannot be written.
+    """
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise SpecError(f"cannot be created: {error.strerror or error}", file=folder) from error
+    written = []
+    for chart in charts:
+        picture = chart_image(chart)
+        for file in image_files([chart], folder):
+            save(picture, file)
+            written.append(file)
+            picture.set_layout_engine("none")  # the layout takes longer than the drawing, and is the same for SVG
+    return written
+
+
+def chart_image(chart: Figure) -> Picture:
+    """Return a chart as a Matplotlib figure, with its title and caption as heading."""
+    picture = new_figure(Caption(chart.title, chart.caption), 7.2, 4.6)
+    draw_chart(picture.add_subplot(), chart)
+    return picture
+
+
+def draw_chart(axes: Axes, chart: Figure) -> None:
+    """Draw a chart on empty axes, without its title and caption."""
+    dress(axes, axis_title(chart.x), axis_title(chart.y))
+    axes.xaxis.label.set_parse_math(False)
+    axes.yaxis.label.set_parse_math(False)
+    for band in chart.bands:
+        axes.axhspan(band.low, band.high, color=GRID, zorder=0.5)
+        place: dict[str, Any] = {
+            "xycoords": ("axes fraction", "data"),
+            "xytext": (0, -2),
+            "textcoords": "offset points",
+        }
+        label = axes.annotate(band.label, (0.01, band.high), size=7.5, color=FAINT, va="top", **place)
+        label.set_parse_math(False)
+    for mark in chart.marks:
+        axes.axvline(mark.x, color=FAINT, linewidth=0.8, linestyle=":", zorder=0.6)
+        if mark.label:
+            beside: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+            name = axes.annotate(
+                mark.label, (mark.x, 1.0), xytext=(2, -3), size=7, color=FAINT, rotation=90, va="top", **beside
+            )
+            name.set_parse_math(False)
+    _draw_lines(axes, chart)
+    if chart.equal:
+        axes.set_aspect("equal", adjustable="datalim")
+
+
+def line_styles(chart: Figure) -> list[tuple[int, int]]:
+    """Return the index of the colour in the palette and the index of the dashes of each line.
+
+    Lines of a group share a colour and differ in their dashes; a line without a group forms its own. If there are more
+    groups than colours, the colours repeat with the next dashes.
+    """
+    groups = {line.group or line.label: 0 for line in chart.lines}
+    places = {group: place for place, group in enumerate(groups)}
+    found = []
+    for line in chart.lines:
+        group = line.group or line.label
+        found.append((places[group] % len(PALETTE), groups[group] + places[group] // len(PALETTE)))
+        groups[group] += 1
+    return found
+
+
+def visible_points(line: Line, chart: Figure) -> np.ndarray:
+    """Return a mask (K,) of the points of a line that can be drawn: finite, and positive on logarithmic axes."""
+    seen: np.ndarray = np.isfinite(line.x) & np.isfinite(line.y)
+    if chart.x.log:
+        seen &= np.nan_to_num(line.x) > 0
+    if chart.y.log:
+        seen &= np.nan_to_num(line.y) > 0
+    return seen
+
+
+def axis_title(axis: Axis) -> str:
+    """Return the label of an axis with its unit."""
+    return f"{axis.label} [{axis.unit}]" if axis.unit else axis.label
+
+
+def _draw_lines(axes: Axes, chart: Figure) -> None:
+    handles, labels = [], []
+    wide = chart.equal and len(chart.lines) < 5  # different widths keep coinciding paths apart
+    for number, (line, (color, style)) in enumerate(zip(chart.lines, line_styles(chart), strict=True)):
+        seen = visible_points(line, chart)
+        points = line.kind != "line" or int(np.sum(seen)) == 1
+        (artist,) = axes.plot(
+            line.x,
+            np.where(seen, line.y, np.nan),
+            color=PALETTE[color],
+            linestyle="" if line.kind == "points" else _DASHES[style % len(_DASHES)],
+            linewidth=1.3 + 1.1 * wide * (len(chart.lines) - 1 - number),
+            marker=_MARKERS[color % len(_MARKERS)] if points else "",
+            markersize=4.5,
+        )
+        handles.append(artist)
+        labels.append(line.label)
+    if len(handles) > 1:
+        legend(axes, handles, labels)
+    for log, set_scale in ((chart.x.log, axes.set_xscale), (chart.y.log, axes.set_yscale)):
+        if log:
+            set_scale("log")
+    if not chart.y.log:
+        powers_of_ten(axes)

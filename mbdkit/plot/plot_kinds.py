@@ -1,0 +1,52 @@
+"""The kinds of plot: one table, from which the command line, the messages and the report take them.
+
+To add a kind, add a line to `PLOT_KINDS` and write the module ``mbdkit/plot/NAME_plot.py``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Protocol, cast
+
+from mbdkit.errors import SpecError
+
+if TYPE_CHECKING:
+    from mbdkit.analysis.verdict import Figure
+    from mbdkit.archive.run import Run
+    from mbdkit.plot.panel import Panel
+
+# The modules are imported when they are used: the command line lists the kinds without loading Matplotlib.
+PLOT_KINDS: dict[str, str] = {
+    "trajectory": "paths of free ends and moving joints, first and last pose",
+    "drift": "misalignment of the joints on a logarithmic axis",
+    "energy": "energies and their balance",
+    "reactions": "reaction forces and torques of the joints",
+}
+"""What each kind of plot shows, by name."""
+
+
+class PlotModule(Protocol):
+    """Functions of the module of a kind.
+
+    Only `charts` is required. A kind without `panels` is plotted by drawing each of its charts in a panel.
+    """
+
+    def charts(self, run: Run) -> Sequence[Figure]:
+        """Return the interactive charts of a report; none if the run did not record the quantities."""
+
+    def panels(self, run: Run) -> Sequence[Panel]:
+        """Return the panels of the plot, from top to bottom."""
+
+
+def plot_module(kind: str) -> PlotModule:
+    """Return the module of a kind of plot.
+
+    Raises
+    ------
+    SpecError
+        The kind is unknown.
+    """
+    if kind not in PLOT_KINDS:
+        raise SpecError(f"there is no kind of plot {kind!r}; the kinds are {', '.join(PLOT_KINDS)}")
+    return cast(PlotModule, import_module(f"mbdkit.plot.{kind}_plot"))
