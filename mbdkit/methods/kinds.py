@@ -110,9 +110,8 @@ class ImplicitRungeKutta:
 
     def start(self, workspace: Workspace, timetable: Timetable) -> Stepper:
         """Return a stepper for `workspace` over `timetable`."""
+        from mbdkit.stepping.collocation import CollocationFamily
         from mbdkit.stepping.compiled_stepper import CompiledStepper
-        from mbdkit.stepping.constrained_collocation import ConstrainedFamily
-        from mbdkit.stepping.index1_collocation import CollocationFamily
         from mbdkit.stepping.step_control import Control
 
         control = None
@@ -123,14 +122,13 @@ class ImplicitRungeKutta:
                 order=self.tableau.order,
                 estimate_order=self.tableau.stages + 1,
             )
-        if workspace.formulation == "index-1":
-            return CompiledStepper(CollocationFamily(self, workspace, control), workspace, timetable, control)
-        if not self.tableau.is_stiffly_accurate or self.stage_solver != "newton":
+        constrained = workspace.formulation != "index-1"
+        if constrained and not (self.tableau.is_stiffly_accurate and self.stage_solver == "newton"):
             raise TableauError(
                 f"{self.tableau.name} cannot serve the formulation {workspace.formulation!r}: its last stage has to be "
                 "the end of the step, its matrix regular, and its stages have to be solved by Newton's method"
             )
-        return CompiledStepper(ConstrainedFamily(self, workspace), workspace, timetable, control)
+        return CompiledStepper(CollocationFamily(self, workspace, control), workspace, timetable, control)
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,8 @@ class Family(ABC):
         Whether a step solves equations by iteration, whose failure to converge is told apart from overflow.
     """
 
-    attempt: ClassVar[Entry]
-    dense: ClassVar[Entry | None] = None
+    attempt: Entry
+    dense: Entry | None = None
     hint: ClassVar[str] = "a smaller time.step may help"
     hold: Hold
     memory: tuple[np.ndarray, ...]
