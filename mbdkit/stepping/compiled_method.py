@@ -35,8 +35,8 @@ class Family(ABC):
         Whether a step solves equations by iteration, so that a failure may be divergence instead of overflow.
     """
 
-    attempt: ClassVar[Entry]
-    dense: ClassVar[Entry | None] = None
+    attempt: Entry
+    dense: Entry | None = None
     hint: ClassVar[str] = "a smaller time.step may help"
     hold: PinnedBundle
     memory: tuple[np.ndarray, ...]

@@ -1,12 +1,12 @@
 """Newton's method on all stages of a step at once, each with the tangents of its own state.
 
-The iteration of `mbdkit.stepping.index1_collocation` takes one tangent for all stages, which does not converge within a
+The iteration of `mbdkit.stepping.collocation_index1` takes one tangent for all stages, which does not converge within a
 step of a singular position: accelerations change with the state like 1 / x there, x being the distance to it, so that
 the tangents of different stages have nothing in common, however small the step. The equations themselves stay smooth,
 
     M a_i + Phi_q^T lambda_i = Q,    Phi_q a_i = gamma    at    (t_i, q_i(a), v_i(a)),    i = 1..s
 
-with q_i and v_i as in `mbdkit.stepping.index1_collocation`, and so Newton's method converges on them, unless a stage
+with q_i and v_i as in `mbdkit.stepping.collocation_index1`, and so Newton's method converges on them, unless a stage
 comes to stand in the singular position itself. One system of s (n + m) unknowns, by SuperLU; for the few steps that
 need it.
 """

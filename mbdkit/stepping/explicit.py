@@ -14,8 +14,8 @@ from mbdkit.engine.jit.decorators import entry, subkernel
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import copy, stays_finite
 from mbdkit.stepping.compiled_method import Family
-from mbdkit.stepping.dense_output import dense_gains, weights_at
 from mbdkit.stepping.run_state import ADVANCED, ALTERED, FACTORIZATIONS, RHS, load_common
+from mbdkit.stepping.stage_polynomials import dense_gains, weights_at
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace

@@ -1,4 +1,4 @@
-"""Partitioned Lobatto IIIA-IIIB pairs for constrained mechanisms, of which two stages make RATTLE, in compiled code.
+"""Partitioned Lobatto IIIA-IIIB pairs for constrained mechanisms; with two stages this is RATTLE (Jay 1996).
 
 With a the tableau of IIIA, a' that of IIIB, and their common weights b and nodes c,
 
@@ -7,12 +7,13 @@ With a the tableau of IIIA, a' that of IIIB, and their common weights b and node
 and Phi(t_i, Q_i) = 0 for i = 2..s, which determines the multipliers of the stages before the last. The step ends at
 q_1 = Q_s and v_1 = v_0 + h sum_j b_j a_j, and the multiplier of the last stage makes Phi_q(q_1) v_1 + Phi_t = 0.
 
-The last column of a' is zero, and the first row of a: so the first s - 1 accelerations are solved for, and the last one
-follows. As Q_(i+1) depends on a_j by h^2 B_ij, B = (a a') without its first row and last column, each iteration takes
+The last column of a' and the first row of a are zero, so the first s - 1 accelerations are solved for, and the last
+one follows. Because Q_(i+1) depends on a_j by h^2 B_ij, B = (a a') without its first row and last column, each
+iteration takes
 
     M a_j + Phi_q(Q_j)^T lam_j = F_j,        Phi_q(Q_j) (a_j - a_j before) = -sum_i (B^-1)_ji Phi(Q_(i+1)) / h^2
 
-an index-1 system a stage. Its contraction is O(h); forces that are stiff against the step make it diverge.
+an index-1 system for each stage. The contraction is O(h); forces that are stiff for the step make it diverge.
 """
 
 from __future__ import annotations
@@ -38,50 +39,69 @@ from mbdkit.engine.kernels.system import (
 )
 from mbdkit.engine.kernels.vectors import copy, stays_finite
 from mbdkit.methods.lobatto_pair import coefficients
-from mbdkit.stepping.collocation import report_divergence, stage_divergence
 from mbdkit.stepping.compiled_method import Family
-from mbdkit.stepping.position_convergence import (
-    IDLE,
-    IDLE_RATIO,
-    ROUND_OFF,
-    RUNAWAY,
-    STAGNANT,
-    is_settled,
-    relative_sizes,
+from mbdkit.stepping.convergence import (
+    NEGLIGIBLE_CHANGE,
+    PATIENCE,
+    STATE_TOLERANCE,
+    describe_divergence,
+    has_failed,
+    is_converged,
+    is_stalled,
+    moves_by_roundings,
+    relative_to_state,
+    report_divergence,
 )
 from mbdkit.stepping.run_state import FACTORIZATIONS, ITERATIONS, RHS, load_common
-from mbdkit.stepping.stages import stage_states
+from mbdkit.stepping.stage_polynomials import stage_states
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
     from mbdkit.methods.kinds import LobattoPair
 
 MOST_PAST = 3
-"""Steps whose stages are carried on to the next by the polynomial through them."""
+"""Number of previous steps whose stages are extrapolated, stage by stage, by a polynomial in time."""
 
 
-class Pair(NamedTuple):
-    """A pair of s stages, and its room."""
+class PairCoefficients(NamedTuple):
+    """A Lobatto IIIA-IIIB pair of s stages in second-order form."""
 
-    bar: np.ndarray
+    a: np.ndarray
+    """(s, s) a', the tableau of IIIB: weights of accelerations in the velocities of the stages."""
     a2: np.ndarray
-    """(s, s) a' and a a': weights of accelerations in velocities and positions of the stages."""
+    """(s, s) a a': weights of accelerations in their positions."""
     inverse: np.ndarray
     """(s - 1, s - 1) B^-1."""
     b: np.ndarray
     c: np.ndarray
-    choice: np.ndarray
-    """(1,) the most iterations in one step."""
+
+
+class PastSteps(NamedTuple):
+    """Accelerations of the steps before, from which the next ones are extrapolated."""
+
+    acc: np.ndarray
+    """(MOST_PAST, s, 3 (B + 1)), newest first."""
+    begin: np.ndarray
+    """(1,) time at which the newest of them began [s]."""
+    size: np.ndarray
+    """(1,) its size [s]."""
+    known: np.ndarray
+    """(1,) number of consecutive steps of that size that are kept."""
+
+
+class Pair(NamedTuple):
+    """A pair of s stages for one mechanism."""
+
+    rk: PairCoefficients
+    most_iterations: np.ndarray
+    """(1,) iterations in one step after which its equations count as unsolved."""
     tolerance: np.ndarray
-    """(1,) expected change of positions, relative to their size, at which the iteration ends."""
+    """(1,) predicted change of positions, relative to their size, at which the iteration ends."""
     acc: np.ndarray
     """(s, 3 (B + 1)) accelerations of the stages."""
     lam: np.ndarray
     """(s, P, 2) multipliers of the stages, of the rows that are solved for."""
-    past: np.ndarray
-    """(MOST_PAST, s, 3 (B + 1)) accelerations of the steps before, newest first."""
-    begun: np.ndarray
-    """(3,) when the newest of them began, its size, and how many there are in steps of that size."""
+    past: PastSteps
     q_stage: np.ndarray
     v_stage: np.ndarray
     gap: np.ndarray
@@ -108,14 +128,18 @@ load_pair = bundle_loader(_example)
 
 @subkernel
 def _predict(m, t, h):
-    """Begin with the accelerations of the steps before carried on stage by stage, or with none."""
-    known = int(m.begun[2])
-    if t == m.begun[0] or m.begun[1] != h:
+    """Extrapolate the accelerations of the previous steps, each stage by itself, or start from free flight.
+
+    Only the newest step is used if the step size has changed, or if the same step is tried again.
+    """
+    past = m.past
+    known = past.known[0]
+    if t == past.begin[0] or past.size[0] != h:
         known = min(known, 1)
-    elif not abs(m.begun[0] + h - t) <= 1e-6 * abs(h):
+    elif not abs(past.begin[0] + h - t) <= 1e-6 * abs(h):  # not the step that follows the newest one
         known = 0
-    x0, x1, x2 = m.past[0], m.past[1], m.past[2]
-    for i in range(len(m.c)):
+    x0, x1, x2 = past.acc[0], past.acc[1], past.acc[2]
+    for i in range(len(m.rk.c)):
         for d in range(m.acc.shape[1]):
             if known >= 3:
                 m.acc[i, d] = 3.0 * (x0[i, d] - x1[i, d]) + x2[i, d]
@@ -129,26 +153,27 @@ def _predict(m, t, h):
 
 @subkernel
 def _keep(m, t, h):
-    """Keep the accelerations of a step for the next ones; an attempt at the same step takes the place of the last."""
-    if m.begun[2] > 0.0 and t == m.begun[0]:
-        m.begun[2] = max(m.begun[2] - 1.0, 0.0) if m.begun[1] == h else 0.0
+    """Keep the accelerations of a step for the next ones; a repeated attempt replaces the last one."""
+    past = m.past
+    if past.known[0] > 0 and t == past.begin[0]:
+        past.known[0] = max(past.known[0] - 1, 0) if past.size[0] == h else 0
     else:
         for k in range(MOST_PAST - 1, 0, -1):
-            for i in range(len(m.c)):
-                copy(m.past[k - 1, i], m.past[k, i])
-        if m.begun[1] != h:
-            m.begun[2] = 0.0
-    for i in range(len(m.c)):
-        copy(m.acc[i], m.past[0, i])
-    m.begun[0], m.begun[1] = t, h
-    m.begun[2] = min(m.begun[2] + 1.0, MOST_PAST)
+            for i in range(len(m.rk.c)):
+                copy(past.acc[k - 1, i], past.acc[k, i])
+        if past.size[0] != h:
+            past.known[0] = 0
+    for i in range(len(m.rk.c)):
+        copy(m.acc[i], past.acc[0, i])
+    past.begin[0], past.size[0] = t, h
+    past.known[0] = min(past.known[0] + 1, MOST_PAST)
 
 
 @subkernel
 def _iterate(c, m, t, h):
     """Solve for the stages before the last; return a status."""
     top, w = c.top, c.w
-    s = len(m.c)
+    s = len(m.rk.c)
     bodies = len(top.mass) - 1
     has_forces = len(top.springs) + len(top.loads) > 0
     _predict(m, t, h)
@@ -156,13 +181,13 @@ def _iterate(c, m, t, h):
     before = np.inf
     while True:
         m.acc[s - 1, :] = 0.0
-        stage_states(h, m.bar, m.a2, m.c, c.from_q, c.from_v, m.acc, m.q_stage, m.v_stage)
+        stage_states(c, m, h)
         for i in range(1, s):
-            position_rows(top, w, t + m.c[i] * h, m.q_stage[i])
+            position_rows(top, w, t + m.rk.c[i] * h, m.q_stage[i])
             for k in range(len(top.pairs)):
                 m.gap[i - 1, k, 0], m.gap[i - 1, k, 1] = w.phi[k, 0], w.phi[k, 1]
         for j in range(s - 1):
-            prepare(top, w, t + m.c[j] * h, m.q_stage[j])
+            prepare(top, w, t + m.rk.c[j] * h, m.q_stage[j])
             if has_forces:
                 applied(top, w, m.q_stage[j], m.v_stage[j])
             constraint_rows(top, w, m.q_stage[j], m.v_stage[j])
@@ -173,7 +198,7 @@ def _iterate(c, m, t, h):
                 for r in range(top.rows[k]):
                     total = m.pairs[k, r]
                     for i in range(s - 1):
-                        total -= m.inverse[j, i] / (h * h) * m.gap[i, k, r]
+                        total -= m.rk.inverse[j, i] / (h * h) * m.gap[i, k, r]
                     w.gamma[k, r] = total
             status = solve_system(top, w, c.solver, has_forces, m.change[j], m.lam[j], n > 0)
             if status != OK:
@@ -188,20 +213,24 @@ def _iterate(c, m, t, h):
             for d in range(3 * bodies):
                 total = 0.0
                 for j in range(s - 1):
-                    total += h * h * m.a2[i, j] * m.change[j, d]
+                    total += h * h * m.rk.a2[i, j] * m.change[j, d]
                 m.spread[i, d] = total
         for j in range(s - 1):
             for d in range(3 * bodies):
                 m.acc[j, d] += m.change[j, d]
-        now = relative_sizes(m.spread, c.from_q, bodies)
+        now = relative_to_state(m.spread, c.from_q, bodies)
         ratio = now / before
-        if is_settled(n, now, ratio, now, m.tolerance[0]):
+        if is_converged(n, now, ratio, m.tolerance[0]):
             return OK
-        if n > 1 and ratio > IDLE_RATIO and now <= STAGNANT:
-            idle += 1
-            if idle >= IDLE:
+        if is_stalled(n, now, ratio):
+            if moves_by_roundings(now):
                 return OK
-        if n >= m.choice[0] or (n > 4 and ratio > 4.0 and now > RUNAWAY) or not now < np.inf:
+            # A contraction of O(h) can be slow without being stalled, so only small changes count here.
+            if now <= NEGLIGIBLE_CHANGE:
+                idle += 1
+                if idle >= PATIENCE:
+                    return OK
+        if has_failed(n, m.most_iterations[0], now, ratio):
             report_divergence(c, n, m.change, s - 1)
             return DIVERGED
         before = now
@@ -209,17 +238,17 @@ def _iterate(c, m, t, h):
 
 @subkernel
 def _finish(c, m, t, h):
-    """Solve for the last stage, which takes the velocities onto their constraints; return a status."""
+    """Solve for the last stage, whose multiplier makes the velocities satisfy their constraints; return a status."""
     top, w = c.top, c.w
-    s = len(m.c)
+    s = len(m.rk.c)
     has_forces = len(top.springs) + len(top.loads) > 0
     m.acc[s - 1, :] = 0.0
-    stage_states(h, m.bar, m.a2, m.c, c.from_q, c.from_v, m.acc, m.q_stage, m.v_stage)
+    stage_states(c, m, h)
     end, known = m.q_stage[s - 1], m.spread[0]
     copy(c.from_v, known)
     for j in range(s - 1):
         for d in range(len(c.q) - 3):
-            known[d] += h * m.b[j] * m.acc[j, d]
+            known[d] += h * m.rk.b[j] * m.acc[j, d]
     position_rows(top, w, t + h, end)
     if has_forces:
         applied(top, w, end, m.v_stage[s - 1])
@@ -228,7 +257,7 @@ def _finish(c, m, t, h):
     rate_rows(top, w.jac, w.phi_t, known, w.gamma)
     for k in range(len(top.pairs)):
         for r in range(2):
-            w.gamma[k, r] = -w.gamma[k, r] / (h * m.b[s - 1])
+            w.gamma[k, r] = -w.gamma[k, r] / (h * m.rk.b[s - 1])
     c.counts[RHS] += 1
     c.counts[FACTORIZATIONS] += 1
     return solve_system(top, w, c.solver, has_forces, m.acc[s - 1], m.lam[s - 1], True)
@@ -239,25 +268,25 @@ def attempt(common, own, t, h, want_error):
     """Try a step from the base state; see `mbdkit.stepping.driver`."""
     c, m = load_common(common), load_pair(own)
     top, w = c.top, c.w
-    s = len(m.c)
+    s = len(m.rk.c)
     n3 = len(c.q) - 3
     status = _iterate(c, m, t, h)
     if status == OK:
         status = _finish(c, m, t, h)
     if status != OK:
-        m.begun[2] = 0.0
+        m.past.known[0] = 0
         return status
     _keep(m, t, h)
     c.gain[0] = c.gain[1] = 0.0
     c.dq[:] = 0.0
     c.dv[:] = 0.0
     for j in range(s):
-        w1, w2 = h * m.b[j], h * h * m.a2[s - 1, j]
+        w1, w2 = h * m.rk.b[j], h * h * m.rk.a2[s - 1, j]
         for d in range(n3):
             c.dv[d] += w1 * m.acc[j, d]
             c.dq[d] += w2 * m.acc[j, d]
         if c.has_power[0] != 0 or j == s - 1:
-            prepare(top, w, t + m.c[j] * h, m.q_stage[j])
+            prepare(top, w, t + m.rk.c[j] * h, m.q_stage[j])
             for k in range(len(top.pairs)):
                 c.own_lam[k, 0], c.own_lam[k, 1] = m.lam[j, k, 0], m.lam[j, k, 1]
             unfold_multipliers(top, w.cs, c.own_lam)
@@ -279,11 +308,12 @@ def new_pair(method: LobattoPair, workspace: Workspace) -> Pair:
     a2 = a @ bar
     s, size, pairs = method.stages, workspace.mechanism.size, len(workspace.mechanism.topology.pairs)
     acc, q_stage, v_stage, change, spread = (np.zeros((s, size)) for _ in range(5))
+    past = PastSteps(np.zeros((MOST_PAST, s, size)), np.zeros(1), np.zeros(1), np.zeros(1, dtype=np.int64))
     return Pair(
-        bar=bar, a2=a2, inverse=np.ascontiguousarray(np.linalg.inv(a2[1:, :-1])), b=b, c=c,
-        choice=np.array([method.max_iterations]),
-        tolerance=np.array([method.tolerance if method.tolerance is not None else ROUND_OFF]),
-        acc=acc, lam=np.zeros((s, pairs, 2)), past=np.zeros((MOST_PAST, s, size)), begun=np.zeros(3),
+        rk=PairCoefficients(bar, a2, np.ascontiguousarray(np.linalg.inv(a2[1:, :-1])), b, c),
+        most_iterations=np.array([method.max_iterations]),
+        tolerance=np.array([method.tolerance if method.tolerance is not None else STATE_TOLERANCE]),
+        acc=acc, lam=np.zeros((s, pairs, 2)), past=past,
         q_stage=q_stage, v_stage=v_stage, gap=np.zeros((s - 1, pairs, 2)), change=change, spread=spread,
         pairs=np.zeros((pairs, 2)), power=np.zeros((s, 2)),
     )  # fmt: skip
@@ -301,12 +331,12 @@ class PairFamily(Family):
         super().__init__(workspace)
         self.own = new_pair(method, workspace)
         self.hold = PinnedBundle(self.own)
-        self.memory = (self.own.past, self.own.begun)
+        self.memory = tuple(self.own.past)
 
     def forget(self) -> None:
-        """Begin the next step without stage values from before."""
-        self.own.begun[2] = 0.0
+        """Start the next step without accelerations to extrapolate."""
+        self.own.past.known[0] = 0
 
     def describe_divergence(self, report: np.ndarray) -> str:
         """Return the largest change of an acceleration and where it is."""
-        return stage_divergence(self.workspace, report)
+        return describe_divergence(self.workspace, report)

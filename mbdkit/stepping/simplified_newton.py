@@ -1,10 +1,19 @@
-"""The linear systems of simplified Newton, one for each eigenvalue; see `mbdkit.stepping.index1_collocation`."""
+"""Simplified Newton on all stages at once: one linear system for each eigenvalue of the tableau's matrix.
+
+With one tangent for all stages, the eigenvectors of A decouple the stages (Butcher 1976, Bickart 1977). Only one of
+each pair of conjugate eigenvalues is solved for; the other contributes the conjugate, hence the factor 2 below.
+"""
 
 from __future__ import annotations
 
 from mbdkit.engine.jit.decorators import inlined
 from mbdkit.engine.kernels.lu import Factors, factorize, substitute
-from mbdkit.engine.kernels.system import gather_values
+
+
+@inlined
+def leading(rk):
+    """Return the size of the eigenvalue whose system filters the estimates of the local error."""
+    return rk.mu_real[0] if len(rk.mu_real) > 0 else abs(rk.mu_complex[0])
 
 
 @inlined
@@ -16,16 +25,42 @@ def one_of(factors, e):
 
 
 @inlined
-def factorize_all(source, scatter, rk, systems, h):
-    """Gather and factorize the matrix of every eigenvalue; return the failed pivot position or -1."""
+def _gather(source, systems, rate, row_rate, values):
+    """Fill the scaled values of the matrix of an eigenvalue from the terms in `source`.
+
+    `rate` is ``h mu``, the factor of damping, and its square that of stiffness; `row_rate` that of -gamma_v.
+    """
+    scatter, weight = systems.scatter, systems.pattern.weight
+    level = rate * rate
+    values[:] = 0.0
+    for e in range(len(scatter.one)):
+        values[scatter.one[e, 1]] += source[scatter.one[e, 0]]
+    for e in range(len(scatter.rate)):
+        values[scatter.rate[e, 1]] += rate * source[scatter.rate[e, 0]]
+    for e in range(len(scatter.minus_rate)):
+        values[scatter.minus_rate[e, 1]] -= row_rate * source[scatter.minus_rate[e, 0]]
+    for e in range(len(scatter.level)):
+        values[scatter.level[e, 1]] += level * source[scatter.level[e, 0]]
+    for x in range(len(values)):
+        values[x] *= weight[x]
+
+
+@inlined
+def factorize_all(source, rk, systems, h, row_share):
+    """Gather and factorize the matrix of every eigenvalue; return the failed pivot position or -1.
+
+    ``row_share h mu`` is the factor of -gamma_v: 1 for rows ``Phi_q a - gamma``, 1/2 for rows ``Phi_q v + Phi_t``.
+    """
     pattern, real, cplx = systems.pattern, systems.real, systems.cplx
     for e in range(len(rk.mu_real)):
-        gather_values(source, scatter, h * rk.mu_real[e], pattern.weight, real.a[e])
+        rate = h * rk.mu_real[e]
+        _gather(source, systems, rate, row_share * rate, real.a[e])
         failed = factorize(pattern, one_of(real, e))
         if failed >= 0:
             return failed
     for e in range(len(rk.mu_complex)):
-        gather_values(source, scatter, h * rk.mu_complex[e], pattern.weight, cplx.a[e])
+        z = h * rk.mu_complex[e]
+        _gather(source, systems, z, row_share * z, cplx.a[e])
         failed = factorize(pattern, one_of(cplx, e))
         if failed >= 0:
             return failed
@@ -33,69 +68,70 @@ def factorize_all(source, scatter, rk, systems, h):
 
 
 @inlined
-def _lift(mass, pairs, rows, row_index, jac, x, n3, b):
-    """Write ``[M x, Phi_q x]`` into `b` (n,) for an acceleration `x` (3 (B + 1),) that vanishes on the ground."""
-    for body in range(len(mass) - 1):
-        for i in range(3):
-            b[3 * body + i] = mass[body, i] * x[3 * body + i]
-    for k in range(len(pairs)):
-        first, second = 3 * pairs[k, 1], 3 * pairs[k, 2]
-        for r in range(rows[k]):
-            total = x[n3] * 0.0
-            for i in range(3):
-                total += jac[k, 6 * r + i] * x[first + i] + jac[k, 6 * r + 3 + i] * x[second + i]
-            b[row_index[k, r]] = total
+def newton_changes(c, m, h, right_side):
+    """Solve the transformed systems for the change of every stage, from ``m.residual`` into ``m.change``.
 
-
-@inlined
-def newton_changes(top, row_index, jac, rk, systems, defects, z_real, z_complex, change):
-    """Solve the transformed systems for the change of every stage's accelerations; `defects` (s, 3 (B + 1))."""
-    s, size = defects.shape
-    n3 = size - 3
-    pattern, x_real, x_complex = systems.pattern, systems.x_real, systems.x_complex
+    `right_side` writes the right side of a system; see `mbdkit.stepping.collocation_stages.StageKernels`.
+    """
+    rk, systems, residual, change = m.rk, m.systems, m.residual, m.change
+    pattern, z_real, z_complex = systems.pattern, systems.z_real, systems.z_complex
+    s, width = residual.shape
     change[:, :] = 0.0
     for e in range(len(rk.mu_real)):
-        z_real[:] = 0.0
+        for d in range(width):
+            z_real[d] = 0.0
         for j in range(s):
             w = rk.t_real_inv[e, j]
-            for d in range(n3):
-                z_real[d] += w * defects[j, d]
-        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_real, n3, systems.b_real)
-        substitute(pattern, one_of(systems.real, e), systems.b_real, x_real)
+            for d in range(width):
+                z_real[d] += w * residual[j, d]
+        right_side(c, m, h * rk.mu_real[e], z_real, systems.b_real)
+        substitute(pattern, one_of(systems.real, e), systems.b_real, systems.x_real)
         for i in range(s):
             w = rk.t_real[i, e]
-            for d in range(n3):
-                change[i, d] -= w * x_real[d]
+            for d in range(width):
+                change[i, d] -= w * systems.x_real[d]
     for e in range(len(rk.mu_complex)):
-        for d in range(n3):
+        for d in range(width):
             z_complex[d] = 0.0
         for j in range(s):
             z = rk.t_complex_inv[e, j]
-            for d in range(n3):
-                z_complex[d] += z * defects[j, d]
-        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_complex, n3, systems.b_complex)
-        substitute(pattern, one_of(systems.cplx, e), systems.b_complex, x_complex)
+            for d in range(width):
+                z_complex[d] += z * residual[j, d]
+        right_side(c, m, h * rk.mu_complex[e], z_complex, systems.b_complex)
+        substitute(pattern, one_of(systems.cplx, e), systems.b_complex, systems.x_complex)
         for i in range(s):
             z = rk.t_complex[i, e]
-            for d in range(n3):
-                change[i, d] -= 2.0 * (z.real * x_complex[d].real - z.imag * x_complex[d].imag)
+            for d in range(width):
+                x = systems.x_complex[d]
+                change[i, d] -= 2.0 * (z.real * x.real - z.imag * x.imag)
 
 
 @inlined
-def filtered(top, row_index, jac, systems, z_real, z_complex, x):
-    """Replace `x` (3 (B + 1),) by ``(1 - h mu f_v - h^2 mu^2 f_q)^-1 x`` for the first eigenvalue, or its real part."""
+def filter_estimate(c, m, estimate_side, x):
+    """Replace the estimate `x` (3 (B + 1),) by the solution of the first eigenvalue's system, or its real part.
+
+    For index 1 this is ``(1 - h mu f_v - h^2 mu^2 f_q)^-1 x``, which keeps the estimate bounded for stiff forces
+    (Hairer and Wanner 1996, IV.8).
+    """
+    systems = m.systems
     n3 = len(x) - 3
     if len(systems.real.a) > 0:
+        z, b = systems.z_real, systems.b_real
         for d in range(n3):
-            z_real[d] = x[d]
-        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_real, n3, systems.b_real)
-        substitute(systems.pattern, one_of(systems.real, 0), systems.b_real, systems.x_real)
+            z[d] = x[d]
+        for d in range(n3, len(z)):  # the ground does not move
+            z[d] = 0.0
+        estimate_side(c, m, z, b)
+        substitute(systems.pattern, one_of(systems.real, 0), b, systems.x_real)
         for d in range(n3):
             x[d] = systems.x_real[d]
     else:
+        zc, bc = systems.z_complex, systems.b_complex
         for d in range(n3):
-            z_complex[d] = x[d]
-        _lift(top.mass, top.pairs, top.rows, row_index, jac, z_complex, n3, systems.b_complex)
-        substitute(systems.pattern, one_of(systems.cplx, 0), systems.b_complex, systems.x_complex)
+            zc[d] = x[d]
+        for d in range(n3, len(zc)):
+            zc[d] = 0.0
+        estimate_side(c, m, zc, bc)
+        substitute(systems.pattern, one_of(systems.cplx, 0), bc, systems.x_complex)
         for d in range(n3):
             x[d] = systems.x_complex[d].real

@@ -14,10 +14,9 @@ from mbdkit.methods.kinds import (
 )
 from mbdkit.methods.step_method import StepMethod
 from mbdkit.methods.tableau import TableauError
+from mbdkit.stepping.collocation import CollocationFamily
 from mbdkit.stepping.compiled_stepper import CompiledStepper
-from mbdkit.stepping.constrained_collocation import ConstrainedFamily
 from mbdkit.stepping.explicit import ExplicitFamily
-from mbdkit.stepping.index1_collocation import CollocationFamily
 from mbdkit.stepping.interface import Stepper, Timetable
 from mbdkit.stepping.lobatto_iiia_iiib import PairFamily
 from mbdkit.stepping.python_stepper import PythonStepper
@@ -70,14 +69,12 @@ def _(method: ImplicitRungeKutta, workspace: Workspace, timetable: Timetable) ->
         control = Control(
             method.tolerances.rtol, method.tolerances.atol, order=tableau.order, estimate_order=tableau.stages + 1
         )
-    if workspace.formulation == "index-1":
-        return CompiledStepper(CollocationFamily(method, workspace, control), workspace, timetable, control)
-    if not tableau.is_stiffly_accurate or method.stage_solver != "newton":
+    if workspace.formulation != "index-1" and not (tableau.is_stiffly_accurate and method.stage_solver == "newton"):
         raise TableauError(
             f"{tableau.name} cannot be used with the formulation {workspace.formulation!r}, which requires a stiffly "
             "accurate tableau with a regular matrix, and the stage solver 'newton'"
         )
-    return CompiledStepper(ConstrainedFamily(method, workspace), workspace, timetable, control)
+    return CompiledStepper(CollocationFamily(method, workspace, control), workspace, timetable, control)
 
 
 @start_method.register

@@ -13,7 +13,7 @@ from typing import Any
 import mbdkit
 from mbdkit.engine.kernels import system
 from mbdkit.engine.workspace import Workspace
-from mbdkit.stepping import explicit, index1_collocation, simplified_newton
+from mbdkit.stepping import collocation_index1, collocation_step, explicit, simplified_newton
 from mbdkit.stepping.warm_up import ensure_compiled
 
 
@@ -29,11 +29,13 @@ def main(stages: int, solver: str) -> None:
         return wrapper
 
     solve = counted("solve", system.solve_accelerations)
-    explicit.solve_accelerations = index1_collocation.solve_accelerations = solve
-    index1_collocation.evaluate_tangents = counted("tangents", index1_collocation.evaluate_tangents)
+    for module in (explicit, collocation_index1, collocation_step):
+        module.solve_accelerations = solve  # type: ignore[attr-defined]
+    collocation_index1.evaluate_tangents = counted("tangents", collocation_index1.evaluate_tangents)
     simplified_newton.factorize = counted("stage matrices", simplified_newton.factorize)
     Workspace.choose_pivots = counted("choices of pivots", Workspace.choose_pivots)  # type: ignore[method-assign]
-    index1_collocation.relative_change = counted("iterations", index1_collocation.relative_change)
+    sizes = counted("iterations", collocation_index1.relative_to_accelerations)
+    collocation_index1.relative_to_accelerations = sizes
     integrator = {"name": "rk4"} if stages == 0 else {"name": "gauss", "stages": stages, "stage_solver": solver}
     model = {
         "name": "mechanism",

@@ -1,0 +1,348 @@
+"""Stage equations of stiffly accurate collocation on the constraints themselves: index 3, index 2, and both (ggl).
+
+Stage i, in second-order form, with A the tableau and its last row the weights of the step:
+
+    M a_i + Phi_q(q_i)^T lambda_i = Q(t_i, q_i, v_i)                 v_i = v_n + h sum_j A_ij a_j
+    q_i = q_n + h c_i v_n + h^2 sum_j (A A)_ij a_j - h sum_j A_ij w_j,    w_j = M^-1 Phi_q(q_j)^T mu_j
+
+index-3 imposes Phi(t_i, q_i) = 0 and index-2 imposes Phi_q v_i + Phi_t = 0, both with mu = 0. ggl imposes both (Gear,
+Leimkuhler and Gupta 1985), with multipliers mu that vanish for the exact motion. The factor M^-1, which their paper
+leaves out, makes w the smallest change in the mass metric, whatever the units of lengths and angles.
+
+Simplified Newton with one tangent for all stages decouples along the eigenvectors of A, as on the index-1 equations
+(`mbdkit.stepping.collocation_index1`). With r = h mu of an eigenvalue, the changes of accelerations and multipliers
+solve
+
+    [ M + r C + r^2 K          Phi_q^T ] [ da      ]     [ M a + Phi_q^T lambda - Q                     ]
+    [ Phi_q - g gamma_v        0       ] [ dlambda ] = - [ Phi / r^2,  or  (Phi_q v + Phi_t) / r        ]
+
+with g = 0 (index 3), or r / 2 because d(Phi_q v + Phi_t)/dq is -gamma_v / 2 (index 2, ggl). The rows are scaled by
+powers of r, so that the matrix is as well conditioned as that of index 1 however small the step; the round-off of
+index-3 multipliers, about eps / h^2 of a coordinate, is inherent in the formulation.
+
+In ggl the change of w comes first. Both constraints together require ``Phi_q dw_i = sum_j (A^-1)_ij Phi_j / h - (Phi_q
+v + Phi_t)_i`` up to terms of O(h): with dw_i in the range of M^-1 Phi_q^T that is an index-1 system for each stage. The
+change of positions by dw enters the equations above with the exact K and gamma_v, so that stiff springs do not slow the
+iteration down.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
+from mbdkit.engine.jit.decorators import entry, inlined, subkernel
+from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, STIFFNESS
+from mbdkit.engine.kernels.projection import position_rows, rate_rows
+from mbdkit.engine.kernels.system import (
+    OK,
+    REPIVOT_STAGES,
+    Scatter,
+    applied,
+    constraint_rows,
+    evaluate_powers,
+    evaluate_tangents,
+    independent_rows,
+    prepare,
+    solve_system,
+    unfold_multipliers,
+)
+from mbdkit.engine.kernels.vectors import copy
+from mbdkit.stepping.collocation_stages import (
+    GGL,
+    INDEX_2,
+    INDEX_3,
+    StageFormulation,
+    StageKernels,
+    load_stages,
+)
+from mbdkit.stepping.collocation_step import evaluate_mean, state_inside, try_step
+from mbdkit.stepping.convergence import (
+    CANCELLING_FORCES,
+    NEGLIGIBLE_CHANGE,
+    PATIENCE,
+    STATE_TOLERANCE,
+    accelerations_are_round_off,
+    moves_by_roundings,
+    relative_to_state,
+)
+from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS, RHS, load_common
+from mbdkit.stepping.simplified_newton import factorize_all, newton_changes
+from mbdkit.stepping.stage_polynomials import extrapolation_weights
+
+if TYPE_CHECKING:
+    from mbdkit.engine.kernels.lu import Pattern
+    from mbdkit.engine.workspace import Workspace
+
+
+@subkernel
+def _tangents(c, m, t, h):
+    """Evaluate and factorize the matrices of all eigenvalues at the mean of the stages; return a status."""
+    top, w = c.top, c.w
+    evaluate_mean(m)
+    middle = 0.0
+    for i in range(len(m.rk.c)):
+        middle += m.rk.c[i] / len(m.rk.c)
+    prepare(top, w, t + middle * h, m.mean.q)
+    unfold_multipliers(top, w.cs, m.mean.lam)
+    evaluate_tangents(top, w, t + middle * h, m.mean.q, m.mean.v, m.mean.acc, m.mean.lam)
+    c.counts[JACOBIANS] += 1
+    c.counts[FACTORIZATIONS] += len(m.rk.mu_real) + len(m.rk.mu_complex)
+    failed = factorize_all(w.source, m.rk, m.systems, h, 0.5)
+    if failed >= 0:
+        c.solver.failed[0] = failed
+        return REPIVOT_STAGES
+    return OK
+
+
+@subkernel
+def _evaluate_residual(c, m, t, h):
+    """Evaluate the residual of the equations of motion and of the constraints of every stage into ``m.residual``."""
+    top, w = c.top, c.w
+    n3 = len(c.q) - 3
+    has_forces = len(top.springs) + len(top.loads) > 0
+    for i in range(len(m.rk.c)):
+        q, v, lack = m.q_stage[i], m.v_stage[i], m.residual[i]
+        position_rows(top, w, t + m.rk.c[i] * h, q)
+        constraint_rows(top, w, q, v)
+        independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
+        for b in range(len(top.mass) - 1):
+            lack[3 * b] = top.mass[b, 0] * (m.acc[i, 3 * b] - top.gravity[0])
+            lack[3 * b + 1] = top.mass[b, 1] * (m.acc[i, 3 * b + 1] - top.gravity[1])
+            lack[3 * b + 2] = top.mass[b, 2] * m.acc[i, 3 * b + 2]
+        if has_forces:
+            applied(top, w, q, v)
+            for d in range(n3):
+                lack[d] -= w.force[d]
+        rate_rows(top, w.jac, w.phi_t, v, m.pairs)
+        for k in range(len(top.pairs)):
+            for r in range(top.rows[k]):
+                for side in range(2):
+                    at = 3 * top.pairs[k, 1 + side]
+                    if at < n3:
+                        for d in range(3):
+                            lack[at + d] += w.jac[k, 6 * r + 3 * side + d] * m.lam[i, k, r]
+                m.constraints.phi[i, k, r] = w.phi[k, r]
+                in_position = m.settings.formulation[0] == INDEX_3
+                lack[c.solver.row_index[k, r]] = w.phi[k, r] if in_position else m.pairs[k, r]
+            copy(w.jac[k], m.constraints.jac[i, k])
+    c.counts[RHS] += len(m.rk.c)
+
+
+@subkernel
+def _change_shift(c, m, h):
+    """Change mu so that both constraints can be met, and the residual by the positions that move with it (ggl)."""
+    top, w = c.top, c.w
+    room = m.constraints
+    shift, shift_change = room.shift, room.shift_change
+    s = len(m.rk.c)
+    n3 = len(c.q) - 3
+    for i in range(s):
+        for k in range(len(top.pairs)):
+            copy(room.jac[i, k], w.jac[k])
+            w.gamma[k, 0] = w.gamma[k, 1] = 0.0
+            for r in range(top.rows[k]):
+                total = -m.residual[i, c.solver.row_index[k, r]]
+                for j in range(s):
+                    total += m.rk.inverse[i, j] / h * room.phi[j, k, r]
+                w.gamma[k, r] = total
+        status = solve_system(c.still, w, c.solver, False, m.mean.acc, m.pairs, False)
+        if status != OK:
+            return status
+        for d in range(n3):
+            shift_change[i, d] = -shift[i, d]
+            shift[i, d] = 0.0
+        for k in range(len(top.pairs)):
+            for r in range(top.rows[k]):
+                room.mu[i, k, r] -= m.pairs[k, r]
+                for side in range(2):
+                    b = top.pairs[k, 1 + side]
+                    if 3 * b < n3:
+                        for d in range(3):
+                            g = top.weight[b, d] * w.jac[k, 6 * r + 3 * side + d]
+                            shift[i, 3 * b + d] += g * room.mu[i, k, r]
+        for d in range(n3):
+            shift_change[i, d] += shift[i, d]
+    c.counts[FACTORIZATIONS] += s
+    for i in range(s):
+        for d in range(n3):
+            total = 0.0
+            for j in range(s):
+                total -= h * m.rk.a[i, j] * shift_change[j, d]
+            m.spread[i, d] = total
+        terms = room.by_position
+        for e in range(len(terms)):
+            factor = 1.0 if terms[e, 3] == STIFFNESS else -0.5
+            m.residual[i, terms[e, 1]] += factor * w.source[terms[e, 0]] * m.spread[i, terms[e, 2]]
+    return OK
+
+
+@inlined
+def _right_side(c, m, rate, z, b):
+    """Write the transformed residual with its constraint rows scaled by ``rate = h mu``."""
+    scale = rate * rate if m.settings.formulation[0] == INDEX_3 else rate
+    n3 = len(c.q) - 3
+    for d in range(n3):
+        b[d] = z[d]
+    for d in range(n3, len(b)):
+        b[d] = z[d] / scale
+
+
+@subkernel
+def _changes(c, m, t, h, rough):
+    """Write the change of accelerations and multipliers by one iteration, and change the multipliers."""
+    _evaluate_residual(c, m, t, h)
+    if m.settings.formulation[0] == GGL:
+        status = _change_shift(c, m, h)
+        if status != OK:
+            return status
+    newton_changes(c, m, h, _right_side)
+    for i in range(len(m.rk.c)):
+        for k in range(len(c.top.pairs)):
+            for r in range(c.top.rows[k]):
+                m.lam[i, k, r] += m.change[i, c.solver.row_index[k, r]]
+    return OK
+
+
+@subkernel
+def _change_of_positions(c, m, h):
+    """Write the change of every stage's positions into ``m.spread``."""
+    shifted = m.settings.formulation[0] == GGL
+    for i in range(len(m.rk.c)):
+        for d in range(len(c.q) - 3):
+            total = 0.0
+            for j in range(len(m.rk.c)):
+                total += h * h * m.rk.a2[i, j] * m.change[j, d]
+                if shifted:
+                    total -= h * m.rk.a[i, j] * m.constraints.shift_change[j, d]
+            m.spread[i, d] = total
+
+
+@subkernel
+def _change_of_velocities(c, m, h):
+    """Write the change of every stage's velocities into ``m.spread``."""
+    for i in range(len(m.rk.c)):
+        for d in range(len(c.q) - 3):
+            total = 0.0
+            for j in range(len(m.rk.c)):
+                total += h * m.rk.a[i, j] * m.change[j, d]
+            m.spread[i, d] = total
+
+
+@subkernel
+def _sizes(c, m, h):
+    """Return the relative change of the state, and that of the positions.
+
+    With index 3 only positions have to converge: their constraints do not determine velocities to more than the
+    round-off of positions over h.
+    """
+    bodies = len(c.top.mass) - 1
+    _change_of_positions(c, m, h)
+    now = moved = relative_to_state(m.spread, c.from_q, bodies)
+    if m.settings.formulation[0] != INDEX_3:
+        _change_of_velocities(c, m, h)
+        now = max(now, relative_to_state(m.spread, m.v_stage[len(m.rk.c) - 1], bodies))
+        moved = max(moved, h * relative_to_state(m.spread, c.from_q, bodies))
+    return now, moved
+
+
+@subkernel
+def _round_off(c, m, h, now, moved, idle):
+    """Return whether a change that no longer shrinks is the round-off of positions or of single forces.
+
+    The latter is large where stiff springs cancel.
+    """
+    if moves_by_roundings(moved):
+        return True
+    if idle < PATIENCE:
+        return False
+    return now <= NEGLIGIBLE_CHANGE or (moved <= CANCELLING_FORCES and accelerations_are_round_off(c, m, h, True))
+
+
+@subkernel
+def _unfold(c, t, q, lam, out):
+    """Write multipliers of the rows that are solved for as multipliers of the pairs; prepares the position `q`."""
+    prepare(c.top, c.w, t, q)
+    for k in range(len(out)):
+        out[k, 0], out[k, 1] = lam[k, 0], lam[k, 1]
+    unfold_multipliers(c.top, c.w.cs, out)
+
+
+@subkernel
+def _powers(c, m, t, h):
+    """Evaluate the powers of the stages."""
+    for i in range(len(m.rk.c)):
+        _unfold(c, t + m.rk.c[i] * h, m.q_stage[i], m.lam[i], m.pairs)
+        applied(c.top, c.w, m.q_stage[i], m.v_stage[i])
+        m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage[i], m.v_stage[i], m.pairs)
+    c.counts[RHS] += len(m.rk.c)
+    return OK
+
+
+@inlined
+def _estimate_side(c, m, z, b):
+    """Write ``[M z, 0]``: components across the constraints do not add up to an error, so they are left out."""
+    n3 = len(c.q) - 3
+    for d in range(n3):
+        b[d] = c.top.mass[d // 3, d % 3] * z[d]
+    for d in range(n3, len(b)):
+        b[d] = 0.0
+
+
+_KERNELS = StageKernels(_tangents, _changes, _sizes, _round_off, _powers, _right_side, _estimate_side)
+
+
+@entry
+def attempt(common, own, t, h, want_error):
+    """Try a step from the base state; see `mbdkit.stepping.driver`."""
+    c, m = load_common(common), load_stages(own)
+    status = try_step(c, m, t, h, want_error, _KERNELS)
+    if status == OK:
+        last = len(m.rk.c) - 1
+        _unfold(c, t + h, m.q_stage[last], m.lam[last], c.own_lam)
+    return status
+
+
+@entry
+def dense(common, own, t, h, theta):
+    """Write state and multipliers at ``t + theta h`` within the last attempt, by its collocation polynomial."""
+    c, m = load_common(common), load_stages(own)
+    state_inside(c, m, h, theta)
+    extrapolation_weights(theta, 0.0, m.rk.c, m.weights)  # every row: the polynomial at theta
+    m.pairs[:, :] = 0.0
+    for i in range(len(m.rk.c)):
+        for k in range(len(m.pairs)):
+            for r in range(2):
+                m.pairs[k, r] += m.weights[0, i] * m.lam[i, k, r]
+    _unfold(c, t + theta * h, c.point_q, m.pairs, c.point_lam)
+    return OK
+
+
+def _choose_pivots(row_share: float, workspace: Workspace, rate: complex | None) -> tuple[Pattern, Scatter]:
+    """Choose pivots for stage matrices whose rows of constraints have the factor ``row_share h mu`` of -gamma_v."""
+    if rate is None:
+        raise ValueError("stages on the constraints are solved by Newton's method only")
+    coefficients = np.zeros(6, dtype=type(rate))
+    coefficients[[MASS, JACOBIAN, DAMPING, STIFFNESS]] = 1.0, 1.0, rate, rate**2
+    coefficients[GAMMA_V] = -row_share * rate
+    pivots = chosen_pivots(workspace, classes_of(workspace), coefficients)
+    classes = ((MASS, JACOBIAN), (DAMPING,), (GAMMA_V,), (STIFFNESS,))
+    chosen = (np.isin(pivots.scatter[:, 2], some) for some in classes)
+    return pivots.pattern, Scatter(*(np.ascontiguousarray(pivots.scatter[some, :2]) for some in chosen))
+
+
+def _formulation(code: int) -> StageFormulation:
+    return StageFormulation(
+        code=code,
+        attempt=attempt,
+        dense=dense,
+        choose_pivots=partial(_choose_pivots, 0.0 if code == INDEX_3 else 0.5),
+        solves_multipliers=True,
+        tolerance=STATE_TOLERANCE,
+    )
+
+
+FORMULATIONS = {"index-2": _formulation(INDEX_2), "index-3": _formulation(INDEX_3), "ggl": _formulation(GGL)}

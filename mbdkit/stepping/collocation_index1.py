@@ -1,0 +1,173 @@
+"""Stage equations of collocation methods on the index-1 equations: accelerations are the unknowns.
+
+Stage i, in second-order form, with A the tableau, the unknowns a_i and f the index-1 accelerations:
+
+    v_i = v_n + h sum_j A_ij a_j,        q_i = q_n + h c_i v_n + h^2 sum_j (A A)_ij a_j,        a_i = f(t_i, q_i, v_i)
+
+Simplified Newton with one tangent for all stages decouples along the eigenvectors of A (Butcher 1976, Bickart 1977).
+The residual r = a - f of each eigenvalue mu takes one sparse system, complex for a pair of conjugate eigenvalues, with
+all terms of the tangents of M a + Phi_q^T lambda - Q and of Phi_q a - gamma,
+
+    [ M + h mu C + h^2 mu^2 K                               Phi_q^T ] [ x  ]   [ M r     ]
+    [ Phi_q - h mu gamma_v + h^2 mu^2 (Phi_q a - gamma)_q   0       ] [ nu ] = [ Phi_q r ]
+
+which is (1 - h mu f_v - h^2 mu^2 f_q) x = r without forming f_v and f_q. Because f is evaluated exactly at every
+stage, only its derivatives are frozen, and the contraction of the iteration is O(h^2).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbdkit.engine.jit.decorators import entry, inlined, subkernel
+from mbdkit.engine.kernels.system import (
+    OK,
+    REPIVOT_STAGES,
+    evaluate_powers,
+    evaluate_tangents,
+    prepare,
+    solve_accelerations,
+)
+from mbdkit.engine.kernels.vectors import copy
+from mbdkit.stepping.collocation_stages import INDEX_1, NEWTON, StageFormulation, StageKernels, load_stages
+from mbdkit.stepping.collocation_step import evaluate_mean, state_inside, try_step
+from mbdkit.stepping.convergence import (
+    ACCELERATION_TOLERANCE,
+    NEGLIGIBLE_CHANGE,
+    PATIENCE_INDEX_1,
+    accelerations_are_round_off,
+    relative_to_accelerations,
+)
+from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS, RHS, load_common
+from mbdkit.stepping.simplified_newton import factorize_all, newton_changes
+
+if TYPE_CHECKING:
+    from mbdkit.engine.kernels.lu import Pattern
+    from mbdkit.engine.kernels.system import Scatter
+    from mbdkit.engine.workspace import Workspace
+
+
+@subkernel
+def _tangents(c, m, t, h):
+    """Evaluate and factorize the matrices of all eigenvalues at the mean of the stages; return a status."""
+    top, w = c.top, c.w
+    evaluate_mean(m)
+    evaluate_tangents(top, w, t + 0.5 * h, m.mean.q, m.mean.v, m.mean.acc, m.mean.lam)
+    for p in range(len(top.pairs)):
+        copy(w.jac[p], m.mean.jac[p])
+    c.counts[JACOBIANS] += 1
+    c.counts[FACTORIZATIONS] += len(m.rk.mu_real) + len(m.rk.mu_complex)
+    failed = factorize_all(w.source, m.rk, m.systems, h, 1.0)
+    if failed >= 0:
+        c.solver.failed[0] = failed
+        return REPIVOT_STAGES
+    return OK
+
+
+@subkernel
+def _evaluate_accelerations(c, m, t, h, refine, with_powers):
+    """Evaluate the index-1 accelerations of every stage into ``m.spread``; return a status."""
+    top, w = c.top, c.w
+    for i in range(len(m.rk.c)):
+        prepare(top, w, t + m.rk.c[i] * h, m.q_stage[i])
+        status = solve_accelerations(top, w, c.solver, m.q_stage[i], m.v_stage[i], m.spread[i], m.lam[i], refine)
+        if status != OK:
+            return status
+        if with_powers:
+            m.power[i, 0], m.power[i, 1] = evaluate_powers(top, w, m.q_stage[i], m.v_stage[i], m.lam[i])
+    c.counts[RHS] += len(m.rk.c)
+    c.counts[FACTORIZATIONS] += len(m.rk.c)
+    return OK
+
+
+@inlined
+def _lift(c, m, x, b):
+    """Write ``[M x, Phi_q x]`` into `b` (n + m,) for an acceleration `x` that is zero on the ground."""
+    top, row_index, jac = c.top, c.solver.row_index, m.mean.jac
+    pairs, rows, mass = top.pairs, top.rows, top.mass
+    n3 = len(c.q) - 3
+    for body in range(len(mass) - 1):
+        for i in range(3):
+            b[3 * body + i] = mass[body, i] * x[3 * body + i]
+    for k in range(len(pairs)):
+        first, second = 3 * pairs[k, 1], 3 * pairs[k, 2]
+        for r in range(rows[k]):
+            total = x[n3] * 0.0
+            for i in range(3):
+                total += jac[k, 6 * r + i] * x[first + i] + jac[k, 6 * r + 3 + i] * x[second + i]
+            b[row_index[k, r]] = total
+
+
+@inlined
+def _right_side(c, m, rate, z, b):
+    """Write the right side of an eigenvalue's system; it does not depend on ``rate = h mu``."""
+    _lift(c, m, z, b)
+
+
+@subkernel
+def _changes(c, m, t, h, rough):
+    """Write the change of the stage accelerations by one iteration; return a status."""
+    status = _evaluate_accelerations(c, m, t, h, not rough, False)
+    if status != OK:
+        return status
+    s, n3 = m.residual.shape
+    if m.settings.solver[0] == NEWTON:
+        for i in range(s):
+            for d in range(n3):
+                m.residual[i, d] = m.acc[i, d] - m.spread[i, d]
+        newton_changes(c, m, h, _right_side)
+    else:
+        for i in range(s):
+            for d in range(n3):
+                m.change[i, d] = m.spread[i, d] - m.acc[i, d]
+    return OK
+
+
+@subkernel
+def _sizes(c, m, h):
+    """Return the relative change of the accelerations; that of the positions is not needed."""
+    now = relative_to_accelerations(m.acc, m.change, len(c.top.mass) - 1)
+    return now, now
+
+
+@subkernel
+def _round_off(c, m, h, now, moved, idle):
+    """Return whether a change of the accelerations that no longer shrinks is round-off."""
+    return now <= NEGLIGIBLE_CHANGE or accelerations_are_round_off(c, m, h, idle >= PATIENCE_INDEX_1)
+
+
+@subkernel
+def _powers(c, m, t, h):
+    """Evaluate the powers of the stages, with multipliers refined to round-off; return a status."""
+    return _evaluate_accelerations(c, m, t, h, True, True)
+
+
+_KERNELS = StageKernels(_tangents, _changes, _sizes, _round_off, _powers, _right_side, _lift)
+
+
+@entry
+def attempt(common, own, t, h, want_error):
+    """Try a step from the base state; see `mbdkit.stepping.driver`."""
+    return try_step(load_common(common), load_stages(own), t, h, want_error, _KERNELS)
+
+
+@entry
+def dense(common, own, t, h, theta):
+    """Write the state at ``t + theta h`` within the last attempt, by its collocation polynomial."""
+    state_inside(load_common(common), load_stages(own), h, theta)
+    return OK
+
+
+def _choose_pivots(workspace: Workspace, rate: complex | None) -> tuple[Pattern, Scatter]:
+    pattern, _, scatter = workspace.choose_pivots(rate)
+    return pattern, scatter
+
+
+FORMULATION = StageFormulation(
+    code=INDEX_1,
+    attempt=attempt,
+    dense=dense,
+    choose_pivots=_choose_pivots,
+    solves_multipliers=False,
+    tolerance=ACCELERATION_TOLERANCE,
+)

@@ -1,0 +1,325 @@
+"""The stages of a collocation step as one bundle of arrays, shared by all formulations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.elimination_order import empty_pattern, new_factors
+from mbdkit.engine.jit.bundle import bundle_loader
+from mbdkit.engine.kernels.equations import example_workspace
+from mbdkit.engine.kernels.lu import Factors, Pattern
+from mbdkit.engine.kernels.system import Scatter
+from mbdkit.methods.tableau import ButcherTableau
+from mbdkit.stepping.stage_polynomials import collocation_polynomials
+
+if TYPE_CHECKING:
+    from mbdkit.engine.jit.entry import Entry
+    from mbdkit.engine.workspace import Workspace
+
+NEWTON, FIXED_POINT = range(2)
+"""How the stage equations are solved."""
+
+INDEX_1, INDEX_2, INDEX_3, GGL = range(4)
+"""Codes of the formulations in kernels."""
+
+
+@dataclass(frozen=True)
+class StageFormulation:
+    """A formulation of the stage equations: its compiled entries, and what Python has to know about it.
+
+    Parameters
+    ----------
+    code
+        INDEX_1 and so on, as kernels see it in `Settings.formulation`.
+    attempt, dense
+        Compiled step, and compiled state inside it; see `mbdkit.stepping.driver`.
+    choose_pivots
+        Chooses pivots for the stage matrix by the tangents evaluated last, for ``h mu``, or without tangents for None.
+    solves_multipliers
+        Whether multipliers are unknowns of the stage equations, so that the method carries its own. Otherwise
+        multipliers follow from accelerations.
+    tolerance
+        Default relative change at which the iteration ends.
+    """
+
+    code: int
+    attempt: Entry
+    dense: Entry
+    choose_pivots: Callable[[Workspace, complex | None], tuple[Pattern, Scatter]]
+    solves_multipliers: bool
+    tolerance: float
+
+
+class StageKernels(NamedTuple):
+    """The parts of a formulation that the shared kernels of `mbdkit.stepping.collocation_step` call.
+
+    Numba compiles the shared kernels once for each of these records. `c` is the bundle of the run, `m` that of the
+    stages. All but `round_off`, `right_side` and `estimate_side` return a status.
+    """
+
+    tangents: Any
+    """``(c, m, t, h)``: evaluate and factorize the stage matrices."""
+    changes: Any
+    """``(c, m, t, h, rough)``: write the change of the stages by one iteration into ``m.change``; multipliers that are
+    unknowns are changed at once. `rough`: accelerations need not be refined."""
+    sizes: Any
+    """``(c, m, h)``: return the relative change that has to converge, and that of the positions."""
+    round_off: Any
+    """``(c, m, h, now, moved, idle)``: return whether a stalled change is round-off; `idle` counts such changes."""
+    powers: Any
+    """``(c, m, t, h)``: evaluate the powers of the stages into ``m.power``."""
+    right_side: Any
+    """``(c, m, rate, z, b)``: write the right side of the system of an eigenvalue, with ``rate = h mu``, for the
+    transformed residual `z`."""
+    estimate_side: Any
+    """``(c, m, z, b)``: write the right side that filters an estimate `z` of the error of velocities."""
+
+
+class Coefficients(NamedTuple):
+    """A fully implicit method of s stages, and the eigenvalues of its matrix: real ones, and one of each pair."""
+
+    a: np.ndarray
+    a2: np.ndarray
+    """(s, s) A and A A: weights of accelerations in velocities and positions of the stages."""
+    b: np.ndarray
+    b2: np.ndarray
+    """(s,) the same of the step."""
+    c: np.ndarray
+    inverse: np.ndarray
+    """(s, s) A^-1 for stiffly accurate methods; NaN otherwise."""
+    dense_v: np.ndarray
+    dense_q: np.ndarray
+    """(s, s) and (s, s + 1) polynomials of dense output (`collocation_polynomials`); zeros where nodes coincide."""
+    t_real: np.ndarray
+    t_real_inv: np.ndarray
+    mu_real: np.ndarray
+    t_complex: np.ndarray
+    t_complex_inv: np.ndarray
+    mu_complex: np.ndarray
+
+
+def coefficients_of(tableau: ButcherTableau) -> Coefficients:
+    """Return the coefficients of a diagonalisable tableau as the kernels take them."""
+    a, b, c = tableau.floats()
+    a2, b2 = tableau.second_order_floats()
+    s = tableau.stages
+    distinct = len(set(c.tolist())) == s
+    dense_v, dense_q = collocation_polynomials(c) if distinct else (np.zeros((s, s)), np.zeros((s, s + 1)))
+    values, vectors = np.linalg.eig(a)
+    inverse = np.linalg.inv(vectors)
+    real = np.abs(values.imag) < 1e-12
+    upper = ~real & (values.imag > 0)
+    return Coefficients(
+        a, a2, b, b2, c,
+        np.ascontiguousarray(np.linalg.inv(a)) if tableau.is_stiffly_accurate else np.full((s, s), np.nan),
+        dense_v, dense_q,
+        np.ascontiguousarray(vectors[:, real].real),
+        np.ascontiguousarray(inverse[real].real),
+        np.ascontiguousarray(values[real].real),
+        np.ascontiguousarray(vectors[:, upper].astype(complex)),
+        np.ascontiguousarray(inverse[upper].astype(complex)),
+        np.ascontiguousarray(values[upper].astype(complex)),
+    )  # fmt: skip
+
+
+class Systems(NamedTuple):
+    """The linear systems of simplified Newton, one for each eigenvalue; they share one pattern."""
+
+    pattern: Pattern
+    scatter: Scatter
+    """Where each term of the matrices goes, by its factor."""
+    real: Factors
+    cplx: Factors
+    """Factors of the matrices, stacked."""
+    b_real: np.ndarray
+    """(n + m,) right side, and solution."""
+    x_real: np.ndarray
+    b_complex: np.ndarray
+    x_complex: np.ndarray
+    z_real: np.ndarray
+    """Transformed residual; entries of the ground are zero."""
+    z_complex: np.ndarray
+
+
+def new_systems(method: Coefficients, pattern: Pattern, scatter: Scatter, unknowns: int) -> Systems:
+    """Return storage for the systems of a method, of one pattern and `unknowns` accelerations and multipliers."""
+    real, cplx = (_stacked(pattern, len(x), x.dtype.type) for x in (method.mu_real, method.mu_complex))
+    b_real, x_real = np.zeros((2, unknowns))
+    b_complex, x_complex = np.zeros((2, unknowns), dtype=complex)
+    z_real, z_complex = np.zeros(unknowns + 3), np.zeros(unknowns + 3, dtype=complex)
+    return Systems(pattern, scatter, real, cplx, b_real, x_real, b_complex, x_complex, z_real, z_complex)
+
+
+def _stacked(pattern: Pattern, count: int, dtype: type) -> Factors:
+    """Return storage for the factors of `count` matrices of one pattern."""
+    one = new_factors(pattern, dtype)
+    return Factors(*(np.zeros((count, len(x)), x.dtype) for x in one))
+
+
+class Settings(NamedTuple):
+    """How the stage equations are set up and solved; arrays of one item."""
+
+    formulation: np.ndarray
+    """INDEX_1, INDEX_2, INDEX_3 or GGL."""
+    solver: np.ndarray
+    """NEWTON or FIXED_POINT."""
+    most_iterations: np.ndarray
+    """Iterations in one step after which the stage equations count as unsolved."""
+    tolerance: np.ndarray
+    """Relative change at which the iteration ends."""
+
+
+class PreviousStep(NamedTuple):
+    """The step that the stage values belong to; arrays of one item."""
+
+    begin: np.ndarray
+    """Time at which it began [s]."""
+    size: np.ndarray
+    """Its size [s]; NaN if there are no stage values to extrapolate."""
+
+
+class FirstAcceleration(NamedTuple):
+    """The acceleration at the beginning of a step, which the error estimate needs."""
+
+    acc: np.ndarray
+    """(3 (B + 1),)."""
+    lam: np.ndarray
+    """(P, 2) its multipliers."""
+    known: np.ndarray
+    """(1,) whether it has been evaluated."""
+
+
+class MeanStage(NamedTuple):
+    """The mean of all stages, where the tangents are evaluated."""
+
+    q: np.ndarray
+    v: np.ndarray
+    acc: np.ndarray
+    lam: np.ndarray
+    jac: np.ndarray
+    """(P, 12) the constraint Jacobian there."""
+
+
+class Constraints(NamedTuple):
+    """What formulations need that impose the constraints on the stages; empty for index 1."""
+
+    by_position: np.ndarray
+    """(N, 4) derivatives of the equations by positions: place in ``Scratch.source``, row, column, class."""
+    jac: np.ndarray
+    """(s, P, 12) Jacobians of the stages."""
+    phi: np.ndarray
+    """(s, P, 2) Phi of the stages."""
+    mu: np.ndarray
+    """(s, P, 2) the additional multipliers of ggl."""
+    shift: np.ndarray
+    """(s, 3 (B + 1)) ``w = M^-1 Phi_q^T mu`` of the stages (ggl); no rows in other formulations."""
+    shift_change: np.ndarray
+    """Its change by the last iteration."""
+
+
+class Stages(NamedTuple):
+    """A collocation method of s stages for one mechanism; B bodies and ground, P pairs."""
+
+    rk: Coefficients
+    systems: Systems
+    settings: Settings
+    previous: PreviousStep
+    solved_apart: np.ndarray
+    """(1,) iterations in which `mbdkit.stepping.coupled_newton` solved the next attempt, whose stages are in `acc` and
+    `lam`; 0 if it did not."""
+    acc: np.ndarray
+    """(s, 3 (B + 1)) accelerations of the stages."""
+    lam: np.ndarray
+    """(s, P, 2) multipliers of the stages: of the pairs (index 1), or of the rows that are solved for."""
+    q_stage: np.ndarray
+    v_stage: np.ndarray
+    residual: np.ndarray
+    """(s, u) residual of the stage equations; u = 3 B (index 1) or 3 B + m unknowns a stage."""
+    change: np.ndarray
+    """(s, u) change of accelerations, and of multipliers that are unknowns, by the last iteration."""
+    constraints: Constraints
+    first: FirstAcceleration
+    mean: MeanStage
+    power: np.ndarray
+    """(s, 2) powers of the stages [W]."""
+    weights: np.ndarray
+    """(s, s) scratch: weights of extrapolation."""
+    dense_weights: np.ndarray
+    """(s,) scratch: weights of dense output."""
+    spread: np.ndarray
+    """(s, 3 (B + 1)) scratch."""
+    pairs: np.ndarray
+    """(P, 2) scratch."""
+
+
+def new_stages(
+    rk: Coefficients, workspace: Workspace, settings: Settings, by_position: np.ndarray, *, solves_multipliers: bool
+) -> Stages:
+    """Return the bundle of a method for a mechanism, without pivots.
+
+    Parameters
+    ----------
+    rk
+        The method.
+    workspace
+        The mechanism.
+    settings
+        How stage equations are set up and solved.
+    by_position
+        See `Constraints`.
+    solves_multipliers
+        Whether multipliers are unknowns of the stage equations.
+    """
+    s, size, pairs = len(rk.c), workspace.mechanism.size, len(workspace.mechanism.topology.pairs)
+    width = workspace.unknowns if solves_multipliers else size - 3
+    constrained = s if solves_multipliers else 0
+    shifted = s if settings.formulation[0] == GGL else 0
+
+    def vectors(count: int) -> np.ndarray:
+        return np.zeros((count, size))
+
+    empty = np.zeros((0, 2), dtype=np.int64)
+    return Stages(
+        rk=rk,
+        systems=new_systems(rk, empty_pattern(), Scatter(empty, empty, empty, empty), workspace.unknowns),
+        settings=settings,
+        previous=PreviousStep(begin=np.zeros(1), size=np.full(1, np.nan)),
+        solved_apart=np.zeros(1, dtype=np.int64),
+        acc=vectors(s), lam=np.zeros((s, pairs, 2)), q_stage=vectors(s), v_stage=vectors(s),
+        residual=np.zeros((s, width)), change=np.zeros((s, width)),
+        constraints=Constraints(
+            by_position=by_position, jac=np.zeros((constrained, pairs, 12)), phi=np.zeros((constrained, pairs, 2)),
+            mu=np.zeros((shifted, pairs, 2)), shift=vectors(shifted), shift_change=vectors(shifted),
+        ),
+        first=FirstAcceleration(np.zeros(size), np.zeros((pairs, 2)), np.zeros(1, dtype=np.int64)),
+        mean=MeanStage(
+            np.zeros(size), np.zeros(size), np.zeros(size), np.zeros((pairs, 2)), np.zeros((pairs, 12))
+        ),
+        power=np.zeros((s, 2)), weights=np.zeros((s, s)), dense_weights=np.zeros(s),
+        spread=vectors(s), pairs=np.zeros((pairs, 2)),
+    )  # fmt: skip
+
+
+def new_settings(formulation: int, solver: int, most_iterations: int, tolerance: float) -> Settings:
+    """Return settings as kernels take them."""
+    return Settings(
+        formulation=np.array([formulation], dtype=np.int64),
+        solver=np.array([solver], dtype=np.int64),
+        most_iterations=np.array([most_iterations], dtype=np.int64),
+        tolerance=np.array([float(tolerance)]),
+    )
+
+
+def _example() -> Stages:
+    """Return a bundle of the type that all methods and formulations share."""
+    midpoint = coefficients_of(ButcherTableau("midpoint", [["1/2"]], [1], ["1/2"], 2, ""))
+    settings = new_settings(INDEX_1, NEWTON, 1, 0.0)
+    by_position = np.zeros((0, 4), dtype=np.int64)
+    return new_stages(midpoint, example_workspace(), settings, by_position, solves_multipliers=False)
+
+
+load_stages = bundle_loader(_example)

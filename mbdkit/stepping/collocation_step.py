@@ -1,0 +1,251 @@
+"""One step of a collocation method, the same for all formulations: predictor, iteration, increments, error, inside.
+
+The parts that a formulation determines are passed in as `mbdkit.stepping.collocation_stages.StageKernels`. Numba
+compiles these kernels once for each such record, into the entries of the formulation's own file. Kernels that take the
+record are inlined: otherwise the addresses of its functions stay in the compiled entry, which then cannot be cached.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.engine.jit.decorators import inlined, subkernel
+from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, prepare, solve_accelerations
+from mbdkit.engine.kernels.vectors import copy, stays_finite
+from mbdkit.stepping.collocation_stages import INDEX_1, NEWTON
+from mbdkit.stepping.convergence import (
+    FEWEST_WITH_ONE_TANGENT,
+    ROUGH_CHANGE,
+    SLOW,
+    has_failed,
+    is_converged,
+    is_stalled,
+    report_divergence,
+)
+from mbdkit.stepping.run_state import ADVANCED, FACTORIZATIONS, ITERATIONS, RHS, SAME
+from mbdkit.stepping.simplified_newton import filter_estimate, leading
+from mbdkit.stepping.stage_polynomials import (
+    dense_gains,
+    extrapolate,
+    extrapolation_weights,
+    stage_mean,
+    stage_states,
+    weights_at,
+)
+
+
+@subkernel
+def _predict(m, t, h):
+    """Extrapolate the stages of the previous step, or start from free flight; return whether it is free flight.
+
+    Free flight rather than a constant acceleration: a stiff force may be far from constant over the step.
+    """
+    size = m.previous.size[0]
+    if not abs(size) > 0.0:
+        m.acc[:, :] = 0.0
+        m.lam[:, :, :] = 0.0
+        m.constraints.mu[:, :, :] = 0.0
+        m.constraints.shift[:, :] = 0.0
+        return True
+    extrapolation_weights((t - m.previous.begin[0]) / size, h / size, m.rk.c, m.weights)
+    extrapolate(m.weights, m.acc, m.spread)
+    if m.settings.formulation[0] != INDEX_1:  # else multipliers follow from accelerations
+        for r in range(2):
+            extrapolate(m.weights, m.lam[:, :, r], m.constraints.phi[:, :, r])
+    return False
+
+
+@subkernel
+def evaluate_stages(c, m, h):
+    """Evaluate positions and velocities of every stage."""
+    stage_states(c, m, h)
+    shift = m.constraints.shift
+    for i in range(len(shift)):
+        for j in range(len(shift)):
+            w = h * m.rk.a[i, j]
+            for d in range(len(c.q) - 3):
+                m.q_stage[i, d] -= w * shift[j, d]
+
+
+@subkernel
+def evaluate_mean(m):
+    """Evaluate the mean of all stages, where the tangents are taken."""
+    stage_mean(m.q_stage, m.mean.q)
+    stage_mean(m.v_stage, m.mean.v)
+    stage_mean(m.acc, m.mean.acc)
+    for r in range(2):
+        stage_mean(m.lam[:, :, r], m.mean.lam[:, r])
+
+
+@inlined
+def _iterate(c, m, t, h, kernels):
+    """Solve the stage equations; return a status.
+
+    Simplified Newton, or fixed-point iteration. The tangents are evaluated at the mean of the predicted stages; again
+    after the first iteration from free flight, and where the iteration contracts slowly.
+    """
+    s = len(m.rk.c)
+    n3 = len(c.q) - 3
+    if m.solved_apart[0] > 0:
+        c.counts[ITERATIONS] += m.solved_apart[0]
+        m.solved_apart[0] = 0
+        m.previous.begin[0], m.previous.size[0] = t, h
+        evaluate_stages(c, m, h)
+        return OK
+    free_flight = _predict(m, t, h)
+    m.previous.begin[0], m.previous.size[0] = t, np.nan  # if this attempt fails, its stages are not extrapolated
+    evaluate_stages(c, m, h)
+    stale = True
+    taken_at = n = idle = 0
+    before = np.inf
+    while True:
+        if stale and m.settings.solver[0] == NEWTON:
+            status = kernels.tangents(c, m, t, h)
+            if status != OK:
+                return status
+            stale = False
+            taken_at = n
+        status = kernels.changes(c, m, t, h, not before < ROUGH_CHANGE)
+        if status != OK:
+            return status
+        c.counts[ITERATIONS] += 1
+        n += 1
+        for i in range(s):
+            for d in range(n3):
+                m.acc[i, d] += m.change[i, d]
+        evaluate_stages(c, m, h)
+        now, moved = kernels.sizes(c, m, h)
+        ratio = now / before
+        done = is_converged(n, now, ratio, m.settings.tolerance[0])
+        if not done and is_stalled(n, now, ratio):
+            idle += 1
+            done = kernels.round_off(c, m, h, now, moved, idle)
+        if done:
+            break
+        if has_failed(n, m.settings.most_iterations[0], now, ratio):
+            report_divergence(c, n, m.change, s)
+            return DIVERGED
+        stale = (free_flight and n == 1) or (n - taken_at >= FEWEST_WITH_ONE_TANGENT and ratio > SLOW)
+        before = now
+    m.previous.size[0] = h
+    return OK
+
+
+@subkernel
+def _keep_first_acceleration(c, m):
+    """Keep the acceleration at the beginning of the step where it is still valid."""
+    s = len(m.rk.c)
+    first = m.first
+    if (
+        c.moved[0] == ADVANCED
+        and first.known[0] != 0
+        and m.rk.c[s - 1] == 1.0
+        and m.settings.formulation[0] == INDEX_1  # else stages do not satisfy the index-1 equations
+    ):
+        copy(m.acc[s - 1], first.acc)  # the last stage of the previous step is the beginning of this one
+    elif c.moved[0] != SAME:
+        first.known[0] = 0
+
+
+@subkernel
+def _first_acceleration(c, m, t):
+    """Solve for the acceleration at the beginning of a step unless it is known; return a status."""
+    first = m.first
+    if first.known[0] != 0:
+        return OK
+    prepare(c.top, c.w, t, c.from_q)
+    status = solve_accelerations(c.top, c.w, c.solver, c.from_q, c.from_v, first.acc, first.lam, False)
+    if status == OK:
+        c.counts[RHS] += 1
+        c.counts[FACTORIZATIONS] += 1
+        first.known[0] = 1
+    return status
+
+
+@subkernel
+def _increments(c, m, h):
+    """Write the increments of positions and velocities by the step."""
+    c.dq[:] = 0.0
+    c.dv[:] = 0.0
+    n3 = len(c.q) - 3
+    for i in range(len(m.rk.c)):
+        w1, w2 = h * m.rk.b[i], h * h * m.rk.b2[i]
+        for d in range(n3):
+            c.dv[d] += w1 * m.acc[i, d]
+            c.dq[d] += w2 * m.acc[i, d]
+    for d in range(n3):
+        c.dq[d] += h * c.from_v[d] + h * c.v_low[d]  # with the part of the velocity below its own rounding
+    for j in range(len(m.constraints.shift)):
+        w = h * m.rk.b[j]
+        for d in range(n3):
+            c.dq[d] -= w * m.constraints.shift[j, d]
+
+
+@inlined
+def _estimate(c, m, h, kernels):
+    """Write estimates of the local error of positions and velocities.
+
+    The embedded formula of Hairer and Wanner (1996), IV.8: ``h gamma0`` times the difference between the acceleration
+    at the beginning and that of the collocation polynomial there, filtered by the first system. Of order s + 1 in h.
+    """
+    extrapolation_weights(0.0, 0.0, m.rk.c, m.weights)  # every row: the polynomial at the beginning
+    rate = h * leading(m.rk)
+    for d in range(len(c.q) - 3):
+        gap = m.first.acc[d]
+        for i in range(len(m.rk.c)):
+            gap -= m.weights[0, i] * m.acc[i, d]
+        c.est_v[d] = rate * gap
+    if m.settings.solver[0] == NEWTON:
+        filter_estimate(c, m, kernels.estimate_side, c.est_v)
+    for d in range(len(c.q) - 3):
+        c.est_q[d] = rate * c.est_v[d]
+
+
+@inlined
+def try_step(c, m, t, h, want_error, kernels):
+    """Try a step from the base state; return a status. See `mbdkit.stepping.driver`."""
+    _keep_first_acceleration(c, m)
+    status = _iterate(c, m, t, h, kernels)
+    if status != OK:
+        return status
+    if c.has_power[0] != 0:
+        status = kernels.powers(c, m, t, h)
+        if status != OK:
+            return status
+        dense_gains(h, m.rk.b, m.power, c.gain)
+    _increments(c, m, h)
+    if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv)):
+        return NOT_FINITE
+    if want_error != 0.0:
+        status = _first_acceleration(c, m, t)
+        if status != OK:
+            return status
+        _estimate(c, m, h, kernels)
+    return OK
+
+
+@subkernel
+def state_inside(c, m, h, theta):
+    """Write the state at the share `theta` of the last attempt by its collocation polynomial, and the energies."""
+    n3 = len(c.q) - 3
+    weights = m.dense_weights
+    c.point_q[:] = 0.0
+    c.point_v[:] = 0.0
+    weights_at(m.rk.dense_q, theta, weights)
+    for i in range(len(m.rk.c)):
+        w = h * h * weights[i]
+        for d in range(n3):
+            c.point_q[d] += w * m.acc[i, d]
+    weights_at(m.rk.dense_v, theta, weights)
+    for i in range(len(m.rk.c)):
+        w = h * weights[i]
+        for d in range(n3):
+            c.point_v[d] += w * m.acc[i, d]
+    for d in range(len(c.q)):
+        c.point_q[d] += c.from_q[d] + theta * h * c.from_v[d]
+        c.point_v[d] += c.from_v[d]
+    for i in range(len(m.constraints.shift)):
+        w = h * weights[i]
+        for d in range(n3):
+            c.point_q[d] -= w * m.constraints.shift[i, d]
+    dense_gains(h, weights, m.power, c.point_gain)

@@ -1,0 +1,273 @@
+"""Convergence tests of the iterations that solve stage equations, with every constant that they use.
+
+An iteration ends in one of three ways. It converges when the change that the next iteration would make is predicted to
+be negligible (Hairer and Wanner 1996, *Solving Ordinary Differential Equations II*, IV.8, equation 8.10; Deuflhard
+2004, *Newton Methods for Nonlinear Problems*, section 2.1). It stalls when changes stop shrinking; this is accepted
+only if the remaining change is explained by round-off. Otherwise it fails.
+
+Linear and angular quantities are always compared separately, because their units have no common size.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.engine.jit.decorators import subkernel
+
+if TYPE_CHECKING:
+    from mbdkit.engine.workspace import Workspace
+
+EPS = float(np.finfo(float).eps)
+
+ACCELERATION_TOLERANCE = 1e-18
+"""Default tolerance of iterations whose change is measured relative to the accelerations (index 1).
+
+It is far below `EPS`, so that in fixed steps the predicted next change no longer alters the stages: the iteration adds
+no error of its own, which would break the symmetry of the method and make the energy drift.
+"""
+
+STATE_TOLERANCE = 1e-17
+"""Default tolerance of iterations whose change is measured relative to the state (all other formulations).
+
+It has the same purpose as `ACCELERATION_TOLERANCE`.
+"""
+
+LARGEST_CONTRACTION = 0.9
+"""Largest contraction for which the next change is predicted.
+
+The predicted sum of all later changes is theta / (1 - theta) times the last one; for theta near 1 that is unreliable.
+"""
+
+STALLED = 0.5
+"""Contraction above which an iteration counts as stalled.
+
+Converging simplified Newton iterations contract by O(h^2), usually by 1e-2 or less. Round-off gives ratios near 1.
+Deuflhard (2004) uses the same bound on the contraction of Newton's method as the limit of its convergence domain.
+"""
+
+FEW_ROUNDINGS = 4.0
+"""A stalled change is round-off if it moves positions by at most this many `EPS`.
+
+One stage position is a sum of a few products, each rounded once.
+"""
+
+NEGLIGIBLE_CHANGE = 1e-12
+"""A stalled change is round-off below this, relative to what it is measured by.
+
+Cancellation of forces and the solution of the linear systems multiply `EPS` by some hundred or thousand.
+"""
+
+PATIENCE_INDEX_1 = 4
+PATIENCE = 3
+"""Stalled iterations after which weaker criteria for round-off apply.
+
+Two are not enough: a single large ratio also occurs where the iteration changes its tangent.
+"""
+
+CANCELLING_FORCES = 1e-9
+"""Relative change of positions below which cancelling forces may keep it from shrinking (not index 1).
+
+Larger changes are never accepted as round-off, whatever the forces.
+"""
+
+RUNAWAY = 1e-6
+"""Relative change above which growth counts as divergence; smaller changes may grow by round-off alone."""
+
+RUNAWAY_GROWTH, FIRST_RUNAWAY = 4.0, 5
+"""Growth from one iteration to the next that counts as divergence, and the first iteration where it does.
+
+The first iterations start from free flight or from an old tangent and may grow before they converge.
+"""
+
+SLOW = 0.25
+"""Contraction above which the tangent is evaluated again within the step.
+
+Evaluating and factorizing it costs about as much as three iterations, so it must save at least that many.
+"""
+
+FEWEST_WITH_ONE_TANGENT = 3
+"""Iterations with one tangent before it is evaluated again; the contraction needs two changes to be known."""
+
+ROUGH_CHANGE = 1e-5
+"""Relative change below which the accelerations of the next iteration are refined to round-off (index 1).
+
+Iterations that still change the accelerations by more do not notice the error of an unrefined solution.
+"""
+
+
+@subkernel
+def is_converged(n, now, ratio, tolerance):
+    """Return whether the predicted change of later iterations is within `tolerance`.
+
+    Hairer and Wanner (1996), IV.8.10, with ``kappa Tol = tolerance``.
+
+    Parameters
+    ----------
+    n
+        Number of iterations so far.
+    now, ratio
+        Relative change by the last one, and that over the change of the iteration before.
+    tolerance
+        Largest relative change that is negligible.
+    """
+    return now == 0.0 or (n > 1 and ratio < LARGEST_CONTRACTION and ratio / (1.0 - ratio) * now <= tolerance)
+
+
+@subkernel
+def is_stalled(n, now, ratio):
+    """Return whether the change has stopped shrinking."""
+    return n > 1 and ratio > STALLED and now < np.inf
+
+
+@subkernel
+def moves_by_roundings(moved):
+    """Return whether a change of positions, relative to their size, is a few roundings."""
+    return moved <= FEW_ROUNDINGS * EPS
+
+
+@subkernel
+def has_failed(n, most, now, ratio):
+    """Return whether an iteration diverges, has used up its `most` iterations, or is not finite."""
+    runs_away = n >= FIRST_RUNAWAY and ratio > RUNAWAY_GROWTH and now > RUNAWAY
+    return n >= most or runs_away or not now < np.inf
+
+
+@subkernel
+def relative_to_accelerations(acc, change, bodies):
+    """Return the largest change of an acceleration relative to the largest one, linear and angular apart.
+
+    The result is at most 1: where forces cancel, a change can be larger than the acceleration that it leads to.
+    Infinite if a change is not a number.
+    """
+    size_t = size_r = change_t = change_r = 0.0
+    for i in range(len(acc)):
+        for b in range(bodies):
+            size_t = max(size_t, abs(acc[i, 3 * b]), abs(acc[i, 3 * b + 1]))
+            size_r = max(size_r, abs(acc[i, 3 * b + 2]))
+            now_t = abs(change[i, 3 * b]) + abs(change[i, 3 * b + 1])
+            now_r = abs(change[i, 3 * b + 2])
+            if not now_t + now_r < np.inf:  # `max` would ignore NaN
+                return np.inf
+            change_t = max(change_t, now_t)
+            change_r = max(change_r, now_r)
+    relative_t = change_t / max(size_t, change_t) if change_t > 0.0 else 0.0
+    relative_r = change_r / max(size_r, change_r) if change_r > 0.0 else 0.0
+    return max(relative_t, relative_r)
+
+
+@subkernel
+def relative_to_state(change, x, bodies):
+    """Return the largest entry of `change` (s, 3 (B + 1)) relative to the largest of `x`, linear and angular apart.
+
+    `x` (3 (B + 1),) holds positions or velocities; sizes below 1 m, 1 rad, 1 m/s or 1 rad/s count as 1. Infinite if a
+    change is not a number.
+    """
+    size_t = size_r = 1.0
+    change_t = change_r = 0.0
+    for b in range(bodies):
+        size_t = max(size_t, abs(x[3 * b]), abs(x[3 * b + 1]))
+        size_r = max(size_r, abs(x[3 * b + 2]))
+        for i in range(len(change)):
+            now_t = max(abs(change[i, 3 * b]), abs(change[i, 3 * b + 1]))
+            now_r = abs(change[i, 3 * b + 2])
+            if not now_t + now_r < np.inf:
+                return np.inf
+            change_t = max(change_t, now_t)
+            change_r = max(change_r, now_r)
+    return max(change_t / size_t, change_r / size_r)
+
+
+@subkernel
+def accelerations_are_round_off(c, m, h, patient):
+    """Return whether a change of the stage accelerations that no longer shrinks is round-off.
+
+    It is round-off if it moves the positions of a step by a few roundings only. Lengths are compared with the largest
+    coordinate (at least 1 m), angles with the largest angle (at least 1 rad). If `patient`, also accept changes that
+    are small compared with the acceleration that any single force would cause: forces that cancel, or that act along
+    their own arm, leave their round-off behind, so that magnitudes are added instead of the forces.
+
+    Parameters
+    ----------
+    c, m
+        Bundles of the run and of the stages; `w.jac` and the force terms are those of the last stage.
+    h
+        Step [s].
+    patient
+        Whether the iteration has stalled for several iterations.
+    """
+    top, w, q, change = c.top, c.w, c.from_q, m.change
+    last = len(m.acc) - 1
+    v, lam, acc = m.v_stage[last], m.lam[last], m.acc[last]
+    bodies = len(top.mass) - 1
+    change_t = change_r = 0.0
+    size_t = size_r = 1.0
+    for b in range(bodies):
+        size_t = max(size_t, abs(q[3 * b]), abs(q[3 * b + 1]))
+        size_r = max(size_r, abs(q[3 * b + 2]))
+        for i in range(len(change)):
+            change_t = max(change_t, abs(change[i, 3 * b]), abs(change[i, 3 * b + 1]))
+            change_r = max(change_r, abs(change[i, 3 * b + 2]))
+    small_t = change_t * h * h <= FEW_ROUNDINGS * EPS * size_t
+    small_r = change_r * h * h <= FEW_ROUNDINGS * EPS * size_r
+    if not patient or (small_t and small_r):
+        return small_t and small_r
+    level_t = level_r = inverse_arm = 0.0
+    for b in range(bodies):
+        level_t = max(level_t, abs(top.gravity[0]), abs(top.gravity[1]))
+        level_t = max(level_t, abs(acc[3 * b]), abs(acc[3 * b + 1]))
+        level_r = max(level_r, abs(acc[3 * b + 2]))
+    for k in range(len(top.pairs)):
+        force = abs(lam[k, 0]) + abs(lam[k, 1])
+        for side in range(2):
+            b = top.pairs[k, 1 + side]
+            e = 3 * side
+            x, y = abs(w.jac[k, e]) + abs(w.jac[k, 6 + e]), abs(w.jac[k, e + 1]) + abs(w.jac[k, 7 + e])
+            arm = abs(top.pair_parameters[k, 2 * side]) + abs(top.pair_parameters[k, 2 * side + 1])
+            turn = abs(w.jac[k, e + 2]) + abs(w.jac[k, 8 + e]) + arm
+            if arm > 0.0:
+                inverse_arm = max(inverse_arm, 1.0 / arm)
+            level_t = max(level_t, force * max(x, y) * top.weight[b, 0])
+            level_r = max(level_r, force * turn * top.weight[b, 2])
+    for k in range(len(top.springs)):
+        a, b = top.springs[k, 1], top.springs[k, 2]
+        speed = 0.0
+        for i in range(3):
+            speed += abs(w.grad[k, i] * v[3 * a + i]) + abs(w.grad[k, 3 + i] * v[3 * b + i])
+        force = abs(w.tension[k, 1]) * (abs(w.s[k, 0]) + abs(top.linear[k, 2])) + abs(w.tension[k, 2]) * speed
+        force = max(force, abs(w.tension[k, 0]))
+        for side in range(2):
+            body = top.springs[k, 1 + side]
+            for i in range(3):
+                level = force * abs(w.grad[k, 3 * side + i]) * top.weight[body, i]
+                if i < 2:
+                    level_t = max(level_t, level)
+                else:
+                    level_r = max(level_r, level)
+    level_r = max(level_r, level_t * inverse_arm)  # a body pinned at a point turns when the point is accelerated
+    if not level_t + level_r < np.inf:
+        return False
+    return (small_t or change_t <= NEGLIGIBLE_CHANGE * level_t) and (small_r or change_r <= NEGLIGIBLE_CHANGE * level_r)
+
+
+@subkernel
+def report_divergence(c, iterations, change, stages):
+    """Store the largest change of an acceleration, its coordinate and the iterations for `describe_divergence`."""
+    c.report[0], c.report[2] = 0.0, iterations
+    for i in range(stages):
+        for d in range(len(c.q) - 3):
+            if not abs(change[i, d]) <= c.report[0]:  # also true of NaN
+                c.report[0], c.report[1] = abs(change[i, d]), d
+
+
+def describe_divergence(workspace: Workspace, report: np.ndarray) -> str:
+    """Return where the stage equations failed to converge, from a report (3,) of `report_divergence`."""
+    if not np.isfinite(report[0]):
+        return ": the stage iteration ran away"
+    name = workspace.mechanism.unknown_name(int(report[1]))
+    unit = "rad/s^2" if int(report[1]) % 3 == 2 else "m/s^2"
+    return (
+        f": the stage equations did not converge in {int(report[2])} iterations, "
+        f"the last one still changed an acceleration of {name} by {report[0]:.3g} {unit}"
+    )

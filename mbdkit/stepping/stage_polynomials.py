@@ -1,0 +1,129 @@
+"""Stages of an implicit step as vectors: their states, and polynomials through them (extrapolation, dense output)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.engine.jit.decorators import subkernel
+
+
+@subkernel
+def stage_states(c, m, h):
+    """Evaluate ``q_i = q + h c_i v + h^2 sum_j a2_ij a_j`` and ``v_i = v + h sum_j a_ij a_j`` from ``m.acc``.
+
+    Small terms are added up before they are added to the state, so that each coordinate is rounded once at its size.
+    """
+    a, a2, nodes = m.rk.a, m.rk.a2, m.rk.c
+    q, v = c.from_q, c.from_v
+    s = len(nodes)
+    for i in range(s):
+        qs, vs = m.q_stage[i], m.v_stage[i]
+        qs[:] = 0.0
+        vs[:] = 0.0
+        for j in range(s):
+            w1, w2 = a[i, j], a2[i, j]
+            k = m.acc[j]
+            for d in range(len(q)):
+                vs[d] += w1 * k[d]
+                qs[d] += w2 * k[d]
+        drift = h * nodes[i]
+        for d in range(len(q)):
+            qs[d] = q[d] + (drift * v[d] + h * h * qs[d])
+            vs[d] = v[d] + h * vs[d]
+
+
+@subkernel
+def stage_mean(x, out):
+    """Write the mean over stages into `out`."""
+    out[:] = 0.0
+    for i in range(len(x)):
+        for d in range(len(out)):
+            out[d] += x[i, d] / len(x)
+
+
+@subkernel
+def extrapolation_weights(offset, ratio, c, out):
+    """Write the weights that carry stage values of one step to the stages of another (Lagrange polynomials).
+
+    Parameters
+    ----------
+    offset
+        Time from the beginning of the first step to the beginning of the other, over the size of the first.
+    ratio
+        Size of the other step over that of the first.
+    c : (s,) array
+        Nodes.
+    out : (s, s) array
+        Receives the weights.
+    """
+    for i in range(len(c)):
+        at = offset + ratio * c[i]
+        for j in range(len(c)):
+            w = 1.0
+            for m in range(len(c)):
+                if m != j:
+                    w *= (at - c[m]) / (c[j] - c[m])
+            out[i, j] = w
+
+
+@subkernel
+def extrapolate(weights, x, scratch):
+    """Replace stage values, the rows of `x`, by ``weights @ x``; `scratch` has the shape of `x`."""
+    stages, size = x.shape
+    for i in range(stages):
+        for d in range(size):
+            scratch[i, d] = x[i, d]
+            x[i, d] = 0.0
+    for i in range(stages):
+        for j in range(stages):
+            w = weights[i, j]
+            for d in range(size):
+                x[i, d] += w * scratch[j, d]
+
+
+@subkernel
+def weights_at(polynomials, theta, out):
+    """Evaluate ``sum_k polynomials[i, k] theta^(k + 1)`` into `out` (s,)."""
+    degree = polynomials.shape[1]
+    for i in range(len(out)):
+        value = 0.0
+        for k in range(degree - 1, -1, -1):
+            value = (value + polynomials[i, k]) * theta
+        out[i] = value
+
+
+@subkernel
+def dense_gains(h, weights, power, out):
+    """Write the energies gained up to a point of the step into `out` (2,), from the powers of the stages (s, 2)."""
+    out[0] = out[1] = 0.0
+    for i in range(len(weights)):
+        out[0] += h * weights[i] * power[i, 0]
+        out[1] += h * weights[i] * power[i, 1]
+
+
+def collocation_polynomials(c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the polynomials that integrate stage accelerations of a collocation method to velocities and positions.
+
+    Parameters
+    ----------
+    c
+        (s,) distinct nodes.
+
+    Returns
+    -------
+    first : (s, s) array
+        Weight of acceleration i in the velocity gained up to theta, over h: ``sum_k first[i, k] theta^(k + 1)``.
+    second : (s, s + 1) array
+        Weight of acceleration i in the position gained beyond free flight, over h^2.
+    """
+    s = len(c)
+    first, second = np.zeros((s, s)), np.zeros((s, s + 1))
+    for i in range(s):
+        lagrange = np.polynomial.Polynomial([1.0])
+        for j in range(s):
+            if j != i:
+                lagrange *= np.polynomial.Polynomial([-c[j], 1.0]) / (c[i] - c[j])
+        once = lagrange.integ()
+        first[i] = once.coef[1:]
+        second[i] = once.integ().coef[1:]
+    return first, second
