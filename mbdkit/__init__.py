@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
     from mbdkit.methods.tableau import ButcherTableau
     from mbdkit.registry.hookspecs import hookimpl
-    from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, ModelPlugin
+    from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, ModelPlugin, StudyPlugin
     from mbdkit.simulation import run
     from mbdkit.spec import RunSpec, StudySpec
     from mbdkit.stepping.python_method import StepError, StepMethod, StepState
@@ -53,6 +53,7 @@ __all__ = [
     "StepMethod",
     "StepState",
     "Study",
+    "StudyPlugin",
     "StudySpec",
     "__version__",
     "equilibrium",
@@ -92,6 +93,7 @@ _HOME = {
     "EquationsOfMotion": "mbdkit.engine.equations_of_motion",
     "StepState": "mbdkit.stepping.python_method",
     "Study": "mbdkit.studies.study",
+    "StudyPlugin": "mbdkit.registry.items",
     "StudySpec": "mbdkit.spec",
     "equilibrium": "mbdkit.mechanics.equilibrium",
     "hookimpl": "mbdkit.registry.hookspecs",

@@ -157,7 +157,7 @@ def find_law(name: str, context: Any = None) -> type[Law]:
     """
     given: FindLaw | None = context.get("find_law") if isinstance(context, Mapping) else None
     if given is None:
-        from mbdkit.registry.manager import find_installed_law
+        from mbdkit.spec.law_options import find_installed_law
 
         given = find_installed_law
     return given(name)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from mbdkit.registry.catalogue import Kind
 from mbdkit.text import counted, listed, table
 
 Outcome = Literal["pass", "fail", "warn", "skip"]
 Figure = float | int | str
-Kind = Literal["integrator", "model", "force-law"]
 
-NEEDED: dict[Kind, str] = {"integrator": "geometry", "model": "energy", "force-law": "derivatives"}
+NEEDED: dict[Kind, str] = {"integrator": "geometry", "model": "energy", "force-law": "derivatives", "study": "study"}
 """For each kind the room of which a check must have run before the plugin counts as verified."""
 
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+from mbdkit.registry.catalogue import Kind
 from mbdkit.testing.check import Check
 from mbdkit.testing.kit import checks_of, subject_of
-from mbdkit.testing.outcome import Kind, Result, figures_text
+from mbdkit.testing.outcome import Result, figures_text
 
 
 class ConformanceWarning(UserWarning):
