@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mbdkit.methods.step_method import StepMethod, StepState
     from mbdkit.methods.tableau import ButcherTableau
     from mbdkit.registry.hookspecs import hookimpl
-    from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, ModelPlugin
+    from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, ModelPlugin, StudyPlugin
     from mbdkit.simulation import run
     from mbdkit.spec import RunSpec, StudySpec
     from mbdkit.studies.study import Study, load_study, study
@@ -55,6 +55,7 @@ __all__ = [
     "StepMethod",
     "StepState",
     "Study",
+    "StudyPlugin",
     "StudySpec",
     "__version__",
     "equilibrium",
@@ -94,6 +95,7 @@ _HOME = {
     "EquationsOfMotion": "mbdkit.engine.equations_of_motion",
     "StepState": "mbdkit.methods.step_method",
     "Study": "mbdkit.studies.study",
+    "StudyPlugin": "mbdkit.registry.items",
     "StudySpec": "mbdkit.spec",
     "equilibrium": "mbdkit.mechanics.equilibrium",
     "hookimpl": "mbdkit.registry.hookspecs",
@@ -125,7 +127,7 @@ def __dir__() -> list[str]:
 
 
 def _find_installed_law(name: str) -> Any:
-    from mbdkit.registry.manager import find_installed_law
+    from mbdkit.spec.law_options import find_installed_law
 
     return find_installed_law(name)
 

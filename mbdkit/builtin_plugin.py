@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mbdkit.registry.hookspecs import hookimpl
-from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, ModelPlugin
+from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, ModelPlugin, StudyPlugin
 
 
 @hookimpl
@@ -28,3 +28,11 @@ def mbdkit_force_laws() -> list[ForceLawPlugin]:
     from mbdkit.laws import LAWS
 
     return list(LAWS)
+
+
+@hookimpl
+def mbdkit_studies() -> list[StudyPlugin]:
+    """Return the studies that mbdkit ships."""
+    from mbdkit.studies.packaged import STUDIES
+
+    return list(STUDIES)

@@ -58,6 +58,25 @@ def test_a_plugin_runs_as_printed_and_is_no_longer_than_it_says(heading: str, tm
     assert json.loads(done.stdout)["misalignment_max"] < 1e-3
 
 
+def test_a_packaged_study_runs_by_name_as_printed_and_is_reported_with_its_verdict(tmp_path: Path) -> None:
+    heading = "A packaged study in twenty"
+    code = block(heading, "python")
+    assert len([line for line in code.splitlines() if line.strip()]) <= 20
+    install_module(tmp_path, "guide-kit", code)
+    (tmp_path / "steps.yaml").write_text(block(heading, "yaml"))
+    listed = python("-m", "mbdkit", "study", "--help", path=(tmp_path,), cwd=tmp_path)
+    assert "steps" in listed.stdout.partition("Packaged studies:")[2]
+    done = python("-m", "mbdkit", "study", "steps", "--report", "--json", path=(tmp_path,), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["complete"] == 2
+    assert "In 2 of 2 runs the joints come apart by" in (tmp_path / "steps" / "report.html").read_text("utf-8")
+    assert "verdict: guide-kit:steps" in (tmp_path / "steps" / "study.yaml").read_text("utf-8")
+    shown = python("-m", "mbdkit", "plugins", "show", "steps", path=(tmp_path,), cwd=tmp_path)
+    assert shown.returncode == 0, shown.stderr
+    verified = python("-m", "mbdkit", "plugins", "verify", "steps", path=(tmp_path,), cwd=tmp_path)
+    assert verified.returncode == 0, verified.stdout + verified.stderr
+
+
 @pytest.mark.slow  # CI types them by itself, with all plugins installed
 def test_the_first_steps_work_as_printed(tmp_path: Path) -> None:
     # the installation itself is done in continuous integration, with pip and in an environment of its own

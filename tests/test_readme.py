@@ -13,13 +13,13 @@ import pytest
 
 from mbdkit import Mechanism, study
 from mbdkit.analysis.verdict import Answer
-from mbdkit.analysis.verdicts import judge
 from mbdkit.engine.jit.law_compiler import bind_law
-from mbdkit.registry.item_options import law_element
 from mbdkit.registry.manager import load_registry
 from mbdkit.spec import load_spec
+from mbdkit.spec.law_options import law_element
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.yaml_reader import read_yaml
+from mbdkit.studies.judge import judge
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

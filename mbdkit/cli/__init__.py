@@ -19,7 +19,7 @@ from mbdkit.cli.pictures import animate, plot, report
 from mbdkit.cli.plugins import plugins_app
 from mbdkit.cli.runs import rerun, run, validate
 from mbdkit.cli.specs import examples_app, schema_app
-from mbdkit.cli.studies import study
+from mbdkit.cli.studies import StudyCommand, study
 from mbdkit.terminal import Commands
 
 app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=False, **PLAIN)
@@ -52,7 +52,7 @@ def mbdkit(
 
 
 for command in (run, validate, equilibrium, modes, kinematics, study, plot, animate, report, rerun):
-    app.command()(command)
+    app.command(cls=StudyCommand if command is study else None)(command)
 for name, group in {
     "schema": schema_app,
     "plugins": plugins_app,

@@ -6,13 +6,25 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
+from typer.core import TyperCommand
 
 from mbdkit.cli.common_options import AsJson, Debug, Quiet, StudyName
 from mbdkit.cli.output_paths import stem
 from mbdkit.terminal import count_bar, say, silence
+
+
+class StudyCommand(TyperCommand):
+    """The command with the names of the installed studies below its help."""
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the names of the packaged studies."""
+        from mbdkit.spec import study_names
+
+        formatter.write_paragraph()
+        formatter.write_text(f"Packaged studies: {', '.join(study_names())}.")
 
 
 def study(

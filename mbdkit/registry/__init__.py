@@ -1,1 +1,1 @@
-"""The registry: through which models, integrators and force laws arrive, ours and anybody's."""
+"""The registry of plugins: models, integrators, force laws and studies, built-in or installed."""

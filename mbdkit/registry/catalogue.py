@@ -1,4 +1,4 @@
-"""The catalogue of models, integrators and force laws by name, and a report on everything that was tried."""
+"""The registry: installed items by kind and name, and a report on every attempt to load one."""
 
 from __future__ import annotations
 
@@ -8,16 +8,19 @@ from dataclasses import dataclass
 from typing import Literal
 
 from mbdkit.errors import SpecError
-from mbdkit.registry.items import Plugin
+from mbdkit.registry.items import ITEM_CLASSES, Plugin
 from mbdkit.text import did_you_mean, listed
 
-Kind = Literal["model", "integrator", "force-law"]
-KINDS: tuple[Kind, ...] = ("model", "integrator", "force-law")
+Kind = str
+"""Kind of a plugin: a key of `KINDS`."""
+
+KINDS: dict[Kind, type[Plugin]] = {item_class.kind: item_class for item_class in ITEM_CLASSES}
+"""The item class of each kind."""
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Where an item came from: a distribution, its version, and the entry point that led to it."""
+    """Origin of an item: its distribution, the version of it, and the entry point."""
 
     distribution: str
     version: str
@@ -26,7 +29,7 @@ class Origin:
 
 @dataclass(frozen=True)
 class Registered:
-    """One model, integrator or force law in the registry, with where it came from."""
+    """An item in the registry with its kind and origin."""
 
     kind: Kind
     plugin: Plugin
@@ -34,7 +37,7 @@ class Registered:
 
     @property
     def name(self) -> str:
-        """The short alias."""
+        """The short name."""
         return self.plugin.name
 
     @property
@@ -50,11 +53,11 @@ class Registered:
 
 @dataclass(frozen=True)
 class Report:
-    """What became of one entry point or of one of its items, for ``mbdkit plugins list`` and ``doctor``.
+    """Result of loading an entry point or one of its items, for ``mbdkit plugins list`` and ``doctor``.
 
-    `status` is ``ok``, ``clash`` (the short name is taken twice; the long id works), ``error``, or ``disabled`` (an
-    environment variable left it out, and it was not imported).
-    `kind` is None for an entry point that handed over no items; `seconds` is its loading time.
+    `status` is ``ok``, ``clash`` (two distributions use the short name; the long id works), ``error``, or ``disabled``
+    (an environment variable excludes the distribution, which was not imported). `kind` is None for an entry point that
+    returned no items; `seconds` is its loading time.
     """
 
     id: str
@@ -66,14 +69,14 @@ class Report:
 
 
 class Registry:
-    """All models, integrators and force laws that could be loaded, and a report on everything that was tried.
+    """All items that could be loaded, and reports on all attempts.
 
     Parameters
     ----------
     items
-        What was loaded; ids are unique within a kind.
+        Loaded items; ids are unique within a kind.
     reports
-        One for each item and for each failure.
+        One report for each item and for each failure.
     """
 
     def __init__(self, items: Iterable[Registered], reports: Iterable[Report] = ()):
@@ -87,21 +90,21 @@ class Registry:
 
     @property
     def failures(self) -> tuple[Report, ...]:
-        """Reports on everything that could not be loaded."""
+        """Reports on the items and entry points that could not be loaded."""
         return tuple(report for report in self._reports if report.status == "error")
 
     @property
     def distributions(self) -> set[str]:
-        """Names of all distributions of which something was tried."""
+        """Names of all distributions with an entry point, loaded or not."""
         return {report.origin.distribution for report in self._reports}
 
     def has_distribution(self, name: str) -> bool:
-        """Return whether anything of a distribution is here: it is installed, not disabled, and sound enough to load.
+        """Return whether an item of a distribution was loaded.
 
         Parameters
         ----------
         name
-            Its name; case, dots, dashes and underscores do not count.
+            Name of the distribution, compared as package indices do (case, dots, dashes and underscores do not count).
         """
         return _normal(name) in {_normal(item.origin.distribution) for item in self.items}
 
@@ -110,14 +113,14 @@ class Registry:
         return tuple(item for item in self.items if item.kind == kind)
 
     def only(self, distribution: str) -> Registry:
-        """Return the registry of one distribution's items alone."""
+        """Return a registry with the items of one distribution only."""
         return Registry(
             (item for item in self.items if item.origin.distribution == distribution),
             (report for report in self._reports if report.origin.distribution == distribution),
         )
 
     def names(self, kind: Kind) -> list[str]:
-        """Return what a spec may say to name the items of one kind: short where that is unique, else the long id."""
+        """Return the names of the items of one kind: the short name where it is unique, else the long id."""
         return [item.id if len(self._namesakes(kind, item.name)) > 1 else item.name for item in self.of_kind(kind)]
 
     def accepted(self, item: Registered) -> list[str]:
@@ -125,33 +128,33 @@ class Registry:
         return [item.id] if len(self._namesakes(item.kind, item.name)) > 1 else [item.name, item.id]
 
     def get(self, kind: Kind, name: str) -> Registered:
-        """Return the item of this kind by short alias or long id.
+        """Return the item of this kind by short name or long id.
 
         Raises
         ------
         SpecError
-            If there is none, or if the short alias is claimed by several distributions.
+            If there is none, or if several distributions use the short name.
         """
         namesakes = self._namesakes(kind, name)
-        word, key = (kind, f"{kind}.name") if kind != "force-law" else ("force law", "law")
+        label, key = KINDS[kind].label(), KINDS[kind].key
         if len(namesakes) > 1:
             owners = listed([f"{item.origin.distribution} {item.origin.version}" for item in namesakes], "and")
             ids = listed([f"'{item.id}'" for item in namesakes], "or")
-            raise SpecError(f"the {word} name '{name}' is claimed by {owners}; write {ids}", key=key)
+            raise SpecError(f"the {label} name '{name}' is claimed by {owners}; write {ids}", key=key)
         if namesakes:
             return namesakes[0]
         for item in self.of_kind(kind):
             if item.id == name:
                 return item
         names = self.names(kind)
-        message = f"there is no {word} '{name}'{did_you_mean(name, names)}; installed: {listed(names) or 'none'}"
+        message = f"there is no {label} '{name}'{did_you_mean(name, names)}; installed: {listed(names) or 'none'}"
         if self.failures:
             broken = listed([f"'{report.id}'" for report in self.failures], "and")
             message += f"; not loaded: {broken} (see `mbdkit plugins doctor`)"
-        raise SpecError(message + self._whereabouts(name), key=key)
+        raise SpecError(message + self.advice(name), key=key)
 
-    def _whereabouts(self, name: str) -> str:
-        """Return what a long id tells of the distribution that it would come from."""
+    def advice(self, name: str) -> str:
+        """Return why the distribution of a long id is not loaded, as the end of an error message; else empty."""
         distribution, colon, _ = name.partition(":")
         here = [report for report in self._reports if report.origin.distribution == distribution]
         if not colon or not distribution:
@@ -177,5 +180,5 @@ class Registry:
 
 
 def _normal(distribution: str) -> str:
-    """Return the name of a distribution as package indices compare it."""
+    """Return the normalized name of a distribution, as package indices compare it."""
     return re.sub(r"[-_.]+", "-", distribution).lower()

@@ -1,10 +1,10 @@
-"""What ``mbdkit plugins`` shows of the registry, as data and as text."""
+"""The output of ``mbdkit plugins``: the registry as JSON values and as text."""
 
 from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pydantic import BaseModel
@@ -12,14 +12,13 @@ from pydantic import BaseModel
 from mbdkit.errors import PluginError, SpecError
 from mbdkit.registry.catalogue import KINDS, Registered, Registry, Report
 from mbdkit.registry.item_options import named_options
-from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, Orders
 from mbdkit.registry.manager import registry
 from mbdkit.registry.policy import API
 from mbdkit.text import did_you_mean, listed, table
 
 Schema = dict[str, Any]
 WIDTH = 80
-DEEPEST = 6  # a plugin's options may contain themselves
+DEEPEST = 6  # levels of nested options; the options of a plugin may contain themselves
 
 
 def listing(installed: Registry) -> dict[str, Any]:
@@ -32,20 +31,20 @@ def listing_text(installed: Registry) -> str:
     summaries = {(item.kind, item.id): item.plugin.summary for item in installed.items}
     rows = [("ID", "KIND", "VERSION", "STATUS", "")]
     for report in installed.reports:
-        last = report.error or summaries.get((report.kind or "model", report.id), "")
+        last = report.error or summaries.get((report.kind or "", report.id), "")
         rows.append((report.id, report.kind or "-", report.origin.version, report.status, last))
     return table(rows)
 
 
 def find(name: str, installed: Registry | None = None) -> list[Registered]:
-    """Return the items that a name or an id means: one, or several of the same name.
+    """Return the items of a name or id: one, or several of the same name.
 
     Raises
     ------
     SpecError
         If there is none.
     PluginError
-        If it is one that could not be loaded.
+        If the item could not be loaded.
     """
     installed = installed or registry()
     for report in installed.failures:
@@ -59,7 +58,7 @@ def find(name: str, installed: Registry | None = None) -> list[Registered]:
 
 
 def details(item: Registered) -> dict[str, Any]:
-    """Return everything about an item: origin, options as a JSON schema, claims, references."""
+    """Return origin, options (a JSON schema), claims and references of an item."""
     shown: dict[str, Any] = {
         "id": item.id,
         "name": item.name,
@@ -71,17 +70,13 @@ def details(item: Registered) -> dict[str, Any]:
         "options": named_options(item).model_json_schema(),
         "references": list(item.plugin.references),
     }
-    claims = _claims(item)
-    if isinstance(item.plugin, ForceLawPlugin):
-        shown["claims"] = _law_claims(item.plugin)
-    if claims is not None:
-        shown["claims"] = {name: getattr(claims, name) for name in Claims.__dataclass_fields__}
-        shown["claims"]["orders"] = {name: Orders(*orders)._asdict() for name, orders in claims.orders.items()}
+    if claims := item.plugin.claimed():
+        shown["claims"] = dict(claims)
     return shown
 
 
 def page(item: Registered) -> str:
-    """Return everything about an item as text."""
+    """Return origin, options, claims and references of an item as text."""
     lines = [
         f"{item.id} ({item.kind})",
         f"  {item.plugin.summary}",
@@ -90,20 +85,17 @@ def page(item: Registered) -> str:
         "Options:",
         *_option_lines(item.plugin.options),
     ]
-    claims = _claims(item)
-    if claims is not None:
-        lines += ["", "Claims:" if not item.plugin.options.model_fields else "Claims, with these defaults:"]
+    if claims := item.plugin.claimed():
+        chosen = item.plugin.name_key == "name" and item.plugin.options.model_fields
+        lines += ["", "Claims, with these defaults:" if chosen else "Claims:"]
         lines += [f"  {name.replace('_', ' ')}: {text}" for name, text in _claim_texts(claims)]
-    if isinstance(item.plugin, ForceLawPlugin):
-        lines += ["", "Claims:"]
-        lines += [f"  {name}: {'yes' if value else 'no'}" for name, value in _law_claims(item.plugin).items()]
     if item.plugin.references:
         lines += ["", "References:", *(textwrap.indent(entry.strip(), "  ") for entry in item.plugin.references)]
     return "\n".join(lines)
 
 
 def diagnosis(installed: Registry) -> dict[str, Any]:
-    """Return the listing with where each item came from and how long its entry point took to load [s]."""
+    """Return the listing with the entry point of each item and its loading time [s]."""
     reports = installed.reports
     return {
         "plugin_api": API,
@@ -115,7 +107,7 @@ def diagnosis(installed: Registry) -> dict[str, Any]:
 
 
 def diagnosis_text(installed: Registry) -> str:
-    """Return the diagnosis as text: a line for each entry point, and one for each thing that is wrong."""
+    """Return the diagnosis as text: a line for each entry point and one for each error."""
     reports = installed.reports
     lines = []
     for origin in dict.fromkeys(report.origin for report in reports):
@@ -131,7 +123,7 @@ def diagnosis_text(installed: Registry) -> str:
 
 
 def is_sound(installed: Registry) -> bool:
-    """Tell whether everything could be loaded."""
+    """Return whether all plugins could be loaded."""
     return not installed.failures
 
 
@@ -146,47 +138,34 @@ def _entry(report: Report) -> dict[str, Any]:
     }
 
 
-def _claims(item: Registered) -> Claims | None:
-    if not isinstance(item.plugin, IntegratorPlugin):
-        return None
-    try:
-        claims = item.plugin.claims(item.plugin.options())
-    except Exception:  # options without defaults have no claims to show, and a plugin may fail in any way
-        return None
-    return claims if isinstance(claims, Claims) else None
-
-
-def _law_claims(plugin: ForceLawPlugin) -> dict[str, bool]:
-    return {"potential": plugin.law.potential not in (None, False), "passive": plugin.law.passive}
-
-
-def _claim_texts(claims: Claims) -> list[tuple[str, str]]:
+def _claim_texts(claims: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return name and text of each claim; those that say nothing are left out."""
     texts = []
-    for name in Claims.__dataclass_fields__:
-        value = getattr(claims, name)
+    for name, value in claims.items():
         if isinstance(value, bool):
             texts.append((name, "yes" if value else "no"))
-        elif name == "orders":
-            for formulation, orders in value.items():
-                named = Orders(*orders)._asdict().items()
-                told = [f"{what} {order:g}" for what, order in named if order is not None]
-                texts.append((f"orders on {formulation}", listed(told)))
+        elif isinstance(value, Mapping):  # such as orders by formulation
+            for inner, numbers in value.items():
+                shown = [f"{key} {number:g}" for key, number in numbers.items() if number is not None]
+                texts.append((f"{name} on {inner}", listed(shown)))
         elif value not in (None, "", ()):
             texts.append((name, listed(value) if isinstance(value, tuple) else str(value)))
     return texts
 
 
 def _option_lines(options: type[BaseModel]) -> list[str]:
+    if not options.model_fields:  # pydantic makes no schema of BaseModel itself
+        return ["  none"]
     schema = options.model_json_schema()
     lines: list[str] = []
     for name, kind, default, description in _options(schema, schema.get("$defs", {}), ""):
         lines.append(f"  {name}: {kind}{default}")
         lines += textwrap.wrap(description, WIDTH, initial_indent=" " * 6, subsequent_indent=" " * 6)
-    return lines or ["  none"]
+    return lines
 
 
 def _options(schema: Schema, definitions: Schema, prefix: str) -> Iterator[tuple[str, str, str, str]]:
-    """Give name, type, default and description of each option, and after it of the options inside it."""
+    """Yield name, type, default and description of each option, followed by the options nested in it."""
     for name, info in schema.get("properties", {}).items():
         if "const" in info:  # the type of an element, which is in its name here
             continue
@@ -200,7 +179,7 @@ def _options(schema: Schema, definitions: Schema, prefix: str) -> Iterator[tuple
 
 
 def _inside(info: Schema, definitions: Schema) -> list[tuple[str, Schema]]:
-    """Return the schemas of mappings that an option holds, each with how a key path goes on to it."""
+    """Return the schemas of the mappings inside an option, each with the text that its key path adds."""
     if "$ref" in info:
         target = definitions[info["$ref"].rpartition("/")[2]]
         return [("", target)] if "properties" in target else []
@@ -214,7 +193,7 @@ def _inside(info: Schema, definitions: Schema) -> list[tuple[str, Schema]]:
 
 
 def _type(info: Schema, definitions: Schema) -> str:
-    """Return the type in a schema in a few words."""
+    """Return a short name of the type in a schema."""
     if "$ref" in info:
         return _type(definitions[info["$ref"].rpartition("/")[2]], definitions)
     if "enum" in info:

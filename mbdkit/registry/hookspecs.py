@@ -1,11 +1,11 @@
-"""The hooks a plugin may implement; a plugin is a module behind an entry point of the group ``mbdkit``.
+"""The hooks that a plugin may implement; a plugin is a module behind an entry point of the group ``mbdkit``.
 
 A distribution offers a module as a plugin in its ``pyproject.toml``::
 
     [project.entry-points.mbdkit]
     anything = "my_package.my_module"
 
-and the module implements any of the hooks below, marked with ``mbdkit.hookimpl``::
+and the module implements some of the hooks below, marked with ``mbdkit.hookimpl``::
 
     import mbdkit
 
@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import pluggy
 
-from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, ModelPlugin
+from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, ModelPlugin, StudyPlugin
 
 PROJECT = "mbdkit"
 
@@ -54,13 +54,13 @@ def mbdkit_integrators() -> list[IntegratorPlugin]:  # type: ignore[empty-body]
 def mbdkit_force_laws() -> list[ForceLawPlugin]:  # type: ignore[empty-body]
     """Return the force laws of this plugin, for elements of type ``law``.
 
-    A law written in SymPy, whose derivatives follow by themselves::
+    A law written in SymPy, which also takes its derivatives::
 
         length, rate, k, k3, c = sympy.symbols("length rate stiffness cubic damping")
         law = mbdkit.ExpressionLaw(k*length + k3*length**3 + c*rate, k*length**2/2 + k3*length**4/4, passive=True)
         mbdkit.ForceLawPlugin("duffing", "A spring that hardens", DuffingOptions, law)
 
-    and one that Numba compiles::
+    and a law that Numba compiles::
 
         def magnet(length, rate, time, parameters):
             strength = parameters[0]
@@ -71,5 +71,26 @@ def mbdkit_force_laws() -> list[ForceLawPlugin]:  # type: ignore[empty-body]
     Returns
     -------
     list of ForceLawPlugin
+        Each name once.
+    """
+
+
+@hookspec
+def mbdkit_studies() -> list[StudyPlugin]:  # type: ignore[empty-body]
+    """Return the packaged studies of this plugin, which run by name: ``mbdkit study NAME``.
+
+    The spec is a file of the package, and the verdict a function of the study::
+
+        def verdict(study):
+            from mbdkit.analysis.verdict import Verdict
+
+            worst = max(point.values["misalignment_max"] for point in study.points)
+            return Verdict("swings", "Swings", f"The joints come apart by {worst:.1e} m at most.")
+
+        mbdkit.StudyPlugin("swings", "Steps of a swing", Path(__file__).parent / "swings.yaml", verdict)
+
+    Returns
+    -------
+    list of StudyPlugin
         Each name once.
     """

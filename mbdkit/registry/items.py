@@ -1,16 +1,25 @@
-"""What a plugin hands over: models, integrators and force laws, with their options, references and claims."""
+"""The items that a plugin offers: one class for each kind of plugin, and the claims of integrators."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+from mbdkit.errors import PluginError
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from mbdkit.mechanism.force_law import ForceLaw
     from mbdkit.mechanism.mechanism import Mechanism
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+LAW_KEYS = ("type", "law", "pathway", "name", "a", "b", "along", "from_", "to", "points")
+"""Keys of every element of type ``law`` and arguments of `Mechanism.law`; options of a law have other names."""
 
 
 class Orders(NamedTuple):
@@ -19,12 +28,12 @@ class Orders(NamedTuple):
     positions: float
     velocities: float
     multipliers: float | None = None
-    """Of the multipliers that the method itself carries; None where it carries none."""
+    """Order of the multipliers that the method itself carries; None where it carries none."""
 
 
 @dataclass(frozen=True)
 class Claims:
-    """What an integrator claims of itself; the conformance checks hold it to its word.
+    """The properties that an integrator claims; the conformance checks test them.
 
     Parameters
     ----------
@@ -33,24 +42,24 @@ class Claims:
     multiplier_order
         Order of convergence of the multipliers that the method itself carries; None where it carries none.
     symmetric
-        A step back by -h undoes a step by h.
+        A step by -h undoes a step by h.
     symplectic
         The method conserves the symplectic form of an unconstrained Hamiltonian system.
     quadratic_invariants
         The method conserves quadratic first integrals.
     adaptive
-        The method chooses its own steps; ``time.step`` is only its first one.
+        The method chooses its own step sizes; ``time.step`` is only the first one.
     stages
-        Number of stages, where that means something.
+        Number of stages; None where the method has no stages.
     drift
         One sentence on how the constraints drift.
     needs
-        What the method asks of the problem beyond accelerations, such as ``"tangents"``.
+        What the method needs of the equations of motion beside accelerations, such as ``"tangents"``.
     formulations
-        Formulations of the equations that the method can serve.
+        Formulations of the equations that the method supports.
     stabilizations
-        What it can be stabilized by, of ``none``, ``baumgarte``, ``projection`` and ``symmetric-projection``.
-        Baumgarte's terms are part of the equations; projections are made by what steps the method.
+        Supported stabilizations, of ``none``, ``baumgarte``, ``projection`` and ``symmetric-projection``. Baumgarte's
+        terms are part of the equations; the driver of the method makes the projections.
     orders
         Orders by formulation, where they differ from `order` and `multiplier_order`, which hold for the first one.
     """
@@ -75,16 +84,85 @@ class Claims:
         return None if self.order is None else Orders(self.order, self.order, self.multiplier_order)
 
 
+class Plugin:
+    """Base of the item classes.
+
+    A new kind of plugin is a subclass with the class attributes below and the fields of the item, an entry in
+    `ITEM_CLASSES`, and a hook specification in `mbdkit.registry.hookspecs`. Loading, naming, listing and reporting of
+    errors need nothing else.
+    """
+
+    kind: ClassVar[str]
+    """Name of the kind, such as ``force-law``."""
+    hook: ClassVar[str]
+    """Name of the hook that returns a list of such items."""
+    key: ClassVar[str]
+    """Key of a spec that names such an item; errors about the name carry it."""
+    name_key: ClassVar[str] = "name"
+    """Key that holds the name beside the item's options."""
+
+    if TYPE_CHECKING:  # fields of the subclasses; a property at run time would become the default of the field
+
+        @property
+        def name(self) -> str:
+            """Short name."""
+
+        @property
+        def summary(self) -> str:
+            """One line that describes the item."""
+
+        @property
+        def options(self) -> type[BaseModel]:
+            """Pydantic model of the options."""
+
+        @property
+        def references(self) -> tuple[str, ...]:
+            """BibTeX entries of the sources."""
+
+    @classmethod
+    def label(cls) -> str:
+        """Return the name of the kind as it stands in a sentence."""
+        return cls.kind.replace("-", " ")
+
+    def check(self) -> None:
+        """Check the types of the fields, since a plugin may pass anything.
+
+        Raises
+        ------
+        PluginError
+            If a field has the wrong type.
+        """
+        from pydantic import BaseModel
+
+        if not isinstance(self.name, str) or not NAME.fullmatch(self.name):
+            raise PluginError(f"the name {self.name!r} is not made of letters, digits and . _ -")
+        if not isinstance(self.summary, str) or "\n" in self.summary:
+            raise PluginError("its summary is not one line of text")
+        if not isinstance(self.options, type) or not issubclass(self.options, BaseModel):
+            raise PluginError(f"its options are {described(self.options)}, not a class derived from pydantic.BaseModel")
+        if not isinstance(self.references, tuple) or not all(isinstance(entry, str) for entry in self.references):
+            raise PluginError("its references are not a tuple of texts")
+
+    def claimed(self) -> Mapping[str, Any]:
+        """Return the item's claims with default options, by name; empty where it makes none."""
+        return {}
+
+    def _check_callable(self, *fields: str) -> None:
+        for name in fields:
+            if not callable(getattr(self, name)):
+                raise PluginError(f"its `{name}` cannot be called")
+
+
 @dataclass(frozen=True)
-class ModelPlugin:
-    """A model: parameters in, mechanism out.
+class ModelPlugin(Plugin):
+    """A model: builds a mechanism from parameters.
 
     Parameters
     ----------
     name
-        Short name, such as ``double-pendulum``; what a spec says under ``model.name``.
+        Short name, such as ``double-pendulum``, for ``model.name`` in a spec.
     summary
-        One line of what it is.
+        One line that describes the model.
     options
         Pydantic model of the parameters, without ``name``.
     build
@@ -94,48 +172,32 @@ class ModelPlugin:
         BibTeX entries of the sources.
     """
 
+    kind: ClassVar[str] = "model"
+    hook: ClassVar[str] = "mbdkit_models"
+    key: ClassVar[str] = "model.name"
+
     name: str
     summary: str
     options: type[BaseModel]
     build: Callable[[Any], Mechanism]
     references: tuple[str, ...] = ()
 
+    def check(self) -> None:
+        """Check the types of the fields; raises PluginError."""
+        super().check()
+        self._check_callable("build")
+
 
 @dataclass(frozen=True)
-class ForceLawPlugin:
-    """A force law: the tension of a force element from its length, rate and time.
+class IntegratorPlugin(Plugin):
+    """An integrator: a method that advances the state in time.
 
     Parameters
     ----------
     name
-        Short name, such as ``one-sided``; what a spec says under ``law`` in an element of type ``law``.
+        Short name, such as ``gauss``, for ``integrator.name`` in a spec.
     summary
-        One line of what it is.
-    options
-        Pydantic model of the options, which stand beside ``type``, ``law`` and ``pathway`` in the element.
-    law
-        The law, as an ``ExpressionLaw`` in SymPy or as a ``FunctionLaw`` that Numba compiles.
-    references
-        BibTeX entries of the sources.
-    """
-
-    name: str
-    summary: str
-    options: type[BaseModel]
-    law: ForceLaw
-    references: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class IntegratorPlugin:
-    """An integrator: how the state is advanced.
-
-    Parameters
-    ----------
-    name
-        Short name, such as ``gauss``; what a spec says under ``integrator.name``.
-    summary
-        One line of what it is.
+        One line that describes the method.
     options
         Pydantic model of the options, without ``name``.
     create
@@ -145,8 +207,12 @@ class IntegratorPlugin:
     references
         BibTeX entries of the sources.
     dense_output
-        The method can be evaluated between its steps, so ``output.interval`` may be used.
+        Whether the method can be evaluated between its steps, so that ``output.interval`` may be used.
     """
+
+    kind: ClassVar[str] = "integrator"
+    hook: ClassVar[str] = "mbdkit_integrators"
+    key: ClassVar[str] = "integrator.name"
 
     name: str
     summary: str
@@ -156,5 +222,123 @@ class IntegratorPlugin:
     references: tuple[str, ...] = ()
     dense_output: bool = False
 
+    def check(self) -> None:
+        """Check the types of the fields; raises PluginError."""
+        super().check()
+        self._check_callable("create", "claims")
 
-Plugin = ModelPlugin | IntegratorPlugin | ForceLawPlugin
+    def claimed(self) -> Mapping[str, Any]:
+        """Return the claims with default options, by name; empty where an option has no default."""
+        try:
+            claims: Any = self.claims(self.options())
+        except Exception:  # an option without default, or any failure of the plugin
+            return {}
+        if not isinstance(claims, Claims):
+            return {}
+        values = {name: getattr(claims, name) for name in Claims.__dataclass_fields__}
+        return values | {"orders": {name: Orders(*orders)._asdict() for name, orders in claims.orders.items()}}
+
+
+@dataclass(frozen=True)
+class ForceLawPlugin(Plugin):
+    """A force law: the tension of a force element as a function of its length, rate and time.
+
+    Parameters
+    ----------
+    name
+        Short name, such as ``one-sided``, for ``law`` in an element of type ``law``.
+    summary
+        One line that describes the law.
+    options
+        Pydantic model of the options, which stand beside ``type``, ``law`` and ``pathway`` in the element.
+    law
+        The law, as an ``ExpressionLaw`` in SymPy or as a ``FunctionLaw`` that Numba compiles.
+    references
+        BibTeX entries of the sources.
+    """
+
+    kind: ClassVar[str] = "force-law"
+    hook: ClassVar[str] = "mbdkit_force_laws"
+    key: ClassVar[str] = "law"
+    name_key: ClassVar[str] = "law"
+
+    name: str
+    summary: str
+    options: type[BaseModel]
+    law: ForceLaw
+    references: tuple[str, ...] = ()
+
+    def check(self) -> None:
+        """Check the types of the fields and the names of the options; raises PluginError."""
+        super().check()
+        # By its attributes and not by its class: the registry does not import the mechanism, which is above it.
+        law: Any = self.law
+        is_law = hasattr(law, "passive") and (hasattr(law, "force") or hasattr(law, "function"))
+        if not is_law or isinstance(law, type):
+            raise PluginError(f"its law is {described(law)}, not an ExpressionLaw or a FunctionLaw")
+        for name, info in self.options.model_fields.items():
+            if name in LAW_KEYS or info.alias in LAW_KEYS:
+                raise PluginError(f"its option '{name}' has a name that every element of type law uses itself")
+
+    def claimed(self) -> Mapping[str, Any]:
+        """Return whether the law has a potential and whether it is passive."""
+        return {"potential": self.law.potential not in (None, False), "passive": self.law.passive}
+
+
+@dataclass(frozen=True)
+class StudyPlugin(Plugin):
+    """A packaged study: a study spec that runs by name, and the function that judges its results.
+
+    Parameters
+    ----------
+    name
+        Short name, such as ``paper``, for ``mbdkit study NAME`` and for ``verdict`` in a study spec.
+    summary
+        One line that describes the study.
+    spec
+        File of the study spec (YAML, TOML or JSON). Files that it names are relative to its folder.
+    verdict
+        Takes the `mbdkit.Study`, complete or not, and returns the `mbdkit.analysis.verdict.Verdict` that its report
+        shows; None for the verdict that any study gets. Import what it needs inside the function: plugins are loaded
+        whenever mbdkit starts.
+    references
+        BibTeX entries of the sources.
+    """
+
+    kind: ClassVar[str] = "study"
+    hook: ClassVar[str] = "mbdkit_studies"
+    key: ClassVar[str] = "study"
+
+    name: str
+    summary: str
+    spec: Path
+    verdict: Callable[[Any], Any] | None = None
+    references: tuple[str, ...] = ()
+
+    @property
+    def options(self) -> type[BaseModel]:
+        """The model of its options: a study has none."""
+        from pydantic import BaseModel
+
+        return BaseModel
+
+    def check(self) -> None:
+        """Check the types of the fields and that the spec exists; raises PluginError."""
+        super().check()
+        if not isinstance(self.spec, Path):
+            raise PluginError(f"its spec is {described(self.spec)}, not a pathlib.Path")
+        if not self.spec.is_file():
+            raise PluginError(f"its spec is not a file: {self.spec}")
+        if self.verdict is not None:
+            self._check_callable("verdict")
+
+
+ITEM_CLASSES: tuple[type[Plugin], ...] = (ModelPlugin, IntegratorPlugin, ForceLawPlugin, StudyPlugin)
+"""The kinds of plugin, in the order in which their hooks are called."""
+
+
+def described(thing: object) -> str:
+    """Return what kind of object was passed, as a part of an error message."""
+    if isinstance(thing, type):
+        return f"the class {thing.__name__}"
+    return "nothing" if thing is None else f"an object of type {type(thing).__name__}"

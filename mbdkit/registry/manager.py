@@ -1,4 +1,4 @@
-"""The loader: every entry point by itself, so that a broken plugin costs a warning and nothing else."""
+"""Loading of plugins: each entry point by itself, so that a broken plugin costs a warning and nothing else."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import contextlib
 import functools
 import importlib.metadata
 import logging
-import re
 import sys
 import time
 from collections.abc import Iterable, Iterator
@@ -15,43 +14,34 @@ from typing import Any, Protocol
 import pluggy
 
 from mbdkit.errors import PluginError
-from mbdkit.mechanism.force_law import ForceLaw
-from mbdkit.mechanism.law_element import Law
 from mbdkit.registry import hookspecs
-from mbdkit.registry.catalogue import Kind, Origin, Registered, Registry, Report
-from mbdkit.registry.item_options import check_law_options, law_element, named_options
-from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, ModelPlugin, Plugin
+from mbdkit.registry.catalogue import KINDS, Kind, Origin, Registered, Registry, Report
+from mbdkit.registry.item_options import named_options
+from mbdkit.registry.items import Plugin, described
 from mbdkit.registry.policy import STRICT, Policy, check_api
 from mbdkit.text import listed, one_line
 
 GROUP = hookspecs.PROJECT
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
-
-HOOKS: dict[str, tuple[Kind, type]] = {
-    "mbdkit_models": ("model", ModelPlugin),
-    "mbdkit_integrators": ("integrator", IntegratorPlugin),
-    "mbdkit_force_laws": ("force-law", ForceLawPlugin),
-}
 
 log = logging.getLogger("mbdkit")
 
 
 class EntryPoint(Protocol):
-    """What the loader asks of an entry point; `importlib.metadata.EntryPoint` is one."""
+    """The part of `importlib.metadata.EntryPoint` that loading needs."""
 
     @property
     def name(self) -> str:
-        """What stands before the equals sign."""
+        """Name of the entry point."""
         ...
 
     @property
     def value(self) -> str:
-        """The module."""
+        """Name of the module."""
         ...
 
     @property
     def dist(self) -> Any:
-        """The distribution, with `name` and `version`."""
+        """Distribution, with `name` and `version`."""
         ...
 
     def load(self) -> Any:
@@ -61,12 +51,12 @@ class EntryPoint(Protocol):
 
 @functools.cache
 def registry() -> Registry:
-    """Return the registry of everything installed; loaded once in a process.
+    """Return the registry of all installed plugins; loaded once in a process.
 
     Raises
     ------
     PluginError
-        If a plugin could not be loaded and the environment asks to be strict about it.
+        If a plugin could not be loaded and the environment variable `MBDKIT_STRICT_PLUGINS` is set.
     """
     loaded, policy = load_installed(), Policy.of()
     if policy.strict and loaded.failures:
@@ -78,24 +68,19 @@ def registry() -> Registry:
 
 
 def load_installed() -> Registry:
-    """Return the registry of everything installed, loaded anew, whatever could not be loaded."""
+    """Load all installed plugins again, without an error for those that cannot be loaded."""
     return load_registry(importlib.metadata.entry_points(group=GROUP), Policy.of())
 
 
-def find_installed_law(name: str) -> type[Law]:
-    """Return the element class of an installed force law; raises SpecError where there is none."""
-    return law_element(registry().get("force-law", name))
-
-
 def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = None) -> Registry:
-    """Load each entry point by itself; what fails is reported, warned of in one line, and left out.
+    """Load each entry point by itself; a failure is reported, costs one line of warning, and leaves out the item.
 
     Parameters
     ----------
     entry_points
-        Entry points of the group ``mbdkit``; mbdkit's own come first in the registry, the others by distribution.
+        Entry points of the group ``mbdkit``. In the registry mbdkit's own come first, then the others by distribution.
     policy
-        Which of them are loaded; None: all.
+        Which distributions are loaded; all of them by default.
     """
     policy = policy or Policy()
     entry_points = sorted(entry_points, key=_order)
@@ -138,13 +123,12 @@ def _offered(entry_point: EntryPoint, origin: Origin) -> Iterator[tuple[Kind, ob
     manager.register(module, entry_point.name)
     manager.check_pending()
     if not manager.get_hookcallers(module):
-        raise PluginError(
-            f"it implements none of the hooks {listed(list(HOOKS), 'and')}, marked with `mbdkit.hookimpl`"
-        )
-    for hook, (kind, _) in HOOKS.items():
-        for answer in getattr(manager.hook, hook)():
+        hooks = listed([item_class.hook for item_class in KINDS.values()], "and")
+        raise PluginError(f"it implements none of the hooks {hooks}, marked with `mbdkit.hookimpl`")
+    for kind, item_class in KINDS.items():
+        for answer in getattr(manager.hook, item_class.hook)():
             if not isinstance(answer, list | tuple):
-                raise PluginError(f"its hook `{hook}` returned {_a(answer)}, not a list")
+                raise PluginError(f"its hook `{item_class.hook}` returned {described(answer)}, not a list")
             for thing in answer:
                 yield kind, thing
 
@@ -163,7 +147,7 @@ def _accept(
         item = Registered(kind, _checked(kind, thing), origin)
         named_options(item).model_json_schema()
         if any(other.kind == kind and other.id == item.id for other in known):
-            raise PluginError(f"its distribution has another {kind.replace('-', ' ')} of the same name")
+            raise PluginError(f"its distribution has another {KINDS[kind].label()} of the same name")
     except KeyboardInterrupt:
         raise
     except BaseException as error:
@@ -173,27 +157,12 @@ def _accept(
 
 
 def _checked(kind: Kind, thing: object) -> Plugin:
-    from pydantic import BaseModel
-
-    wanted = next(cls for of_kind, cls in HOOKS.values() if of_kind == kind)
-    if not isinstance(thing, Plugin) or not isinstance(thing, wanted):
-        raise PluginError(f"a hook for {kind.replace('-', ' ')}s returned {_a(thing)}, not {wanted.__name__}")
-    if not isinstance(thing.name, str) or not NAME.fullmatch(thing.name):
-        raise PluginError(f"the name {thing.name!r} is not made of letters, digits and . _ -")
-    if not isinstance(thing.summary, str) or "\n" in thing.summary:
-        raise PluginError("its summary is not one line of text")
-    if not isinstance(thing.options, type) or not issubclass(thing.options, BaseModel):
-        raise PluginError(f"its options are {_a(thing.options)}, not a class derived from pydantic.BaseModel")
-    if not isinstance(thing.references, tuple) or not all(isinstance(entry, str) for entry in thing.references):
-        raise PluginError("its references are not a tuple of texts")
-    if isinstance(thing, ForceLawPlugin):
-        if not isinstance(thing.law, ForceLaw):
-            raise PluginError(f"its law is {_a(thing.law)}, not an ExpressionLaw or a FunctionLaw")
-        check_law_options(thing.options)
-        return thing
-    for function in ("build",) if isinstance(thing, ModelPlugin) else ("create", "claims"):
-        if not callable(getattr(thing, function)):
-            raise PluginError(f"its `{function}` cannot be called")
+    item_class = KINDS[kind]
+    if not isinstance(thing, item_class):
+        raise PluginError(
+            f"its hook `{item_class.hook}` returned {described(thing)}, not an item of class {item_class.__name__}"
+        )
+    thing.check()
     return thing
 
 
@@ -207,12 +176,6 @@ def _origin(entry_point: EntryPoint) -> Origin:
 def _order(entry_point: EntryPoint) -> tuple[bool, str, str]:
     distribution = _origin(entry_point).distribution
     return distribution != "mbdkit", distribution, entry_point.name
-
-
-def _a(thing: object) -> str:
-    if isinstance(thing, type):
-        return f"the class {thing.__name__}"
-    return "nothing" if thing is None else f"an object of type {type(thing).__name__}"
 
 
 def _sentence(error: BaseException) -> str:

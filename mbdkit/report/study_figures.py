@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Figure, Line
-from mbdkit.analysis.verdicts.points import METHOD, value
+from mbdkit.studies.point_selection import METHOD, value
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint

@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.analysis.verdict import Cell, Column, Table, Verdict
-from mbdkit.analysis.verdicts import judge
-from mbdkit.analysis.verdicts.points import value
 from mbdkit.archive.reader import load
 from mbdkit.errors import SpecError
 from mbdkit.plot.quantity_text import count
@@ -22,6 +20,8 @@ from mbdkit.report.report_page import NO_FAILURES, ReportPage
 from mbdkit.report.run_report import environment
 from mbdkit.report.run_verdict import HOLDS, mechanism_size
 from mbdkit.report.study_figures import study_figures
+from mbdkit.studies.judge import judge
+from mbdkit.studies.point_selection import value
 from mbdkit.text import listed
 
 if TYPE_CHECKING:

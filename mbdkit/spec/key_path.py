@@ -11,8 +11,9 @@ from pydantic.fields import FieldInfo
 
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Registry
-from mbdkit.registry.item_options import law_element, named_options
+from mbdkit.registry.item_options import named_options
 from mbdkit.spec.choices import Choice, registry_of
+from mbdkit.spec.law_options import law_element
 from mbdkit.spec.plain_data import Path
 
 Model = type[BaseModel]

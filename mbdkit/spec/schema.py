@@ -12,8 +12,8 @@ from pydantic.json_schema import models_json_schema
 
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Registry
-from mbdkit.registry.item_options import law_element
 from mbdkit.registry.manager import registry
+from mbdkit.spec.law_options import law_element
 from mbdkit.spec.run_spec import spec_type
 from mbdkit.spec.study_spec import StudySpec
 

@@ -10,9 +10,9 @@ from pydantic import PrivateAttr, ValidationError
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.law_element import Law
-from mbdkit.registry.item_options import law_element
 from mbdkit.spec.choices import registry_of
 from mbdkit.spec.explain import explain
+from mbdkit.spec.law_options import law_element
 from mbdkit.spec.plain_data import canonical, plain
 from mbdkit.spec.sections import Section
 from mbdkit.spec.source_document import Document

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import copy
-import importlib.resources
 import os
 from collections.abc import Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
 from mbdkit.errors import SpecError
+from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.items import StudyPlugin
+from mbdkit.registry.manager import registry
 from mbdkit.spec.loading import example_names, exists, read_source
 from mbdkit.spec.plain_data import Path, parse_path, path_text
 from mbdkit.spec.reading import read_file, read_stdin, read_text
@@ -57,12 +59,15 @@ def load_study_spec(source: Any) -> StudySpec:
 
 
 def study_names() -> list[str]:
-    """Return the names of the packaged studies, which stand for their specs."""
-    return sorted(path.name.removesuffix(".yaml") for path in _packaged().iterdir() if path.name.endswith(".yaml"))
+    """Return the names of the packaged studies, those of plugins included, which stand for their specs."""
+    return sorted(registry().names("study"))
 
 
-def _packaged() -> Any:
-    return importlib.resources.files("mbdkit.studies") / "packaged"
+def _packaged(name: str) -> Registered | None:
+    """Return the packaged study of this short or long name; None if there is none, SpecError if there are several."""
+    installed = registry()
+    known = any(name in (item.name, item.id) for item in installed.of_kind("study"))
+    return installed.get("study", name) if known else None
 
 
 def _document(source: Any) -> tuple[Document, FilePath]:
@@ -75,17 +80,28 @@ def _document(source: Any) -> tuple[Document, FilePath]:
     if source == "-":
         return _by_text(read_stdin()), FilePath()
     path = FilePath(source)
-    names = study_names()
-    if str(source) in names and not os.path.isfile(path):
-        text = (_packaged() / f"{source}.yaml").read_text("utf-8")
-        return _by_text(read_text(text, f"{source} (packaged study)")), FilePath()
+    packaged = None if os.path.isfile(path) else _packaged(str(source))
+    if packaged is not None:
+        return _document_of(packaged)
     if not exists(path):
+        names = study_names()
         raise SpecError(
             f"there is no such file, and no packaged study of this name{did_you_mean(str(source), names)}; "
-            f"studies: {listed(names)}",
+            f"studies: {listed(names)}{registry().advice(str(source))}",
             file=str(source)[:200],
         )
     return _by_text(read_file(path)), path.parent
+
+
+def _document_of(item: Registered) -> tuple[Document, FilePath]:
+    """Return the document of a packaged study, which its own verdict judges unless it names another, and its folder."""
+    assert isinstance(item.plugin, StudyPlugin)
+    path = item.plugin.spec
+    text = path.read_text("utf-8")
+    document = _by_text(read_text(text, f"{item.spec_name} (packaged study)", path.suffix))
+    if item.plugin.verdict is not None and "verdict" not in document.data:
+        document.data["verdict"] = item.spec_name
+    return document, path.parent
 
 
 def _by_text(document: Document) -> Document:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.reader import load
 from mbdkit.spec.study_spec import ERRORS, StudySpec
-from mbdkit.studies.expand import PlannedPoint
+from mbdkit.studies.known_runs import KnownRuns
 from mbdkit.studies.measures import MEASURES, SECOND, worst_joint
+from mbdkit.studies.planned_points import PlannedPoint
 from mbdkit.studies.pool import Outcome
-from mbdkit.studies.run_status import Ledger
 from mbdkit.studies.study_index import Index, Row, quartiles
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def collect(
     spec: StudySpec,
     points: Sequence[PlannedPoint],
-    ledger: Ledger,
+    known_runs: KnownRuns,
     repeats: Mapping[str, Sequence[float]],
     second: Mapping[str, Outcome],
 ) -> Index:
@@ -36,7 +36,7 @@ def collect(
         The study.
     points
         All of its points.
-    ledger
+    known_runs
         What is known of their runs; rows are taken from it where the files have not changed.
     repeats
         New serial timings by run id, s.
@@ -46,7 +46,7 @@ def collect(
     compared = any(point.grid.reference for point in points)
     wanted = tuple(MEASURES) if spec.measures == "all" else spec.measures
     collector = _Collector(
-        ledger,
+        known_runs,
         [name for name in wanted if name in MEASURES and (compared or name not in ERRORS)],
         [name for name in wanted if name in SECOND],
         repeats,
@@ -77,14 +77,14 @@ def collect(
 class _Collector:
     def __init__(
         self,
-        ledger: Ledger,
+        known_runs: KnownRuns,
         measures: Sequence[str],
         again: Sequence[str],
         repeats: Mapping[str, Sequence[float]],
         second: Mapping[str, Outcome],
         timed: bool,
     ):
-        self.ledger, self.measures, self.again = ledger, measures, again
+        self.known_runs, self.measures, self.again = known_runs, measures, again
         self.repeats, self.second, self.timed = repeats, second, timed
 
     def left_out(self, distribution: str) -> Row:
@@ -95,9 +95,9 @@ class _Collector:
 
     def row(self, run_id: str, reference_id: str) -> Row:
         """Return the row of a run, its family and axes left out."""
-        path = self.ledger.folder.archive(run_id)
-        outcome = self.ledger.outcome(run_id)
-        known = self.ledger.measured(run_id, reference_id)
+        path = self.known_runs.folder.archive(run_id)
+        outcome = self.known_runs.outcome(run_id)
+        known = self.known_runs.measured(run_id, reference_id)
         if known is not None:
             row = known
         elif outcome.status == "missing" or not path.exists():
@@ -105,7 +105,7 @@ class _Collector:
             row = Row(run_id, outcome.status, outcome.reason, values=dict.fromkeys(columns, math.nan))
         else:
             row = replace(self.measured(run_id, reference_id), modified=path.stat().st_mtime)
-        seconds = tuple(self.repeats.get(run_id) or self.ledger.repeats(run_id))
+        seconds = tuple(self.repeats.get(run_id) or self.known_runs.repeats(run_id))
         values, second_run = self.with_second_run(run_id, row)
         values = {**values, **quartiles(seconds)} if self.timed else values
         return replace(row, reference_id=reference_id, values=values, repeats=seconds, second_run=second_run)
@@ -114,7 +114,7 @@ class _Collector:
         """Return the values of a row with the measures of its second run, and what became of that."""
         if not self.again:
             return row.values, ""
-        made, before = self.second.get(run_id), self.ledger.run_twice(run_id)
+        made, before = self.second.get(run_id), self.known_runs.run_twice(run_id)
         values: Mapping[str, float] = {}
         note = ""
         if made is not None:
@@ -125,9 +125,9 @@ class _Collector:
 
     def measured(self, run_id: str, reference_id: str) -> Row:
         """Return the row of an archive."""
-        folder = self.ledger.folder
+        folder = self.known_runs.folder
         with load(folder.archive(run_id)) as run:
-            if reference_id and self.ledger.outcome(reference_id).status == "complete":
+            if reference_id and self.known_runs.outcome(reference_id).status == "complete":
                 with load(folder.archive(reference_id)) as reference:
                     values = self.values(run, reference)
             else:

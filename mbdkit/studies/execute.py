@@ -7,16 +7,16 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mbdkit.analysis.verdicts import check_verdict
 from mbdkit.errors import SpecError
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_spec import SECOND_RUN, StudySpec
-from mbdkit.studies import study_index as table
+from mbdkit.studies import study_index
 from mbdkit.studies.collect import collect
-from mbdkit.studies.expand import outline
-from mbdkit.studies.folder import StudyFolder
+from mbdkit.studies.judge import check_verdict
+from mbdkit.studies.known_runs import KnownRuns
+from mbdkit.studies.planned_points import plan_points
 from mbdkit.studies.pool import Outcome, Pool, Task
-from mbdkit.studies.run_status import Ledger
+from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.text import counted
 
 #: Called with (pieces of work done, pieces in all, runs that failed); a run is one, and so are its repeated timings.
@@ -90,7 +90,7 @@ class Execution:
         self.spec, self.folder, self.shard = spec, folder, shard
         self.progress, self.notify = progress, notify
         check_verdict(spec)
-        self.points = outline(spec)
+        self.points = plan_points(spec)
         runs, references = {}, {}
         for point in self.points:
             if point.lacking:
@@ -117,45 +117,45 @@ class Execution:
         self.folder.prepare(self.spec)
         self.tell_left_out()
         with self.folder.locked(shared=self.shard is not None):
-            ledger = Ledger(self.spec, self.folder, self.runs)
+            known_runs = KnownRuns(self.spec, self.folder, self.runs)
             missing = []
             for place, run_id in enumerate(self.runs):
-                if not ledger.is_done(run_id):
-                    ledger.note(run_id, None)  # its file may come from elsewhere, or just before an interrupt
+                if not known_runs.is_done(run_id):
+                    known_runs.note(run_id, None)  # its file may come from elsewhere, or just before an interrupt
                     missing += [run_id] if self.shard is None or self.shard.has(place) else []
-            repeats = self.repeats(ledger) if self.shard is None else {}
-            again = self.to_run_again(ledger) if self.shard is None else []
+            repeats = self.repeats(known_runs) if self.shard is None else {}
+            again = self.to_run_again(known_runs) if self.shard is None else []
             total = len(missing) + len(again) + len(repeats)
             try:
-                self.compute(missing, workers, total, ledger)
-                self.run_again(again, workers, total - len(repeats), total, ledger)
-                self.time(repeats, total, ledger)
+                self.compute(missing, workers, total, known_runs)
+                self.run_again(again, workers, total - len(repeats), total, known_runs)
+                self.time(repeats, total, known_runs)
             finally:
                 with self.folder.indexing():
-                    found = collect(self.spec, self.points, ledger, self.timings, self.second)
-                    table.write(self.folder.index, found)
+                    found = collect(self.spec, self.points, known_runs, self.timings, self.second)
+                    study_index.write(self.folder.index, found)
 
     def tell_left_out(self) -> None:
         """Say which runs are left out, and what they need."""
         for name, count in Counter(point.lacking for point in self.points if point.lacking).items():
             self.notify(f"{counted(count, 'run')} left out: the distribution {name} is not installed")
 
-    def repeats(self, ledger: Ledger) -> dict[str, int]:
+    def repeats(self, known_runs: KnownRuns) -> dict[str, int]:
         """Return how often each run is still to be timed."""
         wanted: dict[str, int] = {}
         for point in self.points:
             count = point.grid.repeats
-            if not point.lacking and count > max(1, len(ledger.repeats(point.run_id))):
+            if not point.lacking and count > max(1, len(known_runs.repeats(point.run_id))):
                 wanted[point.run_id] = max(count, wanted.get(point.run_id, 0))
         return wanted
 
-    def compute(self, missing: list[str], workers: int, total: int, ledger: Ledger) -> None:
+    def compute(self, missing: list[str], workers: int, total: int, known_runs: KnownRuns) -> None:
         """Compute runs, several at a time."""
         tasks = [Task(self.runs[run_id], self.folder.archive(run_id)) for run_id in missing]
         with Pool(workers, self.notify) as pool:
             for task, outcome in pool.work(tasks):
                 self.computed += 1
-                ledger.note(self.names[task.path], outcome)
+                known_runs.note(self.names[task.path], outcome)
                 self.failed += outcome.status == "failed"
                 self.tell(self.computed, total)
 
@@ -164,31 +164,31 @@ class Execution:
         """The measures that need a second run of each."""
         return tuple(name for name in SECOND_RUN if self.spec.measures != "all" and name in self.spec.measures)
 
-    def to_run_again(self, ledger: Ledger) -> list[str]:
+    def to_run_again(self, known_runs: KnownRuns) -> list[str]:
         """Return the runs that are still to be made a second time; references are not."""
         if not self.wanted_again:
             return []
         wanted = dict.fromkeys(point.run_id for point in self.points if not point.lacking)
-        return [run_id for run_id in wanted if ledger.run_twice(run_id) is None]
+        return [run_id for run_id in wanted if known_runs.run_twice(run_id) is None]
 
-    def run_again(self, again: list[str], workers: int, last: int, total: int, ledger: Ledger) -> None:
+    def run_again(self, again: list[str], workers: int, last: int, total: int, known_runs: KnownRuns) -> None:
         """Take the measures that need a second run, of complete runs, several at a time."""
         tasks = [
             Task(self.runs[run_id], self.folder.archive(run_id), second=self.wanted_again)
             for run_id in again
-            if ledger.outcome(run_id).status == "complete"
+            if known_runs.outcome(run_id).status == "complete"
         ]
         with Pool(workers, self.notify) as pool:
             for done, (task, outcome) in enumerate(pool.work(tasks), start=last - len(tasks) + 1):
                 self.second[self.names[task.path]] = outcome
                 self.tell(done, total)
 
-    def time(self, repeats: dict[str, int], total: int, ledger: Ledger) -> None:
+    def time(self, repeats: dict[str, int], total: int, known_runs: KnownRuns) -> None:
         """Time complete runs, one after the other."""
         tasks = [
             Task(self.runs[run_id], self.folder.archive(run_id), count)
             for run_id, count in repeats.items()
-            if ledger.outcome(run_id).status == "complete"
+            if known_runs.outcome(run_id).status == "complete"
         ]
         with Pool(1, self.notify) as pool:
             for done, (task, outcome) in enumerate(pool.work(tasks), start=total - len(tasks) + 1):

@@ -15,10 +15,10 @@ from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
-from mbdkit.studies import study_index as table
+from mbdkit.studies import study_index
 from mbdkit.studies.execute import Execution, Progress, Shard
-from mbdkit.studies.expand import Label, PlannedPoint, outline, point_label
-from mbdkit.studies.folder import StudyFolder
+from mbdkit.studies.planned_points import Label, PlannedPoint, plan_points, point_label
+from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Row
 from mbdkit.terminal import say
 from mbdkit.text import did_you_mean, listed
@@ -123,8 +123,8 @@ class Study:
         if not self._files.spec.is_file():
             raise SpecError("there is no study here: no study.yaml", file=folder)
         self.spec: StudySpec = load_study_spec(self._files.spec)
-        index = table.read(self._files.index)
-        planned = outline(self.spec)
+        index = study_index.read(self._files.index)
+        planned = plan_points(self.spec)
         if index.study_sha256 != self.spec.sha256() or len(index.runs) != len(planned):
             raise SpecError("the index is of another study than study.yaml; `mbdkit study` renews it", file=folder)
         self.points: tuple[StudyPoint, ...] = tuple(
@@ -279,7 +279,7 @@ class Study:
             dtype = object if isinstance(values[0], str) else None
             attributes = {}
             if name in points[0].values:
-                attributes = dict(zip(("units", "long_name"), table.described(name), strict=True))
+                attributes = dict(zip(("units", "long_name"), study_index.described(name), strict=True))
             variables[name] = (dims, np.array(values, dtype).reshape(shape), attributes)
         return xarray.Dataset(variables, coordinates, {"title": self.spec.title, "status": self.status})
 

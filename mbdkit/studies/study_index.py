@@ -18,8 +18,8 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import COUNTERS, FLOAT, INTEGER, TEXT, TIMINGS, Array
 from mbdkit.archive.part_file import LIBVER
 from mbdkit.errors import SpecError
-from mbdkit.studies.expand import Label
 from mbdkit.studies.measures import MEASURES, SECOND
+from mbdkit.studies.planned_points import Label
 
 FORMAT = "mbdkit-study"
 FORMAT_VERSION = "1.1"

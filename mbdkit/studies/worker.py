@@ -61,7 +61,7 @@ def _work(task: dict[str, Any], notify: Any) -> dict[str, Any]:
 
     spec = RunSpec(**task["spec"])
     if task["second"]:
-        from mbdkit.studies.second_run import second_run
+        from mbdkit.studies.second_run_measures import second_run
 
         values, note = second_run(spec, task["second"], notify)
         told = {name: value if math.isfinite(value) else None for name, value in values.items()}

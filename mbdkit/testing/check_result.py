@@ -5,13 +5,18 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from mbdkit.registry.catalogue import Kind
 from mbdkit.text import counted, listed, table
 
 Outcome = Literal["pass", "fail", "warn", "skip"]
 Figure = float | int | str
-Kind = Literal["integrator", "model", "force-law"]
 
-REQUIRED_GROUP: dict[Kind, str] = {"integrator": "geometry", "model": "energy", "force-law": "derivatives"}
+REQUIRED_GROUP: dict[Kind, str] = {
+    "integrator": "geometry",
+    "model": "energy",
+    "force-law": "derivatives",
+    "study": "study",
+}
 """Group of checks, for each kind of plugin, of which at least one must have run for the plugin to be verified."""
 
 

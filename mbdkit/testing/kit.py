@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.manager import registry
 from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
 from mbdkit.testing import (
@@ -21,11 +21,12 @@ from mbdkit.testing import (
     newton_checks,
     order_checks,
     restart_checks,
+    study_checks,
     tableau_checks,
     tolerance_checks,
 )
 from mbdkit.testing.check import Check
-from mbdkit.testing.check_result import Kind, Report, Result
+from mbdkit.testing.check_result import Report, Result
 from mbdkit.testing.integrator_under_test import IntegratorUnderTest
 from mbdkit.testing.options_under_test import plain_options
 
@@ -46,6 +47,7 @@ CHECKS: dict[Kind, tuple[Check[Any], ...]] = {
     "integrator": INTEGRATOR_CHECKS,
     "model": model_checks.CHECKS,
     "force-law": force_law_checks.CHECKS,
+    "study": study_checks.CHECKS,
 }
 Watch = Callable[[int, int, str], None]
 
@@ -70,6 +72,7 @@ def plugin_under_test(kind: Kind, name: str, options: Mapping[str, Any], install
         "integrator": IntegratorUnderTest,
         "model": model_checks.ModelUnderTest,
         "force-law": force_law_checks.ForceLawUnderTest,
+        "study": study_checks.StudyUnderTest,
     }
     return types[kind](item, chosen, installed)
 

@@ -29,7 +29,7 @@ def plain_options(item: Registered, given: Mapping[str, Any]) -> dict[str, Any]:
         The options are invalid, or one has neither default nor example value.
     """
     model: type[BaseModel] = item.plugin.options
-    schema = model.model_json_schema()
+    schema = model.model_json_schema() if model.model_fields else {}  # none of BaseModel itself
     chosen = dict(given)
     missing = []
     for name in schema.get("required", ()):

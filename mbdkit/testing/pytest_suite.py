@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+from mbdkit.registry.catalogue import Kind
 from mbdkit.testing.check import Check
-from mbdkit.testing.check_result import Kind, Result, figures_text
+from mbdkit.testing.check_result import Result, figures_text
 from mbdkit.testing.kit import checks_of, plugin_under_test
 
 

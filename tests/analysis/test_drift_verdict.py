@@ -13,11 +13,12 @@ import pytest
 
 import mbdkit
 from mbdkit.analysis.verdict import UNDECIDED, Answer
-from mbdkit.analysis.verdicts import judge
-from mbdkit.analysis.verdicts.combination import combinations
-from mbdkit.analysis.verdicts.drift import COLUMNS, drift, order_meets
 from mbdkit.report.verdict_text import json_values, terminal_text
 from mbdkit.spec.study_loading import load_study_spec
+from mbdkit.studies.judge import judge
+from mbdkit.studies.packaged.drift.combination import combinations
+from mbdkit.studies.packaged.drift.verdict import COLUMNS, order_meets
+from mbdkit.studies.packaged.drift.verdict import verdict as judge_drift
 
 STEPS = (0.1, 0.05, 0.025, 0.0125)
 YES, NO, PARTLY, OPEN = Answer.YES, Answer.NO, Answer.PARTLY, Answer.OPEN
@@ -71,7 +72,7 @@ RADAU = "Radau IIA 3, index-3"
     ],
 )
 def test_orders_are_held_to_the_literature(orders: tuple[float, float, float], answer: Answer) -> None:
-    verdict = drift(study(*method(RADAU, orders, own=True)))
+    verdict = judge_drift(study(*method(RADAU, orders, own=True)))
     assert verdict.claim("radau-index-3").answer is answer
     assert verdict.claim("radau-index-2").answer is OPEN
     assert verdict.claim("radau-index-2").sentence == UNDECIDED
@@ -104,7 +105,7 @@ def test_round_off_failures_and_what_is_not_installed_are_words_and_never_number
     assert found["few"].position_order == "failed"
     assert found["noisy"].position_order == "no order"
     assert found["damped"].reversal == "not reversible"
-    verdict = drift(study(*broken, *absent, *few, *noisy, *damped))
+    verdict = judge_drift(study(*broken, *absent, *few, *noisy, *damped))
     assert verdict.notes == ("Left out, because they are not installed: absent.",)
     assert all(len(row) == len(COLUMNS) for row in verdict.table("drift").rows)
 
@@ -160,7 +161,7 @@ def projected(trend: float = 1e-6, there: float = 1e-7, symmetric_trend: float =
 
 
 def test_what_projection_does_to_gauss_is_as_expected_where_it_is() -> None:
-    verdict = drift(projected())
+    verdict = judge_drift(projected())
     for name in ("projection-order", "projection-error", "projection-reversibility", "projection-energy"):
         assert verdict.claim(name).answer is YES, name
 
@@ -175,14 +176,14 @@ def test_what_projection_does_to_gauss_is_as_expected_where_it_is() -> None:
     ],
 )
 def test_what_projection_does_not_do_is_told(claim: str, change: dict[str, float]) -> None:
-    assert drift(projected(**change)).claim(claim).answer is NO
+    assert judge_drift(projected(**change)).claim(claim).answer is NO
 
 
 def test_projection_that_costs_the_order_or_gains_nothing_is_told() -> None:
-    verdict = drift(study(*method("RK4"), *method("RK4, projected", (3, 4, 4))))
+    verdict = judge_drift(study(*method("RK4"), *method("RK4, projected", (3, 4, 4))))
     assert verdict.claim("projection-order").answer is PARTLY
     assert "q from 4.00 to 3.00 (RK4, rod)" in verdict.claim("projection-order").computed
-    verdict = drift(study(*method("RK4"), *method("RK4, projected")))
+    verdict = judge_drift(study(*method("RK4"), *method("RK4, projected")))
     assert verdict.claim("projection-error").answer is NO
 
 
@@ -195,7 +196,7 @@ def test_an_order_meets_another_within_a_fifth(found: float | str, answer: Answe
 
 
 def test_the_table_goes_to_the_terminal_and_into_json() -> None:
-    verdict = drift(projected())
+    verdict = judge_drift(projected())
     text = terminal_text(verdict)
     assert "rod        Gauss 2, projected " in text
     assert "yes    Ordinary projection takes reversibility" in text
@@ -208,7 +209,7 @@ def test_a_study_of_other_families_is_no_study_of_drift() -> None:
     other = study(*method("any"))
     other.families = {"rod": ""}
     with pytest.raises(ValueError, match="-long"):
-        drift(other)
+        judge_drift(other)
 
 
 def reduced(methods: set[str]) -> dict[str, Any]:
@@ -231,10 +232,11 @@ def test_the_table_that_is_checked_in_is_of_the_packaged_study() -> None:
         if f"{name}-long" in spec["families"]
         for one in family["axes"][0]["method"]
     ]
-    text = (Path(mbdkit.__file__).parent / "studies" / "DRIFT.md").read_text(encoding="utf-8")
+    text = (Path(mbdkit.__file__).parent / "studies" / "packaged" / "drift" / "DRIFT.md").read_text(encoding="utf-8")
     heading, _, *rows = [line for line in text.splitlines() if line.count(" | ") == len(COLUMNS) - 1]
     assert [re.match(r"\| [^|]+ \| [^|]+ \|", row)[0] for row in rows] == expected, (
-        "stale: `mbdkit study drift -o drift && mbdkit report drift -o mbdkit/studies/DRIFT.md --overwrite`"
+        "stale: `mbdkit study drift -o drift` and "
+        "`mbdkit report drift -o mbdkit/studies/packaged/drift/DRIFT.md --overwrite`"
     )
     assert heading.startswith("| mechanism | method |")
 

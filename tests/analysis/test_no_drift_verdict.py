@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from mbdkit.analysis.verdict import UNDECIDED, Answer
-from mbdkit.analysis.verdicts.no_drift import no_drift
+from mbdkit.studies.packaged.no_drift.verdict import verdict as judge_no_drift
 
 
 def study(*runs: tuple[float, float, str]) -> Any:
@@ -41,13 +41,13 @@ def study(*runs: tuple[float, float, str]) -> Any:
 def test_misalignments_are_held_to_the_mechanisms_size(
     position: float, velocity: float, answers: tuple[str, str]
 ) -> None:
-    verdict = no_drift(study((1e-15, 1e-15, "complete"), (position, velocity, "complete")))
+    verdict = judge_no_drift(study((1e-15, 1e-15, "complete"), (position, velocity, "complete")))
     assert tuple(str(claim.answer) for claim in verdict.claims) == answers
     assert verdict.table("no-drift").rows[1][3] == pytest.approx(position / 2, rel=0.05)
 
 
 def test_a_run_that_failed_leaves_it_open_and_is_named() -> None:
-    verdict = no_drift(study((1e-15, 1e-15, "complete"), (1e-15, 1e-15, "failed")))
+    verdict = judge_no_drift(study((1e-15, 1e-15, "complete"), (1e-15, 1e-15, "failed")))
     assert [claim.answer for claim in verdict.claims] == [Answer.OPEN] * 2
     assert verdict.claim("positions").sentence == UNDECIDED
     assert "not known of rod, method 2" in verdict.claim("positions").computed
@@ -55,6 +55,6 @@ def test_a_run_that_failed_leaves_it_open_and_is_named() -> None:
 
 
 def test_one_run_that_drifts_is_told_though_another_failed() -> None:
-    verdict = no_drift(study((1e-9, 1e-15, "complete"), (math.nan, math.nan, "left-out")))
+    verdict = judge_no_drift(study((1e-9, 1e-15, "complete"), (math.nan, math.nan, "left-out")))
     assert verdict.claim("positions").answer is Answer.NO
     assert "Not in: rod, method 1." in verdict.claim("positions").sentence

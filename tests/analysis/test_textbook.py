@@ -12,10 +12,10 @@ from scipy.integrate import solve_ivp
 
 import mbdkit
 from mbdkit.analysis.verdict import Answer
-from mbdkit.analysis.verdicts import judge
-from mbdkit.analysis.verdicts.four_angles import GRAVITY, LENGTHS, gap, integrate, rates, start
-from mbdkit.analysis.verdicts.textbook import loop_residual
 from mbdkit.spec.study_loading import load_study_spec
+from mbdkit.studies.judge import judge
+from mbdkit.studies.packaged.textbook_four_bar.textbook_equations import GRAVITY, LENGTHS, gap, integrate, rates, start
+from mbdkit.studies.packaged.textbook_four_bar.verdict import loop_residual
 
 
 def test_start_is_closed_at_rest_and_the_one_that_the_textbook_finds() -> None:

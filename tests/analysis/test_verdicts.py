@@ -14,12 +14,14 @@ import pytest
 
 import mbdkit
 from mbdkit.analysis.verdict import UNDECIDED, Answer, Range
-from mbdkit.analysis.verdicts import VERDICTS, judge, substitution
-from mbdkit.analysis.verdicts.prediction import joints, knee, steps_within
-from mbdkit.analysis.verdicts.published import magnitudes, ranking
 from mbdkit.errors import SpecError
+from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
 from mbdkit.spec.study_loading import load_study_spec
+from mbdkit.studies.judge import judge
+from mbdkit.studies.packaged.paper import substitution_timing
+from mbdkit.studies.packaged.paper.paper_predictions import joints, knee, steps_within
+from mbdkit.studies.packaged.paper.published_results import magnitudes, ranking
 
 YES, NO, PARTLY, OPEN = Answer.YES, Answer.NO, Answer.PARTLY, Answer.OPEN
 METHODS = ("RK-Gill", "Gauss 2", "Gauss 3")
@@ -199,7 +201,7 @@ def test_paths_and_drifts_of_both_pendulums_are_drawn_over_150_steps(small: mbdk
 
 def test_substitution_is_measured_once_for_a_folder(small: mbdkit.Study, monkeypatch: pytest.MonkeyPatch) -> None:
     first = judge(small).table("substitution").rows
-    monkeypatch.setattr(substitution, "measure", lambda spec: pytest.fail("measured again"))
+    monkeypatch.setattr(substitution_timing, "measure", lambda spec: pytest.fail("measured again"))
     assert judge(small).table("substitution").rows == first
 
 
@@ -207,15 +209,15 @@ def test_a_damaged_file_of_times_is_measured_anew(tmp_path: Path) -> None:
     spec = load_spec("pendulum")
     (tmp_path / "measured").mkdir()
     (tmp_path / "measured" / "substitution.json").write_text('{"a": {"bodies": ')
-    (found,) = substitution.measured(tmp_path, [spec])
-    assert (found.bodies, found.evaluations) == (1, substitution.EVALUATIONS)
+    (found,) = substitution_timing.measured(tmp_path, [spec])
+    assert (found.bodies, found.evaluations) == (1, substitution_timing.EVALUATIONS)
     assert 0 < found.least_s <= found.median_s
-    assert substitution.measured(tmp_path, [spec]) == (found,)
+    assert substitution_timing.measured(tmp_path, [spec]) == (found,)
 
 
 def test_a_folder_that_cannot_be_written_costs_nothing_but_time(tmp_path: Path) -> None:
     (tmp_path / "measured").write_text("in the way")
-    assert substitution.measured(tmp_path, [load_spec("pendulum")])[0].bodies == 1
+    assert substitution_timing.measured(tmp_path, [load_spec("pendulum")])[0].bodies == 1
 
 
 def test_any_study_has_a_general_verdict(tmp_path: Path) -> None:
@@ -291,5 +293,7 @@ def test_the_paper_is_decided_and_its_second_call_decides_the_same(tmp_path: Pat
 
 
 def test_every_packaged_verdict_has_a_packaged_study() -> None:
-    for name in VERDICTS:
+    judged = [item.name for item in registry().only("mbdkit").of_kind("study") if item.plugin.verdict is not None]
+    assert judged == ["paper", "drift", "no-drift", "textbook-four-bar"]
+    for name in judged:
         assert load_study_spec(name).verdict == name

@@ -149,7 +149,7 @@ def test_a_file_that_holds_another_run_than_its_name_says_is_refused_before_any_
 
 
 def test_only_one_call_works_in_a_folder_at_a_time(copied, small):
-    from mbdkit.studies.folder import StudyFolder
+    from mbdkit.studies.study_folder import StudyFolder
 
     with StudyFolder(copied).locked(), pytest.raises(SpecError, match="at work in this folder"):
         mbdkit.study(small, out=copied)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mbdkit.errors import SpecError
 from mbdkit.spec import load_study_spec
-from mbdkit.studies.expand import outline
+from mbdkit.studies.planned_points import plan_points
 
 STUDY = {
     "mbdkit_study": 1,
@@ -47,7 +47,7 @@ def places(data, path=()):
 def attempt(study):
     """Return the ids of all runs of a study, or none and the sentence by which it is refused."""
     try:
-        return [(point.run_id, point.reference_id) for point in outline(load_study_spec(study))], ""
+        return [(point.run_id, point.reference_id) for point in plan_points(load_study_spec(study))], ""
     except SpecError as error:
         return [], str(error)
 

@@ -6,11 +6,11 @@ import pytest
 
 from mbdkit.errors import SpecError
 from mbdkit.spec import load_spec, load_study_spec
-from mbdkit.studies.expand import outline
+from mbdkit.studies.planned_points import plan_points
 
 
 def points(study):
-    return outline(load_study_spec(study))
+    return plan_points(load_study_spec(study))
 
 
 def test_axes_multiply_and_the_last_one_changes_fastest(small):
@@ -103,7 +103,7 @@ def test_a_base_file_is_looked_for_beside_the_study(tmp_path):
     (tmp_path / "study.yaml").write_text("mbdkit_study: 1\nbase: base.yaml\naxes: [{time.step: [0.1, 0.2]}]\n")
     spec = load_study_spec(tmp_path / "study.yaml")
     assert spec.base["model"] == {"name": "single-pendulum"}
-    assert [point.spec.time.step for point in outline(spec)] == [0.1, 0.2]
+    assert [point.spec.time.step for point in plan_points(spec)] == [0.1, 0.2]
 
 
 def test_a_mechanism_built_in_python_is_a_base():

@@ -11,7 +11,7 @@ import pytest
 import mbdkit
 from mbdkit.spec import load_spec
 from mbdkit.studies.reversal import Reversal, reverse
-from mbdkit.studies.second_run import second_run
+from mbdkit.studies.second_run_measures import second_run
 
 WHEEL = {
     "name": "mechanism",

@@ -12,7 +12,7 @@ import numpy as np
 from mbdkit.analysis.energy import SURE
 from mbdkit.analysis.order import observed_order
 from mbdkit.analysis.verdict import Cell
-from mbdkit.analysis.verdicts.points import STEP, Points
+from mbdkit.studies.point_selection import STEP, Points
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint

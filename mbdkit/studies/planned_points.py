@@ -219,7 +219,7 @@ def _origin(path: Path, settings: tuple[Setting, ...], grid: Grid) -> tuple[Path
     return (*grid.base_place, *path), True
 
 
-def outline(spec: StudySpec) -> tuple[PlannedPoint, ...]:
+def plan_points(spec: StudySpec) -> tuple[PlannedPoint, ...]:
     """Return every point of a study, the specs of their runs not made yet.
 
     Parameters

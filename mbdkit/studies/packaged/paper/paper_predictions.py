@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.analysis.number_text import least_most
 from mbdkit.analysis.verdict import (
     Answer,
     Axis,
@@ -20,9 +21,8 @@ from mbdkit.analysis.verdict import (
     Table,
     together,
 )
-from mbdkit.analysis.verdicts.points import METHOD, STEP, family
-from mbdkit.analysis.verdicts.published import GAUSS2, GAUSS3, METHODS, PAPER_STEP
-from mbdkit.analysis.verdicts.words import least_most
+from mbdkit.studies.packaged.paper.published_results import GAUSS2, GAUSS3, METHODS, PAPER_STEP
+from mbdkit.studies.point_selection import METHOD, STEP, family
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

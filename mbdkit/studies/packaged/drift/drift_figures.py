@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Figure, Line
-from mbdkit.analysis.verdicts.combination import COMBINATION, LONG, Combination
+from mbdkit.studies.packaged.drift.combination import COMBINATION, LONG, Combination
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study

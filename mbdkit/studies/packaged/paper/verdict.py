@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbdkit.analysis.verdict import UNDECIDED, Answer, Verdict, told
-from mbdkit.analysis.verdicts.comparison import growth, orders, work
-from mbdkit.analysis.verdicts.effort import substitution, times
-from mbdkit.analysis.verdicts.prediction import joints, knee
-from mbdkit.analysis.verdicts.published import magnitudes, ranking, trajectories
+from mbdkit.studies.packaged.paper.computation_time import substitution, times
+from mbdkit.studies.packaged.paper.method_comparison import growth, orders, work
+from mbdkit.studies.packaged.paper.paper_predictions import joints, knee
+from mbdkit.studies.packaged.paper.published_results import magnitudes, ranking, trajectories
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study
@@ -27,7 +27,7 @@ NOTES = (
 )
 
 
-def paper(study: Study) -> Verdict:
+def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `paper`.
 
     Parameters

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbdkit.analysis.verdict import Answer, Claim, Column, Table, Verdict, exceeds, told
-from mbdkit.analysis.verdicts.combination import COMBINATION, state_of, two
-from mbdkit.analysis.verdicts.points import value
+from mbdkit.studies.packaged.drift.combination import COMBINATION, state_of, two
+from mbdkit.studies.point_selection import value
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
@@ -58,7 +58,7 @@ class Held:
         return f"{self.mechanism}, {self.method}"
 
 
-def no_drift(study: Study) -> Verdict:
+def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `no-drift`.
 
     Parameters

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 from mbdkit.analysis.order import observed_order
 from mbdkit.analysis.verdict import Cell, Column, Table, Verdict
-from mbdkit.analysis.verdicts.points import STEP, Points, value
+from mbdkit.studies.point_selection import STEP, Points, value
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
 
 
-def general(study: Study) -> Verdict:
+def general_verdict(study: Study) -> Verdict:
     """Return what can be said of any study: its extremes, and observed orders where steps vary.
 
     Parameters

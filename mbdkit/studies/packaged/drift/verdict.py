@@ -17,8 +17,8 @@ from mbdkit.analysis.verdict import (
     together,
     told,
 )
-from mbdkit.analysis.verdicts.combination import Combination, Undetermined, combinations
-from mbdkit.analysis.verdicts.drift_figures import energies, errors
+from mbdkit.studies.packaged.drift.combination import Combination, Undetermined, combinations
+from mbdkit.studies.packaged.drift.drift_figures import energies, errors
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study
@@ -70,7 +70,7 @@ NOTE = (
 )
 
 
-def drift(study: Study) -> Verdict:
+def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `drift`.
 
     Parameters

@@ -11,9 +11,9 @@ from mbdkit.archive.reader import load
 from mbdkit.errors import SpecError
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_spec import StudySpec
-from mbdkit.studies import study_index as table
-from mbdkit.studies.folder import StudyFolder
+from mbdkit.studies import study_index
 from mbdkit.studies.pool import Outcome
+from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Row
 
 #: Reasons that a second attempt may do away with.
@@ -22,7 +22,7 @@ PASSING = ("interrupted", "plugin-error", "worker-died", "error")
 MISSING = Outcome("missing", "")
 
 
-class Ledger:
+class KnownRuns:
     """What is known of the runs in a study's folder.
 
     Parameters
@@ -40,7 +40,7 @@ class Ledger:
         self._outcomes: dict[str, Outcome] = {}
         rows: tuple[Row, ...] = ()
         try:
-            before = table.read(folder.index)
+            before = study_index.read(folder.index)
         except SpecError:
             pass  # there is none, or a damaged one: the files say it all again
         else:

@@ -20,7 +20,7 @@ from mbdkit.analysis.verdict import (
     exceeds,
     together,
 )
-from mbdkit.analysis.verdicts.points import METHOD, MODEL, STEP, family, value
+from mbdkit.studies.point_selection import METHOD, MODEL, STEP, family, value
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

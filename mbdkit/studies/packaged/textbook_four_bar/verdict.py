@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.analysis.cost import at_equal_work, work_for
+from mbdkit.analysis.number_text import least_most, two_digits
 from mbdkit.analysis.verdict import (
     Answer,
     Axis,
@@ -29,9 +30,8 @@ from mbdkit.analysis.verdict import (
     together,
     told,
 )
-from mbdkit.analysis.verdicts.four_angles import GROUND, LENGTHS, LoopRun, integrate
-from mbdkit.analysis.verdicts.points import METHOD, STEP, family, value
-from mbdkit.analysis.verdicts.words import least_most, two_digits
+from mbdkit.studies.packaged.textbook_four_bar.textbook_equations import GROUND, LENGTHS, LoopRun, integrate
+from mbdkit.studies.point_selection import METHOD, STEP, family, value
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -59,7 +59,7 @@ def loop_residual(run: Run) -> np.ndarray:
     return np.asarray(total - (GROUND, 0.0))
 
 
-def textbook(study: Study) -> Verdict:
+def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `textbook-four-bar`.
 
     Parameters

@@ -1,0 +1,37 @@
+"""The packaged studies: a folder for each, with its study.yaml and, where it has one of its own, its verdict.py."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mbdkit.registry.items import StudyPlugin
+
+if TYPE_CHECKING:
+    from mbdkit.analysis.verdict import Verdict
+    from mbdkit.studies.study import Study
+
+
+def _packaged(name: str, summary: str, *references: str) -> StudyPlugin:
+    """Return the study in the folder of this name, with hyphens as underscores."""
+    folder = Path(__file__).parent / name.replace("-", "_")
+
+    def verdict(
+        study: Study,
+    ) -> Verdict:  # imports the module at the call: verdicts need SciPy, loading plugins does not
+        module = importlib.import_module(f"{__name__}.{folder.name}.verdict")
+        judged: Verdict = module.verdict(study)
+        return judged
+
+    has_verdict = (folder / "verdict.py").is_file()
+    return StudyPlugin(name, summary, folder / "study.yaml", verdict if has_verdict else None, references)
+
+
+STUDIES = (
+    _packaged("paper", "Results, claims and predictions of the paper on RK-Gill and Gauss methods, computed again."),
+    _packaged("convergence", "Error and misalignment of the double pendulum against the step, for six methods."),
+    _packaged("drift", "Order, drift, energy and cost of formulations and stabilizations."),
+    _packaged("no-drift", "Misalignment over 100,000 steps with projected methods and index-reduced formulations."),
+    _packaged("textbook-four-bar", "The four-bar linkage of a textbook: its published loop residuals and ours."),
+)

@@ -1,0 +1,1 @@
+"""The packaged study `drift`: formulations and stabilizations against drift, and their cost."""
