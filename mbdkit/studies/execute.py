@@ -12,11 +12,11 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.study_spec import SECOND_RUN, StudySpec
 from mbdkit.studies import study_index
 from mbdkit.studies.collect import collect
-from mbdkit.studies.judge import check_verdict
 from mbdkit.studies.known_runs import KnownRuns
 from mbdkit.studies.planned_points import plan_points
 from mbdkit.studies.pool import Outcome, Pool, Task
 from mbdkit.studies.study_folder import StudyFolder
+from mbdkit.studies.verdict_lookup import check_verdict
 from mbdkit.text import counted
 
 #: Called with (pieces of work done, pieces in all, runs that failed); a run is one, and so are its repeated timings.

@@ -1,37 +1,17 @@
-"""Finds and calls the verdict function of a study."""
+"""Judges a study by the verdict function that its spec names."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.errors import PluginError, SpecError
-from mbdkit.registry.items import StudyPlugin
-from mbdkit.registry.manager import registry
-from mbdkit.text import did_you_mean, listed, one_line
+from mbdkit.studies.verdict_lookup import find_verdict
+from mbdkit.text import one_line
 
 if TYPE_CHECKING:
     from mbdkit.analysis.verdict import Verdict
     from mbdkit.registry.catalogue import Registered
-    from mbdkit.spec.study_spec import StudySpec
     from mbdkit.studies.study import Study
-
-
-def check_verdict(spec: StudySpec) -> None:
-    """Check that the verdict exists that a study names.
-
-    Parameters
-    ----------
-    spec
-        The study's spec; its ``verdict`` is the name of a packaged study with a verdict function, or empty.
-
-    Raises
-    ------
-    SpecError
-        If there is no such verdict.
-    """
-    if spec.verdict:
-        _find(spec)
 
 
 def judge(study: Study) -> Verdict:
@@ -54,7 +34,7 @@ def judge(study: Study) -> Verdict:
         from mbdkit.studies.general_verdict import general_verdict
 
         return general_verdict(study)
-    item, function = _find(study.spec)
+    item, function = find_verdict(study.spec)
     try:
         found: Any = function(study)
     except (LookupError, ValueError) as error:
@@ -65,23 +45,6 @@ def judge(study: Study) -> Verdict:
             raise
         raise PluginError(f"the verdict of '{item.id}' raised {one_line(error)}") from error
     return _checked(found, item)
-
-
-def _find(spec: StudySpec) -> tuple[Registered, Callable[[Study], Any]]:
-    """Return the item of the verdict that a spec names, and its function."""
-    installed = registry()
-    named = {item: item.plugin.verdict for item in installed.of_kind("study") if isinstance(item.plugin, StudyPlugin)}
-    judges = {item: function for item, function in named.items() if function is not None}
-    if any(spec.verdict in (item.name, item.id) for item in judges):
-        try:
-            found = installed.get("study", spec.verdict)
-        except SpecError as error:  # several distributions use the name
-            raise spec.placed(SpecError(error.message, key="verdict")) from None
-        return found, judges[found]
-    names = [installed.accepted(item)[0] for item in judges]
-    hint, advice = did_you_mean(spec.verdict, names), installed.advice(spec.verdict)
-    message = f"there is no verdict '{spec.verdict}'{hint}; verdicts: {listed(names)}{advice}"
-    raise spec.placed(SpecError(message, key="verdict"))
 
 
 def _checked(found: Any, item: Registered) -> Verdict:

@@ -16,7 +16,7 @@ from pydantic import BaseModel
 
 class Euler(mbdkit.StepMethod):
     def step(self, equations, t, state, h):
-        a, _ = problem.accelerations(t, state.q, state.v)
+        a, _ = equations.accelerations(t, state.q, state.v)
         return state.moved(h * (state.v + h * a), h * a)
 
 @mbdkit.hookimpl
