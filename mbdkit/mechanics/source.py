@@ -14,7 +14,7 @@ from mbdkit.engine.stabilization import NONE
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.simulation import build
+from mbdkit.run_preparation import build
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.stepping.python_method import StepError
 

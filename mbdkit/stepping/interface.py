@@ -71,6 +71,14 @@ class Stretch:
     """(T, 4) of the interval that ends at each row, if the run is stabilized: projections made, largest correction of
     positions [m] and of velocities [m/s] in the mass metric, largest of Baumgarte's terms [m/s^2, rad/s^2]."""
 
+    def rows(self, part: slice | np.ndarray) -> Stretch:
+        """Return some of the rows: a slice, or a mask (T,)."""
+        chosen: dict[str, Any] = {}
+        for field in fields(self):
+            values = getattr(self, field.name)
+            chosen[field.name] = None if values is None else values[part]
+        return Stretch(**chosen)
+
 
 def joined(stretches: Sequence[Stretch]) -> Stretch:
     """Return stretches that follow each other as one; what one of them lacks is left out."""
