@@ -2,48 +2,33 @@
 
 from __future__ import annotations
 
-import math
-import os
-import platform
-import shlex
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.disk_space import check_room, row_bytes
-from mbdkit.archive.layout import CORRECTIONS, EVENTS
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.engine.assembly import AssembledState, assemble
-from mbdkit.engine.compile_mechanism import compile_mechanism
-from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.redundancy import require_unique_start, without_redundancy
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import MbdkitError, PluginError, SpecError
-from mbdkit.mechanism.bodies import Body
-from mbdkit.mechanism.checks import check_springs
-from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.methods.baumgarte_stability import stiff_baumgarte
-from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
-from mbdkit.recorder import SINGULARITY, Recorder, archive_names, shared_forces
+from mbdkit.errors import MbdkitError
+from mbdkit.methods.kinds import Method
+from mbdkit.provenance import provenance
+from mbdkit.recorder import Recorder, archive_names, shared_forces
+from mbdkit.run_preparation import build, caution, check_disk_space, make_method, optional_arrays, timetable
 from mbdkit.spec import RunSpec, load_spec
-from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch, Timetable
+from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch
 from mbdkit.stepping.start import start_method
-from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
+from mbdkit.stepping.warm_up import to_stderr
 from mbdkit.text import one_line
 
 if TYPE_CHECKING:
@@ -108,26 +93,21 @@ def simulate(
     begin = time.perf_counter()
     if path is not None:
         check_target(path, overwrite=overwrite)
-    method = _method(spec)
+    method = make_method(spec)
     warning = caution(spec, method)
     if warning:
         notify(f"warning: {warning}")
     workspace, start = build(spec, notify)
-    _check_room(spec, workspace.mechanism, path)
+    check_disk_space(spec, workspace.mechanism, path)
     writer = ArchiveWriter(
         path,
         archive_names(workspace.mechanism),
         spec.canonical_json(),
         spec.sha256(),
         spec.run_id(),
-        {**_provenance(spec), "assembly": start.describe(), **({"warning": warning} if warning else {})},
+        {**provenance(spec), "assembly": start.describe(), **({"warning": warning} if warning else {})},
         spec.output.recorded,
-        extra_datasets=[
-            *_own_multipliers(method, spec.formulation),
-            *_nearness(workspace.mechanism),
-            *CORRECTIONS[workspace.stabilization.kind],
-            *(EVENTS if spec.events else ()),
-        ],
+        extra_datasets=optional_arrays(spec, method, workspace.mechanism),
         overwrite=overwrite,
         shared=shared_forces(workspace.mechanism),
     )
@@ -136,124 +116,6 @@ def simulate(
     except BaseException:
         writer.abandon()
         raise
-
-
-def caution(spec: RunSpec, method: Method | None = None) -> str:
-    """Return in a sentence what a spec asks for that may be run but will hardly serve; empty where all is well.
-
-    Parameters
-    ----------
-    spec
-        The spec.
-    method
-        Its method, where that is at hand.
-
-    Raises
-    ------
-    PluginError
-        Where a plugin fails to make the method.
-    """
-    method = method if method is not None else _method(spec)
-    return stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
-
-
-def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Workspace, AssembledState]:
-    """Compile a spec's mechanism and make its start consistent.
-
-    Parameters
-    ----------
-    spec
-        The spec.
-    notify
-        Told what takes long.
-
-    Returns
-    -------
-    Workspace
-        Ready to be stepped.
-    AssembledState
-        The start, and what assembly moved.
-
-    Raises
-    ------
-    SpecError
-        Where joints cannot meet, or the start has no unique accelerations.
-    """
-    mechanism = spec.mechanism()
-    ensure_compiled(notify)
-    try:
-        compiled = compile_mechanism(mechanism)
-        start = assemble(mechanism, spec.time.start, compiled)
-        check_springs(mechanism.forces, _placed(mechanism, start))
-        compiled = without_redundancy(compiled, spec.time.start, start.q.ravel(), start.v.ravel(), spec.time.final)
-        workspace = Workspace(
-            compiled,
-            spec.time.start,
-            _padded(start.q),
-            _padded(start.v),
-            formulation=spec.formulation,
-            stabilization=spec.stabilized,
-        )
-        require_unique_start(workspace)
-    except SpecError as error:
-        raise spec.placed(error) from error
-    return workspace, start
-
-
-def _check_room(spec: RunSpec, mechanism: CompiledMechanism, path: Path | None) -> None:
-    """Raise SpecError where the archive will not fit.
-
-    How many rows come cannot be foretold where an adaptive method records its steps, or the clock may end the run.
-    """
-    time, output = spec.time, spec.output
-    if spec.limits.wall_time is not None:
-        return
-    if output.interval is not None:
-        rows = math.ceil((time.final - time.start) / output.interval) + 1
-    elif time.count is not None and not spec.claims.adaptive:
-        rows = math.ceil(min(time.count, spec.limits.max_steps) / (output.every or 1)) + 1
-    else:
-        return
-    row = row_bytes(len(mechanism.bodies), len(mechanism.joints), len(mechanism.rows), output.recorded)
-    try:
-        check_room(path, rows, row, output.every)
-    except SpecError as error:
-        raise spec.placed(error) from None
-
-
-def _method(spec: RunSpec) -> Method:
-    """Return the method that the spec asks for; a plugin that fails to make one raises PluginError."""
-    try:
-        method: Method = spec.integrator_plugin.create(spec.integrator)
-    except MbdkitError as error:
-        raise PluginError(f"integrator {spec.integrator_item.id}: {error}") from error
-    except Exception as error:
-        raise PluginError(f"integrator {spec.integrator_item.id} failed to start: {one_line(error)}") from error
-    if not isinstance(method, Method):
-        raise PluginError(
-            f"integrator {spec.integrator_item.id} made {type(method).__name__}, not one of "
-            "ExplicitRungeKutta, ImplicitRungeKutta and SciPySolver, nor of a class derived from StepMethod"
-        )
-    if isinstance(method, SciPySolver) and spec.stabilized.kind == "projection":
-        raise PluginError(
-            f"integrator {spec.integrator_item.id} claims that it can be projected, which no solver of SciPy can: "
-            'it should claim `stabilizations=("none", "baumgarte")`'
-        )
-    return method
-
-
-def _own_multipliers(method: Method, formulation: str) -> list[str]:
-    """Return the path of the multipliers that the method itself carries, if it does."""
-    if isinstance(method, ImplicitRungeKutta):
-        carries = formulation != "index-1"
-    else:
-        carries = bool(getattr(method, "carries_multipliers", False))
-    return ["constraints/method_multiplier"] if carries else []
-
-
-def _nearness(mechanism: CompiledMechanism) -> list[str]:
-    """Return the path of the distance to singularity, which a mechanism without joints has not."""
-    return [SINGULARITY] if mechanism.solved_rows else []
 
 
 class _Simulation:
@@ -292,7 +154,7 @@ class _Simulation:
     def start(self) -> None:
         """Let the method make its stepper."""
         try:
-            stepper = start_method(self.method, self.workspace, _timetable(self.spec))
+            stepper = start_method(self.method, self.workspace, timetable(self.spec))
         except SingularSystemError as error:
             name = self.workspace.mechanism.unknown_name(error.index)
             self.failure = Failure("singular", f"the stage equations are singular at the start, near {name}.")
@@ -367,35 +229,6 @@ class _Simulation:
         return load(self.writer.path)
 
 
-def _placed(mechanism: Mechanism, start: AssembledState) -> Callable[[str], Body]:
-    """Return what tells a body by its name where assembly put it."""
-    poses = dict(zip(mechanism.bodies, start.q, strict=True))
-
-    def body(name: str) -> Body:
-        x, y, angle = map(float, poses[name])
-        return mechanism.bodies[name].model_copy(update={"position": (x, y), "angle": angle})
-
-    return body
-
-
-def _padded(x: np.ndarray) -> np.ndarray:
-    """Return a state (B, 3) as a flat vector with ground at its end."""
-    return np.concatenate([x.ravel(), np.zeros(3)])
-
-
-def _timetable(spec: RunSpec) -> Timetable:
-    return Timetable(
-        start=spec.time.start,
-        end=spec.time.final,
-        step=spec.time.step,
-        steps=spec.time.count or 0,
-        every=spec.output.every or 1,
-        interval=spec.output.interval,
-        max_steps=spec.limits.max_steps,
-        single=bool(spec.events),
-    )
-
-
 def _watch(spec: RunSpec, workspace: Workspace, stepper: Stepper) -> Watch:
     """Return the stepper with a watch on it for the events of a spec."""
     from mbdkit.events.watch import Watch, Watched
@@ -422,32 +255,3 @@ def _interrupts(simulation: _Simulation) -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-@cache
-def _versions() -> dict[str, str]:
-    packages = ("numpy", "scipy", "numba", "llvmlite", "h5py", "pydantic", "pluggy")
-    return {name: version(name) for name in packages}
-
-
-def _provenance(spec: RunSpec) -> dict[str, str | int | float]:
-    """Return what a stranger needs to know of how the run came about."""
-    found: dict[str, str | int | float] = {
-        "mbdkit": version("mbdkit"),
-        "python": platform.python_version(),
-        **_versions(),
-        "platform": platform.platform(),
-        "processor": platform.machine(),
-        "cpu_count": os.cpu_count() or 0,
-        "command": shlex.join(sys.argv),
-    }
-    for kind, item in (("model", spec.model_item), ("integrator", spec.integrator_item)):
-        found[kind] = item.id
-        found[f"{kind}_distribution"] = item.origin.distribution
-        found[f"{kind}_version"] = item.origin.version
-        found[f"{kind}_entry_point"] = item.origin.entry_point
-    if laws := spec.force_law_items:
-        found["force_laws"] = ", ".join(item.id for item in laws)
-        for part in ("distribution", "version", "entry_point"):
-            found[f"force_laws_{part}"] = ", ".join(getattr(item.origin, part) for item in laws)
-    return found

@@ -15,7 +15,7 @@ from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import blocks, data_sha256, datasets, is_text, spec_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE, cause
 from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, Array
-from mbdkit.archive.reader import open_archive
+from mbdkit.archive.open_archive import open_archive
 from mbdkit.errors import SpecError
 
 

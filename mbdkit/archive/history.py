@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
+from typing import Any, Protocol, TypeVar, overload
 
 import numpy as np
 
 from mbdkit.archive.layout import BY_PATH, MIXED
 from mbdkit.errors import MbdkitError
 from mbdkit.text import did_you_mean, listed
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 
 class UnknownNameError(MbdkitError, KeyError):
@@ -34,7 +31,7 @@ class NotRecordedError(MbdkitError, KeyError):
     def __init__(self, what: str):
         why = "`output.quantities` in its spec says what it records"
         if what in BY_PATH and BY_PATH[what].optional:
-            why = "its method and its stabilization bring none"
+            why = "its method, stabilization and events do not produce it"
         super().__init__(f"this run did not record {what}; {why}")
 
     def __str__(self) -> str:
@@ -42,7 +39,15 @@ class NotRecordedError(MbdkitError, KeyError):
 
 
 class Source(Protocol):
-    """Where columns are read from: a run."""
+    """What histories are read from: a run."""
+
+    def array(self, path: str) -> np.ndarray:
+        """Return the whole array at `path`."""
+        ...
+
+    def records(self, path: str) -> bool:
+        """Return whether the run recorded the array at `path`."""
+        ...
 
     def column(self, path: str, index: int | None, part: slice | int | None) -> np.ndarray:
         """Return the array at `path`, at `index` of its second axis and `part` of its third."""
@@ -225,14 +230,13 @@ class Events(Sequence[Event]):
         self.position, self.velocity = position, velocity
 
     @classmethod
-    def of(cls, run: Run) -> Events:
-        """Return the crossings that a run recorded."""
-        watched = tuple(run.spec.get("events") or ())
+    def of(cls, run: Source, watched: Sequence[str], bodies: int) -> Events:
+        """Return the crossings that a run with the events `watched` recorded."""
         if watched and run.records("events/time"):
             names = ("name", "time", "direction", "position", "velocity")
             return cls(watched, *(run.array(f"events/{name}") for name in names))
         none = np.zeros(0)
-        states = np.zeros((0, len(run.bodies), 3))
+        states = np.zeros((0, bodies, 3))
         return cls(watched, none.astype(object), none, none.astype(np.int64), states, states)
 
     def of_name(self, name: str) -> Events:

@@ -1,21 +1,14 @@
-"""Opens a run archive, or says in a sentence why it cannot."""
+"""`mbdkit.load`."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
-import h5py
-
-from mbdkit.archive.hdf5_errors import cause, reading
-from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
-from mbdkit.archive.part_file import part_path
 from mbdkit.archive.run import Run
-from mbdkit.errors import SpecError
 
 
 def load(path: str | Path) -> Run:
-    """Open a run archive; its arrays are read when they are asked for.
+    """Open a run archive; its arrays are read when they are first used.
 
     Parameters
     ----------
@@ -30,56 +23,6 @@ def load(path: str | Path) -> Run:
     Raises
     ------
     SpecError
-        If there is no archive there that this version can read.
+        If there is no archive at `path` that this version can read.
     """
-    path = Path(path)
-    return Run(open_archive(path), path)
-
-
-def open_archive(path: Path) -> h5py.File:
-    """Open the file of a run archive for reading, its format and version checked.
-
-    Raises
-    ------
-    SpecError
-        If it is missing, in use, truncated, no archive, or of a newer format.
-    """
-    if os.path.isdir(path):
-        raise SpecError("this is a folder; name a run archive in it", file=path)
-    if not os.path.exists(path):
-        left = part_path(path)
-        hint = f"; {left} is what an unfinished run has written so far" if left.exists() else ""
-        raise SpecError(f"there is no such file{hint}", file=path)
-    try:
-        file = h5py.File(path, "r", locking="best-effort")
-    except BlockingIOError:
-        raise SpecError("a run is still writing this archive; wait until it has ended", file=path) from None
-    except OSError as error:
-        text = str(error)
-        if "signature not found" in text:
-            why = "this is not an HDF5 file, so not a run archive"
-        elif "truncated" in text:
-            why = "this archive is truncated: its end is missing, as after an incomplete copy"
-        else:
-            why = f"this file cannot be read: {cause(error)}"
-        raise SpecError(why, file=path) from error
-    try:
-        _check_format(file, path)
-    except BaseException:
-        file.close()
-        raise
-    return file
-
-
-def _check_format(file: h5py.File, path: Path) -> None:
-    with reading("its format", path):
-        kind, version = file.attrs.get("format"), file.attrs.get("format_version")
-    if kind != FORMAT:
-        what = f"of the format {kind!r}" if isinstance(kind, str) else "an HDF5 file of another kind"
-        raise SpecError(f"this is not a run archive but {what}", file=path)
-    ours = FORMAT_VERSION.partition(".")[0]
-    if not isinstance(version, str) or version.partition(".")[0] != ours:
-        raise SpecError(
-            f"this archive has format version {version}, this mbdkit reads {ours}.x; install a version that matches",
-            file=path,
-        )
+    return Run.open(Path(path))

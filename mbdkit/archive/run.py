@@ -26,6 +26,7 @@ from mbdkit.archive.history import (
     Steps,
     UnknownNameError,
 )
+from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.part_file import Target
 from mbdkit.errors import MbdkitError, RunError, SpecError
 
@@ -76,6 +77,11 @@ class Run:
         except SpecError:
             file.close()
             raise
+
+    @classmethod
+    def open(cls, path: Path) -> Run:
+        """Open the archive at `path`; see `mbdkit.load`."""
+        return cls(open_archive(path), path)
 
     @property
     def path(self) -> Path | None:
@@ -228,7 +234,7 @@ class Run:
     @property
     def events(self) -> Events:
         """The crossings of the spec's events, in order of time; none where the spec has no events."""
-        return Events.of(self)
+        return Events.of(self, tuple(self.spec.get("events") or ()), len(self.bodies))
 
     @cached_property
     def _largest_misalignments(self) -> np.ndarray:
@@ -354,7 +360,7 @@ class Run:
 
     def summary(self) -> str:
         """Return what matters about the run on a few lines of plain text."""
-        from mbdkit.archive.run_summary import summary
+        from mbdkit.archive.run_summary import summary  # the one import against the layers: a convenience for users
 
         return summary(self)
 
@@ -415,9 +421,7 @@ class Run:
     def __reduce__(self) -> tuple[Any, ...]:
         if self._path is None:
             raise TypeError("a run in memory cannot be pickled; save it to a file and load that")
-        from mbdkit.archive.reader import load
-
-        return load, (str(self._path.resolve()),)
+        return Run.open, (self._path.resolve(),)
 
     def __repr__(self) -> str:
         where = "in memory" if self._path is None else str(self._path)

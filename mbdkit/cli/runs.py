@@ -64,7 +64,7 @@ def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> N
     from mbdkit.spec import load_spec
 
     checked = load_spec(spec, assignments or ())
-    from mbdkit.simulation import build, caution
+    from mbdkit.run_preparation import build, caution
 
     mechanism = checked.mechanism()
     problem, start = build(checked)

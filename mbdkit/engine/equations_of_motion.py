@@ -109,15 +109,9 @@ class EquationsOfMotion:
         t0
             Time of the start [s].
         """
-        from mbdkit.engine.assembly import assemble
-        from mbdkit.engine.compile_mechanism import compile_mechanism
-        from mbdkit.engine.redundancy import without_redundancy
+        from mbdkit.engine.consistent_start import workspace_at_start
 
-        compiled = compile_mechanism(mechanism)
-        start = assemble(mechanism, t0, compiled)
-        q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
-        compiled = without_redundancy(compiled, t0, start.q.ravel(), start.v.ravel(), t0)
-        return cls(Workspace(compiled, t0, q0, v0))
+        return cls(workspace_at_start(mechanism, t0)[0])
 
     @property
     def terms_now(self) -> np.ndarray:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from mbdkit.engine.counters import Counters
 from mbdkit.engine.workspace import Workspace
 from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings
 from mbdkit.events.event_expression import RunExpression
-from mbdkit.events.observation import Observer
+from mbdkit.events.quantities import QuantityEvaluator
 from mbdkit.stepping import interface
 from mbdkit.stepping.interface import Failure, Stepper, StepTaken, Stretch, joined
 
@@ -62,18 +62,18 @@ class Found:
 
 def values_at_start(expressions: Mapping[str, RunExpression], workspace: Workspace) -> dict[str, float]:
     """Return the values of expressions at the start of a run; nan where they have none."""
-    observer, functions = _prepared(list(expressions.values()), workspace)
-    values = observer.values([workspace.t0], workspace.q0[None], workspace.v0[None])[0]
+    evaluator, functions = _prepared(list(expressions.values()), workspace)
+    values = evaluator.values([workspace.t0], workspace.q0[None], workspace.v0[None])[0]
     return {name: function(values) for name, function in zip(expressions, functions, strict=True)}
 
 
 def _prepared(
     expressions: Sequence[RunExpression], workspace: Workspace
-) -> tuple[Observer, list[Callable[[Sequence[float]], float]]]:
+) -> tuple[QuantityEvaluator, list[Callable[[Sequence[float]], float]]]:
     """Return what evaluates the quantities of all expressions at once, and the expressions as functions of them."""
     quantities = list(dict.fromkeys(quantity for one in expressions for quantity in one.quantities))
     places = {quantity: place for place, quantity in enumerate(quantities, start=1)}
-    return Observer(workspace, quantities), [one.function(places) for one in expressions]
+    return QuantityEvaluator(workspace, quantities), [one.function(places) for one in expressions]
 
 
 class Watch:
@@ -96,7 +96,7 @@ class Watch:
 
     def __init__(self, stepper: Stepper, workspace: Workspace, events: Sequence[Watched]):
         self.stepper, self.events = stepper, events
-        self.observer, self._functions = _prepared([event.when for event in events], workspace)
+        self._quantities, self._functions = _prepared([event.when for event in events], workspace)
         self._signs = [0] * len(events)
         self._recorded = workspace.t0
         self._found: list[Found] = []
@@ -188,10 +188,10 @@ class Watch:
     def _shown(self, step: StepTaken) -> list[list[tuple[float, float]]]:
         """Return for each event its scalar at the beginning of a step, inside, and at its end."""
         if self._values is None:
-            self._values = self.observer.values([step.t0], step.q0[None], step.v0[None])[0]
+            self._values = self._quantities.values([step.t0], step.q0[None], step.v0[None])[0]
         states = [*(self.stepper.inside(theta) for theta in INSIDE), (step.q1, step.v1)]
         q, v = (np.array([state[part] for state in states]) for part in range(2))
-        rows = [self._values, *self.observer.values([step.time(theta) for theta in (*INSIDE, 1.0)], q, v)]
+        rows = [self._values, *self._quantities.values([step.time(theta) for theta in (*INSIDE, 1.0)], q, v)]
         self._values = rows[-1]
         return [list(zip((0.0, *INSIDE, 1.0), map(function, rows), strict=True)) for function in self._functions]
 
@@ -202,19 +202,14 @@ class Watch:
 
         def scalar(theta: float) -> float:
             q, v = state(theta)
-            return self._functions[number](self.observer.values([step.time(theta)], q[None], v[None])[0])
+            return self._functions[number](self._quantities.values([step.time(theta)], q[None], v[None])[0])
 
         return scalar
 
     def _cut(self, stretch: Stretch, theta: float) -> Stretch:
         """End the run; return the rows before with that of the end, unless it is recorded already."""
         end = self.stepper.cut(theta)
-        before = stretch.time < end.time[0]
-        values: dict[str, Any] = {}
-        for field in fields(Stretch):
-            value = getattr(stretch, field.name)
-            values[field.name] = None if value is None else value[before]
-        kept = Stretch(**values)
+        kept = stretch.rows(stretch.time < end.time[0])
         if end.time[0] <= max([self._recorded, *kept.time]):
             return kept
         return joined([kept, end]) if len(kept.time) else end

@@ -14,7 +14,7 @@ from mbdkit.engine.stabilization import NONE
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import SpecError, StepError
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.simulation import build
+from mbdkit.run_preparation import build
 from mbdkit.spec import RunSpec, load_spec
 
 UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}

@@ -73,6 +73,14 @@ class Stretch:
     """(T, 4) of the interval that ends with each row, if the run is stabilized: number of projections, largest
     correction of positions [m] and of velocities [m/s] in the mass metric, largest Baumgarte term [m/s^2, rad/s^2]."""
 
+    def rows(self, part: slice | np.ndarray) -> Stretch:
+        """Return some of the rows: a slice, or a mask (T,)."""
+        chosen: dict[str, Any] = {}
+        for field in fields(self):
+            values = getattr(self, field.name)
+            chosen[field.name] = None if values is None else values[part]
+        return Stretch(**chosen)
+
 
 def joined(stretches: Sequence[Stretch]) -> Stretch:
     """Return consecutive stretches as one; an optional array that is None in one of them is None in the result."""

@@ -66,8 +66,9 @@ def _run_everything(check: Callable[[], None]) -> None:
     from mbdkit.engine.assembly import assemble
     from mbdkit.engine.compile_mechanism import compile_mechanism
     from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
-    from mbdkit.engine.kernels.observe import baumgarte_at, observe
-    from mbdkit.engine.singularity import nearest_singularity, new_vectors
+    from mbdkit.engine.kernels.observe import baumgarte_at
+    from mbdkit.engine.observed_states import StateObserver
+    from mbdkit.engine.singularity import nearest_singularity
     from mbdkit.engine.workspace import Workspace
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.methods import gauss, rk4
@@ -97,12 +98,6 @@ def _run_everything(check: Callable[[], None]) -> None:
         stretch = stepper.advance()
         stepper.inside(0.5)
         stepper.within(0.5)
-        rows, pairs = len(stretch.time), len(compiled.topology.pairs)
-        shape = (rows, pairs, 2)
-        observe(
-            workspace.engine, stretch.time, stretch.q, stretch.v,
-            np.zeros_like(stretch.q), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros((rows, pairs, 3)),
-            np.zeros(rows), np.zeros(rows), np.zeros(rows),
-            np.zeros((rows, 0, pairs, 2)), np.zeros((rows, 0, pairs, 3)), new_vectors(workspace),
-        )  # fmt: skip
+        observer = StateObserver(workspace)
+        observer.observe(stretch.time, stretch.q, stretch.v, observer.arrays(len(stretch.time)))
     nearest_singularity(Workspace(compiled, 0.0, q0, v0), 0.0, q0)

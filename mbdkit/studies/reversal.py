@@ -12,7 +12,7 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError, StepError
-from mbdkit.simulation import build
+from mbdkit.run_preparation import build
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Stretch, Timetable
 from mbdkit.stepping.start import start_method

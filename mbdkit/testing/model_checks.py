@@ -13,7 +13,8 @@ from mbdkit.engine.kernels.motions import MAX_DEPTH, motions_at
 from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.catalogue import Registered, Registry
-from mbdkit.simulation import build, simulate
+from mbdkit.run_preparation import build
+from mbdkit.simulation import simulate
 from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, skipped, warned

@@ -62,7 +62,7 @@ def test_summary_tells_of_stabilization_and_of_its_corrections() -> None:
         told = "stabilization projection, every 2; 10 projections, moved by at most 9e-09 m and 2e-08 m/s"
         assert told in run.summary()
         np.testing.assert_array_equal(run.steps.position_correction, corrected["position_correction"])
-        with pytest.raises(MbdkitError, match="acceleration_correction; its method and its stabilization bring none"):
+        with pytest.raises(MbdkitError, match="acceleration_correction; its method, stabilization and events do"):
             _ = run.steps.acceleration_correction
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.kernels.observe import constraints_at, first_order_rates, observe, tangents_at
-from mbdkit.engine.singularity import new_vectors
+from mbdkit.engine.kernels.observe import constraints_at, first_order_rates, tangents_at
+from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
 
@@ -68,24 +68,18 @@ class Compiled:
 
     def observed(self, *, pivoted: bool = False) -> Any:
         """Return what `observe` says: kinetic and potential energy, accelerations, multipliers, reactions."""
-        pairs = len(self.top.pairs)
         if pivoted:
             constraints_at(self.top, self.scratch, self.t, self.q, self.v)
             self.problem.use_pivots()
-        acc, lam = np.zeros((1, len(self.q))), np.zeros((1, pairs, 2))
-        phi, rate, reactions = np.zeros((1, pairs, 2)), np.zeros((1, pairs, 2)), np.zeros((1, pairs, 3))
-        kinetic, potential = np.zeros((2, 1))
-        spare = len(self.top.spare)
-        stresses = np.zeros((1, spare, pairs, 2)), np.zeros((1, spare, pairs, 3))
-        near = np.zeros(1), *stresses, new_vectors(self.problem)
-        arguments = (acc, lam, phi, rate, reactions, kinetic, potential, *near)
-        for _ in range(2):
-            status, _ = observe(self.problem.engine, np.array([self.t]), self.q[None], self.v[None], *arguments)
-            if status == OK:
-                break
-            self.problem.use_pivots()
-        assert status == OK
-        return (float(kinetic[0]), float(potential[0])), acc[0, : self.n], lam[0], reactions[0]
+        observer = StateObserver(self.problem)
+        found = observer.arrays(1)
+        assert observer.observe(np.array([self.t]), self.q[None], self.v[None], found) is None
+        return (
+            (float(found.kinetic[0]), float(found.potential[0])),
+            found.acc[0, : self.n],
+            found.lam[0],
+            found.reactions[0],
+        )
 
     def tangents(self) -> None:
         """Evaluate forces and all tangents into the scratch."""

@@ -213,7 +213,7 @@ def test_a_law_without_a_finite_derivative_serves_an_explicit_method() -> None:
 
 def test_a_law_whose_potential_is_no_number_ends_the_run_by_its_energy() -> None:
     run = mbdkit.run(with_law("no-potential"), integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.01})
-    assert run.status_reason.startswith("not-finite: the energy is no finite number at the state")
+    assert run.status_reason.startswith("not-finite: the energy is not a finite number at the state")
     assert 0.4 < run.time[-1] <= 0.5
 
 

@@ -11,7 +11,7 @@ import mbdkit
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.errors import SpecError
 from mbdkit.methods.kinds import SciPySolver
-from mbdkit.simulation import caution
+from mbdkit.run_preparation import caution
 from mbdkit.spec import load_spec
 from mbdkit.spec.run_spec import spec_type
 from mbdkit.spec.schema import run_schema

@@ -14,8 +14,8 @@ import pytest
 import sympy as sp
 
 from mbdkit.engine.compile_mechanism import compile_mechanism
-from mbdkit.engine.kernels.observe import constraints_at, observe
-from mbdkit.engine.singularity import new_vectors
+from mbdkit.engine.kernels.observe import constraints_at
+from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.forces import Force
@@ -87,16 +87,15 @@ def random_state(m: Mechanism, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def engine(m: Mechanism, t: float, q: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
     """Return what the compiled engine has for each of the arrays of `SymbolicSystem.evaluate`."""
     compiled = compile_mechanism(m)
-    top, n, pairs = compiled.topology, len(q) - 3, len(compiled.topology.pairs)
+    top, n = compiled.topology, len(q) - 3
     problem = Workspace(compiled, t, q, v)
     w = problem.scratch
     constraints_at(top, w, t, q, v)
     problem.use_pivots()
-    acc, lam = np.zeros((1, n + 3)), np.zeros((1, pairs, 2))
-    others = np.zeros((1, pairs, 2)), np.zeros((1, pairs, 2)), np.zeros((1, pairs, 3)), np.zeros(1), np.zeros(1)
-    none = np.zeros(1), np.zeros((1, 0, pairs, 2)), np.zeros((1, 0, pairs, 3)), new_vectors(problem)
-    status, _ = observe(problem.engine, np.array([t]), q[None], v[None], acc, lam, *others, *none)
-    assert status == 0
+    observer = StateObserver(problem)
+    found = observer.arrays(1)
+    assert observer.observe(np.array([t]), q[None], v[None], found) is None
+    acc, lam = found.acc, found.lam
     rows = [(row.pair, row.place) for row in compiled.rows]
     jacobian = np.zeros((len(rows), n + 3))
     for i, (pair, place) in enumerate(rows):

@@ -1,6 +1,10 @@
-"""What is recorded of a state: index-1 accelerations, multipliers, residuals, reactions and energies."""
+"""Kernels that evaluate given states: accelerations, multipliers, residuals, reactions, energies and tangents."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
 
 from mbdkit.engine.jit.decorators import kernel, subkernel
 from mbdkit.engine.kernels.constraints import constraint_positions, constraint_tangents
@@ -22,7 +26,7 @@ from mbdkit.engine.singularity import singularity_distance
 
 @subkernel
 def reactions_of(top, w, lam, out):
-    """Write force (x, y) and torque of every pair on its second body, at that body's joint point, into `out` (P, 3)."""
+    """Write force (x, y) and torque of every pair on its second body, at the joint point there, into `out` (P, 3)."""
     for k in range(len(top.pairs)):
         b = top.pairs[k, 2]
         for d in range(3):
@@ -33,12 +37,66 @@ def reactions_of(top, w, lam, out):
         out[k, 2] -= arm_x * out[k, 1] - arm_y * out[k, 0]
 
 
+class Observed(NamedTuple):
+    """Values computed from T states, one array for each quantity; the pairs are those of the topology."""
+
+    acc: np.ndarray
+    """(T, 3 (B + 1)) index-1 accelerations, ground last."""
+    lam: np.ndarray
+    """(T, P, 2) multipliers."""
+    phi: np.ndarray
+    """(T, P, 2) constraint residuals Phi."""
+    phi_rate: np.ndarray
+    """(T, P, 2) their rates Phi_q v + Phi_t."""
+    reactions: np.ndarray
+    """(T, P, 3) force (x, y) and torque of the first body on the second, at the joint point of the second."""
+    kinetic: np.ndarray
+    """(T,) kinetic energy [J]."""
+    potential: np.ndarray
+    """(T,) potential energy of gravity and springs [J]."""
+    singularity_distance: np.ndarray
+    """(T,) see `mbdkit.engine.singularity`."""
+
+    @staticmethod
+    def zeros(states: int, bodies: int, pairs: int) -> Observed:
+        """Return arrays for T = `states`, filled with zeros."""
+        return Observed(
+            acc=np.zeros((states, 3 * (bodies + 1))),
+            lam=np.zeros((states, pairs, 2)),
+            phi=np.zeros((states, pairs, 2)),
+            phi_rate=np.zeros((states, pairs, 2)),
+            reactions=np.zeros((states, pairs, 3)),
+            kinetic=np.zeros(states),
+            potential=np.zeros(states),
+            singularity_distance=np.zeros(states),
+        )
+
+    def rows(self, part: slice) -> Observed:
+        """Return views of some of the states."""
+        return Observed(*(values[part] for values in self))
+
+
+class SelfStress(NamedTuple):
+    """For each of T states and D redundant directions, constraint forces that cause no acceleration."""
+
+    lam: np.ndarray
+    """(T, D, P, 2) multipliers, 1 in the redundant direction itself."""
+    reactions: np.ndarray
+    """(T, D, P, 3) their reactions, as in `Observed`."""
+
+    @staticmethod
+    def zeros(states: int, directions: int, pairs: int) -> SelfStress:
+        """Return arrays for T = `states`, filled with zeros."""
+        return SelfStress(np.zeros((states, directions, pairs, 2)), np.zeros((states, directions, pairs, 3)))
+
+    def rows(self, part: slice) -> SelfStress:
+        """Return views of some of the states."""
+        return SelfStress(*(values[part] for values in self))
+
+
 @kernel
-def observe(
-    engine, times, q, v, acc, lam, phi, phi_rate, reactions, kinetic, potential, distance,
-    self_stress, its_reactions, near,
-):  # fmt: skip
-    """Evaluate recorded states in a row.
+def observe(engine, times, q, v, out, stress, near):
+    """Evaluate states one after another.
 
     Parameters
     ----------
@@ -48,48 +106,39 @@ def observe(
         Times [s].
     q, v : (T, 3 (B + 1)) arrays
         Positions and velocities, ground last.
-    acc : (T, 3 (B + 1)) array
-        Receives accelerations.
-    lam, phi, phi_rate : (T, P, 2) arrays
-        Receive multipliers, residuals Phi and their rates Phi_q v + Phi_t.
-    reactions : (T, P, 3) array
-        Receives force (x, y) and torque that the first body exerts on the second, at the second's joint point.
-    kinetic, potential : (T,) arrays
-        Receive energies [J].
-    distance : (T,) array
-        Receives the distance to singularity.
-    self_stress : (T, D, P, 2) array
-        Receives, for each redundant direction, the multipliers that go with 1 in it and do not move anything.
-    its_reactions : (T, D, P, 3) array
-        Receives their reactions.
+    out : Observed
+        Receives the values.
+    stress : SelfStress
+        Receives the self-stresses of a mechanism with redundant constraints.
     near : (P, 11) array
-        What `mbdkit.engine.singularity` keeps from row to row.
+        Vectors that `mbdkit.engine.singularity` keeps from one state to the next.
 
     Returns
     -------
     status : int
         OK, or why the index-1 system could not be solved.
     row : int
-        The row at which it stopped.
+        Number of states evaluated; on failure, the index of the state that failed.
     """
     h = load_engine(engine)
     top, w, solver = h.top, h.w, h.solver
     bodies = len(top.mass) - 1
     for r in range(len(times)):
         prepare(top, w, times[r], q[r])
-        status = solve_accelerations(top, w, solver, q[r], v[r], acc[r], lam[r], True)
+        lam = out.lam[r]
+        status = solve_accelerations(top, w, solver, q[r], v[r], out.acc[r], lam, True)
         if status != OK:
             return status, r
-        distance[r] = singularity_distance(top, w, solver, near)
+        out.singularity_distance[r] = singularity_distance(top, w, solver, near)
         for i in range(len(top.spare)):
-            transferred(top, w, solver, i, self_stress[r, i])
+            transferred(top, w, solver, i, stress.lam[r, i])
             dx, dy = spare_direction(top, w.cs, i)
             for k in range(len(top.pairs)):
                 for row in range(2):
-                    self_stress[r, i, k, row] = -self_stress[r, i, k, row]
-            self_stress[r, i, top.spare[i, 0], 0] += dx
-            self_stress[r, i, top.spare[i, 0], 1] += dy
-        if len(top.spare) > 0:
+                    stress.lam[r, i, k, row] = -stress.lam[r, i, k, row]
+            stress.lam[r, i, top.spare[i, 0], 0] += dx
+            stress.lam[r, i, top.spare[i, 0], 1] += dy
+        if len(top.spare) > 0:  # restore the rows that the solution combined
             constraint_rows(top, w, q[r], v[r])
         constraint_positions(top.pairs, top.pair_parameters, q[r], w.cs, w.u, w.phi, w.phi_t)
         for k in range(len(top.pairs)):
@@ -98,23 +147,23 @@ def observe(
                 rate = w.phi_t[k, i]
                 for d in range(3):
                     rate += w.jac[k, 6 * i + d] * v[r, 3 * a + d] + w.jac[k, 6 * i + 3 + d] * v[r, 3 * b + d]
-                phi[r, k, i] = w.phi[k, i]
-                phi_rate[r, k, i] = rate
-        reactions_of(top, w, lam[r], reactions[r])
+                out.phi[r, k, i] = w.phi[k, i]
+                out.phi_rate[r, k, i] = rate
+        reactions_of(top, w, lam, out.reactions[r])
         for i in range(len(top.spare)):
-            reactions_of(top, w, self_stress[r, i], its_reactions[r, i])
+            reactions_of(top, w, stress.lam[r, i], stress.reactions[r, i])
         energy = 0.0
         for b in range(bodies):
             for d in range(3):
                 energy += 0.5 * top.mass[b, d] * v[r, 3 * b + d] * v[r, 3 * b + d]
-        kinetic[r] = energy
-        potential[r] = potential_energy(top.springs, top.laws, top.mass, top.gravity, q[r], w.tension)
+        out.kinetic[r] = energy
+        out.potential[r] = potential_energy(top.springs, top.laws, top.mass, top.gravity, q[r], w.tension)
     return OK, len(times)
 
 
 @kernel
 def tangents_at(engine, t, q, v, acc, lam):
-    """Solve for accelerations and multipliers and evaluate all tangents there; return a status."""
+    """Solve for accelerations and multipliers of a state and evaluate all tangents there; return a status."""
     h = load_engine(engine)
     top, w, solver = h.top, h.w, h.solver
     prepare(top, w, t, q)
@@ -126,7 +175,7 @@ def tangents_at(engine, t, q, v, acc, lam):
 
 @kernel
 def baumgarte_at(engine, t, q, v):
-    """Return the largest of Baumgarte's terms at a state [m/s^2, rad/s^2]; 0 without them."""
+    """Return the largest Baumgarte term of a state [m/s^2, rad/s^2]; 0 without Baumgarte stabilization."""
     h = load_engine(engine)
     prepare(h.top, h.w, t, q)
     return constraint_rows(h.top, h.w, q, v)
@@ -134,7 +183,7 @@ def baumgarte_at(engine, t, q, v):
 
 @kernel
 def first_order_rates(engine, has_power, t, y, acc, lam, rates):
-    """Write the right side of the first-order form, y = (q, v, work, dissipated), into `rates`; return a status.
+    """Write the right-hand side of the first-order form, y = (q, v, work, dissipated), into `rates`; return a status.
 
     `y` and `rates` are (6 B + 2,); `acc` (3, 3 (B + 1)) and `lam` (P, 2) are scratch.
     """
@@ -164,14 +213,14 @@ def constraints_at(top, w, t, q, v):
 
 @kernel
 def stiffness_at(top, w, t, q, rest, lam):
-    """Evaluate d(Phi_q^T lam)/dq of every pair into ``w.stiff``; `rest` (3 (B + 1),) are zeros."""
+    """Evaluate d(Phi_q^T lam)/dq of every pair into ``w.stiff``; `rest` (3 (B + 1),) is a vector of zeros."""
     prepare(top, w, t, q)
     constraint_tangents(top.pairs, top.pair_parameters, q, rest, rest, w.cs, w.u, lam, w.stiff, w.gamma_v, w.res_q)
 
 
 @kernel
 def note_all(engine, times, q, worst):
-    """Raise `worst` (P,) by the squared misalignments of the states `q` (T, 3 (B + 1)) at `times` (T,)."""
+    """Update `worst` (P,), the largest squared norm of each pair's Phi, by the states `q` (T, 3 (B + 1)) at `times`."""
     h = load_engine(engine)
     top, w = h.top, h.w
     for r in range(len(times)):

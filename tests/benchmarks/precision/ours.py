@@ -6,7 +6,7 @@ import functools
 from typing import Any
 
 from mbdkit.errors import SpecError
-from mbdkit.simulation import build
+from mbdkit.run_preparation import build
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.start import start_method

@@ -1,0 +1,62 @@
+"""Opens the file of a run archive and checks its format."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import h5py
+
+from mbdkit.archive.hdf5_errors import cause, reading
+from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
+from mbdkit.archive.part_file import part_path
+from mbdkit.errors import SpecError
+
+
+def open_archive(path: Path) -> h5py.File:
+    """Open the file of a run archive for reading, its format and version checked.
+
+    Raises
+    ------
+    SpecError
+        If it is missing, in use, truncated, no archive, or of a newer format.
+    """
+    if os.path.isdir(path):
+        raise SpecError("this is a folder; name a run archive in it", file=path)
+    if not os.path.exists(path):
+        left = part_path(path)
+        hint = f"; {left} is what an unfinished run has written so far" if left.exists() else ""
+        raise SpecError(f"there is no such file{hint}", file=path)
+    try:
+        file = h5py.File(path, "r", locking="best-effort")
+    except BlockingIOError:
+        raise SpecError("a run is still writing this archive; wait until it has ended", file=path) from None
+    except OSError as error:
+        text = str(error)
+        if "signature not found" in text:
+            why = "this is not an HDF5 file, so not a run archive"
+        elif "truncated" in text:
+            why = "this archive is truncated: its end is missing, as after an incomplete copy"
+        else:
+            why = f"this file cannot be read: {cause(error)}"
+        raise SpecError(why, file=path) from error
+    try:
+        _check_format(file, path)
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def _check_format(file: h5py.File, path: Path) -> None:
+    with reading("its format", path):
+        kind, version = file.attrs.get("format"), file.attrs.get("format_version")
+    if kind != FORMAT:
+        what = f"of the format {kind!r}" if isinstance(kind, str) else "an HDF5 file of another kind"
+        raise SpecError(f"this is not a run archive but {what}", file=path)
+    ours = FORMAT_VERSION.partition(".")[0]
+    if not isinstance(version, str) or version.partition(".")[0] != ours:
+        raise SpecError(
+            f"this archive has format version {version}, this mbdkit reads {ours}.x; install a version that matches",
+            file=path,
+        )

@@ -1,0 +1,57 @@
+"""Quantities of joints, summed over the pairs of constraint rows that make up each joint."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+
+
+def joint_of_pairs(mechanism: CompiledMechanism) -> np.ndarray:
+    """Return the number of the joint that each pair belongs to, (P,)."""
+    joint = {pair: number for number, pairs in enumerate(mechanism.joint_pairs) for pair in pairs}
+    return np.array([joint[pair] for pair in range(len(mechanism.topology.pairs))], dtype=np.int64)
+
+
+class JointSums:
+    """Turns values of pairs into values of joints.
+
+    Parameters
+    ----------
+    mechanism
+        The compiled mechanism. Both rows of a pair have the same unit.
+
+    Attributes
+    ----------
+    joint : (P,) int array
+        Number of the joint that each pair belongs to.
+    """
+
+    def __init__(self, mechanism: CompiledMechanism):
+        self._joints = len(mechanism.joints)
+        self.joint = joint_of_pairs(mechanism)
+        pairs = len(mechanism.topology.pairs)
+        self._is_length = np.zeros(pairs, dtype=bool)
+        self._is_length[[row.pair for row in mechanism.rows if row.unit == "m"]] = True
+
+    def misalignment(self, residual: np.ndarray) -> np.ndarray:
+        """Return how far joints fail to meet, (T, J) [m], from the residuals (T, P, 2) of their pairs.
+
+        The same of residual rates gives the relative velocity [m/s].
+        """
+        return self.misalignment_of_squares(residual[..., 0] ** 2 + residual[..., 1] ** 2)
+
+    def misalignment_of_squares(self, squares: np.ndarray) -> np.ndarray:
+        """Return the misalignment of joints, (..., J), from the squared norms (..., P) of the residuals of pairs."""
+        return np.sqrt(self.sum(np.where(self._is_length, squares, 0.0)[..., None])[..., 0])
+
+    def angle_misalignment(self, residual: np.ndarray) -> np.ndarray:
+        """Return the angles by which joints fail to meet, (T, J) [rad], from the residuals (T, P, 2) of their pairs."""
+        angles = np.where(self._is_length, 0.0, np.abs(residual[..., 0]) + np.abs(residual[..., 1]))
+        return self.sum(angles[..., None])[..., 0]
+
+    def sum(self, values: np.ndarray) -> np.ndarray:
+        """Sum values (..., P, n) of pairs over each joint: (..., J, n)."""
+        out = np.zeros((self._joints, *values.shape[:-2], values.shape[-1]))
+        np.add.at(out, self.joint, np.moveaxis(values, -2, 0))
+        return np.moveaxis(out, 0, -2)

@@ -1,0 +1,108 @@
+"""Accelerations, reactions and energies of given states: the Python side of `mbdkit.engine.kernels.observe`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.joint_sums import joint_of_pairs
+from mbdkit.engine.kernels.observe import Observed, SelfStress, observe
+from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.redundant_reactions import share_evenly
+from mbdkit.engine.singularity import new_vectors
+from mbdkit.engine.workspace import Workspace
+
+SELF_STRESS_BYTES = 1 << 25
+"""Bound on the buffer for self-stresses, which are needed only until the reactions are shared."""
+
+
+@dataclass(frozen=True)
+class SingularState:
+    """A state without unique accelerations: its row, and the unknown where elimination failed (-1 if not known)."""
+
+    row: int
+    unknown: int
+
+
+class StateObserver:
+    """Evaluates states of one run.
+
+    The distance to singularity of a state is found by iteration from the state before, so that an observer should be
+    given the states of a run in order of time.
+
+    Parameters
+    ----------
+    workspace
+        The mechanism and its solver.
+    """
+
+    def __init__(self, workspace: Workspace):
+        self.workspace = workspace
+        mechanism = workspace.mechanism
+        self._bodies, self._pairs = len(mechanism.bodies), len(mechanism.topology.pairs)
+        self._directions = len(mechanism.topology.spare)
+        self._pair_joint = joint_of_pairs(mechanism)
+        self._near = new_vectors(workspace)
+        self._stress = SelfStress.zeros(0, self._directions, self._pairs)
+
+    def arrays(self, states: int) -> Observed:
+        """Return arrays that `observe` can fill, for T = `states`."""
+        return Observed.zeros(states, self._bodies, self._pairs)
+
+    def observe(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, out: Observed) -> SingularState | None:
+        """Fill `out`, from the first state to the last or to one without unique accelerations.
+
+        Where elimination with the present pivots fails, new pivots are chosen once for that state.
+
+        Parameters
+        ----------
+        times
+            (T,) times [s].
+        q, v
+            (T, 3 (B + 1)) positions and velocities, ground last; C-contiguous.
+        out
+            Receives the values of T states.
+
+        Returns
+        -------
+        SingularState or None
+            The state that could not be evaluated; its row of `out` and all later ones are void.
+        """
+        count = len(times)
+        done, repivoted = 0, -1
+        while done < count:
+            part = slice(done, min(done + self._most_states(), count))
+            stress, rows = self._self_stress(part.stop - done), out.rows(part)
+            engine = self.workspace.engine
+            status, reached = observe(engine, times[part], q[part], v[part], rows, stress, self._near)
+            if self._directions and reached:
+                self._share(out.rows(slice(done, done + reached)), stress.rows(slice(0, reached)))
+            done += reached
+            if status == OK:
+                continue
+            if repivoted == done:
+                return SingularState(done, -1)
+            try:
+                self.workspace.use_pivots()
+            except SingularSystemError as error:
+                return SingularState(done, error.index)
+            repivoted = done
+        return None
+
+    def _share(self, observed: Observed, stress: SelfStress) -> None:
+        """Replace the reactions of redundant joints by those of least norm."""
+        length = self.workspace.mechanism.length
+        share_evenly(observed.lam, observed.reactions, stress.lam, stress.reactions, self._pair_joint, length)
+
+    def _most_states(self) -> int:
+        """Return the number of states whose self-stresses fit into the buffer."""
+        size = 40 * self._directions * self._pairs
+        return max(1, SELF_STRESS_BYTES // size) if size else np.iinfo(np.int64).max
+
+    def _self_stress(self, states: int) -> SelfStress:
+        """Return arrays for the self-stresses of at least so many states."""
+        if self._directions and len(self._stress.lam) < states:
+            self._stress = SelfStress.zeros(states, self._directions, self._pairs)
+        return self._stress

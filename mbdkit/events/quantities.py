@@ -1,0 +1,110 @@
+"""Values of the quantities that event expressions are made of, at states of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.joint_sums import JointSums
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.workspace import Workspace
+from mbdkit.events.event_expression import BODY, Quantity
+
+_REACTION = ("force_x", "force_y", "torque")
+_KINEMATIC = (*BODY[:6], "angle")
+"""Attributes that follow from positions and velocities alone."""
+
+
+class _States(NamedTuple):
+    """K states, and what the engine computes from them; without `observed` if no quantity needs it."""
+
+    q: np.ndarray
+    v: np.ndarray
+    observed: Observed | None
+
+    @property
+    def dynamics(self) -> Observed:
+        """What the engine computes."""
+        assert self.observed is not None
+        return self.observed
+
+
+class QuantityEvaluator:
+    """Evaluates quantities at states; quantities of positions and velocities alone do not call the engine.
+
+    Parameters
+    ----------
+    workspace
+        The mechanism and the solver of the run.
+    quantities
+        The quantities to evaluate.
+    """
+
+    def __init__(self, workspace: Workspace, quantities: Sequence[Quantity]):
+        self.workspace, self.quantities = workspace, quantities
+        mechanism = workspace.mechanism
+        self._body = {name: index for index, name in enumerate([*mechanism.bodies, "ground"])}
+        self._joint = {name: index for index, name in enumerate(mechanism.joints)}
+        self._joints = JointSums(mechanism)
+        self._columns = [self._column(quantity) for quantity in quantities]
+        self._needs_engine = any(quantity.attribute not in _KINEMATIC for quantity in quantities)
+        self._observer = StateObserver(workspace)
+        self._buffers: dict[int, Observed] = {}
+
+    def values(self, times: Sequence[float], q: np.ndarray, v: np.ndarray) -> list[list[float]]:
+        """Return for each of K states its time and the quantities after it; nan where a quantity has no value.
+
+        Parameters
+        ----------
+        times
+            (K,) times [s].
+        q, v
+            (K, 3 (B + 1)) positions and velocities, ground last.
+        """
+        states = _States(q, v, self._observed(np.array(times), q, v) if self._needs_engine else None)
+        columns = [times, *(column(states).tolist() for column in self._columns)]
+        return [list(row) for row in zip(*columns, strict=True)]
+
+    def _column(self, quantity: Quantity) -> Callable[[_States], np.ndarray]:
+        """Return a function for the (K,) values of a quantity."""
+        mechanism, name, attribute = self.workspace.mechanism, quantity.name, quantity.attribute
+        if quantity.kind == "energy":
+            kinetic, potential = attribute != "potential", attribute != "kinetic"
+            return lambda states: kinetic * states.dynamics.kinetic + potential * states.dynamics.potential
+        if quantity.kind == "bodies":
+            level, coordinate = divmod(BODY.index(attribute), 3)
+            place = 3 * self._body[name] + coordinate
+            if level == 2:
+                return lambda states: states.dynamics.acc[:, place]
+            return lambda states: (states.v if level else states.q)[:, place]
+        joint = self._joint[name]
+        if attribute == "angle":
+            first, second = (3 * self._body[body] + 2 for body in mechanism.joint_bodies[joint])
+            return lambda states: states.q[:, second] - states.q[:, first]
+        if attribute == "misalignment":
+            return lambda states: self._joints.misalignment(states.dynamics.phi)[:, joint]
+        pairs = list(mechanism.joint_pairs[joint])
+        if attribute == "force":
+            return lambda states: np.hypot(*np.sum(states.dynamics.reactions[:, pairs, :2], axis=1).T)
+        component = _REACTION.index(attribute)
+        return lambda states: np.sum(states.dynamics.reactions[:, pairs, component], axis=1)
+
+    def _observed(self, times: np.ndarray, q: np.ndarray, v: np.ndarray) -> Observed:
+        """Return what the engine computes from states; nan for a state without unique accelerations."""
+        count, begin = len(times), 0
+        if count not in self._buffers:
+            self._buffers[count] = self._observer.arrays(count)
+        observed = self._buffers[count]
+        while begin < count:
+            rest = slice(begin, count)
+            singular = self._observer.observe(times[rest], q[rest], v[rest], observed.rows(rest))
+            if singular is None:
+                break
+            row = begin + singular.row
+            for values in observed:
+                values[row] = np.nan
+            begin = row + 1
+        return observed

@@ -1,0 +1,41 @@
+"""Where a run comes from: the attributes of ``/provenance`` in its archive."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+import sys
+from functools import cache
+from importlib.metadata import version
+
+from mbdkit.spec import RunSpec
+
+
+@cache
+def _versions() -> dict[str, str]:
+    packages = ("numpy", "scipy", "numba", "llvmlite", "h5py", "pydantic", "pluggy")
+    return {name: version(name) for name in packages}
+
+
+def provenance(spec: RunSpec) -> dict[str, str | int | float]:
+    """Return the versions, platform, command and plugins that produce a run."""
+    found: dict[str, str | int | float] = {
+        "mbdkit": version("mbdkit"),
+        "python": platform.python_version(),
+        **_versions(),
+        "platform": platform.platform(),
+        "processor": platform.machine(),
+        "cpu_count": os.cpu_count() or 0,
+        "command": shlex.join(sys.argv),
+    }
+    for kind, item in (("model", spec.model_item), ("integrator", spec.integrator_item)):
+        found[kind] = item.id
+        found[f"{kind}_distribution"] = item.origin.distribution
+        found[f"{kind}_version"] = item.origin.version
+        found[f"{kind}_entry_point"] = item.origin.entry_point
+    if laws := spec.force_law_items:
+        found["force_laws"] = ", ".join(item.id for item in laws)
+        for part in ("distribution", "version", "entry_point"):
+            found[f"force_laws_{part}"] = ", ".join(getattr(item.origin, part) for item in laws)
+    return found

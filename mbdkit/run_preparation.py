@@ -1,0 +1,149 @@
+"""What a run needs before its first step: method, workspace, timetable, optional arrays, disk space."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+from mbdkit.archive.disk_space import check_room, row_bytes
+from mbdkit.archive.layout import CORRECTIONS, EVENTS
+from mbdkit.engine.assembly import AssembledState
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.consistent_start import workspace_at_start
+from mbdkit.engine.redundancy import require_unique_start
+from mbdkit.engine.workspace import Workspace
+from mbdkit.errors import MbdkitError, PluginError, SpecError
+from mbdkit.methods.baumgarte_stability import stiff_baumgarte
+from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
+from mbdkit.spec import RunSpec
+from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
+from mbdkit.text import one_line
+
+
+def caution(spec: RunSpec, method: Method | None = None) -> str:
+    """Return a warning about settings that are valid but unlikely to work; empty if there is none.
+
+    Parameters
+    ----------
+    spec
+        The spec.
+    method
+        Its method, if it has been made already.
+
+    Raises
+    ------
+    PluginError
+        Where a plugin fails to make the method.
+    """
+    method = method if method is not None else make_method(spec)
+    return stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
+
+
+def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Workspace, AssembledState]:
+    """Compile the mechanism of a spec and make its start consistent.
+
+    Parameters
+    ----------
+    spec
+        The spec.
+    notify
+        Called with a message before work that takes long.
+
+    Returns
+    -------
+    Workspace
+        Ready to be integrated.
+    AssembledState
+        The start, and by how much assembly changed it.
+
+    Raises
+    ------
+    SpecError
+        Where joints cannot meet, or the start has no unique accelerations.
+    """
+    mechanism = spec.mechanism()
+    ensure_compiled(notify)
+    try:
+        workspace, start = workspace_at_start(
+            mechanism,
+            spec.time.start,
+            spec.time.final,
+            formulation=spec.formulation,
+            stabilization=spec.stabilized,
+        )
+        require_unique_start(workspace)
+    except SpecError as error:
+        raise spec.placed(error) from error
+    return workspace, start
+
+
+def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | None) -> None:
+    """Raise SpecError if the archive will not fit on its disk or in memory.
+
+    The number of rows is not known in advance if an adaptive method records its steps or wall time may end the run.
+    """
+    time, output = spec.time, spec.output
+    if spec.limits.wall_time is not None:
+        return
+    if output.interval is not None:
+        rows = math.ceil((time.final - time.start) / output.interval) + 1
+    elif time.count is not None and not spec.claims.adaptive:
+        rows = math.ceil(min(time.count, spec.limits.max_steps) / (output.every or 1)) + 1
+    else:
+        return
+    row = row_bytes(len(mechanism.bodies), len(mechanism.joints), len(mechanism.rows), output.recorded)
+    try:
+        check_room(path, rows, row, output.every)
+    except SpecError as error:
+        raise spec.placed(error) from None
+
+
+def make_method(spec: RunSpec) -> Method:
+    """Return the method of a spec; raises PluginError if the plugin fails to make it."""
+    try:
+        method: Method = spec.integrator_plugin.create(spec.integrator)
+    except MbdkitError as error:
+        raise PluginError(f"integrator {spec.integrator_item.id}: {error}") from error
+    except Exception as error:
+        raise PluginError(f"integrator {spec.integrator_item.id} failed to start: {one_line(error)}") from error
+    if not isinstance(method, Method):
+        raise PluginError(
+            f"integrator {spec.integrator_item.id} made {type(method).__name__}, not one of "
+            "ExplicitRungeKutta, ImplicitRungeKutta and SciPySolver, nor of a class derived from StepMethod"
+        )
+    if isinstance(method, SciPySolver) and spec.stabilized.kind == "projection":
+        raise PluginError(
+            f"integrator {spec.integrator_item.id} claims that it can be projected, which SciPy's solvers cannot: "
+            'it should claim `stabilizations=("none", "baumgarte")`'
+        )
+    return method
+
+
+def optional_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> list[str]:
+    """Return the paths of the optional arrays of the layout that a run records."""
+    if isinstance(method, ImplicitRungeKutta):
+        carries_multipliers = spec.formulation != "index-1"
+    else:
+        carries_multipliers = bool(getattr(method, "carries_multipliers", False))
+    return [
+        *(["constraints/method_multiplier"] if carries_multipliers else []),
+        *(["constraints/singularity_distance"] if mechanism.solved_rows else []),
+        *CORRECTIONS[spec.stabilized.kind],
+        *(EVENTS if spec.events else ()),
+    ]
+
+
+def timetable(spec: RunSpec) -> Timetable:
+    """Return the times of a run and of its recorded states."""
+    return Timetable(
+        start=spec.time.start,
+        end=spec.time.final,
+        step=spec.time.step,
+        steps=spec.time.count or 0,
+        every=spec.output.every or 1,
+        interval=spec.output.interval,
+        max_steps=spec.limits.max_steps,
+        single=bool(spec.events),
+    )
