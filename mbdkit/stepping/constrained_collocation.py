@@ -43,11 +43,10 @@ from mbdkit.engine.kernels.system import (
     NOT_FINITE,
     OK,
     REPIVOT_STAGES,
-    applied,
-    constraint_rows,
+    applied_forces,
     evaluate_powers,
     evaluate_tangents,
-    independent_rows,
+    solved_rows,
     prepare,
     solve_system,
     unfold_multipliers,
@@ -143,7 +142,7 @@ class Constrained(NamedTuple):
 
 
 def _example() -> Constrained:
-    from mbdkit.engine.kernels.equations import example_workspace
+    from mbdkit.engine.example_workspace import example_workspace
     from mbdkit.methods import radau_iia
     from mbdkit.methods.kinds import ImplicitRungeKutta
 
@@ -241,14 +240,13 @@ def _evaluate(c, m, t, h):
     for i in range(len(m.rk.c)):
         q, v, lack = m.q_stage[i], m.v_stage[i], m.lack[i]
         position_rows(top, w, t + m.rk.c[i] * h, q)
-        constraint_rows(top, w, q, v)
-        independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
+        solved_rows(top, w, q, v)
         for b in range(len(top.mass) - 1):
             lack[3 * b] = top.mass[b, 0] * (m.acc[i, 3 * b] - top.gravity[0])
             lack[3 * b + 1] = top.mass[b, 1] * (m.acc[i, 3 * b + 1] - top.gravity[1])
             lack[3 * b + 2] = top.mass[b, 2] * m.acc[i, 3 * b + 2]
         if has_forces:
-            applied(top, w, q, v)
+            applied_forces(top, w, q, v)
             for d in range(n3):
                 lack[d] -= w.force[d]
         rate_rows(top, w.jac, w.phi_t, v, m.pairs)
@@ -458,7 +456,7 @@ def attempt(common, own, t, h, want_error):
     if c.has_power[0] != 0:
         for i in range(s):
             _own_multipliers(c, t + m.rk.c[i] * h, m.q_stage[i], m.lam[i], m.pairs)
-            applied(c.top, c.w, m.q_stage[i], m.v_stage[i])
+            applied_forces(c.top, c.w, m.q_stage[i], m.v_stage[i])
             m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage[i], m.v_stage[i], m.pairs)
         c.counts[RHS] += s
         dense_gains(h, m.rk.b, m.power, c.gain)

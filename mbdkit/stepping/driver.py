@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.jit.cache import call_entry, kernel, part
-from mbdkit.engine.kernels.constraints import constraint_positions
+from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.projection import (
     mass_norm,
     project_positions,
@@ -82,17 +82,6 @@ def _baumgarte_term(c, t):
     """Return the largest ``|2 alpha (Phi_q v + Phi_t) + beta^2 Phi|`` at the state."""
     prepare(c.top, c.w, t, c.q)
     return constraint_rows(c.top, c.w, c.q, c.v)
-
-
-@part
-def note_misalignment(c, t, q):
-    """Raise ``worst`` (P,) to the squared norm of each pair's Phi where that is larger."""
-    prepare(c.still, c.w, t, q)
-    constraint_positions(c.still.pairs, c.still.pair_parameters, q, c.w.cs, c.w.u, c.w.phi, c.w.phi_t)
-    for k in range(len(c.worst)):
-        gap = c.w.phi[k, 0] * c.w.phi[k, 0] + c.w.phi[k, 1] * c.w.phi[k, 1]
-        if gap > c.worst[k]:
-            c.worst[k] = gap
 
 
 @part
@@ -310,7 +299,7 @@ def drive(
                 clock[TIME] = end
         else:
             clock[TIME] = reached if last else start + numbers[ACCEPTED] * step
-        note_misalignment(c, clock[TIME], c.q)
+        raise_misalignments(c.still, c.w, clock[TIME], c.q, c.worst)
         if last or (every > 0 and numbers[ACCEPTED] % every == 0):
             c.point_gain[0] = c.point_gain[1] = 0.0
             _write_row(c, rows, clock[TIME], c.q, c.v, c.point_gain, c.own_lam)

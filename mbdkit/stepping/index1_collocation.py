@@ -135,7 +135,7 @@ class Collocation(NamedTuple):
 
 
 def _example() -> Collocation:
-    from mbdkit.engine.kernels.equations import example_workspace
+    from mbdkit.engine.example_workspace import example_workspace
     from mbdkit.methods import gauss
     from mbdkit.methods.kinds import ImplicitRungeKutta
 

@@ -79,12 +79,8 @@ class Compiled:
         stresses = np.zeros((1, spare, pairs, 2)), np.zeros((1, spare, pairs, 3))
         near = np.zeros(1), *stresses, new_vectors(self.problem)
         arguments = (acc, lam, phi, rate, reactions, kinetic, potential, *near)
-        for _ in range(2):
-            status, _ = observe(self.problem.engine, np.array([self.t]), self.q[None], self.v[None], *arguments)
-            if status == OK:
-                break
-            self.problem.use_pivots()
-        assert status == OK
+        state = np.array([self.t]), self.q[None], self.v[None]
+        assert self.problem.retry_with_new_pivots(lambda: observe(self.problem.engine, *state, *arguments)[0]) == OK
         return (float(kinetic[0]), float(potential[0])), acc[0, : self.n], lam[0], reactions[0]
 
     def tangents(self) -> None:

@@ -34,9 +34,7 @@ _PACKAGE = Path(__file__).resolve().parents[2]
 def kernel_sources() -> list[Path]:
     """Return every source file whose text decides what a compiled kernel does, sorted."""
     rooms = ("engine/jit", "engine/kernels", "stepping")
-    return sorted(
-        [*(path for room in rooms for path in (_PACKAGE / room).glob("*.py")), _PACKAGE / "engine/singularity.py"]
-    )
+    return sorted(path for room in rooms for path in (_PACKAGE / room).glob("*.py"))
 
 
 def fingerprint() -> str:

@@ -5,8 +5,11 @@ from __future__ import annotations
 from mbdkit.engine.jit.cache import kernel, part
 from mbdkit.engine.kernels.constraints import constraint_positions, constraint_tangents
 from mbdkit.engine.kernels.forces import potential_energy
+from mbdkit.engine.kernels.misalignment import raise_misalignments
+from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.system import (
     OK,
+    constraint_rate,
     constraint_rows,
     evaluate_powers,
     evaluate_tangents,
@@ -17,7 +20,6 @@ from mbdkit.engine.kernels.system import (
     transferred,
 )
 from mbdkit.engine.kernels.vectors import copy
-from mbdkit.engine.singularity import singularity_distance
 
 
 @part
@@ -93,13 +95,9 @@ def observe(
             constraint_rows(top, w, q[r], v[r])
         constraint_positions(top.pairs, top.pair_parameters, q[r], w.cs, w.u, w.phi, w.phi_t)
         for k in range(len(top.pairs)):
-            a, b = top.pairs[k, 1], top.pairs[k, 2]
             for i in range(2):
-                rate = w.phi_t[k, i]
-                for d in range(3):
-                    rate += w.jac[k, 6 * i + d] * v[r, 3 * a + d] + w.jac[k, 6 * i + 3 + d] * v[r, 3 * b + d]
                 phi[r, k, i] = w.phi[k, i]
-                phi_rate[r, k, i] = rate
+                phi_rate[r, k, i] = constraint_rate(top.pairs, w.jac, w.phi_t, v[r], k, i)
         reactions_of(top, w, lam[r], reactions[r])
         for i in range(len(top.spare)):
             reactions_of(top, w, self_stress[r, i], its_reactions[r, i])
@@ -173,9 +171,5 @@ def stiffness_at(top, w, t, q, rest, lam):
 def note_all(engine, times, q, worst):
     """Raise `worst` (P,) by the squared misalignments of the states `q` (T, 3 (B + 1)) at `times` (T,)."""
     h = load_engine(engine)
-    top, w = h.top, h.w
     for r in range(len(times)):
-        prepare(top, w, times[r], q[r])
-        constraint_positions(top.pairs, top.pair_parameters, q[r], w.cs, w.u, w.phi, w.phi_t)
-        for k in range(len(worst)):
-            worst[k] = max(worst[k], w.phi[k, 0] * w.phi[k, 0] + w.phi[k, 1] * w.phi[k, 1])
+        raise_misalignments(h.top, h.w, times[r], q[r], worst)
