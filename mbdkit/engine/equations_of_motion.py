@@ -9,7 +9,7 @@ import numpy as np
 
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.iteration_matrix import IterationMatrix, Pivots, chosen_pivots, classes_of, vector
-from mbdkit.engine.jit.bundle import Hold
+from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels import equations
 from mbdkit.engine.kernels.observe import baumgarte_at
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
@@ -85,7 +85,7 @@ class EquationsOfMotion:
         mechanism = workspace.mechanism
         self._workspace = workspace
         top, scratch = workspace.stepping_topology, workspace.scratch
-        self._hold = Hold(equations.new_equations(top, scratch, workspace.solver))
+        self._hold = PinnedBundle(equations.new_equations(top, scratch, workspace.solver))
         self.address = self._hold.address
         self.n, self.m = 3 * len(mechanism.bodies), len(mechanism.solved_rows)
         self.bodies = mechanism.bodies

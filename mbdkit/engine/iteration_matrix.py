@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.engine.elimination_order import SingularSystemError, new_factors
-from mbdkit.engine.jit.bundle import Hold
+from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.equations import (
     DAMPING,
     GAMMA_V,
@@ -62,15 +62,15 @@ class Pivots:
     scatter: np.ndarray
     reference: np.ndarray
     """(n + m,) sizes of the pivots when they were chosen."""
-    free: list[Hold] = field(default_factory=list)
+    free: list[PinnedBundle] = field(default_factory=list)
     """Matrices that are no longer in use."""
 
-    def take(self, dtype: type) -> Hold:
+    def take(self, dtype: type) -> PinnedBundle:
         """Return storage for a matrix, recycled if possible."""
         if self.free:
             return self.free.pop()
         factors = new_factors(self.pattern, dtype)._replace(reference=self.reference)
-        return Hold(new_matrix(self.pattern, factors, self.scatter))
+        return PinnedBundle(new_matrix(self.pattern, factors, self.scatter))
 
 
 def chosen_pivots(workspace: Workspace, classes: np.ndarray, coefficients: np.ndarray) -> Pivots:

@@ -104,7 +104,10 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
                 coordinate(bodies, entry % 6),
                 RATE_SQUARED,
             )
-        for name, written, factor in (("gamma_v", e.GAMMA_V_ENTRIES, MINUS_RATE), ("res_q", e.RESIDUAL_Q_ENTRIES, RATE_SQUARED)):
+        for name, written, factor in (
+            ("gamma_v", e.GAMMA_V_ENTRIES, MINUS_RATE),
+            ("res_q", e.RESIDUAL_Q_ENTRIES, RATE_SQUARED),
+        ):
             for entry in written[kind]:
                 held = row_index[members, entry // 6] >= 0
                 if stabilized:  # the entries of the Jacobian are listed above
@@ -122,7 +125,12 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
         for i in e.GRADIENT_ENTRIES[path]:
             for j in e.GRADIENT_ENTRIES[path]:
                 entry = 6 * i + j
-                add(offsets["spring_stiff"] + 36 * members + entry, coordinate(bodies, i), coordinate(bodies, j), RATE_SQUARED)
+                add(
+                    offsets["spring_stiff"] + 36 * members + entry,
+                    coordinate(bodies, i),
+                    coordinate(bodies, j),
+                    RATE_SQUARED,
+                )
                 add(offsets["spring_damp"] + 36 * members + entry, coordinate(bodies, i), coordinate(bodies, j), RATE)
     for load, entries in ((POINT_FORCE, (2,)), (BODY_FORCE, (0, 1))):
         members = np.flatnonzero(top.loads[:, 0] == load)

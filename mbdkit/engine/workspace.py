@@ -17,7 +17,7 @@ from mbdkit.engine.elimination_order import (
     schur_schedule,
     symbolic_lu,
 )
-from mbdkit.engine.jit.bundle import Hold
+from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.motions import MAX_DEPTH
@@ -83,8 +83,8 @@ class Workspace:
             row_index=self.mechanism.row_index,
             failed=np.array([-1]),
         )
-        self._engine = Hold(Engine(top, self.scratch, self.solver))
-        self._stepping_engine = Hold(Engine(self.stepping_topology, self.scratch, self.solver))
+        self._engine = PinnedBundle(Engine(top, self.scratch, self.solver))
+        self._stepping_engine = PinnedBundle(Engine(self.stepping_topology, self.scratch, self.solver))
 
     @property
     def engine(self) -> int:

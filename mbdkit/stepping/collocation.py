@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mbdkit.engine.elimination_order import empty_pattern, new_factors
-from mbdkit.engine.jit.cache import part
+from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.kernels.system import OK, prepare, solve_accelerations
@@ -91,13 +91,13 @@ def _stacked(pattern: Pattern, count: int, dtype: type) -> Factors:
     return Factors(*(np.zeros((count, len(x)), x.dtype) for x in one))
 
 
-@part
+@subkernel
 def leading(rk):
     """Return the size of the eigenvalue whose system filters the estimates of the local error."""
     return rk.mu_real[0] if len(rk.mu_real) > 0 else abs(rk.mu_complex[0])
 
 
-@part
+@subkernel
 def first_acceleration(c, t, first, known, lam):
     """Solve for the acceleration at the beginning of a step, unless it is `known`; return a status."""
     if known[0] != 0:
@@ -111,7 +111,7 @@ def first_acceleration(c, t, first, known, lam):
     return status
 
 
-@part
+@subkernel
 def gap_at_beginning(h, rk, first, acc, weights, out):
     """Write ``h mu`` times what the acceleration at the beginning differs by from the collocation polynomial there.
 
@@ -126,7 +126,7 @@ def gap_at_beginning(h, rk, first, acc, weights, out):
         out[d] = rate * gap
 
 
-@part
+@subkernel
 def add_up(c, h, in_v, in_q, acc):
     """Write the increments of a step, from stage accelerations and their weights in velocities and positions (s,)."""
     c.dq[:] = 0.0
@@ -141,7 +141,7 @@ def add_up(c, h, in_v, in_q, acc):
         c.dq[d] += h * c.from_v[d] + h * c.v_low[d]
 
 
-@part
+@subkernel
 def state_inside(c, rk, h, theta, acc, weights):
     """Write the state at the share `theta` of the step by its collocation polynomial.
 
@@ -165,7 +165,7 @@ def state_inside(c, rk, h, theta, acc, weights):
         c.point_v[d] += c.from_v[d]
 
 
-@part
+@subkernel
 def report_divergence(c, iterations, change, stages):
     """Note the largest change of an acceleration, the coordinate and the iterations, for `stage_divergence`."""
     c.report[0], c.report[2] = 0.0, iterations

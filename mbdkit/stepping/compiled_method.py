@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 if TYPE_CHECKING:
-    from mbdkit.engine.jit.bundle import Hold
-    from mbdkit.engine.jit.cache import Entry
+    from mbdkit.engine.jit.bundle import PinnedBundle
+    from mbdkit.engine.jit.entry import Entry
     from mbdkit.engine.workspace import Workspace
     from mbdkit.stepping.run_state import Common
 
@@ -38,7 +38,7 @@ class Family(ABC):
     attempt: ClassVar[Entry]
     dense: ClassVar[Entry | None] = None
     hint: ClassVar[str] = "a smaller time.step may help"
-    hold: Hold
+    hold: PinnedBundle
     memory: tuple[np.ndarray, ...]
     has_dense_output: bool = False
     carries_multipliers: bool = False

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.jit.bundle import Hold
+from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
 from mbdkit.engine.workspace import Workspace
@@ -57,7 +57,7 @@ class CompiledStepper:
         self.time = timetable.start
         rows = max(2, min(MOST_ROWS, ROW_BYTES // (16 * workspace.mechanism.size)))
         self.common = new_common(workspace, rows, own_multipliers=family.carries_multipliers)
-        self.hold = Hold(self.common)
+        self.hold = PinnedBundle(self.common)
         self.worst_pairs = self.common.worst
         self.numbers = np.zeros(4, dtype=np.int64)
         clock = self.common.clock

@@ -33,8 +33,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
-from mbdkit.engine.jit.bundle import Hold, loader
-from mbdkit.engine.jit.cache import entry, part
+from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
+from mbdkit.engine.jit.decorators import entry, subkernel
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, RESIDUAL_Q, STIFFNESS
 from mbdkit.engine.kernels.lu import factorize, substitute
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
@@ -46,9 +46,9 @@ from mbdkit.engine.kernels.system import (
     applied_forces,
     evaluate_powers,
     evaluate_tangents,
-    solved_rows,
     prepare,
     solve_system,
+    solved_rows,
     unfold_multipliers,
 )
 from mbdkit.engine.kernels.vectors import copy, stays_finite
@@ -150,10 +150,10 @@ def _example() -> Constrained:
     return ConstrainedFamily(ImplicitRungeKutta(radau_iia.tableau(2)), workspace).own
 
 
-load_constrained = loader(_example)
+load_constrained = bundle_loader(_example)
 
 
-@part
+@subkernel
 def _predict(m, t, h):
     """Begin with the stages of the step before, carried on by their polynomials, or with free flight."""
     size = m.begun[1]
@@ -170,7 +170,7 @@ def _predict(m, t, h):
     return False
 
 
-@part
+@subkernel
 def _stages(c, m, h):
     """Evaluate positions and velocities of every stage."""
     stage_states(h, m.rk.a, m.rk.a2, m.rk.c, c.from_q, c.from_v, m.acc, m.q_stage, m.v_stage)
@@ -182,7 +182,7 @@ def _stages(c, m, h):
                     m.q_stage[i, d] -= w * m.push[j, d]
 
 
-@part
+@subkernel
 def _gather(c, m, rate, values):
     """Fill the scaled values of the matrix for ``rate = h mu``."""
     lower = 0.0 * rate if m.choice[0] == INDEX_3 else -0.5 * rate
@@ -201,7 +201,7 @@ def _gather(c, m, rate, values):
         values[x] *= m.systems.pattern.weight[x]
 
 
-@part
+@subkernel
 def _take_tangents(c, m, t, h):
     """Evaluate and factorize the matrices of all eigenvalues at the middle of the stages; return a status."""
     top, w, systems = c.top, c.w, m.systems
@@ -231,7 +231,7 @@ def _take_tangents(c, m, t, h):
     return OK
 
 
-@part
+@subkernel
 def _evaluate(c, m, t, h):
     """Evaluate what the equations of every stage lack into ``m.lack``."""
     top, w = c.top, c.w
@@ -263,7 +263,7 @@ def _evaluate(c, m, t, h):
     c.counts[RHS] += len(m.rk.c)
 
 
-@part
+@subkernel
 def _push_on(c, m, h):
     """Change mu so that both constraints can be met, and what the equations lack by the positions it moves (ggl)."""
     top, w = c.top, c.w
@@ -308,7 +308,7 @@ def _push_on(c, m, h):
     return OK
 
 
-@part
+@subkernel
 def _solve(c, m, h):
     """Solve the transformed systems for the change of every stage's accelerations and multipliers."""
     rk, systems = m.rk, m.systems
@@ -344,7 +344,7 @@ def _solve(c, m, h):
                 m.change[i, d] -= 2.0 * (y.real * x_complex[d].real - y.imag * x_complex[d].imag)
 
 
-@part
+@subkernel
 def _change_of_positions(c, m, h):
     """Write the change of every stage's positions into ``m.spread``."""
     for i in range(len(m.rk.c)):
@@ -357,7 +357,7 @@ def _change_of_positions(c, m, h):
             m.spread[i, d] = total
 
 
-@part
+@subkernel
 def _change_of_velocities(c, m, h):
     """Write the change of every stage's velocities into ``m.spread``."""
     for i in range(len(m.rk.c)):
@@ -368,7 +368,7 @@ def _change_of_velocities(c, m, h):
             m.spread[i, d] = total
 
 
-@part
+@subkernel
 def _is_noise(c, m, h, moved):
     """Return whether changes that shrink no more are the round-off of single forces, of stiff springs above all."""
     last = len(m.rk.c) - 1
@@ -377,7 +377,7 @@ def _is_noise(c, m, h, moved):
     )
 
 
-@part
+@subkernel
 def _iterate(c, m, t, h):
     """Solve the stage equations; return a status."""
     top = c.top
@@ -433,7 +433,7 @@ def _iterate(c, m, t, h):
     return OK
 
 
-@part
+@subkernel
 def _own_multipliers(c, t, q, lam, out):
     """Write multipliers of the rows that are solved for as those of the pairs' own rows; prepares the position."""
     prepare(c.top, c.w, t, q)
@@ -477,7 +477,7 @@ def attempt(common, own, t, h, want_error):
     return OK
 
 
-@part
+@subkernel
 def _estimate(c, m, h):
     """Write estimates of the local error, those of `mbdkit.stepping.index1_collocation` along the constraints.
 
@@ -560,7 +560,7 @@ class ConstrainedFamily(StageFamily):
     def __init__(self, method: ImplicitRungeKutta, workspace: Workspace):
         super().__init__(method, workspace)
         self.own = new_constrained(method, workspace, self.rk, self._no_systems())
-        self.hold = Hold(self.own)
+        self.hold = PinnedBundle(self.own)
         own, self.begun = self.own, self.own.begun
         self.memory = (own.acc, own.lam, own.mu, own.push, own.begun, own.first, own.first_known, own.power)
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import part
+from mbdkit.engine.jit.decorators import subkernel
 
 
-@part
+@subkernel
 def weights_at(polynomials, theta, out):
     """Evaluate ``sum_k polynomials[i, k] theta^(k + 1)`` into `out` (s,)."""
     degree = polynomials.shape[1]
@@ -18,7 +18,7 @@ def weights_at(polynomials, theta, out):
         out[i] = value
 
 
-@part
+@subkernel
 def dense_gains(h, weights, power, out):
     """Write the energies gained up to a point of the step into `out` (2,), from the powers of the stages (s, 2)."""
     out[0] = out[1] = 0.0

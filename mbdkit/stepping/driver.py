@@ -1,6 +1,6 @@
 """The compiled driver: takes the steps of every compiled family, in fixed or controlled sizes, projected or not.
 
-A family brings two compiled functions (`mbdkit.engine.jit.cache.entry`), which find the run and their own bundle at the
+A family brings two compiled functions (`mbdkit.engine.jit.entry`), which find the run and their own bundle at the
 addresses `common` and `own`:
 
 ``attempt(common, own, t, h, want_error)``
@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import call_entry, kernel, part
+from mbdkit.engine.jit.decorators import kernel, subkernel
+from mbdkit.engine.jit.entry import call_entry
 from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.projection import (
     mass_norm,
@@ -54,7 +55,7 @@ SAFETY, LEAST, LARGEST, AFTER_FAILURE = 0.9, 0.2, 6.0, 0.25
 """Control of the step: margin, bounds on its change, and its change where the equations could not be solved."""
 
 
-@part
+@subkernel
 def _scaled_norm(c, rtol, atol, x_q, x_v):
     """Return the root mean square of errors over ``atol + rtol |y|``, y the larger of both ends of the step."""
     total = 0.0
@@ -66,7 +67,7 @@ def _scaled_norm(c, rtol, atol, x_q, x_v):
     return np.sqrt(total / (2 * n))
 
 
-@part
+@subkernel
 def _scaled_error(c, rtol, atol, estimates):
     """Return the local error over the tolerance; of two estimates, their product over the norm of both (Hairer)."""
     error = _scaled_norm(c, rtol, atol, c.est_q, c.est_v)
@@ -77,14 +78,14 @@ def _scaled_error(c, rtol, atol, estimates):
     return error
 
 
-@part
+@subkernel
 def _baumgarte_term(c, t):
     """Return the largest ``|2 alpha (Phi_q v + Phi_t) + beta^2 Phi|`` at the state."""
     prepare(c.top, c.w, t, c.q)
     return constraint_rows(c.top, c.w, c.q, c.v)
 
 
-@part
+@subkernel
 def _write_row(c, row, t, q, v, gain, lam):
     """Write a recorded state, and begin a new interval."""
     c.row_time[row] = t
@@ -100,7 +101,7 @@ def _write_row(c, row, t, q, v, gain, lam):
             c.row_lam[row, k, 0], c.row_lam[row, k, 1] = lam[k, 0], lam[k, 1]
 
 
-@part
+@subkernel
 def _dense_row(common, own, dense, row, t, h, at, mode):
     """Write the state between two steps, by dense output; return a status.
 
@@ -128,7 +129,7 @@ def _dense_row(common, own, dense, row, t, h, at, mode):
     return OK
 
 
-@part
+@subkernel
 def _book(c, bring):
     """Add the energies of a step to their sums, with compensation."""
     for m in range(2):

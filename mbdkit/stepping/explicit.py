@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import Hold, loader
-from mbdkit.engine.jit.cache import entry, part
+from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
+from mbdkit.engine.jit.decorators import entry, subkernel
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import copy, stays_finite
 from mbdkit.stepping.compiled_method import Family
@@ -81,10 +81,10 @@ def _example() -> Explicit:
     return new_explicit(ExplicitRungeKutta(rk4.tableau()), 6, 0)
 
 
-load_explicit = loader(_example)
+load_explicit = bundle_loader(_example)
 
 
-@part
+@subkernel
 def _stage_state(base, h, weights, slopes, i, out):
     """Write ``base + h sum_{j < i} weights[i, j] slopes[j]`` into `out`."""
     out[:] = 0.0
@@ -98,7 +98,7 @@ def _stage_state(base, h, weights, slopes, i, out):
         out[d] = base[d] + h * out[d]
 
 
-@part
+@subkernel
 def _increment(h, weights, slopes, out):
     """Write ``h sum_j weights[j] slopes[j]`` into `out`."""
     out[:] = 0.0
@@ -110,7 +110,7 @@ def _increment(h, weights, slopes, out):
                 out[d] += w * k[d]
 
 
-@part
+@subkernel
 def evaluate_stages(common, own, t, h, first, last):
     """Evaluate stages `first` to `last - 1`; return a status."""
     c, m = load_common(common), load_explicit(own)
@@ -199,6 +199,6 @@ class ExplicitFamily(Family):
     def __init__(self, method: ExplicitRungeKutta, workspace: Workspace):
         super().__init__(workspace)
         self.own = new_explicit(method, workspace.mechanism.size, len(workspace.mechanism.topology.pairs))
-        self.hold = Hold(self.own)
+        self.hold = PinnedBundle(self.own)
         self.memory = (self.own.rates, self.own.accelerations, self.own.power, self.own.status)
         self.has_dense_output = len(self.own.dense) > 0

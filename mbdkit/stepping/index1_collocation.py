@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import Hold, loader
-from mbdkit.engine.jit.cache import entry, part
+from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
+from mbdkit.engine.jit.decorators import entry, subkernel
 from mbdkit.engine.kernels.system import (
     DIVERGED,
     NOT_FINITE,
@@ -142,10 +142,10 @@ def _example() -> Collocation:
     return CollocationFamily(ImplicitRungeKutta(gauss.tableau(1)), example_workspace(), None).own
 
 
-load_collocation = loader(_example)
+load_collocation = bundle_loader(_example)
 
 
-@part
+@subkernel
 def _predict(m, t, h):
     """Begin with the accelerations of the step before, carried on by their polynomial, or with free flight."""
     size = m.begun[1]
@@ -158,7 +158,7 @@ def _predict(m, t, h):
     return False
 
 
-@part
+@subkernel
 def _take_tangents(c, m, t, h):
     """Evaluate and factorize the matrices of all eigenvalues at the middle of the stages; return a status."""
     top, w = c.top, c.w
@@ -179,7 +179,7 @@ def _take_tangents(c, m, t, h):
     return OK
 
 
-@part
+@subkernel
 def _evaluate_stages(c, m, t, h, refine, with_powers):
     """Evaluate the index-1 accelerations of every stage into ``m.f``; return a status."""
     top, w = c.top, c.w
@@ -195,7 +195,7 @@ def _evaluate_stages(c, m, t, h, refine, with_powers):
     return OK
 
 
-@part
+@subkernel
 def _iterate(c, m, t, h):
     """Solve the stage equations from the accelerations that stand in ``m.acc``; return a status."""
     top, w = c.top, c.w
@@ -292,7 +292,7 @@ def attempt(common, own, t, h, want_error):
     return OK
 
 
-@part
+@subkernel
 def _estimate(c, m, h):
     """Write estimates of the local error of positions and velocities."""
     gap_at_beginning(h, m.rk, m.first, m.acc, m.weights, c.est_v)
@@ -344,7 +344,7 @@ class CollocationFamily(StageFamily):
     def __init__(self, method: ImplicitRungeKutta, workspace: Workspace, control: Control | None):
         super().__init__(method, workspace)
         self.own = new_collocation(method, workspace, control, self.rk, self._no_systems())
-        self.hold = Hold(self.own)
+        self.hold = PinnedBundle(self.own)
         self.coupled: CoupledNewton | None = None
         own, self.begun = self.own, self.own.begun
         self.memory = (own.acc, own.lam, own.begun, own.first, own.first_known, own.power)

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import Hold, loader
-from mbdkit.engine.jit.cache import entry, part
+from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
+from mbdkit.engine.jit.decorators import entry, subkernel
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
     DIVERGED,
@@ -30,9 +30,9 @@ from mbdkit.engine.kernels.system import (
     OK,
     applied_forces,
     evaluate_powers,
-    solved_rows,
     prepare,
     solve_system,
+    solved_rows,
     unfold_multipliers,
 )
 from mbdkit.engine.kernels.vectors import copy, stays_finite
@@ -102,10 +102,10 @@ def _example() -> Pair:
     return new_pair(LobattoPair(2), example_workspace())
 
 
-load_pair = loader(_example)
+load_pair = bundle_loader(_example)
 
 
-@part
+@subkernel
 def _predict(m, t, h):
     """Begin with the accelerations of the steps before carried on stage by stage, or with none."""
     known = int(m.begun[2])
@@ -126,7 +126,7 @@ def _predict(m, t, h):
                 m.acc[i, d] = 0.0
 
 
-@part
+@subkernel
 def _keep(m, t, h):
     """Keep the accelerations of a step for the next ones; an attempt at the same step takes the place of the last."""
     if m.begun[2] > 0.0 and t == m.begun[0]:
@@ -143,7 +143,7 @@ def _keep(m, t, h):
     m.begun[2] = min(m.begun[2] + 1.0, MOST_PAST)
 
 
-@part
+@subkernel
 def _iterate(c, m, t, h):
     """Solve for the stages before the last; return a status."""
     top, w = c.top, c.w
@@ -205,7 +205,7 @@ def _iterate(c, m, t, h):
         before = now
 
 
-@part
+@subkernel
 def _finish(c, m, t, h):
     """Solve for the last stage, which takes the velocities onto their constraints; return a status."""
     top, w = c.top, c.w
@@ -297,7 +297,7 @@ class PairFamily(Family):
     def __init__(self, method: LobattoPair, workspace: Workspace):
         super().__init__(workspace)
         self.own = new_pair(method, workspace)
-        self.hold = Hold(self.own)
+        self.hold = PinnedBundle(self.own)
         self.memory = (self.own.past, self.own.begun)
 
     def forget(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import part
+from mbdkit.engine.jit.decorators import subkernel
 
 EPS = float(np.finfo(float).eps)
 
@@ -28,7 +28,7 @@ SLOW = 0.25
 """Contraction above which the tangent is taken anew within the step."""
 
 
-@part
+@subkernel
 def relative_sizes(change, x, bodies):
     """Return the largest entry of `change` (s, 3 (B + 1)) relative to the largest of `x`, linear and angular apart.
 
@@ -49,7 +49,7 @@ def relative_sizes(change, x, bodies):
     return max(change_t / size_t, change_r / size_r)
 
 
-@part
+@subkernel
 def is_settled(n, now, ratio, moved, tolerance):
     """Return whether iteration `n` was the last that is needed, by the expected next change or by round-off.
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import call_entry, part
+from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.entry import call_entry
 from mbdkit.engine.kernels.projection import (
     EPS,
     FEW_ROUNDINGS,
@@ -16,7 +17,7 @@ from mbdkit.engine.kernels.projection import (
     project_velocities,
     rate_rows,
 )
-from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, solved_rows, solve_system
+from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, solve_system, solved_rows
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.stepping.run_state import ALTERED, PROJECTIONS, load_common
 
@@ -27,7 +28,7 @@ MOST_TRIALS, IDLE, IDLE_RATIO = 100, 2, 0.9
 ratio to the best so far that is no progress: on fast linkages it converges slowly."""
 
 
-@part
+@subkernel
 def _push(c, t, q, push_q, push_v):
     """Write ``M^-1 Phi_q(q)^T mu`` into `push_q` and the same with nu into `push_v`."""
     position_rows(c.still, c.w, t, q)
@@ -45,7 +46,7 @@ def _push(c, t, q, push_q, push_v):
                     push_v[3 * b + i] += g * c.nu[k, r]
 
 
-@part
+@subkernel
 def _newton_on(c, residual, multipliers):
     """Change `multipliers` by ``-(Phi_q M^-1 Phi_q^T)^-1 residual / 2`` with the rows that stand evaluated."""
     for k in range(len(residual)):
@@ -59,7 +60,7 @@ def _newton_on(c, residual, multipliers):
     return status
 
 
-@part
+@subkernel
 def _symmetric_step(common, own, attempt, t, h):
     """Take a step with symmetric projection: the same multipliers push off the constraints before it and back after it.
 
@@ -118,7 +119,7 @@ def _symmetric_step(common, own, attempt, t, h):
     return DIVERGED
 
 
-@part
+@subkernel
 def _passes_bound(c, t, q, v, bound):
     """Return whether positions or velocities at `t` miss the constraints by more than `bound`."""
     position_rows(c.still, c.w, t, q)
@@ -129,7 +130,7 @@ def _passes_bound(c, t, q, v, bound):
     return not largest_residual(c.still, c.miss) <= bound
 
 
-@part
+@subkernel
 def take(common, own, attempt, t, h, want_error, mode):
     """Take one step with its projection, without going there: its end is left in ``new_q, new_v``; return a status.
 
@@ -152,7 +153,7 @@ def take(common, own, attempt, t, h, want_error, mode):
     return OK
 
 
-@part
+@subkernel
 def project(common, t, mode, due, bound):
     """Project the end of a step where that is due; return a status and whether it was."""
     c = load_common(common)

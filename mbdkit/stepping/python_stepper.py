@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
-from mbdkit.engine.iteration_matrix import vector
 from mbdkit.engine.example_workspace import example_workspace
+from mbdkit.engine.iteration_matrix import vector
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping import interface
 from mbdkit.stepping.interface import Counters, Failure, StepTaken, Stretch, Timetable

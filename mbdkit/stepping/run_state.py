@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import loader
 from mbdkit.engine.example_workspace import example_workspace
+from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.kernels.system import Scratch, Solver, Topology
 
 if TYPE_CHECKING:
@@ -144,4 +144,4 @@ def new_common(workspace: Workspace, rows: int, *, own_multipliers: bool = False
     )  # fmt: skip
 
 
-load_common = loader(lambda: new_common(example_workspace(), 1))
+load_common = bundle_loader(lambda: new_common(example_workspace(), 1))

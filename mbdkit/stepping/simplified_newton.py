@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbdkit.engine.jit.cache import inlined
+from mbdkit.engine.jit.decorators import inlined
 from mbdkit.engine.kernels.lu import Factors, factorize, substitute
 from mbdkit.engine.kernels.system import gather_values
 

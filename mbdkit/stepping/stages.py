@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import part
+from mbdkit.engine.jit.decorators import subkernel
 
 EPS = float(np.finfo(float).eps)
 
@@ -15,7 +15,7 @@ STAGNANT = 1e-12
 """A change that no longer shrinks is round-off below this, relative to accelerations or single forces."""
 
 
-@part
+@subkernel
 def stage_states(h, a, a2, c, q, v, acc, q_stage, v_stage):
     """Evaluate positions and velocities of every stage."""
     s = len(c)
@@ -35,7 +35,7 @@ def stage_states(h, a, a2, c, q, v, acc, q_stage, v_stage):
             vs[d] = v[d] + h * vs[d]
 
 
-@part
+@subkernel
 def extrapolation_weights(offset, ratio, c, out):
     """Write the (s, s) weights that carry stage values of one step to the stages of another.
 
@@ -60,7 +60,7 @@ def extrapolation_weights(offset, ratio, c, out):
             out[i, j] = w
 
 
-@part
+@subkernel
 def extrapolate(weights, x, scratch):
     """Replace stage values, rows of `x`, by those of the collocation polynomial at the stages of the next step."""
     stages, size = x.shape
@@ -75,7 +75,7 @@ def extrapolate(weights, x, scratch):
                 x[i, d] += w * scratch[j, d]
 
 
-@part
+@subkernel
 def stage_mean(x, out):
     """Write the mean over stages into `out`."""
     out[:] = 0.0
@@ -84,7 +84,7 @@ def stage_mean(x, out):
             out[d] += x[i, d] / len(x)
 
 
-@part
+@subkernel
 def relative_change(acc, change, bodies):
     """Return the largest change of an acceleration relative to the largest one, linear and angular apart.
 
@@ -106,7 +106,7 @@ def relative_change(acc, change, bodies):
     return max(relative_t, relative_r)
 
 
-@part
+@subkernel
 def is_round_off(top, w, h, q, v, lam, acc, bodies, change, patient):
     """Return whether a change of accelerations that no longer shrinks is round-off, linear and angular ones apart.
 

@@ -29,7 +29,7 @@ Entries that are zero for every argument are never written.
 # fmt: off
 from math import sqrt
 
-from mbdkit.engine.jit.cache import element
+from mbdkit.engine.jit.decorators import subkernel
 '''
 
 _READS = {
@@ -89,7 +89,7 @@ def _kernel(name: str, arguments: str, note: str, outputs: Sequence[tuple[str, s
                 expressions.append(entry)
     temporaries, reduced_all = sp.cse(expressions, symbols=sp.numbered_symbols("t", real=True), optimizations="basic")
     printer = _Printer()
-    lines = ["@element", f"def {name}({arguments}):", f'    """{note}"""']
+    lines = ["@subkernel", f"def {name}({arguments}):", f'    """{note}"""']
     lines += _reads([e for _, e in temporaries] + list(reduced_all), printer)
     lines += [f"    {symbol} = {printer.doprint(expr)}" for symbol, expr in temporaries]
     lines += [f"    {target} = {_literal(printer, expr)}" for target, expr in zip(targets, reduced_all, strict=True)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import cos, sin
 
-from mbdkit.engine.jit.cache import part
+from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels import element_kernels as e
 
 KINDS = {name: code for code, name in enumerate(e.CONSTRAINT_KINDS)}
@@ -33,7 +33,7 @@ driver_angle_tangent, driver_x_tangent, driver_y_tangent = (
 point_on_line_tangent, fixed_angle_tangent = e.point_on_line_tangent, e.fixed_angle_tangent
 
 
-@part
+@subkernel
 def turn_bodies(q, cs):
     """Write cosine and sine of every body's tilt into `cs` (B + 1, 2); ground comes last and keeps (1, 0)."""
     for b in range(len(cs) - 1):
@@ -42,7 +42,7 @@ def turn_bodies(q, cs):
         cs[b, 1] = sin(theta)
 
 
-@part
+@subkernel
 def constraint_positions(pairs, p, q, cs, u, phi, phi_t):
     """Evaluate Phi and Phi_t of every pair: (P, 2) arrays."""
     for k in range(len(pairs)):
@@ -63,7 +63,7 @@ def constraint_positions(pairs, p, q, cs, u, phi, phi_t):
             fixed_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t)
 
 
-@part
+@subkernel
 def constraint_accelerations(pairs, p, q, v, cs, u, jac, gamma):
     """Evaluate the Jacobian (P, 12) and the right side gamma (P, 2) of every pair."""
     for k in range(len(pairs)):
@@ -84,7 +84,7 @@ def constraint_accelerations(pairs, p, q, v, cs, u, jac, gamma):
             fixed_angle_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
 
 
-@part
+@subkernel
 def constraint_tangents(pairs, p, q, v, acc, cs, u, lam, stiff, gamma_v, res_q):
     """Evaluate d(Phi_q^T lam)/dq (P, 36), d gamma/dv (P, 12) and d(Phi_q a - gamma)/dq (P, 12) of every pair."""
     for k in range(len(pairs)):

@@ -15,7 +15,7 @@ Entries that are zero for every argument are never written.
 # fmt: off
 from math import sqrt
 
-from mbdkit.engine.jit.cache import element
+from mbdkit.engine.jit.decorators import subkernel
 
 
 
@@ -85,7 +85,7 @@ HESSIAN_ENTRIES = {
 }
 
 
-@element
+@subkernel
 def revolute_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Two points coincide: Phi = p_b - p_a; and its partial derivative by time."""
     xa = q[3*a+0]
@@ -110,7 +110,7 @@ def revolute_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     phi[k, 1] = gy
 
 
-@element
+@subkernel
 def revolute_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     """Jacobian and right side of Phi_q a = gamma."""
     wa = v[3*a+2]
@@ -141,7 +141,7 @@ def revolute_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     gamma[k, 1] = -ay*t0 + by*t1
 
 
-@element
+@subkernel
 def revolute_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
     """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
     wa = v[3*a+2]
@@ -178,7 +178,7 @@ def revolute_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q
     res_q[k, 11] = -alb*by - bx*t3
 
 
-@element
+@subkernel
 def distance_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Phi = |p_b - p_a| - length; and its partial derivative by time."""
     xa = q[3*a+0]
@@ -204,7 +204,7 @@ def distance_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     phi[k, 0] = length - p4
 
 
-@element
+@subkernel
 def distance_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     """Jacobian and right side of Phi_q a = gamma."""
     xa = q[3*a+0]
@@ -256,7 +256,7 @@ def distance_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     gamma[k, 0] = t0*(vxa*(gx*t7 + t10) - vxb*(ay*wa - gx*t11 - t9 - vxa + vxb) + vya*(gy*t7 + t12 - t13 - vya + vyb) - vyb*(-gy*t11 - t14) - wa*(ax*t14 + ay*t10 + gx*t13 + gy*t8 + t11*t3) + wb*(bx*t14 + by*t10 + gx*t12 + gy*t9 - t4*t7))
 
 
-@element
+@subkernel
 def distance_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
     """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
     xa = q[3*a+0]
@@ -469,7 +469,7 @@ def distance_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q
     res_q[k, 5] = t2*(-bx*(alb*gx - t127*t40 + t127*t41 + t36*wa*wb - t37*wb + t39*wb + wb*(t124 - 2*t42 + t43 - t46*t8 + t65 + t86 + vxb)) + bx*(-aya + ayb + t0*t123*vyb + t106 - t107 - t108 + t110 - t111 + t121*wa - t122) - by*t120 + by*(-alb*gy + t125*t44 - t125*t45 + t51*wb - t52*wb + t71*wb + wb*(t126 + t18*t46 + t55 + t56 - 2*t57 + t87 + vya)) + t118*t63)
 
 
-@element
+@subkernel
 def driver_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Phi = theta_b - theta_a - u(t); and its partial derivative by time."""
     tha = q[3*a+2]
@@ -480,7 +480,7 @@ def driver_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     phi_t[k, 0] = -u_dot
 
 
-@element
+@subkernel
 def driver_angle_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     """Jacobian and right side of Phi_q a = gamma."""
     u_ddot = u[m, 2]
@@ -489,12 +489,12 @@ def driver_angle_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     gamma[k, 0] = u_ddot
 
 
-@element
+@subkernel
 def driver_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
     """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
 
 
-@element
+@subkernel
 def driver_x_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Phi = x of b's point in a's frame - u(t); and its partial derivative by time."""
     xa = q[3*a+0]
@@ -515,7 +515,7 @@ def driver_x_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     phi_t[k, 0] = -u_dot
 
 
-@element
+@subkernel
 def driver_x_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     """Jacobian and right side of Phi_q a = gamma."""
     xa = q[3*a+0]
@@ -548,7 +548,7 @@ def driver_x_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     gamma[k, 0] = ca*vya*wa - ca*vyb*wa - sa*vxa*wa + sa*vxb*wa + u_ddot - wa*(ca*(bx*wb - t1*wa - vya + vyb) + sa*(by*wb - t0*wa + vxa - vxb)) - wb*(wa - wb)*(bx*ca + by*sa)
 
 
-@element
+@subkernel
 def driver_x_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
     """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
     xa = q[3*a+0]
@@ -629,7 +629,7 @@ def driver_x_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q
     res_q[k, 5] = bx*(-alb*ca + t23 - t25*wa + t25*wb) + by*(-alb*sa + t20 + t26*wa - t26*wb)
 
 
-@element
+@subkernel
 def driver_y_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Phi = y of b's point in a's frame - u(t); and its partial derivative by time."""
     xa = q[3*a+0]
@@ -650,7 +650,7 @@ def driver_y_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     phi_t[k, 0] = -u_dot
 
 
-@element
+@subkernel
 def driver_y_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     """Jacobian and right side of Phi_q a = gamma."""
     xa = q[3*a+0]
@@ -683,7 +683,7 @@ def driver_y_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     gamma[k, 0] = -ca*vxa*wa + ca*vxb*wa - sa*vya*wa + sa*vyb*wa + u_ddot - wa*(ca*(by*wb - t1*wa + vxa - vxb) - sa*(bx*wb - t0*wa - vya + vyb)) - wb*(wa - wb)*(-bx*sa + by*ca)
 
 
-@element
+@subkernel
 def driver_y_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
     """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
     xa = q[3*a+0]
@@ -763,7 +763,7 @@ def driver_y_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q
     res_q[k, 5] = -bx*(-alb*sa + t22 + t24*wa - t24*wb) + by*(-alb*ca + t19 - t25*wa + t25*wb)
 
 
-@element
+@subkernel
 def point_on_line_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Phi = distance of b's point from the line through a's; and its partial derivative by time."""
     xa = q[3*a+0]
@@ -791,7 +791,7 @@ def point_on_line_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     phi[k, 0] = gx*nx + gy*ny
 
 
-@element
+@subkernel
 def point_on_line_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     """Jacobian and right side of Phi_q a = gamma."""
     xa = q[3*a+0]
@@ -835,7 +835,7 @@ def point_on_line_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     gamma[k, 0] = nx*vya*wa + ny*vxb*wa - t0*vyb - t1*vxa - wa*(nx*(t2 - vya + vyb - wa*(ax + gx)) + ny*(t3 + vxa - vxb - wa*(ay + gy))) - wb*(bx*t0 + by*t1 - nx*t2 - ny*t3)
 
 
-@element
+@subkernel
 def point_on_line_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
     """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
     xa = q[3*a+0]
@@ -924,7 +924,7 @@ def point_on_line_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, 
     res_q[k, 5] = bx*t21 + bx*(-alb*nx + t22*t23 + t23*wa) + by*t20 - by*(alb*ny + t22*t24 + t24*wa)
 
 
-@element
+@subkernel
 def fixed_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     """Phi = theta_b - theta_a - angle; and its partial derivative by time."""
     tha = q[3*a+2]
@@ -933,19 +933,19 @@ def fixed_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t):
     phi[k, 0] = -p4 - tha + thb
 
 
-@element
+@subkernel
 def fixed_angle_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     """Jacobian and right side of Phi_q a = gamma."""
     jac[k, 2] = -1.0
     jac[k, 5] = 1.0
 
 
-@element
+@subkernel
 def fixed_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
     """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
 
 
-@element
+@subkernel
 def two_points_gradient(k, a, b, q, cs, p, s, grad):
     """s = |p_b - p_a| [m] and its gradient."""
     xa = q[3*a+0]
@@ -979,7 +979,7 @@ def two_points_gradient(k, a, b, q, cs, p, s, grad):
     grad[k, 5] = t0*(bx*gy - by*gx)
 
 
-@element
+@subkernel
 def two_points_hessian(k, a, b, q, cs, p, hess):
     """Second derivatives of s = |p_b - p_a| [m]."""
     xa = q[3*a+0]
@@ -1063,7 +1063,7 @@ def two_points_hessian(k, a, b, q, cs, p, hess):
     hess[k, 35] = t0*((bx*bx) - bx*gx + (by*by) - by*gy - t1*(t11*t11))
 
 
-@element
+@subkernel
 def relative_angle_gradient(k, a, b, q, cs, p, s, grad):
     """s = theta_b - theta_a [rad] and its gradient."""
     tha = q[3*a+2]
@@ -1073,7 +1073,7 @@ def relative_angle_gradient(k, a, b, q, cs, p, s, grad):
     grad[k, 5] = 1.0
 
 
-@element
+@subkernel
 def coordinate_x_gradient(k, a, b, q, cs, p, s, grad):
     """s = x of b's point in a's frame [m] and its gradient."""
     xa = q[3*a+0]
@@ -1099,7 +1099,7 @@ def coordinate_x_gradient(k, a, b, q, cs, p, s, grad):
     grad[k, 5] = bx*sa - by*ca
 
 
-@element
+@subkernel
 def coordinate_x_hessian(k, a, b, q, cs, p, hess):
     """Second derivatives of s = x of b's point in a's frame [m]."""
     xa = q[3*a+0]
@@ -1131,7 +1131,7 @@ def coordinate_x_hessian(k, a, b, q, cs, p, hess):
     hess[k, 35] = -t2
 
 
-@element
+@subkernel
 def coordinate_y_gradient(k, a, b, q, cs, p, s, grad):
     """s = y of b's point in a's frame [m] and its gradient."""
     xa = q[3*a+0]
@@ -1157,7 +1157,7 @@ def coordinate_y_gradient(k, a, b, q, cs, p, s, grad):
     grad[k, 5] = bx*ca + by*sa
 
 
-@element
+@subkernel
 def coordinate_y_hessian(k, a, b, q, cs, p, hess):
     """Second derivatives of s = y of b's point in a's frame [m]."""
     xa = q[3*a+0]

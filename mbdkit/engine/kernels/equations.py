@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import loader
-from mbdkit.engine.jit.cache import inlined, kernel
+from mbdkit.engine.jit.bundle import bundle_loader
+from mbdkit.engine.jit.decorators import inlined, kernel
 from mbdkit.engine.kernels.bundle_types import IntMatrix, NumberVector, RealMatrix, RealVector, example_of
 from mbdkit.engine.kernels.forces import applied_forces
 from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, solve_refined
@@ -80,9 +80,9 @@ def new_matrix(pattern: Pattern, factors: Factors, scatter: np.ndarray) -> Matri
     return Matrix(pattern, factors, scatter, *vectors)
 
 
-load_equations = loader(lambda: example_of(Equations))
-load_real = loader(lambda: example_of(Matrix, np.float64))
-load_complex = loader(lambda: example_of(Matrix, np.complex128))
+load_equations = bundle_loader(lambda: example_of(Equations))
+load_real = bundle_loader(lambda: example_of(Matrix, np.float64))
+load_complex = bundle_loader(lambda: example_of(Matrix, np.complex128))
 
 
 @inlined

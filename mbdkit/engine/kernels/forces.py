@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import part
+from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.jit.law_calls import call_law
 from mbdkit.engine.kernels import element_kernels as e
 
@@ -27,7 +27,7 @@ two_points_hessian = e.two_points_hessian
 coordinate_x_hessian, coordinate_y_hessian = e.coordinate_x_hessian, e.coordinate_y_hessian
 
 
-@part
+@subkernel
 def pathway_lengths(top, w, q):
     """Write the length of every pathway into ``w.s`` (S, 1) and its gradient into ``w.grad`` (S, 6)."""
     springs, points, cs, s, grad = top.springs, top.spring_points, w.cs, w.s, w.grad
@@ -46,7 +46,7 @@ def pathway_lengths(top, w, q):
             coordinate_y_gradient(k, a, b, q, cs, points, s, grad)
 
 
-@part
+@subkernel
 def path_rate(k, a, b, v, grad):
     """Return the rate s' of pathway `k` between bodies `a` and `b`."""
     rate = 0.0
@@ -55,7 +55,7 @@ def path_rate(k, a, b, v, grad):
     return rate
 
 
-@part
+@subkernel
 def evaluate_tension(top, w, k, rate):
     """Write F, dF/ds, dF/ds' and the potential of force element `k` into its row of ``w.tension`` (S + 1, 4).
 
@@ -74,7 +74,7 @@ def evaluate_tension(top, w, k, rate):
             w.faulty[0] = law
 
 
-@part
+@subkernel
 def applied_forces(top, w, q, v):
     """Write the generalized applied forces without gravity into ``w.force`` (3 (B + 1),).
 
@@ -103,7 +103,7 @@ def applied_forces(top, w, q, v):
             force[3 * body + 2] += px * fy - py * fx
 
 
-@part
+@subkernel
 def point_force(top, w, k):
     """Return force and lever arm of load `k`, (F_x, F_y, p_x, p_y), in the global frame.
 
@@ -119,7 +119,7 @@ def point_force(top, w, k):
     return fx, fy, px, py
 
 
-@part
+@subkernel
 def force_tangents(top, w, q, v):
     """Write K = -dQ/dq and C = -dQ/dv of every force element and load into the terms of ``w.source``.
 
@@ -169,7 +169,7 @@ def force_tangents(top, w, q, v):
             load_stiff[k, 2] = px * fx + py * fy
 
 
-@part
+@subkernel
 def powers(top, w, v, lam):
     """Return (power of loads, drivers and active laws, dissipated power) [W].
 
@@ -209,7 +209,7 @@ def powers(top, w, v, lam):
     return work, lost
 
 
-@part
+@subkernel
 def potential_energy(springs, laws, mass, gravity, q, tension):
     """Return the potential energy [J] of gravity and of the force elements.
 

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from mbdkit.engine.jit.cache import inlined
+from mbdkit.engine.jit.decorators import inlined
 from mbdkit.engine.kernels.bundle_types import IntVector, NumberVector, RealVector
 
 WORN = 1e-6

@@ -6,11 +6,11 @@ takes the root once, at the end of a run.
 
 from __future__ import annotations
 
-from mbdkit.engine.jit.cache import part
+from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels.system import evaluate_positions, prepare
 
 
-@part
+@subkernel
 def raise_misalignments(top, w, t, q, worst):
     """Raise `worst` (P,) to the squared misalignment of each pair at the position `q`, where that is larger."""
     prepare(top, w, t, q)

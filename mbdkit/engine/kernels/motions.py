@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from math import acos, asin, atan, atan2, cos, exp, log, sin, sqrt, tan, tanh
 
-from mbdkit.engine.jit.cache import kernel, part
+from mbdkit.engine.jit.decorators import kernel, subkernel
 
 _NAMES = (
     "const", "t", "add", "sub", "mul", "div", "neg", "pow", "powi", "sin", "cos", "tan", "asin", "acos", "atan",
@@ -24,7 +24,7 @@ MAX_DEPTH = 32
 ) = range(len(OPCODES))  # fmt: skip
 
 
-@part
+@subkernel
 def _power(x: float, n: float) -> tuple[float, float, float]:
     """Return x**n and its first two derivatives by x, for a constant exponent."""
     value = x**n
@@ -33,7 +33,7 @@ def _power(x: float, n: float) -> tuple[float, float, float]:
     return value, first, second
 
 
-@part
+@subkernel
 def _unary(op: int, x: float) -> tuple[float, float, float]:
     """Return a function's value and its first two derivatives by its argument."""
     if op == _SIN:
@@ -69,7 +69,7 @@ def _unary(op: int, x: float) -> tuple[float, float, float]:
     return abs(x), sign, 0.0
 
 
-@part
+@subkernel
 def _binary(op, a0, a1, a2, b0, b1, b2):
     """Combine two jets."""
     if op == _ADD:
@@ -104,7 +104,7 @@ def _binary(op, a0, a1, a2, b0, b1, b2):
     return f0, f0 * g1, f0 * (g2 + g1 * g1)
 
 
-@part
+@subkernel
 def _piecewise_cubic(t, values, start):
     """Return the jet of a piecewise cubic, whose end pieces go on beyond its ends.
 
@@ -125,7 +125,7 @@ def _piecewise_cubic(t, values, start):
     return c0 + x * (c1 + x * (c2 + x * c3)), c1 + x * (2.0 * c2 + x * (3.0 * c3)), 2.0 * c2 + 6.0 * x * c3
 
 
-@part
+@subkernel
 def evaluate_motions(t, ptr, ops, values, stack, u):
     """Evaluate every motion at time `t`.
 

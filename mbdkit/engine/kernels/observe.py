@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbdkit.engine.jit.cache import kernel, part
+from mbdkit.engine.jit.decorators import kernel, subkernel
 from mbdkit.engine.kernels.constraints import constraint_positions, constraint_tangents
 from mbdkit.engine.kernels.forces import potential_energy
 from mbdkit.engine.kernels.misalignment import raise_misalignments
@@ -22,7 +22,7 @@ from mbdkit.engine.kernels.system import (
 from mbdkit.engine.kernels.vectors import copy
 
 
-@part
+@subkernel
 def reactions_of(top, w, lam, out):
     """Write force (x, y) and torque of every pair on its second body, at that body's joint point, into `out` (P, 3)."""
     for k in range(len(top.pairs)):

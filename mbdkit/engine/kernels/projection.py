@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import part
+from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels.constraints import constraint_positions
 from mbdkit.engine.kernels.system import (
     DIVERGED,
@@ -27,7 +27,7 @@ STAGNANT = 1e-9
 """A residual that shrinks no more, and is below this of the largest coordinate, has met round-off."""
 
 
-@part
+@subkernel
 def largest_size(q):
     """Return the largest coordinate of a state, 1 at least."""
     size = 1.0
@@ -36,7 +36,7 @@ def largest_size(q):
     return size
 
 
-@part
+@subkernel
 def largest_residual(top, phi):
     """Return the largest of the rows that are solved for; infinite where one is not a number."""
     worst = 0.0
@@ -48,7 +48,7 @@ def largest_residual(top, phi):
     return worst
 
 
-@part
+@subkernel
 def position_rows(top, w, t, q):
     """Evaluate Phi and Phi_t of the rows that are solved for; prepares the position."""
     prepare(top, w, t, q)
@@ -57,7 +57,7 @@ def position_rows(top, w, t, q):
     fold_values(top, w.cs, w.phi_t)
 
 
-@part
+@subkernel
 def rate_rows(top, jac, phi_t, v, rate):
     """Write ``Phi_q v + Phi_t`` of the rows that are solved for into `rate` (P, 2), 0 in the others."""
     for k in range(len(top.pairs)):
@@ -65,7 +65,7 @@ def rate_rows(top, jac, phi_t, v, rate):
             rate[k, r] = constraint_rate(top.pairs, jac, phi_t, v, k, r) if r < top.rows[k] else 0.0
 
 
-@part
+@subkernel
 def project_positions(still, w, solver, t, q, p, rest, x, lam):
     """Write the positions nearest to `q` in the mass metric that meet the constraints at `t` into `p`; return a status.
 
@@ -109,7 +109,7 @@ def project_positions(still, w, solver, t, q, p, rest, x, lam):
     return DIVERGED
 
 
-@part
+@subkernel
 def project_velocities(still, w, solver, t, q, v, x, lam):
     """Change `v` to the nearest velocities in the mass metric with ``Phi_q v + Phi_t = 0`` at `t`, `q`; give a status.
 
@@ -136,7 +136,7 @@ def project_velocities(still, w, solver, t, q, v, x, lam):
     return OK
 
 
-@part
+@subkernel
 def mass_norm(mass, total, x, y):
     """Return ``sqrt((x - y)^T M (x - y) / total)`` for vectors (3 (B + 1),) and a mass matrix (B + 1, 3)."""
     square = 0.0

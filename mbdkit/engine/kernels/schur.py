@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from mbdkit.engine.jit.cache import inlined, part
+from mbdkit.engine.jit.decorators import inlined, subkernel
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix
 
 TOO_SMALL = 1e-10
@@ -51,7 +49,7 @@ def diagonal_block(top, jac, k):
     return d00, d01, d11
 
 
-@part
+@subkernel
 def factor(top, jac, schur):
     """Assemble and factorize S; return the pair whose pivot block lost its digits, or -1."""
     start, row, update, coupling = schur.start, schur.row, schur.update, schur.coupling
@@ -106,7 +104,7 @@ def factor(top, jac, schur):
     return -1
 
 
-@part
+@subkernel
 def solve(schur, x):
     """Solve S x = b in place; `x` (P, 2) holds b on entry."""
     start, row, diagonal, below = schur.start, schur.row, schur.diagonal, schur.below

@@ -11,7 +11,7 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from mbdkit.engine.jit.cache import inlined, kernel, part
+from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
 from mbdkit.engine.kernels.lu import substitute
 from mbdkit.engine.kernels.schur import diagonal_block
 from mbdkit.engine.kernels.system import load_engine, prepare, solved_rows
@@ -37,7 +37,7 @@ X, Y, X_IMAGE, Y_IMAGE, L_XX, L_YX, L_YY, COLUMNS = 0, 2, 4, 6, 8, 9, 10, 11
 their images, the entries of its Cholesky factor L; and the number of columns."""
 
 
-@part
+@subkernel
 def _pair_factors(top, jac, near):
     """Write the Cholesky factor of the diagonal block of each pair into `near`; return the number of pairs with rows."""
     rows = top.rows
@@ -63,7 +63,7 @@ def _noise(n, multiplier):
     return x - np.floor(x) - 0.5
 
 
-@part
+@subkernel
 def _disturb(rows, near):
     """Add noise to the second vector, and fill the first if it is zero; return whether it was non-zero on entry."""
     known = 0.0
@@ -77,7 +77,7 @@ def _disturb(rows, near):
     return known > 0.0
 
 
-@part
+@subkernel
 def _scale(near):
     """Write the right sides ``D^-1 x`` and ``D^-1 y`` to the columns of the images."""
     for k in range(len(near)):
@@ -87,7 +87,7 @@ def _scale(near):
             near[k, X_IMAGE - X + c + 1] = l10 * near[k, c] + l11 * near[k, c + 1]
 
 
-@part
+@subkernel
 def _solve_both(schur, near):
     """Solve with the Schur complement for both right sides in place; see `mbdkit.engine.kernels.schur.solve`."""
     start, row, diagonal, below = schur.start, schur.row, schur.diagonal, schur.below
@@ -103,8 +103,14 @@ def _solve_both(schur, near):
             near[i, Y_IMAGE + 1] -= b10 * y0 + b11 * y1
     for k in range(n - 1, -1, -1):
         d00, d01, d11 = diagonal[k, 0], diagonal[k, 1], diagonal[k, 2]
-        x0, x1 = d00 * near[k, X_IMAGE] + d01 * near[k, X_IMAGE + 1], d01 * near[k, X_IMAGE] + d11 * near[k, X_IMAGE + 1]
-        y0, y1 = d00 * near[k, Y_IMAGE] + d01 * near[k, Y_IMAGE + 1], d01 * near[k, Y_IMAGE] + d11 * near[k, Y_IMAGE + 1]
+        x0, x1 = (
+            d00 * near[k, X_IMAGE] + d01 * near[k, X_IMAGE + 1],
+            d01 * near[k, X_IMAGE] + d11 * near[k, X_IMAGE + 1],
+        )
+        y0, y1 = (
+            d00 * near[k, Y_IMAGE] + d01 * near[k, Y_IMAGE + 1],
+            d01 * near[k, Y_IMAGE] + d11 * near[k, Y_IMAGE + 1],
+        )
         for e in range(start[k], start[k + 1]):
             i = row[e]
             b00, b01, b10, b11 = below[e, 0], below[e, 1], below[e, 2], below[e, 3]
@@ -130,7 +136,7 @@ def _solve_pivoted(top, w, solver, near):
                 near[k, c + r] = solution[row_index[k, r]]
 
 
-@part
+@subkernel
 def _products(rows, near):
     """Scale the solutions to the images; return the Gram matrices of vectors, of images and of vectors with images.
 
@@ -159,7 +165,7 @@ def _products(rows, near):
     return x00, x01, x11, y00, y01, y11, h00, h01, h11
 
 
-@part
+@subkernel
 def _turn(near, along, size0, size1, z0, z1):
     """Orthonormalize the images, rotate them by (z0, z1) and store them as the next vectors."""
     for k in range(len(near)):

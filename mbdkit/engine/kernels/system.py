@@ -10,10 +10,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from mbdkit.engine.jit.bundle import loader
-from mbdkit.engine.jit.cache import inlined, part
+from mbdkit.engine.jit.bundle import bundle_loader
+from mbdkit.engine.jit.decorators import inlined, subkernel
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix, RealVector, example_of
 from mbdkit.engine.kernels.constraints import (
     constraint_accelerations,
@@ -149,7 +147,7 @@ class Engine(NamedTuple):
     solver: Solver
 
 
-load_engine = loader(lambda: example_of(Engine))
+load_engine = bundle_loader(lambda: example_of(Engine))
 
 
 @inlined
@@ -183,7 +181,7 @@ def constraint_rate(pairs, jac, phi_t, v, k, r):
     return rate
 
 
-@part
+@subkernel
 def subtract_baumgarte(top, w, v):
     """Subtract ``2 alpha (Phi_q v + Phi_t) + beta^2 Phi`` from ``w.gamma``; return the largest of these terms."""
     rate_factor, factor = 2.0 * top.baumgarte[0], top.baumgarte[1] * top.baumgarte[1]
@@ -233,7 +231,7 @@ def spare_direction(top, cs, i):
     return c * x - s * y, s * x + c * y
 
 
-@part
+@subkernel
 def fold(top, cs, x):
     """Reduce the two rows of six columns of every pair, `x` (P, 12), to those that are solved for.
 
@@ -247,7 +245,7 @@ def fold(top, cs, x):
             x[k, 6 + c] = 0.0
 
 
-@part
+@subkernel
 def fold_values(top, cs, x):
     """Reduce the two values of every pair, `x` (P, 2), to those of the rows that are solved for, as `fold` does."""
     for i in range(len(top.spare)):
@@ -257,7 +255,7 @@ def fold_values(top, cs, x):
         x[k, 1] = 0.0
 
 
-@part
+@subkernel
 def _remove_redundant_rows(top, w):
     """Reduce the Jacobian and gamma to the rows that are solved for; move the rest of the Jacobian to ``w.loose``."""
     jac, loose = w.jac, w.loose
@@ -270,7 +268,7 @@ def _remove_redundant_rows(top, w):
     fold_values(top, w.cs, w.gamma)
 
 
-@part
+@subkernel
 def unfold_multipliers(top, cs, lam):
     """Turn the multipliers of the rows that are solved for into those of the pairs' own rows."""
     for i in range(len(top.spare)):
@@ -281,7 +279,7 @@ def unfold_multipliers(top, cs, lam):
         lam[k, 1] = dx * across
 
 
-@part
+@subkernel
 def free_accelerations(top, has_forces, force, acc):
     """Write the accelerations of the unconstrained bodies into `acc`."""
     gravity, weight = top.gravity, top.weight
@@ -294,7 +292,7 @@ def free_accelerations(top, has_forces, force, acc):
                 acc[3 * b + i] += weight[b, i] * force[3 * b + i]
 
 
-@part
+@subkernel
 def joint_right_side(top, w, acc, lam):
     """Write ``Phi_q a_free - gamma`` into `lam`."""
     pairs, rows, jac, gamma = top.pairs, top.rows, w.jac, w.gamma
@@ -308,7 +306,7 @@ def joint_right_side(top, w, acc, lam):
         lam[k, 1] = r1 if rows[k] == 2 else 0.0
 
 
-@part
+@subkernel
 def apply_multipliers(top, w, lam, acc):
     """Subtract ``M^-1 Phi_q^T lambda`` from the accelerations."""
     pairs, jac, weight = top.pairs, w.jac, top.weight
@@ -349,7 +347,7 @@ def gather_values(source, scatter, rate, weight, values):
         values[x] *= weight[x]
 
 
-@part
+@subkernel
 def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
     """Solve the whole index-1 system by pivoted sparse LU with one step of refinement; return a status."""
     n3 = 3 * (len(top.mass) - 1)
@@ -450,7 +448,7 @@ def transferred(top, w, solver, i, lam):
     unfold_multipliers(top, w.cs, lam)
 
 
-@part
+@subkernel
 def stabilize_tangents(top, w):
     """Add Baumgarte's terms to the derivatives of gamma; d(Phi_q v + Phi_t)/dq is -gamma_v / 2."""
     alpha, factor = top.baumgarte[0], top.baumgarte[1] * top.baumgarte[1]

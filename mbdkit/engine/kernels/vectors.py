@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from mbdkit.engine.jit.cache import part
+from mbdkit.engine.jit.decorators import subkernel
 
 
-@part
+@subkernel
 def copy(x, out):
     """Copy the vector `x` into the beginning of `out`."""
     for d in range(len(x)):
@@ -16,7 +16,7 @@ BEYOND = 1e75
 """A coordinate or rate of this size counts as overflow: its energy could not be recorded as a finite number."""
 
 
-@part
+@subkernel
 def stays_finite(x, increment):
     """Return whether `x` plus `increment` stays below `BEYOND`."""
     finite = True
@@ -25,7 +25,7 @@ def stays_finite(x, increment):
     return finite
 
 
-@part
+@subkernel
 def add_compensated(x, low, increment):
     """Add `increment` to `x`, whose rounding errors are carried in `low`."""
     for d in range(len(x)):
