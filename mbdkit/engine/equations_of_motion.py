@@ -84,8 +84,8 @@ class EquationsOfMotion:
     def __init__(self, workspace: Workspace):
         mechanism = workspace.mechanism
         self._workspace = workspace
-        self._view = equations.new_view(workspace)
-        self._hold = PinnedBundle(self._view)
+        top, scratch = workspace.stepping_topology, workspace.scratch
+        self._hold = PinnedBundle(equations.new_equations(top, scratch, workspace.solver))
         self.address = self._hold.address
         self.n, self.m = 3 * len(mechanism.bodies), len(mechanism.solved_rows)
         self.bodies = mechanism.bodies
@@ -296,32 +296,25 @@ class EquationsOfMotion:
         """Solve a system with the matrix of index 1, if need be with newly chosen pivots."""
         x, mu = np.empty(self.n), np.empty(self.m)
         state = float(t), vector(q, self.n), vector(v, self.n)
-        self.counters.factorizations += 1
-        if self._view.solver is not self._workspace.solver:  # the recorder has chosen other pivots
-            self._refresh()
-        status = equations.solution_of(self.address, *state, given, force, rows, x, mu)
+        workspace = self._workspace
+
+        def solve() -> int:
+            self.counters.factorizations += 1
+            if self._hold.bundle.solver is not workspace.solver:  # new pivots were chosen, here or by the recorder
+                self._hold.replace(self._hold.bundle._replace(solver=workspace.solver))
+                self.address = self._hold.address
+            return int(equations.solution_of(self.address, *state, given, force, rows, x, mu))
+
+        try:
+            status = workspace.retry_with_new_pivots(solve)
+        except SingularSystemError as error:
+            raise self._singular(error) from None
         if status == OK:
             return x, mu
-        if status != NOT_FINITE and self._workspace.is_finite():
-            try:
-                self._workspace.use_pivots()
-            except SingularSystemError as error:
-                raise self._singular(error) from None
-            self._refresh()
-            self.counters.factorizations += 1
-            status = equations.solution_of(self.address, *state, given, force, rows, x, mu)
-            if status == OK:
-                return x, mu
-            if status != NOT_FINITE:
-                failed, order = int(self._workspace.solver.failed[0]), self._workspace.solver.pattern.column_of
-                raise self._singular(SingularSystemError(int(order[failed]) if 0 <= failed < len(order) else -1))
-        raise self._not_finite()
-
-    def _refresh(self) -> None:
-        """Let the kernels see the solver that is in use now."""
-        self._view = self._view._replace(solver=self._workspace.solver)
-        self._hold.replace(self._view)
-        self.address = self._hold.address
+        if status == NOT_FINITE or not workspace.is_finite():
+            raise self._not_finite()
+        failed, order = int(workspace.solver.failed[0]), workspace.solver.pattern.column_of
+        raise self._singular(SingularSystemError(int(order[failed]) if 0 <= failed < len(order) else -1))
 
     def _residual(
         self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, *, with_forces: bool
@@ -366,7 +359,7 @@ class EquationsOfMotion:
 
     def _factorized(self, key: tuple[bool, ...], coefficients: np.ndarray) -> IterationMatrix:
         self.counters.factorizations += 1
-        return IterationMatrix(self, self._pivots[key], coefficients)
+        return IterationMatrix(self.terms_now, self._pivots[key], coefficients, self.counters)
 
     def _singular(self, error: SingularSystemError) -> StepError:
         name = self._workspace.mechanism.unknown_name(error.index)

@@ -1,4 +1,4 @@
-"""The matrix of a Newton iteration on a mechanism's equations: sparse, factorized in compiled code, pivots kept."""
+"""Factorized sparse matrix of a Newton iteration; its pivots are kept from one factorization to the next."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from mbdkit.engine.kernels.system import KKT_TOLERANCE
 from mbdkit.errors import StepError
 
 if TYPE_CHECKING:
-    from mbdkit.engine.equations_of_motion import EquationsOfMotion
+    from mbdkit.engine.counters import Counters
     from mbdkit.engine.kernels.lu import Pattern
-    from mbdkit.engine.workspace import Terms, Workspace
+    from mbdkit.engine.workspace import Workspace
 
 
 REAL, COMPLEX = np.dtype(float), np.dtype(complex)
 
 
 def vector(x: np.ndarray, size: int, dtype: np.dtype[Any] = REAL) -> np.ndarray:
-    """Return `x` as the kernels take it; raises ValueError where it is no vector of that size."""
+    """Return `x` as a contiguous vector of that dtype; raises ValueError if it is no vector of that size."""
     if type(x) is np.ndarray and x.dtype is dtype and x.flags.carray and x.shape == (size,):
         return x
     array: np.ndarray = np.array(x, dtype=dtype)
@@ -54,17 +54,19 @@ def classes_of(workspace: Workspace) -> np.ndarray:
 
 @dataclass
 class Pivots:
-    """A choice of pivots for all matrices whose terms are of the same classes, and room for their numbers."""
+    """A choice of pivots for all matrices with terms of the same classes, and storage for these matrices."""
 
+    shape: tuple[int, int]
+    """Numbers of coordinates and of multipliers, (n, m)."""
     pattern: Pattern
     scatter: np.ndarray
     reference: np.ndarray
-    """(N,) sizes of the pivots when they were chosen."""
+    """(n + m,) sizes of the pivots when they were chosen."""
     free: list[PinnedBundle] = field(default_factory=list)
     """Matrices that are no longer in use."""
 
     def take(self, dtype: type) -> PinnedBundle:
-        """Return a matrix that nobody uses."""
+        """Return storage for a matrix, recycled if possible."""
         if self.free:
             return self.free.pop()
         factors = new_factors(self.pattern, dtype)._replace(reference=self.reference)
@@ -72,27 +74,29 @@ class Pivots:
 
 
 def chosen_pivots(workspace: Workspace, classes: np.ndarray, coefficients: np.ndarray) -> Pivots:
-    """Choose pivots by the tangents that were evaluated last; raises SingularSystemError."""
+    """Choose pivots for the tangents of the last evaluation; raises SingularSystemError."""
     used = coefficients[classes] != 0
-    terms: Terms = workspace.terms.kept(used)
+    terms = workspace.terms.kept(used)
     pattern, position = workspace.pivots_of(terms, coefficients[classes[used]])
     scatter = np.column_stack([terms.source, position, classes[used]]).astype(np.int64)
-    return Pivots(pattern, scatter, np.zeros(len(pattern.row_of)))
+    n = 3 * len(workspace.mechanism.bodies)
+    return Pivots((n, workspace.unknowns - n), pattern, scatter, np.zeros(len(pattern.row_of)))
 
 
 class IterationMatrix:
-    """A factorized matrix; `EquationsOfMotion.iteration_matrix` makes it.
+    """A factorized matrix, made by `EquationsOfMotion.iteration_matrix`.
 
-    It stays valid whatever is evaluated afterwards, other matrices included.
+    Later evaluations and other matrices leave it unchanged.
     """
 
-    def __init__(self, equations: EquationsOfMotion, pivots: Pivots, coefficients: np.ndarray):
-        self._equations, self._pivots = equations, pivots
+    def __init__(self, source: np.ndarray, pivots: Pivots, coefficients: np.ndarray, counters: Counters):
+        """Factorize a matrix; `source` holds the values of all terms, and `counters` counts the solves."""
+        self._pivots, self._counters = pivots, counters
         self._complex = coefficients.dtype == complex
         self._hold = pivots.take(coefficients.dtype.type)
         kernel = factorize_complex if self._complex else factorize_real
-        self.failed_at: int = kernel(equations.terms_now, self._hold.address, coefficients)
-        """Pivot that was lost in the factorization, -1 if none."""
+        self.failed_at: int = kernel(source, self._hold.address, coefficients)
+        """Position of the pivot at which the factorization failed, -1 if none."""
 
     def __del__(self) -> None:
         self._pivots.free.append(self._hold)
@@ -117,14 +121,14 @@ class IterationMatrix:
         Raises
         ------
         StepError
-            Where the right side is not finite, or the matrix is too close to singular for the residual to vanish.
+            If the right side is not finite, or if the matrix is so close to singular that a residual remains.
         """
-        equations = self._equations
         dtype = COMPLEX if self._complex else REAL
-        x, mu = np.empty(equations.n, dtype), np.empty(equations.m, dtype)
-        force, rows = vector(force, equations.n, dtype), vector(rows, equations.m, dtype)
+        n, m = self._pivots.shape
+        x, mu = np.empty(n, dtype), np.empty(m, dtype)
+        force, rows = vector(force, n, dtype), vector(rows, m, dtype)
         kernel = solve_complex if self._complex else solve_real
-        equations.counters.newton_iterations += 1
+        self._counters.newton_iterations += 1
         if not kernel(self._hold.address, force, rows, x, mu) < KKT_TOLERANCE:
             if not (np.all(np.isfinite(force)) and np.all(np.isfinite(rows))):
                 raise StepError("not-finite", "the right side of an iteration is no finite number")
@@ -132,5 +136,5 @@ class IterationMatrix:
         return x, mu
 
     def lost(self) -> SingularSystemError:
-        """Return the error that tells which unknown the factorization failed at."""
+        """Return the error that names the unknown at which the factorization failed."""
         return SingularSystemError(int(self._pivots.pattern.column_of[self.failed_at]))

@@ -317,12 +317,10 @@ def require_unique_start(workspace: Workspace) -> None:
     mechanism = workspace.mechanism
     acc, lam = np.zeros(mechanism.size), np.zeros((len(mechanism.topology.pairs), 2))
     try:
-        for _ in range(2):
-            status = tangents_at(workspace.engine, workspace.t0, workspace.q0, workspace.v0, acc, lam)
-            if status == OK:
-                break
-            workspace.use_pivots()
-        else:
+        status = workspace.retry_with_new_pivots(
+            lambda: tangents_at(workspace.engine, workspace.t0, workspace.q0, workspace.v0, acc, lam)
+        )
+        if status != OK:
             raise SingularSystemError
     except SingularSystemError as error:
         refuse_law(workspace)

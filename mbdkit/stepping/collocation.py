@@ -15,7 +15,6 @@ from mbdkit.engine.iteration_matrix import classes_of
 from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.equations import GAMMA_V, STIFFNESS
 from mbdkit.engine.kernels.observe import tangents_at
-from mbdkit.engine.kernels.system import OK
 from mbdkit.stepping import collocation_constrained, collocation_index1
 from mbdkit.stepping.collocation_stages import (
     FIXED_POINT,
@@ -107,12 +106,10 @@ class CollocationFamily(Family):
 
     def _evaluate_tangents(self, common: Common, t: float) -> None:
         """Evaluate the tangents at the state in `common`; raises SingularSystemError."""
-        own = self.own
-        for _ in range(2):
-            status = tangents_at(self.workspace.stepping_engine, t, common.q, common.v, own.spread[0], own.pairs)
-            if status == OK:
-                break
-            self.workspace.use_pivots()
+        own, workspace = self.own, self.workspace
+        workspace.retry_with_new_pivots(
+            lambda: tangents_at(workspace.stepping_engine, t, common.q, common.v, own.spread[0], own.pairs)
+        )
         if not self.formulation.solves_multipliers:
             own.lam[:] = 0.0
 

@@ -36,18 +36,17 @@ import numpy as np
 from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
 from mbdkit.engine.jit.decorators import entry, inlined, subkernel
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, STIFFNESS
+from mbdkit.engine.kernels.forces import applied_forces
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
     OK,
     REPIVOT_STAGES,
     Scatter,
-    applied,
-    constraint_rows,
     evaluate_powers,
     evaluate_tangents,
-    independent_rows,
     prepare,
     solve_system,
+    solved_rows,
     unfold_multipliers,
 )
 from mbdkit.engine.kernels.vectors import copy
@@ -107,14 +106,13 @@ def _evaluate_residual(c, m, t, h):
     for i in range(len(m.rk.c)):
         q, v, lack = m.q_stage[i], m.v_stage[i], m.residual[i]
         position_rows(top, w, t + m.rk.c[i] * h, q)
-        constraint_rows(top, w, q, v)
-        independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
+        solved_rows(top, w, q, v)
         for b in range(len(top.mass) - 1):
             lack[3 * b] = top.mass[b, 0] * (m.acc[i, 3 * b] - top.gravity[0])
             lack[3 * b + 1] = top.mass[b, 1] * (m.acc[i, 3 * b + 1] - top.gravity[1])
             lack[3 * b + 2] = top.mass[b, 2] * m.acc[i, 3 * b + 2]
         if has_forces:
-            applied(top, w, q, v)
+            applied_forces(top, w, q, v)
             for d in range(n3):
                 lack[d] -= w.force[d]
         rate_rows(top, w.jac, w.phi_t, v, m.pairs)
@@ -276,7 +274,7 @@ def _powers(c, m, t, h):
     """Evaluate the powers of the stages."""
     for i in range(len(m.rk.c)):
         _unfold(c, t + m.rk.c[i] * h, m.q_stage[i], m.lam[i], m.pairs)
-        applied(c.top, c.w, m.q_stage[i], m.v_stage[i])
+        applied_forces(c.top, c.w, m.q_stage[i], m.v_stage[i])
         m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage[i], m.v_stage[i], m.pairs)
     c.counts[RHS] += len(m.rk.c)
     return OK

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from mbdkit.engine.elimination_order import empty_pattern, new_factors
+from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.kernels.equations import example_workspace
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.system import Scatter
 from mbdkit.methods.tableau import ButcherTableau

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from mbdkit.engine.jit.decorators import kernel, subkernel
 from mbdkit.engine.jit.entry import call_entry
-from mbdkit.engine.kernels.constraints import constraint_positions
+from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.projection import mass_norm, project_positions, project_velocities
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_rows, prepare
 from mbdkit.engine.kernels.vectors import add_compensated, copy, stays_finite
@@ -243,17 +243,6 @@ def _write_inner_rows(run, method, dense, plan, rows):
 
 
 @subkernel
-def note_misalignment(c, t, q):
-    """Raise ``worst`` (P,) to the squared norm of each pair's Phi if that is larger."""
-    prepare(c.still, c.w, t, q)
-    constraint_positions(c.still.pairs, c.still.pair_parameters, q, c.w.cs, c.w.u, c.w.phi, c.w.phi_t)
-    for k in range(len(c.worst)):
-        gap = c.w.phi[k, 0] * c.w.phi[k, 0] + c.w.phi[k, 1] * c.w.phi[k, 1]
-        if gap > c.worst[k]:
-            c.worst[k] = gap
-
-
-@subkernel
 def _add_energies(c):
     """Add the energies gained in a step to their compensated sums."""
     for m in range(2):
@@ -297,7 +286,7 @@ def _advance(c, plan):
     if c.has_power[0] != 0:
         _add_energies(c)
     last = _advance_time(plan, c.progress)
-    note_misalignment(c, c.progress.time[0], c.q)
+    raise_misalignments(c.still, c.w, c.progress.time[0], c.q, c.worst)
     return OK, last
 
 

@@ -24,17 +24,16 @@ import numpy as np
 
 from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.jit.decorators import entry, subkernel
+from mbdkit.engine.kernels.forces import applied_forces
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
     DIVERGED,
     NOT_FINITE,
     OK,
-    applied,
-    constraint_rows,
     evaluate_powers,
-    independent_rows,
     prepare,
     solve_system,
+    solved_rows,
     unfold_multipliers,
 )
 from mbdkit.engine.kernels.vectors import copy, stays_finite
@@ -117,7 +116,7 @@ class Pair(NamedTuple):
 
 
 def _example() -> Pair:
-    from mbdkit.engine.kernels.equations import example_workspace
+    from mbdkit.engine.example_workspace import example_workspace
     from mbdkit.methods.kinds import LobattoPair
 
     return new_pair(LobattoPair(2), example_workspace())
@@ -189,9 +188,8 @@ def _iterate(c, m, t, h):
         for j in range(s - 1):
             prepare(top, w, t + m.rk.c[j] * h, m.q_stage[j])
             if has_forces:
-                applied(top, w, m.q_stage[j], m.v_stage[j])
-            constraint_rows(top, w, m.q_stage[j], m.v_stage[j])
-            independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
+                applied_forces(top, w, m.q_stage[j], m.v_stage[j])
+            solved_rows(top, w, m.q_stage[j], m.v_stage[j])
             w.gamma[:, :] = 0.0
             rate_rows(top, w.jac, w.gamma, m.acc[j], m.pairs)
             for k in range(len(top.pairs)):
@@ -251,9 +249,8 @@ def _finish(c, m, t, h):
             known[d] += h * m.rk.b[j] * m.acc[j, d]
     position_rows(top, w, t + h, end)
     if has_forces:
-        applied(top, w, end, m.v_stage[s - 1])
-    constraint_rows(top, w, end, m.v_stage[s - 1])
-    independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
+        applied_forces(top, w, end, m.v_stage[s - 1])
+    solved_rows(top, w, end, m.v_stage[s - 1])
     rate_rows(top, w.jac, w.phi_t, known, w.gamma)
     for k in range(len(top.pairs)):
         for r in range(2):
@@ -291,7 +288,7 @@ def attempt(common, own, t, h, want_error):
                 c.own_lam[k, 0], c.own_lam[k, 1] = m.lam[j, k, 0], m.lam[j, k, 1]
             unfold_multipliers(top, w.cs, c.own_lam)
         if c.has_power[0] != 0:
-            applied(top, w, m.q_stage[j], m.v_stage[j])
+            applied_forces(top, w, m.q_stage[j], m.v_stage[j])
             m.power[j, 0], m.power[j, 1] = evaluate_powers(top, w, m.q_stage[j], m.v_stage[j], c.own_lam)
             c.gain[0] += w1 * m.power[j, 0]
             c.gain[1] += w1 * m.power[j, 1]

@@ -17,7 +17,7 @@ from mbdkit.engine.kernels.projection import (
     project_velocities,
     rate_rows,
 )
-from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_rows, independent_rows, solve_system
+from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, solve_system, solved_rows
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.stepping.run_plan import PLAIN, SYMMETRIC
 from mbdkit.stepping.run_state import ALTERED, PROJECTIONS, load_common
@@ -34,8 +34,7 @@ so far, and already at the level of rounding errors."""
 def _push(c, t, q, push_q, push_v):
     """Write ``M^-1 Phi_q(q)^T mu`` into `push_q` and the same with nu into `push_v`."""
     position_rows(c.still, c.w, t, q)
-    constraint_rows(c.still, c.w, q, c.rest)
-    independent_rows(c.still, c.w.cs, c.w.jac, c.w.gamma, c.w.loose)
+    solved_rows(c.still, c.w, q, c.rest)
     pairs, jac, weight = c.still.pairs, c.w.jac, c.still.weight
     push_q[:] = 0.0
     push_v[:] = 0.0
@@ -94,8 +93,7 @@ def _symmetric_step(common, own, attempt, t, h):
             c.shift_q[d] += c.est_q[d]
             c.shift_v[d] += c.est_v[d]
         position_rows(c.still, c.w, t + h, c.new_q)
-        constraint_rows(c.still, c.w, c.new_q, c.rest)
-        independent_rows(c.still, c.w.cs, c.w.jac, c.w.gamma, c.w.loose)
+        solved_rows(c.still, c.w, c.new_q, c.rest)
         rate_rows(c.still, c.w.jac, c.w.phi_t, c.new_v, c.miss)
         now = max(
             largest_residual(c.still, c.w.phi) / largest_size(c.new_q),
@@ -113,8 +111,7 @@ def _symmetric_step(common, own, attempt, t, h):
             for d in range(len(c.q)):
                 c.est_q[d] = c.new_q[d] - 2.0 * c.x[d]
             position_rows(c.still, c.w, t + h, c.est_q)
-            constraint_rows(c.still, c.w, c.est_q, c.rest)
-            independent_rows(c.still, c.w.cs, c.w.jac, c.w.gamma, c.w.loose)
+            solved_rows(c.still, c.w, c.est_q, c.rest)
             rate_rows(c.still, c.w.jac, c.w.phi_t, c.new_v, c.miss)
             status = _newton_on(c, c.miss, c.nu)
         if status != OK:
@@ -131,8 +128,7 @@ def _passes_bound(c, t, q, v, bound):
     position_rows(c.still, c.w, t, q)
     if not largest_residual(c.still, c.w.phi) <= bound:
         return True
-    constraint_rows(c.still, c.w, q, c.rest)
-    independent_rows(c.still, c.w.cs, c.w.jac, c.w.gamma, c.w.loose)
+    solved_rows(c.still, c.w, q, c.rest)
     rate_rows(c.still, c.w.jac, c.w.phi_t, v, c.miss)
     return not largest_residual(c.still, c.miss) <= bound
 

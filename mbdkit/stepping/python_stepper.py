@@ -11,8 +11,8 @@ import numpy as np
 
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
+from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.iteration_matrix import vector
-from mbdkit.engine.kernels.equations import example_workspace
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import StepError
 from mbdkit.methods.step_method import StepMethod, StepState

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.kernels.equations import example_workspace
 from mbdkit.engine.kernels.system import Scratch, Solver, Topology
 
 if TYPE_CHECKING:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -64,14 +66,13 @@ class Blocks:
         self.schedule = schur_schedule(ends, bodies, order, below)
 
     def factor(self) -> int:
-        given = {"pairs": self.pairs, "rows": self.rows, "jac": self.jac, "weight": self.weight}
-        given |= self.schedule._asdict()
-        code = schur.factor.py_func.__code__
-        return schur.factor.py_func(*(given[name] for name in code.co_varnames[: code.co_argcount]))
+        top: Any = SimpleNamespace(pairs=self.pairs, rows=self.rows, weight=self.weight)
+        with mock.patch.object(schur, "diagonal_block", schur.diagonal_block.py_func):
+            return int(schur.factor.py_func(top, self.jac, self.schedule))
 
     def solve(self, b: np.ndarray) -> np.ndarray:
-        s, x = self.schedule, b.copy()
-        schur.solve.py_func(s.start, s.row, s.diagonal, s.below, x)
+        x = b.copy()
+        schur.solve.py_func(self.schedule, x)
         return x
 
     def dense(self) -> np.ndarray:

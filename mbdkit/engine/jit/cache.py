@@ -29,9 +29,7 @@ _PACKAGE = Path(__file__).resolve().parents[2]
 def kernel_sources() -> list[Path]:
     """Return the source files of all kernels and of all functions that they call, sorted."""
     rooms = ("engine/jit", "engine/kernels", "stepping")
-    return sorted(
-        [*(path for room in rooms for path in (_PACKAGE / room).glob("*.py")), _PACKAGE / "engine/singularity.py"]
-    )
+    return sorted(path for room in rooms for path in (_PACKAGE / room).glob("*.py"))
 
 
 def fingerprint() -> str:

@@ -19,7 +19,8 @@ from numba import njit, types
 from numba.extending import intrinsic, is_jitted
 
 HAS_POTENTIAL, PASSIVE = 1, 2
-"""Claims of a law, as bits: the slope of its potential is the force at rate zero; the rest of the force dissipates."""
+"""Claims of a law, as bits. HAS_POTENTIAL: at zero rate its force is the slope of its potential. PASSIVE: the rest of
+its power is dissipated."""
 
 SIGNATURE = types.void(
     types.float64, types.float64, types.float64, types.CPointer(types.float64), types.CPointer(types.float64)

@@ -1,7 +1,7 @@
-"""The equations of a mechanism one by one, for callers in Python: each kernel takes the address of a held `View`.
+"""Kernels of the equations of motion for callers in Python; each takes the address of a held `Equations` bundle.
 
-Vectors are those of the moving bodies alone, (n,) with n = 3 B, and multipliers and constraint rows are (m,), the
-independent ones in the order of the mechanism's rows; ground, pairs of rows and redundant rows stay inside.
+Vectors of the caller have no entries for ground: they are (n,) with n = 3 B. Multipliers and constraint rows are (m,):
+the independent ones, in the order of the mechanism's rows.
 """
 
 from __future__ import annotations
@@ -12,111 +12,94 @@ import numpy as np
 
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import inlined, kernel
-from mbdkit.engine.kernels.constraints import constraint_positions
-from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, residual, substitute
+from mbdkit.engine.kernels.bundle_types import IntMatrix, NumberVector, RealMatrix, RealVector, example_of
+from mbdkit.engine.kernels.forces import applied_forces
+from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, solve_refined
+from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.system import (
     NOT_FINITE,
     OK,
     Scratch,
     Solver,
     Topology,
-    applied,
-    constraint_rows,
+    constraint_rate,
+    evaluate_positions,
     evaluate_powers,
     evaluate_tangents,
     fold_values,
-    independent_rows,
     prepare,
     solve_system,
+    solved_rows,
     unfold_multipliers,
 )
 from mbdkit.engine.kernels.vectors import BEYOND
-from mbdkit.engine.workspace import Workspace
 
 MASS, JACOBIAN, DAMPING, STIFFNESS, GAMMA_V, RESIDUAL_Q = range(6)
 """Classes of the terms of a `Matrix`: M; Phi_q and its transpose; C; K; d gamma/dv; d(Phi_q a - gamma)/dq."""
 
 
-class View(NamedTuple):
-    """What the kernels of this file work on."""
+class Equations(NamedTuple):
+    """The bundle behind `mbdkit.engine.equations_of_motion.EquationsOfMotion`: a mechanism and room for one call."""
 
     top: Topology
-    """The mechanism; its gravity is this view's own, which is taken away for right sides of the caller's."""
-    gravity: np.ndarray
-    """(2,) the mechanism's gravity."""
+    """The mechanism, with a gravity vector of its own that is set to zero while the caller supplies the right side."""
+    gravity: RealVector
+    """(2,) gravity of the mechanism."""
     w: Scratch
     solver: Solver
-    q: np.ndarray
-    """(3 (B + 1),) the caller's positions, ground last."""
-    v: np.ndarray
-    a: np.ndarray
-    lam: np.ndarray
-    """(P, 2) the caller's multipliers."""
+    q: RealVector
+    """(3 (B + 1),) positions of the caller, ground last; likewise velocities and accelerations."""
+    v: RealVector
+    a: RealVector
+    lam: RealMatrix
+    """(P, 2) multipliers of the caller."""
 
 
 class Matrix(NamedTuple):
-    """A sparse matrix of n + m unknowns, a sum of terms with the coefficients of their classes, and its factors."""
+    """A factorized sparse matrix of n + m unknowns: a sum of terms, each with the coefficient of its class."""
 
     pattern: Pattern
     factors: Factors
-    scatter: np.ndarray
-    """(N, 3) term of ``Scratch.source``, place among the values, class."""
-    right: np.ndarray
-    solution: np.ndarray
-    correction: np.ndarray
+    scatter: IntMatrix
+    """(N, 3) index into ``Scratch.source``, place among the values, class."""
+    right: NumberVector
+    solution: NumberVector
+    correction: NumberVector
 
 
-def new_view(workspace: Workspace) -> View:
-    """Return the view of a workspace with the solver that is in use now."""
-    top, size = workspace.stepping_topology, workspace.mechanism.size
-    own, lam = top._replace(gravity=np.zeros(2)), np.zeros((len(top.pairs), 2))
+def new_equations(top: Topology, scratch: Scratch, solver: Solver) -> Equations:
+    """Return the bundle of a mechanism with its working arrays and the solver in use."""
+    size, lam = len(scratch.force), np.zeros((len(top.pairs), 2))
     vectors = np.zeros(size), np.zeros(size), np.zeros(size)
-    return View(own, top.gravity, workspace.scratch, workspace.solver, *vectors, lam)
+    return Equations(top._replace(gravity=np.zeros(2)), top.gravity, scratch, solver, *vectors, lam)
 
 
 def new_matrix(pattern: Pattern, factors: Factors, scatter: np.ndarray) -> Matrix:
-    """Return a matrix with room for its values and for the solutions of its systems."""
+    """Return a matrix with storage for its values and for the solution of its systems."""
     vectors = (np.zeros(len(pattern.row_of), factors.a.dtype) for _ in range(3))
     return Matrix(pattern, factors, scatter, *vectors)
 
 
-def example_workspace() -> Workspace:
-    """Return a workspace of a single free body; the types of its arrays are those of every workspace."""
-    from mbdkit.engine.compile_mechanism import compile_mechanism
-    from mbdkit.mechanism.mechanism import Mechanism
-
-    m = Mechanism()
-    m.body("body", mass=1.0, inertia=1.0)
-    return Workspace(compile_mechanism(m), 0.0, np.zeros(6), np.zeros(6))
-
-
-def _example_matrix(dtype: type) -> Matrix:
-    from mbdkit.engine.elimination_order import empty_pattern, new_factors
-
-    pattern = empty_pattern()
-    return new_matrix(pattern, new_factors(pattern, dtype), np.zeros((0, 3), dtype=np.int64))
-
-
-load_view = bundle_loader(lambda: new_view(example_workspace()))
-load_real = bundle_loader(lambda: _example_matrix(np.float64))
-load_complex = bundle_loader(lambda: _example_matrix(np.complex128))
+load_equations = bundle_loader(lambda: example_of(Equations))
+load_real = bundle_loader(lambda: example_of(Matrix, np.float64))
+load_complex = bundle_loader(lambda: example_of(Matrix, np.complex128))
 
 
 @inlined
 def _put(x, given):
-    """Copy the caller's vector (n,) into `x`, which goes on with the ground's coordinates."""
+    """Copy a vector (n,) of the caller to the beginning of `x` (3 (B + 1),)."""
     for d in range(len(given)):
         x[d] = given[d]
 
 
 @inlined
-def _put_rows(h, x, given):
-    """Copy the caller's rows (m,) into `x` (P, 2)."""
-    n = len(h.q) - 3
-    for k in range(len(h.top.pairs)):
+def _put_rows(eq, x, given):
+    """Copy rows (m,) of the caller to `x` (P, 2)."""
+    n = len(eq.q) - 3
+    for k in range(len(eq.top.pairs)):
         x[k, 0] = x[k, 1] = 0.0
-        for r in range(h.top.rows[k]):
-            x[k, r] = given[h.solver.row_index[k, r] - n]
+        for r in range(eq.top.rows[k]):
+            x[k, r] = given[eq.solver.row_index[k, r] - n]
 
 
 @inlined
@@ -130,52 +113,41 @@ def _take(x, out):
 
 
 @inlined
-def _take_rows(h, x, out):
+def _take_rows(eq, x, out):
     """Copy the rows `x` (P, 2) to the caller's `out` (m,); return whether they are finite."""
-    n = len(h.q) - 3
+    n = len(eq.q) - 3
     finite = True
-    for k in range(len(h.top.pairs)):
-        for r in range(h.top.rows[k]):
-            out[h.solver.row_index[k, r] - n] = x[k, r]
+    for k in range(len(eq.top.pairs)):
+        for r in range(eq.top.rows[k]):
+            out[eq.solver.row_index[k, r] - n] = x[k, r]
             finite = finite and abs(x[k, r]) < np.inf
     return finite
-
-
-@inlined
-def _evaluate_constraints(h, t):
-    prepare(h.top, h.w, t, h.q)
-    constraint_rows(h.top, h.w, h.q, h.v)
-    independent_rows(h.top, h.w.cs, h.w.jac, h.w.gamma, h.w.loose)
-    constraint_positions(h.top.pairs, h.top.pair_parameters, h.q, h.w.cs, h.w.u, h.w.phi, h.w.phi_t)
-    fold_values(h.top, h.w.cs, h.w.phi)
-    fold_values(h.top, h.w.cs, h.w.phi_t)
 
 
 @kernel
 def solution_of(address, t, q, v, given, force, rows, x, mu):
     """Solve ``M x + Phi_q^T mu = force``, ``Phi_q x = rows`` at a state; return a status.
 
-    The right side is that of the mechanism, Q and gamma, unless it is `given`.
+    If `given` is false, the right side is that of the mechanism, Q and gamma, and `force` and `rows` are ignored.
     """
-    h = load_view(address)
-    top, w = h.top, h.w
-    _put(h.q, q)
-    _put(h.v, v)
-    prepare(top, w, t, h.q)
-    constraint_rows(top, w, h.q, h.v)
-    independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
+    eq = load_equations(address)
+    top, w = eq.top, eq.w
+    _put(eq.q, q)
+    _put(eq.v, v)
+    prepare(top, w, t, eq.q)
+    solved_rows(top, w, eq.q, eq.v)
     has_forces = given or len(top.springs) + len(top.loads) > 0
-    top.gravity[0] = 0.0 if given else h.gravity[0]
-    top.gravity[1] = 0.0 if given else h.gravity[1]
+    top.gravity[0] = 0.0 if given else eq.gravity[0]
+    top.gravity[1] = 0.0 if given else eq.gravity[1]
     if given:
         _put(w.force, force)
-        _put_rows(h, w.gamma, rows)
+        _put_rows(eq, w.gamma, rows)
     elif has_forces:
-        applied(top, w, h.q, h.v)
-    status = solve_system(top, w, h.solver, has_forces, h.a, h.lam, True)
+        applied_forces(top, w, eq.q, eq.v)
+    status = solve_system(top, w, eq.solver, has_forces, eq.a, eq.lam, True)
     if status == OK:
-        finite = _take(h.a, x)
-        if not (_take_rows(h, h.lam, mu) and finite):
+        finite = _take(eq.a, x)
+        if not (_take_rows(eq, eq.lam, mu) and finite):
             status = NOT_FINITE
     return status
 
@@ -183,35 +155,34 @@ def solution_of(address, t, q, v, given, force, rows, x, mu):
 @kernel
 def residual_of(address, t, q, v, a, lam, with_forces, out):
     """Write ``M a + Phi_q^T lam - Q``, or ``M a + Phi_q^T lam`` without forces, into `out` (n,); return a status."""
-    h = load_view(address)
-    top, w = h.top, h.w
-    _put(h.q, q)
-    _put(h.v, v)
-    _put_rows(h, h.lam, lam)
-    prepare(top, w, t, h.q)
-    constraint_rows(top, w, h.q, h.v)
-    independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
-    for d in range(len(h.q)):
-        h.a[d] = 0.0
+    eq = load_equations(address)
+    top, w = eq.top, eq.w
+    _put(eq.q, q)
+    _put(eq.v, v)
+    _put_rows(eq, eq.lam, lam)
+    prepare(top, w, t, eq.q)
+    solved_rows(top, w, eq.q, eq.v)
+    for d in range(len(eq.q)):
+        eq.a[d] = 0.0
     if with_forces:
         if len(top.springs) + len(top.loads) > 0:
-            applied(top, w, h.q, h.v)
+            applied_forces(top, w, eq.q, eq.v)
             for d in range(len(q)):
-                h.a[d] -= w.force[d]
+                eq.a[d] -= w.force[d]
         for b in range(len(top.mass) - 1):
-            h.a[3 * b] -= top.mass[b, 0] * h.gravity[0]
-            h.a[3 * b + 1] -= top.mass[b, 1] * h.gravity[1]
+            eq.a[3 * b] -= top.mass[b, 0] * eq.gravity[0]
+            eq.a[3 * b + 1] -= top.mass[b, 1] * eq.gravity[1]
     for b in range(len(top.mass) - 1):
         for i in range(3):
-            h.a[3 * b + i] += top.mass[b, i] * a[3 * b + i]
+            eq.a[3 * b + i] += top.mass[b, i] * a[3 * b + i]
     for k in range(len(top.pairs)):
         first, second = 3 * top.pairs[k, 1], 3 * top.pairs[k, 2]
         for r in range(top.rows[k]):
             for i in range(3):
-                h.a[first + i] += w.jac[k, 6 * r + i] * h.lam[k, r]
-                h.a[second + i] += w.jac[k, 6 * r + 3 + i] * h.lam[k, r]
-    finite = _take(h.a, out)
-    h.a[len(h.a) - 3 :] = 0.0  # the ground, which stands still for everybody else
+                eq.a[first + i] += w.jac[k, 6 * r + i] * eq.lam[k, r]
+                eq.a[second + i] += w.jac[k, 6 * r + 3 + i] * eq.lam[k, r]
+    finite = _take(eq.a, out)
+    eq.a[len(eq.a) - 3 :] = 0.0  # other kernels rely on a ground at rest
     if not finite:
         return NOT_FINITE
     return OK
@@ -219,21 +190,22 @@ def residual_of(address, t, q, v, a, lam, with_forces, out):
 
 @kernel
 def rows_of(address, t, q, v, phi, rate, gamma):
-    """Write Phi, ``Phi_q v + Phi_t`` and gamma, each (m,); leaves ``w.jac``; return a status."""
-    h = load_view(address)
-    _put(h.q, q)
-    _put(h.v, v)
-    _evaluate_constraints(h, t)
-    finite = _take_rows(h, h.w.phi, phi)
-    finite = _take_rows(h, h.w.gamma, gamma) and finite
-    for k in range(len(h.top.pairs)):
-        first, second = 3 * h.top.pairs[k, 1], 3 * h.top.pairs[k, 2]
-        for r in range(h.top.rows[k]):
-            total = h.w.phi_t[k, r]
-            for i in range(3):
-                total += h.w.jac[k, 6 * r + i] * h.v[first + i] + h.w.jac[k, 6 * r + 3 + i] * h.v[second + i]
-            h.lam[k, r] = total
-    if not (_take_rows(h, h.lam, rate) and finite):
+    """Write Phi, ``Phi_q v + Phi_t`` and gamma, each (m,), and leave the Jacobian in ``w.jac``; return a status."""
+    eq = load_equations(address)
+    top, w = eq.top, eq.w
+    _put(eq.q, q)
+    _put(eq.v, v)
+    prepare(top, w, t, eq.q)
+    solved_rows(top, w, eq.q, eq.v)
+    evaluate_positions(top, w, eq.q)
+    fold_values(top, w.cs, w.phi)
+    fold_values(top, w.cs, w.phi_t)
+    finite = _take_rows(eq, w.phi, phi)
+    finite = _take_rows(eq, w.gamma, gamma) and finite
+    for k in range(len(top.pairs)):
+        for r in range(top.rows[k]):
+            eq.lam[k, r] = constraint_rate(top.pairs, w.jac, w.phi_t, eq.v, k, r)
+    if not (_take_rows(eq, eq.lam, rate) and finite):
         return NOT_FINITE
     return OK
 
@@ -241,17 +213,17 @@ def rows_of(address, t, q, v, phi, rate, gamma):
 @kernel
 def tangents_of(address, t, q, v, a, lam):
     """Evaluate every term of a `Matrix` into ``w.source``; return a status."""
-    h = load_view(address)
-    _put(h.q, q)
-    _put(h.v, v)
-    _put(h.a, a)
-    _put_rows(h, h.lam, lam)
-    prepare(h.top, h.w, t, h.q)
-    unfold_multipliers(h.top, h.w.cs, h.lam)
-    evaluate_tangents(h.top, h.w, t, h.q, h.v, h.a, h.lam)
+    eq = load_equations(address)
+    _put(eq.q, q)
+    _put(eq.v, v)
+    _put(eq.a, a)
+    _put_rows(eq, eq.lam, lam)
+    prepare(eq.top, eq.w, t, eq.q)
+    unfold_multipliers(eq.top, eq.w.cs, eq.lam)
+    evaluate_tangents(eq.top, eq.w, t, eq.q, eq.v, eq.a, eq.lam)
     finite = True
-    for i in range(len(h.w.source)):
-        finite = finite and abs(h.w.source[i]) < np.inf
+    for i in range(len(eq.w.source)):
+        finite = finite and abs(eq.w.source[i]) < np.inf
     if not finite:
         return NOT_FINITE
     return OK
@@ -260,38 +232,35 @@ def tangents_of(address, t, q, v, a, lam):
 @kernel
 def powers_of(address, t, q, v, lam):
     """Return the power of loads and drivers under the multipliers `lam`, and the power dissipated [W]."""
-    h = load_view(address)
-    _put(h.q, q)
-    _put(h.v, v)
-    _put_rows(h, h.lam, lam)
-    prepare(h.top, h.w, t, h.q)
-    unfold_multipliers(h.top, h.w.cs, h.lam)
-    applied(h.top, h.w, h.q, h.v)
-    return evaluate_powers(h.top, h.w, h.q, h.v, h.lam)
+    eq = load_equations(address)
+    _put(eq.q, q)
+    _put(eq.v, v)
+    _put_rows(eq, eq.lam, lam)
+    prepare(eq.top, eq.w, t, eq.q)
+    unfold_multipliers(eq.top, eq.w.cs, eq.lam)
+    applied_forces(eq.top, eq.w, eq.q, eq.v)
+    return evaluate_powers(eq.top, eq.w, eq.q, eq.v, eq.lam)
 
 
 @kernel
 def pair_multipliers_of(address, t, q, lam, out):
-    """Write the multipliers of the pairs' own rows, redundant ones included, into `out` (P, 2)."""
-    h = load_view(address)
-    _put(h.q, q)
-    _put_rows(h, out, lam)
-    prepare(h.top, h.w, t, h.q)
-    unfold_multipliers(h.top, h.w.cs, out)
+    """Write the multipliers of all rows, redundant ones included, into `out` (P, 2)."""
+    eq = load_equations(address)
+    _put(eq.q, q)
+    _put_rows(eq, out, lam)
+    prepare(eq.top, eq.w, t, eq.q)
+    unfold_multipliers(eq.top, eq.w.cs, out)
 
 
 @kernel
 def arrive_at(address, t, q, v, worst):
-    """Raise `worst` (P,) by the squared misalignments of a state; return whether it stays finite."""
-    h = load_view(address)
+    """Raise `worst` (P,) by the squared misalignments of a state; return whether the state is finite."""
+    eq = load_equations(address)
     finite = True
     for d in range(len(q)):
         finite = finite and abs(q[d]) < BEYOND and abs(v[d]) < BEYOND
-    _put(h.q, q)
-    prepare(h.top, h.w, t, h.q)
-    constraint_positions(h.top.pairs, h.top.pair_parameters, h.q, h.w.cs, h.w.u, h.w.phi, h.w.phi_t)
-    for k in range(len(worst)):
-        worst[k] = max(worst[k], h.w.phi[k, 0] * h.w.phi[k, 0] + h.w.phi[k, 1] * h.w.phi[k, 1])
+    _put(eq.q, q)
+    raise_misalignments(eq.top, eq.w, t, eq.q, worst)
     return finite
 
 
@@ -313,12 +282,7 @@ def _solve(m, force, rows, x, mu):
         m.right[i] = force[i]
     for i in range(len(rows)):
         m.right[n + i] = rows[i]
-    substitute(m.pattern, m.factors, m.right, m.solution)
-    residual(m.pattern, m.factors, m.right, m.solution, m.correction)
-    substitute(m.pattern, m.factors, m.correction, m.correction)
-    for i in range(len(m.solution)):
-        m.solution[i] += m.correction[i]
-    worst = residual(m.pattern, m.factors, m.right, m.solution, m.correction)
+    worst = solve_refined(m.pattern, m.factors, m.right, m.solution, m.correction)
     for i in range(n):
         x[i] = m.solution[i]
     for i in range(len(rows)):
@@ -340,11 +304,11 @@ def factorize_complex(source, matrix, coefficients):
 
 @kernel
 def solve_real(matrix, force, rows, x, mu):
-    """Solve a factorized system with one step of refinement; return the largest residual that is left, relative."""
+    """Solve a factorized system with one step of refinement; return the largest relative residual."""
     return _solve(load_real(matrix), force, rows, x, mu)
 
 
 @kernel
 def solve_complex(matrix, force, rows, x, mu):
-    """Solve as `solve_real` does, with complex numbers."""
+    """Solve as `solve_real` does, for a complex matrix."""
     return _solve(load_complex(matrix), force, rows, x, mu)

@@ -1,7 +1,7 @@
 """Applied forces: force elements (pathway x law), torques and point forces, with tangents, powers and potentials.
 
-A force element pulls its bodies together with the tension ``F(s, s', t)`` along its pathway's length ``s``: the
-generalized force is ``Q = -F s_q``. Gravity is not here: it is a constant acceleration and enters in the solvers.
+A force element pulls its bodies together with the tension ``F(s, s', t)`` along its pathway of length ``s``: the
+generalized force is ``Q = -F s_q``. Gravity is a constant acceleration and is added by the solvers.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mbdkit.engine.kernels import element_kernels as e
 PATHWAYS = {name: code for code, name in enumerate(e.PATHWAY_KINDS)}
 _TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y = range(len(PATHWAYS))
 TORQUE, POINT_FORCE, BODY_FORCE = range(3)
-"""Kinds of loads; the force of a POINT_FORCE is given in the global frame, that of a BODY_FORCE in the body's own."""
+"""Kinds of loads. A POINT_FORCE is given in the global frame, a BODY_FORCE in the frame of its body."""
 
 two_points_gradient, relative_angle_gradient = e.two_points_gradient, e.relative_angle_gradient
 coordinate_x_gradient, coordinate_y_gradient = e.coordinate_x_gradient, e.coordinate_y_gradient
@@ -24,13 +24,14 @@ coordinate_x_hessian, coordinate_y_hessian = e.coordinate_x_hessian, e.coordinat
 
 
 @subkernel
-def pathway_lengths(springs, points, q, cs, s, grad):
-    """Write every pathway's length into `s` (S, 1) and its gradient into `grad` (S, 6)."""
+def pathway_lengths(top, w, q):
+    """Write the length of every pathway into ``w.s`` (S, 1) and its gradient into ``w.grad`` (S, 6)."""
+    springs, points, cs, s, grad = top.springs, top.spring_points, w.cs, w.s, w.grad
     for k in range(len(springs)):
         a, b = springs[k, 1], springs[k, 2]
         if springs[k, 0] == _TWO_POINTS:
             two_points_gradient(k, a, b, q, cs, points, s, grad)
-            if s[k, 0] == 0.0:  # no direction: the two points coincide
+            if s[k, 0] == 0.0:  # coincident points define no direction: such a spring exerts no force
                 for i in range(6):
                     grad[k, i] = 0.0
         elif springs[k, 0] == _RELATIVE_ANGLE:
@@ -43,7 +44,7 @@ def pathway_lengths(springs, points, q, cs, s, grad):
 
 @subkernel
 def path_rate(k, a, b, v, grad):
-    """Return the rate s' of pathway `k`."""
+    """Return the rate s' of pathway `k` between bodies `a` and `b`."""
     rate = 0.0
     for i in range(3):
         rate += grad[k, i] * v[3 * a + i] + grad[k, 3 + i] * v[3 * b + i]
@@ -51,36 +52,37 @@ def path_rate(k, a, b, v, grad):
 
 
 @subkernel
-def evaluate_tension(k, springs, linear, laws, parameters, time, length, rate, tension, faulty):
-    """Write F, dF/ds, dF/ds' and the potential of force element `k` into its row of `tension` (S + 1, 4).
+def evaluate_tension(top, w, k, rate):
+    """Write F, dF/ds, dF/ds' and the potential of force element `k` into its row of ``w.tension`` (S + 1, 4).
 
-    A law that has no finite force where its arguments are finite is noted in `faulty` (1,).
+    If a law returns no finite force for finite arguments, its number is stored in ``w.faulty`` (1,).
     """
-    law = springs[k, 3]
+    length, law, tension = w.s[k, 0], top.springs[k, 3], w.tension
     if law < 0:
-        stiffness, damping, stretch = linear[k, 0], linear[k, 1], length - linear[k, 2]
+        stiffness, damping, stretch = top.linear[k, 0], top.linear[k, 1], length - top.linear[k, 2]
         tension[k, 0] = stiffness * stretch + damping * rate
         tension[k, 1] = stiffness
         tension[k, 2] = damping
         tension[k, 3] = 0.5 * stiffness * stretch * stretch
     else:
-        call_law(laws[law, 0], length, rate, time[0], parameters, laws[law, 1], tension, k)
+        call_law(top.laws[law, 0], length, rate, w.time[0], top.law_parameters, top.laws[law, 1], tension, k)
         if not abs(tension[k, 0]) < np.inf and abs(length) < np.inf and abs(rate) < np.inf:
-            faulty[0] = law
+            w.faulty[0] = law
 
 
 @subkernel
-def applied_forces(
-    springs, points, linear, laws, parameters, loads, load_points, q, v, cs, u, time, s, grad, tension, faulty, force
-):
-    """Write the generalized applied forces without gravity into `force` (3 (B + 1),)."""
+def applied_forces(top, w, q, v):
+    """Write the generalized applied forces without gravity into ``w.force`` (3 (B + 1),).
+
+    Needs the motions and the cosines and sines of the position (`mbdkit.engine.kernels.system.prepare`).
+    """
+    springs, loads, grad, force, u = top.springs, top.loads, w.grad, w.force, w.u
     force[:] = 0.0
-    pathway_lengths(springs, points, q, cs, s, grad)
+    pathway_lengths(top, w, q)
     for k in range(len(springs)):
         a, b = springs[k, 1], springs[k, 2]
-        rate = path_rate(k, a, b, v, grad)
-        evaluate_tension(k, springs, linear, laws, parameters, time, s[k, 0], rate, tension, faulty)
-        pull = tension[k, 0]
+        evaluate_tension(top, w, k, path_rate(k, a, b, v, grad))
+        pull = w.tension[k, 0]
         for i in range(3):
             force[3 * a + i] -= pull * grad[k, i]
             force[3 * b + i] -= pull * grad[k, 3 + i]
@@ -91,46 +93,48 @@ def applied_forces(
             force[3 * body + 2] += value
             force[3 * loads[k, 2] + 2] -= value
         else:
-            fx, fy, px, py = point_force(k, loads, load_points, cs, u)
+            fx, fy, px, py = point_force(top, w, k)
             force[3 * body] += fx
             force[3 * body + 1] += fy
             force[3 * body + 2] += px * fy - py * fx
 
 
 @subkernel
-def point_force(k, loads, load_points, cs, u):
-    """Return the force of load `k` and its arm from the centre of mass, (F_x, F_y, p_x, p_y), in the global frame."""
+def point_force(top, w, k):
+    """Return force and lever arm of load `k`, (F_x, F_y, p_x, p_y), in the global frame.
+
+    The arm is the vector from the centre of mass to the point of application.
+    """
+    loads, points, cs, u = top.loads, top.load_points, w.cs, w.u
     body = loads[k, 1]
     fx, fy = u[loads[k, 3], 0], u[loads[k, 4], 0]
     c, sn = cs[body, 0], cs[body, 1]
     if loads[k, 0] == BODY_FORCE:
         fx, fy = c * fx - sn * fy, sn * fx + c * fy
-    px, py = c * load_points[k, 0] - sn * load_points[k, 1], sn * load_points[k, 0] + c * load_points[k, 1]
+    px, py = c * points[k, 0] - sn * points[k, 1], sn * points[k, 0] + c * points[k, 1]
     return fx, fy, px, py
 
 
 @subkernel
-def force_tangents(
-    springs, points, linear, laws, parameters, loads, load_points, q, v, cs, u, time,
-    s, grad, hess, tension, faulty, stiff, damp, load_stiff,
-):  # fmt: skip
-    """Write K = -dQ/dq and C = -dQ/dv of every element.
+def force_tangents(top, w, q, v):
+    """Write K = -dQ/dq and C = -dQ/dv of every force element and load into the terms of ``w.source``.
 
-    `stiff`, `damp`: (S, 36) of the force elements; `load_stiff`: (L, 3), of the point forces: the entries x-theta and
-    y-theta of those that turn with their bodies, and theta-theta of those that do not.
+    ``w.spring_stiff`` and ``w.spring_damp`` (S, 36) receive those of the force elements. ``w.load_stiff`` (L, 3)
+    receives those of the point forces: the entries x-theta and y-theta of forces that turn with their body, and the
+    entry theta-theta of forces with a fixed direction.
     """
-    pathway_lengths(springs, points, q, cs, s, grad)
+    springs, loads, points, cs = top.springs, top.loads, top.spring_points, w.cs
+    grad, hess, stiff, damp, load_stiff = w.grad, w.hess, w.spring_stiff, w.spring_damp, w.load_stiff
+    pathway_lengths(top, w, q)
     for k in range(len(springs)):
         a, b = springs[k, 1], springs[k, 2]
-        evaluate_tension(
-            k, springs, linear, laws, parameters, time, s[k, 0], path_rate(k, a, b, v, grad), tension, faulty
-        )
-        pull, stiffness, damping = tension[k, 0], tension[k, 1], tension[k, 2]
+        evaluate_tension(top, w, k, path_rate(k, a, b, v, grad))
+        pull, stiffness, damping = w.tension[k, 0], w.tension[k, 1], w.tension[k, 2]
         if not (abs(stiffness) < np.inf and abs(damping) < np.inf) and abs(pull) < np.inf:
-            faulty[0] = springs[k, 3]
+            w.faulty[0] = springs[k, 3]
         curved = True
         if springs[k, 0] == _TWO_POINTS:
-            curved = s[k, 0] != 0.0
+            curved = w.s[k, 0] != 0.0
             if curved:
                 two_points_hessian(k, a, b, q, cs, points, hess)
         elif springs[k, 0] == _COORDINATE_X:
@@ -153,8 +157,8 @@ def force_tangents(
     for k in range(len(loads)):
         if loads[k, 0] == TORQUE:
             continue
-        fx, fy, px, py = point_force(k, loads, load_points, cs, u)
-        if loads[k, 0] == BODY_FORCE:  # turns with its arm, so that its moment stays
+        fx, fy, px, py = point_force(top, w, k)
+        if loads[k, 0] == BODY_FORCE:  # force and arm turn together, so the moment is constant
             load_stiff[k, 0] = fy
             load_stiff[k, 1] = -fx
         else:
@@ -162,24 +166,26 @@ def force_tangents(
 
 
 @subkernel
-def powers(springs, linear, laws, parameters, loads, load_points, pairs, v, cs, u, time, s, grad, tension, phi_t, lam):
-    """Return (power of loads, drivers and active laws, dissipated power) [W]; all else as the last evaluation left it.
+def powers(top, w, v, lam):
+    """Return (power of loads, drivers and active laws, dissipated power) [W].
 
-    Of a law's power ``F s'``, the part ``V_s s'`` goes into its potential; of the rest the law says what becomes.
+    Needs `applied_forces` and Phi_t at the same state. The part ``V_s s'`` of the power ``F s'`` of a law with a
+    potential V is stored as potential energy; the rest is dissipated if the law claims to be passive, else it is work.
     """
+    springs, laws, loads, pairs, u, tension = top.springs, top.laws, top.loads, top.pairs, w.u, w.tension
     work = 0.0
     lost = 0.0
     for k in range(len(springs)):
-        rate = path_rate(k, springs[k, 1], springs[k, 2], v, grad)
+        rate = path_rate(k, springs[k, 1], springs[k, 2], v, w.grad)
         law = springs[k, 3]
         if law < 0:
-            lost += linear[k, 1] * rate * rate
+            lost += top.linear[k, 1] * rate * rate
             continue
         rest = tension[k, 0]
         claims = laws[law, 2]
         if claims & HAS_POTENTIAL != 0:
             spare = len(springs)
-            call_law(laws[law, 0], s[k, 0], 0.0, time[0], parameters, laws[law, 1], tension, spare)
+            call_law(laws[law, 0], w.s[k, 0], 0.0, w.time[0], top.law_parameters, laws[law, 1], tension, spare)
             rest -= tension[spare, 0]
         if claims & PASSIVE != 0:
             lost += rest * rate
@@ -190,20 +196,21 @@ def powers(springs, linear, laws, parameters, loads, load_points, pairs, v, cs, 
         if loads[k, 0] == TORQUE:
             work += u[loads[k, 3], 0] * (v[3 * body + 2] - v[3 * loads[k, 2] + 2])
         else:
-            fx, fy, px, py = point_force(k, loads, load_points, cs, u)
-            w = v[3 * body + 2]
-            work += fx * (v[3 * body] - w * py) + fy * (v[3 * body + 1] + w * px)
+            fx, fy, px, py = point_force(top, w, k)
+            spin = v[3 * body + 2]
+            work += fx * (v[3 * body] - spin * py) + fy * (v[3 * body + 1] + spin * px)
     for k in range(len(pairs)):
         if pairs[k, 3] >= 0:
-            work += lam[k, 0] * phi_t[k, 0] + lam[k, 1] * phi_t[k, 1]
+            work += lam[k, 0] * w.phi_t[k, 0] + lam[k, 1] * w.phi_t[k, 1]
     return work, lost
 
 
 @subkernel
 def potential_energy(springs, laws, mass, gravity, q, tension):
-    """Return the potential energy [J] of gravity and force elements, the latter as the last evaluation left it.
+    """Return the potential energy [J] of gravity and of the force elements.
 
-    It is zero at the global origin and at the free length of a linear spring; a law chooses its own zero.
+    It is zero at the global origin and at the free length of a linear spring; a law chooses its own zero. Needs
+    `applied_forces` or `force_tangents` at the same state.
     """
     energy = 0.0
     for b in range(len(mass) - 1):

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from mbdkit.engine.jit.decorators import inlined
+from mbdkit.engine.kernels.bundle_types import IntVector, NumberVector, RealVector
 
 WORN = 1e-6
 """A pivot that has shrunk to this, relative to its size when it was chosen, asks for new pivots."""
@@ -19,35 +18,35 @@ WORN = 1e-6
 class Pattern(NamedTuple):
     """Pattern of A with rows and columns in pivot order, and of its factors; n unknowns."""
 
-    a_start: np.ndarray
-    a_column: np.ndarray
-    l_start: np.ndarray
-    l_column: np.ndarray
-    u_start: np.ndarray
-    u_column: np.ndarray
-    row_of: np.ndarray
+    a_start: IntVector
+    a_column: IntVector
+    l_start: IntVector
+    l_column: IntVector
+    u_start: IntVector
+    u_column: IntVector
+    row_of: IntVector
     """(n,) original row at each pivot position."""
-    column_of: np.ndarray
+    column_of: IntVector
     """(n,) original unknown at each pivot position."""
-    row_scale: np.ndarray
+    row_scale: RealVector
     """(n,) factors that equilibrate the rows, powers of two, in original order."""
-    column_scale: np.ndarray
+    column_scale: RealVector
     """(n,) factors that equilibrate the columns."""
-    weight: np.ndarray
+    weight: RealVector
     """(nnz,) product of both for every entry of A."""
 
 
 class Factors(NamedTuple):
     """Values that go with a `Pattern`; all of one dtype."""
 
-    a: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    pivot: np.ndarray
+    a: NumberVector
+    lower: NumberVector
+    upper: NumberVector
+    pivot: NumberVector
     """(n,) inverse pivots."""
-    reference: np.ndarray
+    reference: RealVector
     """(n,) sizes of the pivots in the first factorization after they were chosen; 0 until then."""
-    work: np.ndarray
+    work: NumberVector
 
 
 @inlined
@@ -121,3 +120,17 @@ def residual(p, f, b, x, r):
         if not abs(t) <= worst:
             worst = abs(t)
     return worst / largest if worst > 0.0 else worst
+
+
+@inlined
+def solve_refined(p, f, b, x, r):
+    """Solve A x = b with one step of iterative refinement; return the largest relative residual, see `residual`.
+
+    `b`, `x` and the scratch array `r` are (n,), in original order.
+    """
+    substitute(p, f, b, x)
+    residual(p, f, b, x, r)
+    substitute(p, f, r, r)
+    for i in range(len(x)):
+        x[i] += r[i]
+    return residual(p, f, b, x, r)

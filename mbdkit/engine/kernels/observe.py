@@ -9,6 +9,7 @@ import numpy as np
 from mbdkit.engine.jit.decorators import kernel, subkernel
 from mbdkit.engine.kernels.constraints import constraint_positions, constraint_tangents
 from mbdkit.engine.kernels.forces import potential_energy
+from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.system import (
     OK,
     constraint_rows,
@@ -21,7 +22,6 @@ from mbdkit.engine.kernels.system import (
     transferred,
 )
 from mbdkit.engine.kernels.vectors import copy
-from mbdkit.engine.singularity import singularity_distance
 
 
 @subkernel

@@ -9,11 +9,11 @@ from mbdkit.engine.kernels.constraints import constraint_positions
 from mbdkit.engine.kernels.system import (
     DIVERGED,
     OK,
-    constraint_rows,
+    constraint_rate,
     fold_values,
-    independent_rows,
     prepare,
     solve_system,
+    solved_rows,
 )
 from mbdkit.engine.kernels.vectors import copy
 
@@ -61,14 +61,8 @@ def position_rows(top, w, t, q):
 def rate_rows(top, jac, phi_t, v, rate):
     """Write ``Phi_q v + Phi_t`` of the rows that are solved for into `rate` (P, 2), 0 in the others."""
     for k in range(len(top.pairs)):
-        a, b = 3 * top.pairs[k, 1], 3 * top.pairs[k, 2]
         for r in range(2):
-            total = 0.0
-            if r < top.rows[k]:
-                total = phi_t[k, r]
-                for i in range(3):
-                    total += jac[k, 6 * r + i] * v[a + i] + jac[k, 6 * r + 3 + i] * v[b + i]
-            rate[k, r] = total
+            rate[k, r] = constraint_rate(top.pairs, jac, phi_t, v, k, r) if r < top.rows[k] else 0.0
 
 
 @subkernel
@@ -99,8 +93,7 @@ def project_positions(still, w, solver, t, q, p, rest, x, lam):
         if not now < np.inf:
             return DIVERGED
         before = now
-        constraint_rows(still, w, p, rest)
-        independent_rows(still, w.cs, w.jac, w.gamma, w.loose)
+        solved_rows(still, w, p, rest)
         for k in range(len(w.phi)):
             for r in range(2):
                 w.gamma[k, r] = -w.phi[k, r]
@@ -126,8 +119,7 @@ def project_velocities(still, w, solver, t, q, v, x, lam):
     position_rows(still, w, t, q)
     size = largest_size(v)
     for m in range(3):
-        constraint_rows(still, w, q, v)
-        independent_rows(still, w.cs, w.jac, w.gamma, w.loose)
+        solved_rows(still, w, q, v)
         rate_rows(still, w.jac, w.phi_t, v, w.refinement)
         now = largest_residual(still, w.refinement)
         if now <= FEW_ROUNDINGS * EPS * size or (m > 1 and now > 0.5 * before):

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.decorators import inlined, subkernel
+from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix
 
 TOO_SMALL = 1e-10
 """A pivot block this much smaller than before elimination has lost ten digits: time for the pivoted solver."""
@@ -19,40 +18,46 @@ TOO_SMALL = 1e-10
 class Schur(NamedTuple):
     """Schedule and storage of the block factorization; P pairs, E blocks below the diagonal."""
 
-    start: np.ndarray
+    start: IntVector
     """(P + 1,) first block of each column."""
-    row: np.ndarray
+    row: IntVector
     """(E,) block row of each block."""
-    update: np.ndarray
+    update: IntVector
     """For each column and each two of its blocks, in order, the block that their product is subtracted from."""
-    coupling: np.ndarray
+    coupling: IntMatrix
     """(C, 6): block, row pair, its side's first column, column pair, its side's first column, shared body."""
-    diagonal: np.ndarray
+    diagonal: RealMatrix
     """(P, 3) inverse diagonal blocks (xx, xy, yy)."""
-    whole: np.ndarray
+    whole: RealMatrix
     """(P, 2) diagonal before elimination."""
-    below: np.ndarray
+    below: RealMatrix
     """(E, 4) blocks of the unit lower factor."""
-    scaled: np.ndarray
+    scaled: RealMatrix
     """(E, 4) scratch: blocks before division by the pivot."""
 
 
-@subkernel
-def factor(pairs, rows, jac, weight, start, row, update, coupling, diagonal, whole, below, scaled):
-    """Assemble and factorize S; return the pair at which a pivot lost its digits, or -1.
+@inlined
+def diagonal_block(top, jac, k):
+    """Return the entries (xx, xy, yy) of the diagonal block of ``Phi_q M^-1 Phi_q^T`` that belongs to pair `k`."""
+    weight, a, b = top.weight, top.pairs[k, 1], top.pairs[k, 2]
+    d00 = d01 = d11 = 0.0
+    for i in range(3):
+        wa, wb = weight[a, i], weight[b, i]
+        d00 += wa * jac[k, i] * jac[k, i] + wb * jac[k, 3 + i] * jac[k, 3 + i]
+        d01 += wa * jac[k, i] * jac[k, 6 + i] + wb * jac[k, 3 + i] * jac[k, 9 + i]
+        d11 += wa * jac[k, 6 + i] * jac[k, 6 + i] + wb * jac[k, 9 + i] * jac[k, 9 + i]
+    return d00, d01, d11
 
-    `rows` (P,) tells how many rows of a pair are solved for, `weight` (B + 1, 3) is the inverse mass matrix's diagonal.
-    """
-    n = len(pairs)
+
+@subkernel
+def factor(top, jac, schur):
+    """Assemble and factorize S; return the pair whose pivot block lost its digits, or -1."""
+    start, row, update, coupling = schur.start, schur.row, schur.update, schur.coupling
+    diagonal, whole, below, scaled = schur.diagonal, schur.whole, schur.below, schur.scaled
+    rows, weight, n = top.rows, top.weight, len(top.pairs)
     for k in range(n):
-        a, b = pairs[k, 1], pairs[k, 2]
-        d00 = d01 = d11 = 0.0
-        for i in range(3):
-            wa, wb = weight[a, i], weight[b, i]
-            d00 += wa * jac[k, i] * jac[k, i] + wb * jac[k, 3 + i] * jac[k, 3 + i]
-            d01 += wa * jac[k, i] * jac[k, 6 + i] + wb * jac[k, 3 + i] * jac[k, 9 + i]
-            d11 += wa * jac[k, 6 + i] * jac[k, 6 + i] + wb * jac[k, 9 + i] * jac[k, 9 + i]
-        if rows[k] < 2:  # a row that is not solved for holds zeros
+        d00, d01, d11 = diagonal_block(top, jac, k)
+        if rows[k] < 2:  # a row that is not solved for is zero; a unit pivot keeps the block regular
             d11 = 1.0
             if rows[k] == 0:
                 d00 = 1.0
@@ -100,8 +105,9 @@ def factor(pairs, rows, jac, weight, start, row, update, coupling, diagonal, who
 
 
 @subkernel
-def solve(start, row, diagonal, below, x):
-    """Solve S x = b in place; `x` (P, 2)."""
+def solve(schur, x):
+    """Solve S x = b in place; `x` (P, 2) holds b on entry."""
+    start, row, diagonal, below = schur.start, schur.row, schur.diagonal, schur.below
     n = len(diagonal)
     for k in range(n):
         x0, x1 = x[k, 0], x[k, 1]

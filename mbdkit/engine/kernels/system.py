@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import inlined, subkernel
+from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix, RealVector, example_of
 from mbdkit.engine.kernels.constraints import (
     constraint_accelerations,
     constraint_positions,
@@ -21,7 +20,7 @@ from mbdkit.engine.kernels.constraints import (
     turn_bodies,
 )
 from mbdkit.engine.kernels.forces import applied_forces, force_tangents, powers
-from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, residual, substitute
+from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, solve_refined
 from mbdkit.engine.kernels.motions import evaluate_motions
 from mbdkit.engine.kernels.schur import Schur
 from mbdkit.engine.kernels.schur import factor as schur_factor
@@ -40,36 +39,36 @@ class Topology(NamedTuple):
     Springs are all force elements on a pathway, whatever their law.
     """
 
-    mass: np.ndarray
+    mass: RealMatrix
     """(B + 1, 3) diagonal of the mass matrix; ground has ones."""
-    weight: np.ndarray
+    weight: RealMatrix
     """(B + 1, 3) its inverse; ground has zeros."""
-    gravity: np.ndarray
-    pairs: np.ndarray
+    gravity: RealVector
+    pairs: IntMatrix
     """(P, 4) kind, first body, second body, motion (-1: none)."""
-    rows: np.ndarray
+    rows: IntVector
     """(P,) number of rows that are solved for, 0, 1 or 2."""
-    pair_parameters: np.ndarray
-    spare: np.ndarray
+    pair_parameters: RealMatrix
+    spare: IntMatrix
     """(D, 2) each redundant direction, which is not solved for: its pair, and the body whose frame it is fixed in."""
-    spare_axes: np.ndarray
+    spare_axes: RealMatrix
     """(D, 2) the direction among the two rows of the pair, a unit vector in that frame; (1, 0) of a single row."""
-    springs: np.ndarray
+    springs: IntMatrix
     """(S, 4) pathway, first body, second body, row of `laws` (-1: linear)."""
-    spring_points: np.ndarray
-    linear: np.ndarray
+    spring_points: RealMatrix
+    linear: RealMatrix
     """(S, 3) stiffness, damping, free length of the linear ones."""
-    laws: np.ndarray
+    laws: IntMatrix
     """(W, 3) of the others: the law's address, where its parameters begin, what it claims."""
-    law_parameters: np.ndarray
+    law_parameters: RealVector
     """(N,) for each law in use the number of its parameters, and these."""
-    loads: np.ndarray
+    loads: IntMatrix
     """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
-    load_points: np.ndarray
-    motion_start: np.ndarray
-    motion_ops: np.ndarray
-    motion_values: np.ndarray
-    baumgarte: np.ndarray
+    load_points: RealMatrix
+    motion_start: IntVector
+    motion_ops: IntVector
+    motion_values: RealVector
+    baumgarte: RealVector
     """(2,) alpha, beta [1/s] of Baumgarte's stabilization, which takes the place of gamma; zeros for the equations
     as they are."""
 
@@ -77,66 +76,66 @@ class Topology(NamedTuple):
 class Scratch(NamedTuple):
     """Working arrays of one run. `source` holds every term of the stage matrix; the others are views or apart."""
 
-    time: np.ndarray
+    time: RealVector
     """(1,) time of the last `prepare` [s]."""
-    cs: np.ndarray
-    u: np.ndarray
-    stack: np.ndarray
-    force: np.ndarray
-    phi: np.ndarray
-    phi_t: np.ndarray
-    gamma: np.ndarray
-    refinement: np.ndarray
-    s: np.ndarray
-    grad: np.ndarray
-    hess: np.ndarray
-    tension: np.ndarray
+    cs: RealMatrix
+    u: RealMatrix
+    stack: RealMatrix
+    force: RealVector
+    phi: RealMatrix
+    phi_t: RealMatrix
+    gamma: RealMatrix
+    refinement: RealMatrix
+    s: RealMatrix
+    grad: RealMatrix
+    hess: RealMatrix
+    tension: RealMatrix
     """(S + 1, 4) force, derivatives by length and rate, potential of each spring; the last row is to spare."""
-    faulty: np.ndarray
+    faulty: IntVector
     """(1,) row of the last law that gave a force, or derivatives asked for, that were not finite; -1 for none."""
-    source: np.ndarray
-    jac: np.ndarray
-    stiff: np.ndarray
-    gamma_v: np.ndarray
-    res_q: np.ndarray
-    spring_stiff: np.ndarray
-    spring_damp: np.ndarray
-    load_stiff: np.ndarray
-    loose: np.ndarray
+    source: RealVector
+    jac: RealMatrix
+    stiff: RealMatrix
+    gamma_v: RealMatrix
+    res_q: RealMatrix
+    spring_stiff: RealMatrix
+    spring_damp: RealMatrix
+    load_stiff: RealMatrix
+    loose: RealMatrix
     """(D, 6) Jacobian of the redundant directions."""
-    push: np.ndarray
+    push: RealVector
     """(3 (B + 1),) accelerations by a single multiplier."""
-    right: np.ndarray
+    right: RealVector
     """(n,) right side of the pivoted system."""
-    solution: np.ndarray
-    correction: np.ndarray
+    solution: RealVector
+    correction: RealVector
 
 
 class Scatter(NamedTuple):
     """Where each entry of `Scratch.source` goes in the values of a sparse matrix, by its factor."""
 
-    one: np.ndarray
+    one: IntMatrix
     """(n1, 2) source, target: factor 1."""
-    rate: np.ndarray
+    rate: IntMatrix
     """(n2, 2) source, target: factor h mu (damping)."""
-    minus_rate: np.ndarray
+    minus_rate: IntMatrix
     """(n3, 2) source, target: factor -h mu (gamma_v)."""
-    level: np.ndarray
+    level: IntMatrix
     """(n4, 2) source, target: factor h^2 mu^2 (stiffness, residual_q)."""
 
 
 class Solver(NamedTuple):
     """How accelerations are solved for: by the Schur complement, or by the pivoted whole."""
 
-    pivoted: np.ndarray
+    pivoted: IntVector
     """(1,) whether the pivoted system is in use."""
     schur: Schur
     pattern: Pattern
     factors: Factors
     scatter: Scatter
-    row_index: np.ndarray
+    row_index: IntMatrix
     """(P, 2) unknown of each multiplier in the pivoted system; -1 for an empty row."""
-    failed: np.ndarray
+    failed: IntVector
     """(1,) pair or pivot position at which the last factorization failed."""
 
 
@@ -148,14 +147,7 @@ class Engine(NamedTuple):
     solver: Solver
 
 
-def _example() -> Engine:
-    from mbdkit.engine.kernels.equations import example_workspace
-
-    workspace = example_workspace()
-    return Engine(workspace.mechanism.topology, workspace.scratch, workspace.solver)
-
-
-load_engine = bundle_loader(_example)
+load_engine = bundle_loader(lambda: example_of(Engine))
 
 
 @inlined
@@ -167,37 +159,38 @@ def prepare(top, w, t, q):
 
 
 @inlined
-def applied(top, w, q, v):
-    """Evaluate the applied forces into ``w.force``; needs `prepare`."""
-    applied_forces(
-        top.springs, top.spring_points, top.linear, top.laws, top.law_parameters, top.loads, top.load_points,
-        q, v, w.cs, w.u, w.time, w.s, w.grad, w.tension, w.faulty, w.force,
-    )  # fmt: skip
+def evaluate_positions(top, w, q):
+    """Evaluate Phi and Phi_t of every row into ``w.phi`` and ``w.phi_t``; needs `prepare`."""
+    constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
 
 
 @inlined
 def evaluate_powers(top, w, q, v, lam):
-    """Return (power of loads, drivers and active laws, dissipated power) [W]; needs `prepare` and `applied`."""
-    constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
-    return powers(
-        top.springs, top.linear, top.laws, top.law_parameters, top.loads, top.load_points, top.pairs,
-        v, w.cs, w.u, w.time, w.s, w.grad, w.tension, w.phi_t, lam,
-    )  # fmt: skip
+    """Return (power of loads, drivers and active laws, dissipated power) [W]; needs `prepare` and `applied_forces`."""
+    evaluate_positions(top, w, q)
+    return powers(top, w, v, lam)
+
+
+@inlined
+def constraint_rate(pairs, jac, phi_t, v, k, r):
+    """Return row `r` of pair `k` of ``Phi_q v + Phi_t``, the time derivative of the constraints."""
+    a, b = 3 * pairs[k, 1], 3 * pairs[k, 2]
+    rate = phi_t[k, r]
+    for i in range(3):
+        rate += jac[k, 6 * r + i] * v[a + i] + jac[k, 6 * r + 3 + i] * v[b + i]
+    return rate
 
 
 @subkernel
-def subtract_baumgarte(pairs, baumgarte, jac, v, phi, phi_t, gamma):
-    """Subtract ``2 alpha (Phi_q v + Phi_t) + beta^2 Phi`` from gamma; return the largest of these terms."""
-    rate_factor, factor = 2.0 * baumgarte[0], baumgarte[1] * baumgarte[1]
+def subtract_baumgarte(top, w, v):
+    """Subtract ``2 alpha (Phi_q v + Phi_t) + beta^2 Phi`` from ``w.gamma``; return the largest of these terms."""
+    rate_factor, factor = 2.0 * top.baumgarte[0], top.baumgarte[1] * top.baumgarte[1]
     largest = 0.0
-    for k in range(len(pairs)):
-        a, b = 3 * pairs[k, 1], 3 * pairs[k, 2]
+    for k in range(len(top.pairs)):
         for r in range(2):
-            rate = phi_t[k, r]
-            for i in range(3):
-                rate += jac[k, 6 * r + i] * v[a + i] + jac[k, 6 * r + 3 + i] * v[b + i]
-            term = rate_factor * rate + factor * phi[k, r]
-            gamma[k, r] -= term
+            rate = constraint_rate(top.pairs, w.jac, w.phi_t, v, k, r)
+            term = rate_factor * rate + factor * w.phi[k, r]
+            w.gamma[k, r] -= term
             largest = max(largest, abs(term))
     return largest
 
@@ -206,18 +199,28 @@ def subtract_baumgarte(pairs, baumgarte, jac, v, phi, phi_t, gamma):
 def constraint_rows(top, w, q, v):
     """Evaluate the Jacobian and gamma of every row, redundant ones included; needs `prepare`.
 
-    Where the mechanism is stabilized after Baumgarte, gamma is the stabilized one, and ``w.phi`` and ``w.phi_t`` are
-    evaluated on the way; returns the largest of Baumgarte's terms.
+    With Baumgarte's stabilization gamma is the stabilized right side; then ``w.phi`` and ``w.phi_t`` are evaluated as
+    well, and the largest of Baumgarte's terms is returned (otherwise 0).
     """
     for i in range(len(top.spare)):
-        for c in range(12):  # elements never write the entries that are zero for them
+        for c in range(12):  # element kernels never write entries that are identically zero, `fold` does
             w.jac[top.spare[i, 0], c] = 0.0
     constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
     largest = 0.0
     if top.baumgarte[0] != 0.0 or top.baumgarte[1] != 0.0:
-        constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
-        largest = subtract_baumgarte(top.pairs, top.baumgarte, w.jac, v, w.phi, w.phi_t, w.gamma)
+        evaluate_positions(top, w, q)
+        largest = subtract_baumgarte(top, w, v)
     return largest
+
+
+@inlined
+def solved_rows(top, w, q, v):
+    """Evaluate the Jacobian and gamma of the rows that are solved for; needs `prepare`.
+
+    The Jacobian of the redundant directions goes to ``w.loose``. See `constraint_rows` for Baumgarte's stabilization.
+    """
+    constraint_rows(top, w, q, v)
+    _remove_redundant_rows(top, w)
 
 
 @inlined
@@ -253,15 +256,16 @@ def fold_values(top, cs, x):
 
 
 @subkernel
-def independent_rows(top, cs, jac, gamma, loose):
-    """Reduce the Jacobian and gamma to the rows that are solved for; the Jacobian of the others goes to `loose`."""
+def _remove_redundant_rows(top, w):
+    """Reduce the Jacobian and gamma to the rows that are solved for; move the rest of the Jacobian to ``w.loose``."""
+    jac, loose = w.jac, w.loose
     for i in range(len(top.spare)):
         k = top.spare[i, 0]
-        dx, dy = spare_direction(top, cs, i)
+        dx, dy = spare_direction(top, w.cs, i)
         for c in range(6):
             loose[i, c] = dx * jac[k, c] + dy * jac[k, 6 + c]
-    fold(top, cs, jac)
-    fold_values(top, cs, gamma)
+    fold(top, w.cs, jac)
+    fold_values(top, w.cs, w.gamma)
 
 
 @subkernel
@@ -276,9 +280,10 @@ def unfold_multipliers(top, cs, lam):
 
 
 @subkernel
-def free_accelerations(mass, weight, gravity, has_forces, force, acc):
-    """Write the accelerations that the bodies would have without joints."""
-    for b in range(len(mass) - 1):
+def free_accelerations(top, has_forces, force, acc):
+    """Write the accelerations of the unconstrained bodies into `acc`."""
+    gravity, weight = top.gravity, top.weight
+    for b in range(len(top.mass) - 1):
         acc[3 * b] = gravity[0]
         acc[3 * b + 1] = gravity[1]
         acc[3 * b + 2] = 0.0
@@ -288,8 +293,9 @@ def free_accelerations(mass, weight, gravity, has_forces, force, acc):
 
 
 @subkernel
-def joint_right_side(pairs, rows, jac, gamma, acc, lam):
+def joint_right_side(top, w, acc, lam):
     """Write ``Phi_q a_free - gamma`` into `lam`."""
+    pairs, rows, jac, gamma = top.pairs, top.rows, w.jac, w.gamma
     for k in range(len(pairs)):
         a, b = 3 * pairs[k, 1], 3 * pairs[k, 2]
         r0, r1 = -gamma[k, 0], -gamma[k, 1]
@@ -301,14 +307,26 @@ def joint_right_side(pairs, rows, jac, gamma, acc, lam):
 
 
 @subkernel
-def apply_multipliers(pairs, jac, weight, lam, acc):
+def apply_multipliers(top, w, lam, acc):
     """Subtract ``M^-1 Phi_q^T lambda`` from the accelerations."""
+    pairs, jac, weight = top.pairs, w.jac, top.weight
     for k in range(len(pairs)):
         a, b = pairs[k, 1], pairs[k, 2]
         l0, l1 = lam[k, 0], lam[k, 1]
         for i in range(3):
             acc[3 * a + i] -= weight[a, i] * (jac[k, i] * l0 + jac[k, 6 + i] * l1)
             acc[3 * b + i] -= weight[b, i] * (jac[k, 3 + i] * l0 + jac[k, 9 + i] * l1)
+
+
+@inlined
+def refine_multipliers(top, w, schur, acc, lam):
+    """Solve for the remainder of ``Phi_q a = gamma`` with the factors of the Schur complement; correct `acc`, `lam`."""
+    joint_right_side(top, w, acc, w.refinement)
+    schur_solve(schur, w.refinement)
+    apply_multipliers(top, w, w.refinement, acc)
+    for k in range(len(lam)):
+        lam[k, 0] += w.refinement[k, 0]
+        lam[k, 1] += w.refinement[k, 1]
 
 
 @inlined
@@ -351,13 +369,7 @@ def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
     solver.failed[0] = factorize(pattern, factors)
     if solver.failed[0] >= 0:
         return REPIVOT
-    substitute(pattern, factors, right, solution)
-    residual(pattern, factors, right, solution, correction)
-    substitute(pattern, factors, correction, correction)
-    for i in range(len(solution)):
-        solution[i] += correction[i]
-    worst = residual(pattern, factors, right, solution, correction)
-    if not worst < KKT_TOLERANCE:
+    if not solve_refined(pattern, factors, right, solution, correction) < KKT_TOLERANCE:
         return REPIVOT
     for i in range(n3):
         acc[i] = solution[i]
@@ -375,9 +387,8 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
     """
     has_forces = len(top.springs) + len(top.loads) > 0
     if has_forces:
-        applied(top, w, q, v)
-    constraint_rows(top, w, q, v)
-    independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
+        applied_forces(top, w, q, v)
+    solved_rows(top, w, q, v)
     status = solve_system(top, w, solver, has_forces, acc, lam, refine)
     unfold_multipliers(top, w.cs, lam)
     return status
@@ -391,26 +402,17 @@ def solve_system(top, w, solver, has_forces, acc, lam, refine):
     if solver.pivoted[0] != 0:
         status = pivoted_accelerations(top, w, solver, has_forces, acc, lam)
     else:
-        free_accelerations(top.mass, top.weight, top.gravity, has_forces, w.force, acc)
-        joint_right_side(top.pairs, top.rows, w.jac, w.gamma, acc, lam)
-        s = solver.schur
-        solver.failed[0] = schur_factor(
-            top.pairs, top.rows, w.jac, top.weight,
-            s.start, s.row, s.update, s.coupling, s.diagonal, s.whole, s.below, s.scaled,
-        )  # fmt: skip
+        free_accelerations(top, has_forces, w.force, acc)
+        joint_right_side(top, w, acc, lam)
+        solver.failed[0] = schur_factor(top, w.jac, solver.schur)
         status = OK
         if solver.failed[0] >= 0:
             status = REPIVOT
         else:
-            schur_solve(s.start, s.row, s.diagonal, s.below, lam)
-            apply_multipliers(top.pairs, w.jac, top.weight, lam, acc)
+            schur_solve(solver.schur, lam)
+            apply_multipliers(top, w, lam, acc)
             if refine:
-                joint_right_side(top.pairs, top.rows, w.jac, w.gamma, acc, w.refinement)
-                schur_solve(s.start, s.row, s.diagonal, s.below, w.refinement)
-                apply_multipliers(top.pairs, w.jac, top.weight, w.refinement, acc)
-                for k in range(len(lam)):
-                    lam[k, 0] += w.refinement[k, 0]
-                    lam[k, 1] += w.refinement[k, 1]
+                refine_multipliers(top, w, solver.schur, acc, lam)
     return status
 
 
@@ -431,34 +433,26 @@ def transferred(top, w, solver, i, lam):
                 right[3 * a + d] = w.loose[i, d]
             if 3 * b < n3:
                 right[3 * b + d] = w.loose[i, 3 + d]
-        substitute(solver.pattern, solver.factors, right, solution)
-        residual(solver.pattern, solver.factors, right, solution, correction)
-        substitute(solver.pattern, solver.factors, correction, correction)
+        solve_refined(solver.pattern, solver.factors, right, solution, correction)
         for k in range(len(top.pairs)):
             for r in range(top.rows[k]):
-                at = solver.row_index[k, r]
-                lam[k, r] = solution[at] + correction[at]
+                lam[k, r] = solution[solver.row_index[k, r]]
     else:
-        s = solver.schur
         w.push[:] = 0.0
         w.gamma[:, :] = 0.0
         for d in range(3):
             w.push[3 * a + d] = top.weight[a, d] * w.loose[i, d]
             w.push[3 * b + d] = top.weight[b, d] * w.loose[i, 3 + d]
-        for _ in range(2):  # once more for round-off
-            joint_right_side(top.pairs, top.rows, w.jac, w.gamma, w.push, w.refinement)
-            schur_solve(s.start, s.row, s.diagonal, s.below, w.refinement)
-            apply_multipliers(top.pairs, w.jac, top.weight, w.refinement, w.push)
-            for k in range(len(lam)):
-                lam[k, 0] += w.refinement[k, 0]
-                lam[k, 1] += w.refinement[k, 1]
+        for _ in range(2):  # the second pass removes the round-off of the first
+            refine_multipliers(top, w, solver.schur, w.push, lam)
     unfold_multipliers(top, w.cs, lam)
 
 
 @subkernel
-def stabilize_tangents(baumgarte, jac, gamma_v, res_q):
-    """Turn the derivatives of gamma into those of the stabilized one; d(Phi_q v + Phi_t)/dq is -gamma_v / 2."""
-    alpha, factor = baumgarte[0], baumgarte[1] * baumgarte[1]
+def stabilize_tangents(top, w):
+    """Add Baumgarte's terms to the derivatives of gamma; d(Phi_q v + Phi_t)/dq is -gamma_v / 2."""
+    alpha, factor = top.baumgarte[0], top.baumgarte[1] * top.baumgarte[1]
+    jac, gamma_v, res_q = w.jac, w.gamma_v, w.res_q
     for k in range(len(jac)):
         for c in range(12):
             res_q[k, c] += factor * jac[k, c] - alpha * gamma_v[k, c]
@@ -467,20 +461,16 @@ def stabilize_tangents(baumgarte, jac, gamma_v, res_q):
 
 @inlined
 def evaluate_tangents(top, w, t, q, v, acc, lam):
-    """Evaluate every term of the stage matrix into ``w.source`` (the masses stand there from the start)."""
+    """Evaluate every term of the stage matrix into ``w.source``; the masses are constant and already stored there."""
     prepare(top, w, t, q)
-    constraint_rows(top, w, q, v)
-    independent_rows(top, w.cs, w.jac, w.gamma, w.loose)
+    solved_rows(top, w, q, v)
     stabilized = top.baumgarte[0] != 0.0 or top.baumgarte[1] != 0.0
-    if stabilized:  # elements never write the entries that are zero for them
+    if stabilized:  # `stabilize_tangents` fills entries that element kernels never write
         w.gamma_v[:, :] = 0.0
         w.res_q[:, :] = 0.0
     constraint_tangents(top.pairs, top.pair_parameters, q, v, acc, w.cs, w.u, lam, w.stiff, w.gamma_v, w.res_q)
     fold(top, w.cs, w.gamma_v)
     fold(top, w.cs, w.res_q)
     if stabilized:
-        stabilize_tangents(top.baumgarte, w.jac, w.gamma_v, w.res_q)
-    force_tangents(
-        top.springs, top.spring_points, top.linear, top.laws, top.law_parameters, top.loads, top.load_points,
-        q, v, w.cs, w.u, w.time, w.s, w.grad, w.hess, w.tension, w.faulty, w.spring_stiff, w.spring_damp, w.load_stiff,
-    )  # fmt: skip
+        stabilize_tangents(top, w)
+    force_tangents(top, w, q, v)

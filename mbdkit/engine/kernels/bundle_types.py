@@ -1,0 +1,38 @@
+"""Types of the arrays in a bundle, and example bundles made from them.
+
+A bundle is a NamedTuple whose fields are arrays of these types, or other bundles. Compiled code reads a bundle by its
+address, so it has to know the type of every array beforehand; an example bundle of empty arrays provides it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, get_args, get_type_hints
+
+import numpy as np
+
+RealVector = Annotated[np.ndarray, np.float64, 1]
+RealMatrix = Annotated[np.ndarray, np.float64, 2]
+IntVector = Annotated[np.ndarray, np.int64, 1]
+IntMatrix = Annotated[np.ndarray, np.int64, 2]
+NumberVector = Annotated[np.ndarray, None, 1]
+"""Real or complex, the same for all such fields of a bundle."""
+
+
+def example_of(bundle: type[Any], number: type = np.float64) -> Any:
+    """Return a bundle of empty arrays with the declared types.
+
+    Parameters
+    ----------
+    bundle
+        A NamedTuple class whose fields are annotated with the types of this file, or with other such classes.
+    number
+        The dtype of `NumberVector` fields.
+    """
+    values = []
+    for kind in get_type_hints(bundle, include_extras=True).values():
+        if isinstance(kind, type):
+            values.append(example_of(kind, number))
+        else:
+            _, dtype, dimensions = get_args(kind)
+            values.append(np.zeros((0,) * dimensions, dtype or number))
+    return bundle(*values)

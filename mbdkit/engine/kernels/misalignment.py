@@ -1,0 +1,21 @@
+"""Misalignment of a pair of constraint rows: the Euclidean norm of its residual Phi.
+
+The largest misalignment over all steps is kept as a square. The recorder adds the squares of the pairs of a joint and
+takes the root once, at the end of a run.
+"""
+
+from __future__ import annotations
+
+from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.kernels.system import evaluate_positions, prepare
+
+
+@subkernel
+def raise_misalignments(top, w, t, q, worst):
+    """Raise `worst` (P,) to the squared misalignment of each pair at the position `q`, where that is larger."""
+    prepare(top, w, t, q)
+    evaluate_positions(top, w, q)
+    for k in range(len(worst)):
+        square = w.phi[k, 0] * w.phi[k, 0] + w.phi[k, 1] * w.phi[k, 1]
+        if square > worst[k]:
+            worst[k] = square

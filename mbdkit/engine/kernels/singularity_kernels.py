@@ -1,0 +1,235 @@
+"""Kernels of the distance to singularity: inverse iteration with two vectors, warm from one recorded row to the next.
+
+The operator is ``D Phi_q M^-1 Phi_q^T D^T`` of the rows that are solved for, where ``D^-1`` is the Cholesky factor L of
+the 2 x 2 diagonal blocks. Each iteration uses the factors of the index-1 system, and the smaller Ritz value of the two
+images is taken (Parlett, The Symmetric Eigenvalue Problem, 1998, ch. 4 and 13). See `mbdkit.engine.singularity`.
+"""
+
+from __future__ import annotations
+
+from math import hypot, sqrt
+
+import numpy as np
+
+from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
+from mbdkit.engine.kernels.lu import substitute
+from mbdkit.engine.kernels.schur import diagonal_block
+from mbdkit.engine.kernels.system import load_engine, prepare, solved_rows
+
+CLOSE = 0.03
+"""Residual of the Ritz vector, relative to its eigenvalue, at which the iteration ends; it bounds the relative error of
+the eigenvalue, which is the square of the distance."""
+
+MOST_ITERATIONS = 40
+"""Largest number of iterations; the bound reached by then is used."""
+
+FEWEST_AT_FIRST = 4
+"""Least number of iterations without vectors from a row before."""
+
+NOISE = 0.1
+"""Weight of a fixed vector that is added to the second vector, so that no direction is missing from both."""
+
+INDEPENDENT = 1e-12
+"""Below this share of its square, the part of the second image orthogonal to the first is round-off and is ignored."""
+
+X, Y, X_IMAGE, Y_IMAGE, L_XX, L_YX, L_YY, COLUMNS = 0, 2, 4, 6, 8, 9, 10, 11
+"""Columns of `near` (P, 11), which is kept between recorded rows: of each pair two entries of the vectors x and y and
+of their images, the entries of its Cholesky factor L; and the number of columns."""
+
+
+@subkernel
+def _pair_factors(top, jac, near):
+    """Write the Cholesky factor of each pair's diagonal block into `near`; return the number of pairs with rows."""
+    rows = top.rows
+    count = 0
+    for k in range(len(top.pairs)):
+        d00, d01, d11 = diagonal_block(top, jac, k)
+        near[k, L_XX] = near[k, L_YY] = 1.0
+        near[k, L_YX] = 0.0
+        if rows[k] > 0:
+            near[k, L_XX] = sqrt(d00)
+        if rows[k] == 2:
+            near[k, L_YX] = d01 / near[k, L_XX]
+            near[k, L_YY] = sqrt(max(d11 - near[k, L_YX] * near[k, L_YX], 0.0))
+        if rows[k] > 0:
+            count += 1
+    return count
+
+
+@inlined
+def _noise(n, multiplier):
+    """Return term `n` of an additive recurrence, which is equidistributed over (-0.5, 0.5)."""
+    x = (n + 1) * multiplier
+    return x - np.floor(x) - 0.5
+
+
+@subkernel
+def _disturb(rows, near):
+    """Add noise to the second vector, and fill the first if it is zero; return whether it was non-zero on entry."""
+    known = 0.0
+    for k in range(len(rows)):
+        known += near[k, X] * near[k, X] + near[k, X + 1] * near[k, X + 1]
+    for k in range(len(rows)):
+        for r in range(rows[k]):
+            if known == 0.0:
+                near[k, X + r] = _noise(2 * k + r, 0.7548776662466927)
+            near[k, Y + r] += NOISE * _noise(2 * k + r, 0.6180339887498949)
+    return known > 0.0
+
+
+@subkernel
+def _scale(near):
+    """Write the right sides ``D^-1 x`` and ``D^-1 y`` to the columns of the images."""
+    for k in range(len(near)):
+        l00, l10, l11 = near[k, L_XX], near[k, L_YX], near[k, L_YY]
+        for c in (X, Y):
+            near[k, X_IMAGE - X + c] = l00 * near[k, c]
+            near[k, X_IMAGE - X + c + 1] = l10 * near[k, c] + l11 * near[k, c + 1]
+
+
+@subkernel
+def _solve_both(schur, near):
+    """Solve with the Schur complement for both right sides in place; see `mbdkit.engine.kernels.schur.solve`."""
+    start, row, diagonal, below = schur.start, schur.row, schur.diagonal, schur.below
+    n = len(diagonal)
+    for k in range(n):
+        x0, x1, y0, y1 = near[k, X_IMAGE], near[k, X_IMAGE + 1], near[k, Y_IMAGE], near[k, Y_IMAGE + 1]
+        for e in range(start[k], start[k + 1]):
+            i = row[e]
+            b00, b01, b10, b11 = below[e, 0], below[e, 1], below[e, 2], below[e, 3]
+            near[i, X_IMAGE] -= b00 * x0 + b01 * x1
+            near[i, X_IMAGE + 1] -= b10 * x0 + b11 * x1
+            near[i, Y_IMAGE] -= b00 * y0 + b01 * y1
+            near[i, Y_IMAGE + 1] -= b10 * y0 + b11 * y1
+    for k in range(n - 1, -1, -1):
+        d00, d01, d11 = diagonal[k, 0], diagonal[k, 1], diagonal[k, 2]
+        x0, x1 = (
+            d00 * near[k, X_IMAGE] + d01 * near[k, X_IMAGE + 1],
+            d01 * near[k, X_IMAGE] + d11 * near[k, X_IMAGE + 1],
+        )
+        y0, y1 = (
+            d00 * near[k, Y_IMAGE] + d01 * near[k, Y_IMAGE + 1],
+            d01 * near[k, Y_IMAGE] + d11 * near[k, Y_IMAGE + 1],
+        )
+        for e in range(start[k], start[k + 1]):
+            i = row[e]
+            b00, b01, b10, b11 = below[e, 0], below[e, 1], below[e, 2], below[e, 3]
+            x0 -= b00 * near[i, X_IMAGE] + b10 * near[i, X_IMAGE + 1]
+            x1 -= b01 * near[i, X_IMAGE] + b11 * near[i, X_IMAGE + 1]
+            y0 -= b00 * near[i, Y_IMAGE] + b10 * near[i, Y_IMAGE + 1]
+            y1 -= b01 * near[i, Y_IMAGE] + b11 * near[i, Y_IMAGE + 1]
+        near[k, X_IMAGE], near[k, X_IMAGE + 1], near[k, Y_IMAGE], near[k, Y_IMAGE + 1] = x0, x1, y0, y1
+
+
+@inlined
+def _solve_pivoted(top, w, solver, near):
+    """Solve with the pivoted system for both right sides in place."""
+    rows, row_index, right, solution = top.rows, solver.row_index, w.right, w.solution
+    for c in (X_IMAGE, Y_IMAGE):
+        right[:] = 0.0
+        for k in range(len(near)):
+            for r in range(rows[k]):
+                right[row_index[k, r]] = -near[k, c + r]
+        substitute(solver.pattern, solver.factors, right, solution)
+        for k in range(len(near)):
+            for r in range(rows[k]):
+                near[k, c + r] = solution[row_index[k, r]]
+
+
+@subkernel
+def _products(rows, near):
+    """Scale the solutions to the images; return the Gram matrices of vectors, of images and of vectors with images.
+
+    Of each symmetric matrix the entries 00, 01 and 11 are returned.
+    """
+    x00 = x01 = x11 = y00 = y01 = y11 = h00 = h01 = h11 = 0.0
+    for k in range(len(near)):
+        l00, l10, l11 = near[k, L_XX], near[k, L_YX], near[k, L_YY]
+        a0, a1, b0, b1 = near[k, X], near[k, X + 1], near[k, Y], near[k, Y + 1]
+        p0, p1 = l00 * near[k, X_IMAGE] + l10 * near[k, X_IMAGE + 1], l11 * near[k, X_IMAGE + 1]
+        q0, q1 = l00 * near[k, Y_IMAGE] + l10 * near[k, Y_IMAGE + 1], l11 * near[k, Y_IMAGE + 1]
+        if rows[k] < 2:
+            p1 = q1 = 0.0
+            if rows[k] == 0:
+                p0 = q0 = 0.0
+        near[k, X_IMAGE], near[k, X_IMAGE + 1], near[k, Y_IMAGE], near[k, Y_IMAGE + 1] = p0, p1, q0, q1
+        x00 += a0 * a0 + a1 * a1
+        x01 += a0 * b0 + a1 * b1
+        x11 += b0 * b0 + b1 * b1
+        y00 += p0 * p0 + p1 * p1
+        y01 += p0 * q0 + p1 * q1
+        y11 += q0 * q0 + q1 * q1
+        h00 += a0 * p0 + a1 * p1
+        h01 += 0.5 * (a0 * q0 + a1 * q1 + b0 * p0 + b1 * p1)
+        h11 += b0 * q0 + b1 * q1
+    return x00, x01, x11, y00, y01, y11, h00, h01, h11
+
+
+@subkernel
+def _turn(near, along, size0, size1, z0, z1):
+    """Orthonormalize the images, rotate them by (z0, z1) and store them as the next vectors."""
+    for k in range(len(near)):
+        for r in range(2):
+            e0 = near[k, X_IMAGE + r]
+            e1 = (near[k, Y_IMAGE + r] - along * e0) * size1
+            e0 *= size0
+            near[k, X + r] = z0 * e0 + z1 * e1
+            near[k, Y + r] = z0 * e1 - z1 * e0
+
+
+@inlined
+def singularity_distance(top, w, solver, near):
+    """Return the distance to singularity at the position of the last `solve_accelerations`; 1 with less than two pairs.
+
+    `near` (P, 11) carries the vectors from one recorded row to the next. Overwrites ``w.right`` and ``w.solution``.
+    """
+    distance = 1.0
+    if _pair_factors(top, w.jac, near) > 1:
+        fewest = 1 if _disturb(top.rows, near) else FEWEST_AT_FIRST
+        for iteration in range(MOST_ITERATIONS):
+            _scale(near)
+            if solver.pivoted[0] != 0:
+                _solve_pivoted(top, w, solver, near)
+            else:
+                _solve_both(solver.schur, near)
+            x00, x01, x11, y00, y01, y11, h00, h01, h11 = _products(top.rows, near)
+            smallest = off = along = size0 = size1 = z0 = z1 = 0.0
+            if 0.0 < y00 < np.inf and 0.0 <= y11 < np.inf:
+                # orthogonalize the second image against the first, and change the vectors in the same way
+                along = y01 / y00
+                rest = y11 - along * y01
+                size0 = 1.0 / sqrt(y00)
+                if rest > INDEPENDENT * y11:
+                    size1 = 1.0 / sqrt(rest)
+                g00 = h00 * size0 * size0
+                g01 = (h01 - along * h00) * size0 * size1
+                g11 = (h11 - 2.0 * along * h01 + along * along * h00) * size1 * size1
+                z0, z1, smallest = 1.0, 0.0, g00
+                if size1 > 0.0:
+                    smallest = (g00 * g11 - g01 * g01) / (0.5 * (g00 + g11) + hypot(0.5 * (g00 - g11), g01))
+                    e00, e11 = abs(g00 - smallest), abs(g11 - smallest)
+                    length = hypot(max(e00, e11), g01)
+                    if length > 0.0:
+                        z0, z1 = (e11 / length, -g01 / length) if e11 >= e00 else (-g01 / length, e00 / length)
+                c0 = z0 * size0 - along * z1 * size1
+                c1 = z1 * size1
+                off = (c0 * c0 * x00 + 2.0 * c0 * c1 * x01 + c1 * c1 * x11) / (smallest * smallest) - 1.0
+            if not 0.0 < smallest < np.inf:  # true for NaN as well
+                near[:, :L_XX] = 0.0
+                distance = 0.0
+                break
+            _turn(near, along, size0, size1, z0, z1)
+            distance = min(sqrt(smallest), 1.0)
+            if iteration + 1 >= fewest and off <= CLOSE * CLOSE:
+                break
+    return distance
+
+
+@kernel
+def independent_jacobian(engine, t, q, v, near):
+    """Evaluate the Jacobian of the rows that are solved for into ``w.jac``, and the factor of each pair into `near`."""
+    h = load_engine(engine)
+    top, w = h.top, h.w
+    prepare(top, w, t, q)
+    solved_rows(top, w, q, v)
+    _pair_factors(top, w.jac, near)

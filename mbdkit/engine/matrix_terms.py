@@ -1,0 +1,143 @@
+"""Terms of the stage matrix: which entry of the working arrays is added where, and with which factor.
+
+The matrix of a stage with rate ``h mu`` is
+
+    [ M + h mu C + (h mu)^2 K                     Phi_q^T ]
+    [ Phi_q - h mu gamma_v + (h mu)^2 res_q       0       ]
+
+and with ``h mu = 0`` it is the matrix of the index-1 system.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.kernels import element_kernels as e
+from mbdkit.engine.kernels.constraints import KINDS
+from mbdkit.engine.kernels.forces import BODY_FORCE, PATHWAYS, POINT_FORCE
+
+CONSTANT, RATE, MINUS_RATE, RATE_SQUARED = range(4)
+"""Classes of factors: 1, h mu, -h mu and (h mu)^2."""
+
+
+@dataclass(frozen=True)
+class MatrixTerms:
+    """The N terms of the stage matrix.
+
+    Attributes
+    ----------
+    source : (N,) int array
+        Index of the value in ``Scratch.source``.
+    row, column : (N,) int arrays
+        Place in the matrix.
+    factor : (N,) int array
+        Class of the factor: CONSTANT, RATE, MINUS_RATE or RATE_SQUARED.
+    """
+
+    source: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    factor: np.ndarray
+
+    def chosen(self, *, tangents: bool) -> MatrixTerms:
+        """Return all terms, or without `tangents` those of the index-1 system."""
+        return self if tangents else self.kept(self.factor == CONSTANT)
+
+    def kept(self, keep: np.ndarray) -> MatrixTerms:
+        """Return the terms for which `keep` (N,) is true."""
+        return MatrixTerms(self.source[keep], self.row[keep], self.column[keep], self.factor[keep])
+
+    def coefficients(self, rate: complex) -> np.ndarray:
+        """Return the factor of each term for ``rate = h mu``."""
+        return np.array([1.0, rate, -rate, rate * rate])[self.factor]
+
+
+def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabilized: bool) -> MatrixTerms:
+    """Return every term of the stage matrix.
+
+    Parameters
+    ----------
+    mechanism
+        The compiled mechanism.
+    offsets
+        Index in ``Scratch.source`` at which each array of terms begins.
+    stabilized
+        Whether Baumgarte's terms are part of gamma: its derivatives then have entries wherever the Jacobian has.
+    """
+    top, row_index = mechanism.topology, mechanism.row_index
+    n3 = 3 * len(mechanism.bodies)
+    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, int]] = []
+
+    def add(source: np.ndarray, row: np.ndarray, column: np.ndarray, factor: int) -> None:
+        keep = ((row < n3) | (row >= n3 + 3)) & ((column < n3) | (column >= n3 + 3))
+        parts.append((source[keep], row[keep], column[keep], factor))
+
+    def coordinate(bodies: np.ndarray, column: int) -> np.ndarray:
+        return 3 * bodies[:, column // 3] + column % 3
+
+    def multiplier(members: np.ndarray, place: int) -> np.ndarray:
+        return row_index[members, place] + 3  # leaves room for the three coordinates of ground, removed below
+
+    diagonal = np.arange(n3)
+    add(diagonal, diagonal, diagonal, CONSTANT)
+    for kind, code in KINDS.items():
+        members = np.flatnonzero(top.pairs[:, 0] == code)
+        bodies = top.pairs[members, 1:3]
+        reduced = np.isin(members, top.spare[:, 0])
+        for entry in range(12):
+            # one row left of two is a combination of both, without zeros; a pair without rows has no multiplier
+            taken = np.where(reduced, (entry < 6) & (top.rows[members] == 1), entry in e.JACOBIAN_ENTRIES[kind])
+            some, ends = members[taken], bodies[taken]
+            row, column = multiplier(some, entry // 6), coordinate(ends, entry % 6)
+            add(offsets["jac"] + 12 * some + entry, row, column, CONSTANT)
+            add(offsets["jac"] + 12 * some + entry, column, row, CONSTANT)
+            if stabilized:
+                add(offsets["gamma_v"] + 12 * some + entry, row, column, MINUS_RATE)
+                add(offsets["res_q"] + 12 * some + entry, row, column, RATE_SQUARED)
+        for entry in e.STIFFNESS_ENTRIES[kind]:
+            add(
+                offsets["stiff"] + 36 * members + entry,
+                coordinate(bodies, entry // 6),
+                coordinate(bodies, entry % 6),
+                RATE_SQUARED,
+            )
+        for name, written, factor in (
+            ("gamma_v", e.GAMMA_V_ENTRIES, MINUS_RATE),
+            ("res_q", e.RESIDUAL_Q_ENTRIES, RATE_SQUARED),
+        ):
+            for entry in written[kind]:
+                held = row_index[members, entry // 6] >= 0
+                if stabilized:  # the entries of the Jacobian are listed above
+                    listed = entry in e.JACOBIAN_ENTRIES[kind]
+                    held &= ~np.where(reduced, (entry < 6) & (top.rows[members] == 1), listed)
+                add(
+                    offsets[name] + 12 * members[held] + entry,
+                    multiplier(members[held], entry // 6),
+                    coordinate(bodies[held], entry % 6),
+                    factor,
+                )
+    for path, code in PATHWAYS.items():
+        members = np.flatnonzero(top.springs[:, 0] == code)
+        bodies = top.springs[members, 1:3]
+        for i in e.GRADIENT_ENTRIES[path]:
+            for j in e.GRADIENT_ENTRIES[path]:
+                entry = 6 * i + j
+                add(
+                    offsets["spring_stiff"] + 36 * members + entry,
+                    coordinate(bodies, i),
+                    coordinate(bodies, j),
+                    RATE_SQUARED,
+                )
+                add(offsets["spring_damp"] + 36 * members + entry, coordinate(bodies, i), coordinate(bodies, j), RATE)
+    for load, entries in ((POINT_FORCE, (2,)), (BODY_FORCE, (0, 1))):
+        members = np.flatnonzero(top.loads[:, 0] == load)
+        first = 3 * top.loads[members, 1]
+        for entry in entries:
+            add(offsets["load_stiff"] + 3 * members + entry, first + entry, first + 2, RATE_SQUARED)
+
+    source, row, column = (np.concatenate([part[i] for part in parts]).astype(np.int64) for i in range(3))
+    factors = np.concatenate([np.full(len(part[0]), part[3], dtype=np.int64) for part in parts])
+    return MatrixTerms(source, np.where(row >= n3, row - 3, row), np.where(column >= n3, column - 3, column), factors)
