@@ -100,7 +100,7 @@ def plugins_verify(
 
 @plugins_app.command("doctor")
 def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
-    """Show for each plugin whether it was loaded, and whether the installed Numba is a tested version.
+    """Show which plugins and which Numba are in use, and any problems.
 
     Exit status 4 if a plugin could not be loaded. With another Numba than the
     tested ones, and with MBDKIT_PLAIN_NUMBA=1, kernels are compiled without

@@ -430,7 +430,7 @@ def test_a_source_that_is_no_spec_is_refused(name, mbdkit, in_tmp_path):
         ("there.h5", "--overwrite"),
         ("folder", "folder"),
         ("missing/out.h5", "does not exist"),
-        ("spec.yaml", "is what is read here"),
+        ("spec.yaml", "this file is the input, which is not overwritten"),
         ("out.yaml", ".h5"),
         ("spec.yaml/out.h5", "not a folder"),
     ],
@@ -455,7 +455,7 @@ def test_a_folder_that_cannot_be_written_to_is_refused(mbdkit, in_tmp_path):
 def test_the_spec_itself_is_never_overwritten(mbdkit, in_tmp_path):
     (in_tmp_path / "spec.h5").write_text(SMALL)
     message = check_refusal(mbdkit("run", "spec.h5", "-o", "spec.h5", "--overwrite"), in_tmp_path, {"spec.h5"})
-    assert "is what is read here" in message
+    assert "this file is the input, which is not overwritten" in message
 
 
 def test_stdin_is_named_in_messages(mbdkit, in_tmp_path):
