@@ -106,7 +106,7 @@ def simulate(
         spec.sha256(),
         spec.run_id(),
         {**provenance(spec), "assembly": start.describe(), **({"warning": warning} if warning else {})},
-        spec.output.recorded,
+        quantities=spec.output.recorded,
         extra_datasets=optional_arrays(spec, method, workspace.mechanism),
         overwrite=overwrite,
         shared=shared_forces(workspace.mechanism),

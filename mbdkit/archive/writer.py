@@ -117,6 +117,7 @@ class ArchiveWriter:
         spec_sha256: str,
         run_id: str,
         provenance: Mapping[str, str | int | float],
+        *,
         quantities: frozenset[str] = layout.QUANTITIES,
         extra_datasets: Iterable[str] = (),
         overwrite: bool = False,
