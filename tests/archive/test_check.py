@@ -210,7 +210,7 @@ def test_flipped_byte_in_the_data_is_found(archive: Path) -> None:
     content = bytearray(archive.read_bytes())
     content[offset + 100] ^= 1
     archive.write_bytes(content)
-    assert check(archive) == ["the data are not those that were written: data_sha256 does not match"]
+    assert check(archive) == ["the data have changed since they were written: data_sha256 does not match"]
 
 
 @pytest.mark.slow
