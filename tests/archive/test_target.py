@@ -133,7 +133,7 @@ def test_part_of_a_dead_run_is_replaced(tmp_path: Path, left: bytes) -> None:
 
 def test_part_that_is_no_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "run.h5.part").mkdir()
-    with pytest.raises(SpecError, match="in the way"):
+    with pytest.raises(SpecError, match="not a regular file"):
         writer(tmp_path / "run.h5")
 
 
