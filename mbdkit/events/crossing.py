@@ -66,7 +66,7 @@ def crossings(
     found : list of Crossing
         Crossings in increasing order.
     sign : int
-        Last non-zero sign in the step.
+        Last non-zero sign so far; 0 if there has been none.
 
     Raises
     ------
