@@ -111,8 +111,8 @@ def make_method(spec: RunSpec) -> Method:
         raise PluginError(f"integrator {spec.integrator_item.id} failed to start: {one_line(error)}") from error
     if not isinstance(method, Method):
         raise PluginError(
-            f"integrator {spec.integrator_item.id} made {type(method).__name__}, not one of "
-            "ExplicitRungeKutta, ImplicitRungeKutta and SciPySolver, nor of a class derived from StepMethod"
+            f"integrator {spec.integrator_item.id} created an object of type {type(method).__name__}; it must "
+            "create an ExplicitRungeKutta, an ImplicitRungeKutta, a SciPySolver or an instance of a StepMethod subclass"
         )
     if isinstance(method, SciPySolver) and spec.stabilized.kind == "projection":
         raise PluginError(

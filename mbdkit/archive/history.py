@@ -18,7 +18,7 @@ class UnknownNameError(MbdkitError, KeyError):
 
     def __init__(self, what: str, name: object, known: Sequence[str]):
         few = listed(known[:8]) + (", ..." if len(known) > 8 else "")
-        hint = did_you_mean(str(name), known) or (f"; there is {few}" if known else "; there is none")
+        hint = did_you_mean(str(name), known) or (f"; available: {few}" if known else "; it has none")
         super().__init__(f"the run has no {what} {name!r}{hint}")
 
     def __str__(self) -> str:
@@ -89,7 +89,7 @@ class Column:
 
 
 class View:
-    """Some columns of a run.
+    """Base class of histories: a set of columns of a run.
 
     Parameters
     ----------
