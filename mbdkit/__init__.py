@@ -1,6 +1,6 @@
-"""mbdkit: planar multibody dynamics with constraints, from a run spec to a trustworthy archive.
+"""mbdkit: simulation of planar multibody systems with constraints.
 
-Names are loaded when they are first used, so that ``import mbdkit`` costs next to nothing.
+Public names are imported on first use, which keeps ``import mbdkit`` fast.
 """
 
 from __future__ import annotations
@@ -138,6 +138,6 @@ def _symbolic_system(mechanism: Any, numbers: bool) -> Any:
     return build_system(mechanism, numbers=numbers)
 
 
-# Importing any module of the package runs this file first, so mechanisms always find these functions.
+# Importing any module of the package runs this file first, so these functions are always available to mechanisms.
 higher_layers.find_installed_law = _find_installed_law
 higher_layers.symbolic_system = _symbolic_system

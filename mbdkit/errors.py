@@ -1,4 +1,4 @@
-"""Every error that mbdkit raises on purpose: a sentence for the person who can act, and where to act."""
+"""Exceptions raised by mbdkit."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from typing import Literal
 
 
 class MbdkitError(Exception):
-    """Base of all errors that mbdkit raises on purpose; `str(error)` is a complete sentence."""
+    """Base class of the exceptions raised by mbdkit; `str(error)` is a message for the user."""
 
 
 class SpecError(MbdkitError, ValueError):
-    """What the user wrote is wrong: a spec, a mechanism, an expression, a file name.
+    """Wrong input, such as a spec, a mechanism, an expression or a file name.
 
     Parameters
     ----------
     message
-        What was wrong and what would be right.
+        What is wrong and how to correct it.
     key
-        Dotted key path in the spec, such as ``model.joints.A.bodies[1]``; empty where there is none.
+        Dotted key path in the spec, such as ``model.joints.A.bodies[1]``; empty if not in a spec.
     file, line
-        Where it was written, where known (lines count from 1).
+        Location of the input, if known (lines count from 1).
     """
 
     def __init__(self, message: str, *, key: str = "", file: str | Path | None = None, line: int | None = None):
@@ -38,7 +38,7 @@ class SpecError(MbdkitError, ValueError):
         return f"{where}: {self.message}" if where else self.message
 
     def located(self, *, prefix: str = "", file: str | Path | None = None, line: int | None = None) -> SpecError:
-        """Return the same error with `prefix` put before its key, and with a file and line if it has none."""
+        """Return a copy with `prefix` prepended to the key, and with `file` and `line` if the error has none."""
         joint = "" if not prefix or not self.key or self.key.startswith("[") else "."
         key = f"{prefix}{joint}{self.key}"
         new = type(self)(self.message, key=key, file=self.file or file, line=self.line or line)
@@ -47,7 +47,7 @@ class SpecError(MbdkitError, ValueError):
 
 
 class PluginError(MbdkitError):
-    """A plugin failed: it could not be imported, it clashes with another, or it raised while it was used."""
+    """A plugin could not be imported, conflicts with another, or raised an exception."""
 
 
 class RunError(MbdkitError):
@@ -55,7 +55,7 @@ class RunError(MbdkitError):
 
 
 class StepError(Exception):
-    """A step cannot be taken; the run ends as failed with this reason, and keeps the rows recorded before.
+    """A step failed. The run ends with the status ``failed`` and this reason; rows recorded before are kept.
 
     `EquationsOfMotion` raises it if the equations have no unique or no finite solution; a method raises it if its own
     iteration does not converge.
@@ -63,9 +63,9 @@ class StepError(Exception):
     Parameters
     ----------
     code
-        Reason as stored in the archive.
+        Code of the reason, stored in the archive.
     sentence
-        What went wrong, without the time and without a full stop.
+        Description of the failure, without the time and without a full stop.
     """
 
     def __init__(self, code: Literal["newton-failed", "singular", "not-finite", "step-too-small"], sentence: str):

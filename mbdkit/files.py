@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, under names that say what they are."""
+"""Writes files atomically and checks their suffixes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from mbdkit.errors import SpecError
 
 
 def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str) -> Path:
-    """Return `path` as a Path.
+    """Return `path` as a Path after checking its suffix.
 
     Raises
     ------
     SpecError
-        The suffix is none of `allowed`.
+        If the suffix is not one of `allowed`.
     """
     target = Path(path)
     if target.suffix.lower() not in allowed:
@@ -29,12 +29,12 @@ def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str
 
 @contextmanager
 def replacing(target: Path) -> Iterator[Path]:
-    """Give a temporary name beside `target`; it takes the place of `target` only if the block succeeds.
+    """Yield a temporary file in the folder of `target`; it replaces `target` if the block succeeds.
 
     Raises
     ------
     SpecError
-        The folder does not exist, or the file cannot be written.
+        If the folder does not exist, or the file cannot be written.
     """
     if not target.parent.is_dir():
         raise SpecError(f"cannot write {str(target)!r}: there is no folder {str(target.parent)!r}")
@@ -44,7 +44,7 @@ def replacing(target: Path) -> Iterator[Path]:
         yield temporary
         temporary.replace(target)
     except OSError as error:
-        if not error.errno:  # not about this file: HDF5 could not read the run
+        if not error.errno:  # an error of HDF5 reading the run, not of this file
             raise
         raise SpecError(f"cannot write {str(target)!r}: {error.strerror or error}") from error
     finally:

@@ -1,4 +1,4 @@
-"""How much memory this machine has to spare, and sizes in words."""
+"""Available memory of the machine."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ _MEMINFO = Path("/proc/meminfo")
 
 
 def available_memory() -> int | None:
-    """Return the memory [bytes] that a process can have without swapping; None where the system does not say.
+    """Return the memory available without swapping [bytes]; None if unknown.
 
-    That is what Linux counts as available, elsewhere all that is installed.
+    On systems without ``/proc/meminfo``, this is the installed memory.
     """
     try:
         for line in _MEMINFO.read_text(encoding="ascii").splitlines():
@@ -26,6 +26,6 @@ def available_memory() -> int | None:
 
 
 def in_gib(size: int) -> str:
-    """Return a number of bytes in words, such as ``1.5 GiB``."""
+    """Format a number of bytes as ``1.5 GiB``."""
     tenths = size * 10 // 2**30
     return f"{tenths // 10:,}.{tenths % 10} GiB" if tenths < 1000 else f"{tenths // 10:,} GiB"

@@ -1,4 +1,4 @@
-"""Where a run comes from: the attributes of ``/provenance`` in its archive."""
+"""Provenance of a run: the attributes of ``/provenance`` in its archive."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _versions() -> dict[str, str]:
 
 
 def provenance(spec: RunSpec) -> dict[str, str | int | float]:
-    """Return the versions, platform, command and plugins that produce a run."""
+    """Return the versions, platform, command and plugins of a run."""
     found: dict[str, str | int | float] = {
         "mbdkit": version("mbdkit"),
         "python": platform.python_version(),

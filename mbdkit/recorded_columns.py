@@ -1,4 +1,4 @@
-"""The values of every archive array that has a row for each recorded state.
+"""Values of the archive arrays that have one row per recorded state.
 
 To add an array, add its entry to `mbdkit.archive.layout` and its value to `COLUMNS`.
 """
@@ -18,20 +18,20 @@ from mbdkit.stepping.interface import Stretch
 
 
 class ConstraintRows:
-    """Picks the constraint rows of the archive, in its order, out of arrays of pairs."""
+    """Selects the constraint rows, in the order of the archive, from arrays indexed by pair."""
 
     def __init__(self, mechanism: CompiledMechanism):
         self._pair = np.array([row.pair for row in mechanism.rows], dtype=np.int64)
         self._place = np.array([row.place for row in mechanism.rows], dtype=np.int64)
 
     def of(self, values: np.ndarray) -> np.ndarray:
-        """Return the values (T, m) of rows, from those of pairs (T, P, 2)."""
+        """Return the values of the rows (T, m) from those of the pairs (T, P, 2)."""
         return values[:, self._pair, self._place]
 
 
 @dataclass
 class RecordedStates:
-    """T states to be recorded, and the values that follow from them.
+    """T states to be recorded, and values computed from them.
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ class RecordedStates:
     elapsed
         (T,) wall time since the first step [s].
     start_energy
-        Total energy of the start of the run [J].
+        Total energy at the start of the run [J].
     rows, joints
-        Order of the constraint rows, and joints, of the mechanism.
+        Constraint rows and joints of the mechanism, in the order of the archive.
     """
 
     stretch: Stretch
@@ -55,7 +55,7 @@ class RecordedStates:
     joints: JointSums
 
     def by_body(self, x: np.ndarray) -> np.ndarray:
-        """Return a vector (T, 3 (B + 1)) as (T, B, 3), without ground."""
+        """Reshape coordinates (T, 3 (B + 1)) to (T, B, 3), without ground."""
         return x[:, :-3].reshape(len(x), -1, 3)
 
     @cached_property
@@ -65,7 +65,7 @@ class RecordedStates:
 
     @cached_property
     def reactions(self) -> np.ndarray:
-        """(T, J, 3) force (x, y) [N] and torque [N m] of each joint."""
+        """(T, J, 3) reaction force (x, y) [N] and torque [N m] of each joint."""
         return self.joints.sum(self.observed.reactions)
 
     @cached_property
@@ -80,12 +80,12 @@ class RecordedStates:
 
     @property
     def balance(self) -> np.ndarray:
-        """(T,) change of energy that dissipation and work do not account for [J]."""
+        """(T,) change of total energy since the start, plus dissipated energy, minus work [J]."""
         return np.asarray(self.total_energy + self.stretch.dissipated - self.stretch.work - self.start_energy)
 
     @property
     def method_multiplier(self) -> np.ndarray:
-        """(T, m) multipliers that the method carries; those of index 1 at the start, before it has any."""
+        """(T, m) multipliers computed by the method; index-1 multipliers at the start, where it has none."""
         return self.multiplier if self.stretch.multipliers is None else self.stretch.multipliers
 
 
@@ -112,4 +112,4 @@ COLUMNS: Mapping[str, Callable[[RecordedStates], np.ndarray]] = {
     "energy/work": lambda s: s.stretch.work,
     "energy/balance": lambda s: s.balance,
 }
-"""Values by the key of the array (`mbdkit.archive.layout.Array.key`); only those that a run records are computed."""
+"""Functions for the values of arrays, by `mbdkit.archive.layout.Array.key`; called only for the recorded arrays."""

@@ -1,4 +1,4 @@
-"""The recorder: evaluates the states to be recorded, checks them, and writes their rows to the archive."""
+"""Evaluates and checks the states to be recorded and writes them to the archive."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from mbdkit.events.watch import Found
 
 APART = 1e-6
-"""Gap of a redundant joint, relative to the characteristic length, above which drift and round-off do not explain it.
+"""Largest gap of a redundant joint, relative to the characteristic length, that drift and round-off can explain.
 
-The joint is reported only if its gap is also `ALONE` times any gap of the rows that are solved for.
+The joint is reported only if its gap also exceeds `ALONE` times the largest gap of the rows that are solved for.
 """
 
 ALONE = 1e3
@@ -43,7 +43,7 @@ def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
 
 
 def shared_forces(mechanism: CompiledMechanism) -> SharedForces | None:
-    """Return which reactions are not unique because joints are redundant; None where all of them are unique."""
+    """Return the description of non-unique reactions of redundant joints; None without redundant constraints."""
     redundancy = mechanism.redundancy
     if not redundancy.rows:
         return None
@@ -56,7 +56,7 @@ class Recorder:
     Parameters
     ----------
     workspace
-        The mechanism at its start; the recorder chooses its own pivots.
+        The mechanism at its start. The recorder uses a copy with its own pivots.
     writer
         The archive being written.
 
@@ -67,8 +67,8 @@ class Recorder:
     """
 
     def __init__(self, workspace: Workspace, writer: ArchiveWriter):
-        # Rows are recorded after a stretch of steps of any length, so pivots shared with the stepper would make the
-        # last bits of both depend on the length of the stretches.
+        # The number of steps between two calls depends on wall time. If pivots were shared with the stepper, the last
+        # bits of both results would depend on it.
         self.workspace, self.writer = workspace.with_own_pivots(), writer
         mechanism = workspace.mechanism
         self._observer = StateObserver(self.workspace)
@@ -85,14 +85,14 @@ class Recorder:
         stretch
             States to be recorded.
         elapsed
-            Wall time since the first step at the beginning and at the end of the stretch [s], interpolated for rows.
+            Wall time since the first step at the start and at the end of the stretch [s]; interpolated for the rows.
         start
-            Whether this is the start of the run, at which no interval ends.
+            Whether this is the initial state, which has no preceding interval.
 
         Returns
         -------
         Failure or None
-            Why a recorded state has no finite, unique accelerations; that state and later ones are not written.
+            Reason why a state cannot be recorded; this state and later ones are not written.
         """
         count = len(stretch.time)
         if count == 0:
@@ -113,7 +113,7 @@ class Recorder:
     def _checked(
         self, stretch: Stretch, observed: Observed, singular: SingularState | None
     ) -> tuple[int, Failure | None]:
-        """Return the number of leading states that can be recorded, and why the next one cannot."""
+        """Return the number of leading states that can be recorded, and the reason why the next one cannot."""
         mechanism = self.workspace.mechanism
         count, failure = len(stretch.time), None
         if singular is not None:
@@ -135,7 +135,7 @@ class Recorder:
         return count, failure
 
     def _contradiction(self, phi: np.ndarray) -> tuple[int, int, float] | None:
-        """Return the first row of `phi` (T, P, 2) where redundant joints contradict the others; pair and gap there."""
+        """Return row, pair and gap of the first state in `phi` (T, P, 2) where a redundant joint contradicts others."""
         redundant = self._redundant
         if not np.any(redundant) or not len(phi):
             return None
@@ -149,14 +149,14 @@ class Recorder:
         return row, pair, float(gaps[row, pair])
 
     def _describe_contradiction(self, pair: int, gap: float, where: str) -> str:
-        """Return a sentence on a redundant joint that no longer meets, and the joints that it contradicts."""
+        """Return a sentence naming a misaligned redundant joint and the joints that it contradicts."""
         mechanism = self.workspace.mechanism
         joint = self._joints.joint[pair]
         unit = next(row.unit for row in mechanism.rows if row.pair == pair)
         others = [name for name in mechanism.redundancy.not_unique if name != mechanism.joints[joint]]
         return (
-            f"joint '{mechanism.joints[joint]}' misses by {gap:.2g} {unit} at {where}, though all others meet: "
-            f"it constrains the same motion as {listed(others, 'and')}, but no longer agrees; leave one of them out."
+            f"joint '{mechanism.joints[joint]}' is misaligned by {gap:.2g} {unit} at {where}, unlike the other joints: "
+            f"it constrains the same motion as {listed(others, 'and')} and contradicts them; remove one of them."
         )
 
     def _write_states(self, stretch: Stretch, observed: Observed, elapsed: np.ndarray) -> None:
@@ -176,7 +176,7 @@ class Recorder:
             "iterations_max": iterations_max.astype(np.int64),
             "rejected": rejected.astype(np.int64),
         }
-        if stretch.corrections is not None:  # the layout has those that the stabilization of the run produces
+        if stretch.corrections is not None:  # the layout selects those of the stabilization
             projections, position, velocity, acceleration = stretch.corrections.T
             rows |= {
                 "projections": projections.astype(np.int64),
@@ -187,7 +187,7 @@ class Recorder:
         self.writer.append_steps(rows)
 
     def record_events(self, found: Sequence[Found]) -> None:
-        """Write the crossings of events that were found since the last call."""
+        """Write the crossings found since the last call."""
         if not found:
             return
         shape = (len(found), len(self.workspace.mechanism.bodies), 3)

@@ -1,4 +1,4 @@
-"""What a run needs before its first step: method, workspace, timetable, optional arrays, disk space."""
+"""Preparation of a run: method, workspace, timetable, optional arrays and disk space."""
 
 from __future__ import annotations
 
@@ -30,38 +30,38 @@ def caution(spec: RunSpec, method: Method | None = None) -> str:
     spec
         The spec.
     method
-        Its method, if it has been made already.
+        Method of the spec; created if omitted.
 
     Raises
     ------
     PluginError
-        Where a plugin fails to make the method.
+        If the plugin fails to create the method.
     """
     method = method if method is not None else make_method(spec)
     return stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
 
 
 def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Workspace, AssembledState]:
-    """Compile the mechanism of a spec and make its start consistent.
+    """Compile the mechanism of a spec and make its initial state consistent.
 
     Parameters
     ----------
     spec
         The spec.
     notify
-        Called with a message before work that takes long.
+        Called with a message before long operations.
 
     Returns
     -------
     Workspace
-        Ready to be integrated.
+        Workspace for the integration.
     AssembledState
-        The start, and by how much assembly changed it.
+        Consistent initial state, and its change by assembly.
 
     Raises
     ------
     SpecError
-        Where joints cannot meet, or the start has no unique accelerations.
+        If the joints cannot be assembled, or the initial accelerations are not unique.
     """
     mechanism = spec.mechanism()
     ensure_compiled(notify)
@@ -82,7 +82,8 @@ def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Wor
 def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | None) -> None:
     """Raise SpecError if the archive will not fit on its disk or in memory.
 
-    The number of rows is not known in advance if an adaptive method records its steps or wall time may end the run.
+    The check is skipped if the number of rows is not known in advance: if an adaptive method records its steps, or if
+    wall time is limited.
     """
     time, output = spec.time, spec.output
     if spec.limits.wall_time is not None:
@@ -101,7 +102,7 @@ def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | N
 
 
 def make_method(spec: RunSpec) -> Method:
-    """Return the method of a spec; raises PluginError if the plugin fails to make it."""
+    """Create the method of a spec; raise PluginError if the plugin fails to do so."""
     try:
         method: Method = spec.integrator_plugin.create(spec.integrator)
     except MbdkitError as error:
@@ -110,12 +111,12 @@ def make_method(spec: RunSpec) -> Method:
         raise PluginError(f"integrator {spec.integrator_item.id} failed to start: {one_line(error)}") from error
     if not isinstance(method, Method):
         raise PluginError(
-            f"integrator {spec.integrator_item.id} made {type(method).__name__}, not one of "
-            "ExplicitRungeKutta, ImplicitRungeKutta and SciPySolver, nor of a class derived from StepMethod"
+            f"integrator {spec.integrator_item.id} created an object of type {type(method).__name__}; it must "
+            "create an ExplicitRungeKutta, an ImplicitRungeKutta, a SciPySolver or an instance of a StepMethod subclass"
         )
     if isinstance(method, SciPySolver) and spec.stabilized.kind == "projection":
         raise PluginError(
-            f"integrator {spec.integrator_item.id} claims that it can be projected, which SciPy's solvers cannot: "
+            f"integrator {spec.integrator_item.id} claims to support projection, which SciPy's solvers do not: "
             'it should claim `stabilizations=("none", "baumgarte")`'
         )
     return method
@@ -136,7 +137,7 @@ def optional_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
 
 
 def timetable(spec: RunSpec) -> Timetable:
-    """Return the times of a run and of its recorded states."""
+    """Return the timetable of a run: start, end, steps and recorded states."""
     return Timetable(
         start=spec.time.start,
         end=spec.time.final,

@@ -1,4 +1,4 @@
-"""A run from spec to archive: build, make the start consistent, advance in stretches, record, finish."""
+"""Runs a spec: builds the mechanism, integrates it in stretches of steps, and writes the archive."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def run(source: Any, *, archive: str | Path | None = None, overwrite: bool = Fal
     source
         A file name, the name of a packaged example, a mapping, a RunSpec, or a Mechanism with its `sections`.
     archive
-        Store the results in this file while running; left out, they stay in memory.
+        File to which results are written during the run; by default, they are kept in memory.
     overwrite
         Whether an existing archive may be replaced.
     **sections
@@ -54,14 +54,14 @@ def run(source: Any, *, archive: str | Path | None = None, overwrite: bool = Fal
     Returns
     -------
     Run
-        The results; a run that stopped early has its status and reason, and `Run.check` raises.
+        The results. If the run stopped early, `Run.status` and `Run.status_reason` say why, and `Run.check` raises.
 
     Raises
     ------
     SpecError
-        Where the input is wrong, joints that cannot meet included; no file is left behind.
+        If the input is wrong or the joints cannot be assembled; no file is left behind.
     PluginError
-        Where a plugin fails.
+        If a plugin fails.
     """
     spec = load_spec(source, (), **sections)
     return simulate(spec, path=None if archive is None else Path(archive), overwrite=overwrite)
@@ -75,7 +75,7 @@ def simulate(
     progress: Progress | None = None,
     notify: Callable[[str], None] = to_stderr,
 ) -> Run:
-    """Run a checked spec; see `run`.
+    """Run a validated spec; see `run`.
 
     Parameters
     ----------
@@ -86,9 +86,9 @@ def simulate(
     overwrite
         Whether an existing archive may be replaced.
     progress
-        Called with (time reached, end time) [s] several times a second.
+        Called with (time reached, end time) [s] several times per second.
     notify
-        Told what takes long before the first step, such as the one compilation of an installation.
+        Called with a message before long operations, such as the first compilation after installation.
     """
     begin = time.perf_counter()
     if path is not None:
@@ -128,7 +128,7 @@ class _Simulation:
         self.interrupted = False
 
     def run(self, progress: Progress | None) -> Run:
-        """Record the start, step to the end, finish the archive."""
+        """Record the initial state, integrate to the end, and finish the archive."""
         self.record_start()
         with _interrupts(self):
             with self._blaming_the_plugin():
@@ -146,13 +146,13 @@ class _Simulation:
             return self.finish(timings)
 
     def record_start(self) -> None:
-        """Record the start."""
+        """Record the initial state."""
         workspace, none = self.workspace, np.zeros(1)
         first = Stretch(np.array([workspace.t0]), workspace.q0[None], workspace.v0[None], none, none, np.zeros((1, 6)))
         self.failure = self.recorder.record(first, (0.0, 0.0), start=True)
 
     def start(self) -> None:
-        """Let the method make its stepper."""
+        """Create the stepper of the method."""
         try:
             stepper = start_method(self.method, self.workspace, timetable(self.spec))
         except SingularSystemError as error:
@@ -165,7 +165,7 @@ class _Simulation:
 
     @contextmanager
     def _blaming_the_plugin(self) -> Iterator[None]:
-        """Turn an exception in the code of a third party's integrator into a failure of the run."""
+        """Convert an exception raised by a third-party integrator into a failure of the run."""
         item = self.spec.integrator_item
         try:
             yield
@@ -177,7 +177,7 @@ class _Simulation:
             self.failure = Failure("plugin-error", f"integrator {item.id} raised {one_line(error)}.")
 
     def advance(self, stepper: Advancing, progress: Progress | None, begin: float) -> None:
-        """Step to the end, a limit, a failure or an interrupt, recording on the way."""
+        """Step until the end, a limit, a failure or an interrupt, and record the states."""
         limit, end = self.spec.limits.wall_time, self.spec.time.final
         elapsed = 0.0
         recorded = self.workspace.t0
@@ -205,7 +205,7 @@ class _Simulation:
             self.recorder.record(stepper.last_state(), (elapsed, elapsed))
 
     def finish(self, timings: dict[str, float]) -> Run:
-        """Close the archive with the status that the run came to."""
+        """Finish the archive with the final status, and return the run."""
         stepper = self.stepper
         counters = asdict(stepper.counters) if stepper is not None else asdict(Counters())
         counters["factorizations"] += self.workspace.pivotings + self.recorder.workspace.pivotings
@@ -230,7 +230,7 @@ class _Simulation:
 
 
 def _watch(spec: RunSpec, workspace: Workspace, stepper: Stepper) -> Watch:
-    """Return the stepper with a watch on it for the events of a spec."""
+    """Wrap the stepper to detect the events of a spec."""
     from mbdkit.events.watch import Watch, Watched
 
     found = [
@@ -242,7 +242,7 @@ def _watch(spec: RunSpec, workspace: Workspace, stepper: Stepper) -> Watch:
 
 @contextmanager
 def _interrupts(simulation: _Simulation) -> Iterator[None]:
-    """Let Ctrl-C end the run after the stretch that is under way, with its archive; the rest of the run stays whole."""
+    """Handle Ctrl-C by ending the run after the current stretch of steps; its archive is finished normally."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

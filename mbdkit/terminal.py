@@ -1,4 +1,4 @@
-"""What the commands share: errors as sentences with their exit status, and a progress bar on a terminal."""
+"""Error messages, exit statuses and progress bars of the commands."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ PATIENCE = 0.5  # seconds before a progress bar appears
 
 
 class Commands(TyperGroup):
-    """The top-level group: whatever a command raises becomes a sentence on stderr and an exit status."""
+    """The top-level command group: reports exceptions on stderr and converts them to exit statuses."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command that was named."""
+        """Run the selected command."""
         try:
             return super().invoke(ctx)
         except BrokenPipeError:
@@ -43,19 +43,19 @@ class Commands(TyperGroup):
 
 
 def say(text: str) -> None:
-    """Print a line to stderr, where everything goes that is not the answer."""
+    """Print a line to stderr; only results go to stdout."""
     print(text, file=sys.stderr)
 
 
 def silence(text: str) -> None:
-    """Print nothing: what `say` is replaced by where nobody wants to hear."""
+    """Print nothing; replaces `say` in quiet mode."""
 
 
 @contextmanager
 def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, float], None] | None]:
-    """Give a function to call with (time reached, end time) [s], which draws a bar on a terminal once work takes long.
+    """Yield a function of (time reached, end time) [s] that draws a progress bar after `PATIENCE` seconds.
 
-    Gives None where there is no terminal to draw on, or nobody wants it.
+    Yields None if `quiet` is set or stderr is not a terminal.
     """
     if quiet or not sys.stderr.isatty():
         yield None
@@ -86,9 +86,9 @@ def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, fl
 
 @contextmanager
 def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, int], None] | None]:
-    """Give a function to call with (pieces done, pieces in all, runs that failed), which draws a bar on a terminal.
+    """Yield a function of (items done, total items, failed runs) that draws a progress bar.
 
-    Gives None where there is no terminal to draw on, or nobody wants it.
+    Yields None if `quiet` is set or stderr is not a terminal.
     """
     if quiet or not sys.stderr.isatty():
         yield None
@@ -152,5 +152,5 @@ def _sentence(error: BaseException) -> str:
             return "interrupted"
     return (
         f"error: this is a bug in mbdkit: {type(error).__name__}: {error}\n"
-        "  the same command with --debug shows where; please report it"
+        "  rerun the command with --debug for a traceback, and please report it"
     )

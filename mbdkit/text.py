@@ -1,4 +1,4 @@
-"""Words for people: lists of names, "did you mean", plain tables."""
+"""Formats messages: lists of names, "did you mean" hints, plain-text tables."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Iterable, Sequence
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return ``" (did you mean 'x'?)"`` for the known name closest to `word`, or an empty text."""
+    """Return ``" (did you mean 'x'?)"`` for the known name closest to `word`, or an empty string."""
     names = {name.casefold(): name for name in known}
     close = difflib.get_close_matches(word.casefold(), names, n=1, cutoff=0.6)
     return f" (did you mean '{names[close[0]]}'?)" if close else ""
 
 
 def listed(names: Iterable[str], last: str = "") -> str:
-    """Return the names as ``a, b and c``; with commas alone if `last` is empty."""
+    """Join names as ``a, b and c`` if `last` is ``and``, or as ``a, b, c`` if it is empty."""
     words = list(names)
     if not last or len(words) < 2:
         return ", ".join(words)
@@ -22,19 +22,19 @@ def listed(names: Iterable[str], last: str = "") -> str:
 
 
 def counted(number: int, one: str, many: str = "") -> str:
-    """Return ``1 joint`` or ``2 joints``; `many` for plurals that take more than an s."""
+    """Return ``1 joint`` or ``2 joints``; `many` is the plural if it is not `one` plus s."""
     return f"{number} {one if number == 1 else many or one + 's'}"
 
 
 def one_line(error: BaseException) -> str:
-    """Return type and message of a foreign exception on one line of bearable length."""
+    """Return the type and message of an exception on one line; messages are truncated to 300 characters."""
     text = " ".join(str(error).split())
     text = text if len(text) <= 300 else text[:297] + "..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def table(rows: Sequence[Sequence[str]], indent: str = "") -> str:
-    """Return rows of text in aligned columns, the first row being the heading."""
+    """Return rows of text in aligned columns."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return "\n".join(
         indent + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows

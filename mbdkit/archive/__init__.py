@@ -1,1 +1,1 @@
-"""The room of the run archive: one HDF5 file a run, its layout, how it is written, read, checked and compared."""
+"""Run archives, one HDF5 file per run: layout, writing, reading, checking and comparison."""

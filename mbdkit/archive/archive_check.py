@@ -1,4 +1,4 @@
-"""Checks a run archive against the layout and against its own hashes; every problem is one sentence."""
+"""Checks a run archive against the layout and its stored hashes; each problem is reported as one sentence."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from mbdkit.errors import SpecError
 
 
 def check(path: str | Path) -> list[str]:
-    """Check a run archive: structure, units, dimension scales, time, finite values and hashes.
+    """Check the structure, units, dimension scales, times, values and hashes of a run archive.
 
     Parameters
     ----------
     path
-        The archive.
+        Path of the archive.
 
     Returns
     -------
     list of str
-        One sentence for each problem; empty if there is none.
+        One sentence per problem; empty if the archive is valid.
     """
     try:
         file = open_archive(Path(path))
@@ -41,7 +41,7 @@ def check(path: str | Path) -> list[str]:
 
 
 class _Checker:
-    """One look through one open archive."""
+    """Collects the problems of one open archive."""
 
     def __init__(self, file: h5py.File):
         self.file = file
@@ -71,7 +71,7 @@ class _Checker:
         if self.status != "running":
             with self.reading("the data"):
                 if self.file.attrs["data_sha256"] != data_sha256(self.file):
-                    self.say("the data are not those that were written: data_sha256 does not match")
+                    self.say("the data have changed since they were written: data_sha256 does not match")
         return self.found
 
     def say(self, sentence: str) -> None:
@@ -79,7 +79,7 @@ class _Checker:
 
     @contextlib.contextmanager
     def reading(self, what: str) -> Iterator[None]:
-        """Report what cannot be read, and go on."""
+        """Report a read error in this block as a problem instead of raising it."""
         try:
             yield
         except DAMAGE as error:
@@ -97,7 +97,7 @@ class _Checker:
         if self.status not in layout.STATUSES:
             self.say(f"status is {self.status!r}, not one of {', '.join(layout.STATUSES)}")
         if self.status == "running":
-            self.say("the run did not end: it crashed, or is still under way; there is no hash to check")
+            self.say("the run did not end: it crashed or is still running, so there is no hash to check")
         code, _, sentence = values["status_reason"].partition(": ")
         if self.status == "complete" and code and (code != "event" or not sentence):
             self.say(f"a complete run has the status_reason {code!r}")
@@ -110,7 +110,7 @@ class _Checker:
         except ValueError:
             self.say(f"created_utc is {values['created_utc']!r}, not a time such as 2025-01-31T12:00:00.000Z")
         if spec_sha256(values["spec"]) != values["spec_sha256"]:
-            self.say("the spec is not the one that was run: spec_sha256 does not match")
+            self.say("the spec has changed since it was written: spec_sha256 does not match")
         try:
             spec = json.loads(values["spec"])
         except ValueError:
@@ -121,7 +121,7 @@ class _Checker:
             self.say("the attribute spec does not hold a spec in JSON")
 
     def expected(self) -> tuple[Array, ...]:
-        """Return the arrays that should be there: of the groups that are there or that the spec asks for."""
+        """Return the arrays required by the groups in the file and by the spec."""
         output = self.spec.get("output")
         asked = output.get("quantities", "all") if isinstance(output, dict) else "all"
         wanted = layout.QUANTITIES if asked == "all" or not isinstance(asked, list) else frozenset(map(str, asked))
@@ -136,7 +136,7 @@ class _Checker:
     def array(self, array: Array) -> None:
         path, dataset = array.path, self.file.get(array.path)
         if dataset is None and self.status == "running" and array.grows:
-            return  # it crashed before its first flush
+            return  # the run crashed before its first flush
         if not isinstance(dataset, h5py.Dataset):
             self.say(f"{path} is missing")
             return
@@ -164,7 +164,7 @@ class _Checker:
         for axis, dim in enumerate(array.dims):
             scale = self.file.get(f"{array.group}/{dim}")
             if not isinstance(scale, h5py.Dataset):
-                continue  # said already
+                continue  # reported as missing already
             attached = dataset.dims[axis].values()
             if len(attached) != 1 or attached[0] != scale:
                 self.say(f"axis {axis} of {array.path} is not attached to its scale {array.group}/{dim}")
@@ -176,7 +176,7 @@ class _Checker:
 
     def others(self, arrays: tuple[Array, ...]) -> None:
         if self.file.attrs.get("format_version") != FORMAT_VERSION:
-            return  # a later 1.x may hold more
+            return  # later 1.x versions may add arrays
         known = {array.path for array in arrays}
         for dataset in datasets(self.file):
             if dataset.name.lstrip("/") not in known:
@@ -249,7 +249,7 @@ class _Checker:
             self.say("misalignment_max of joints and of joints/misalignment differ")
         for block in blocks(recorded):
             if np.any(block.max(axis=0, initial=0.0) > largest):
-                self.say("misalignment_max of joints is less than what joints/misalignment recorded")
+                self.say("misalignment_max of joints is less than the maximum of joints/misalignment")
                 return
 
     def stats(self) -> None:

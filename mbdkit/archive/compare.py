@@ -1,4 +1,4 @@
-"""Compares two runs: the same to the bit, or by how much they differ, and which versions may be the reason."""
+"""Compares two runs: bitwise equality, largest difference of each array, and differences in provenance."""
 
 from __future__ import annotations
 
@@ -13,25 +13,26 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import is_timing
 from mbdkit.archive.run import Run
 
-#: What provenance says of one run that says nothing about its numbers.
+#: Provenance attributes that cannot affect the results.
 _NOT_VERSIONS = {"command"}
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """How two runs differ.
+    """Differences between two runs.
 
     Parameters
     ----------
     same_data
-        Whether their `data_sha256` are equal, that is every array but timings, to the bit.
+        Whether their `data_sha256` are equal, that is, whether all arrays except timings are bitwise equal.
     same_spec
         Whether their `spec_sha256` are equal.
     differences
-        For every array but timings the largest difference, relative to the largest magnitude in the array of
-        either run; infinite where shape, names or finiteness differ or one run lacks it.
+        Largest difference of each array except timings, relative to the largest magnitude of that array in either
+        run. Infinite if only one run has the array, or if the shapes, the names or the positions of non-finite values
+        differ.
     versions
-        For everything in their provenance that differs, but the command, what it is in each.
+        Provenance attributes that differ, except the command, with the values of the first and the second run.
     """
 
     same_data: bool
@@ -41,11 +42,11 @@ class Comparison:
 
     @property
     def largest(self) -> float:
-        """The largest of the differences."""
+        """Largest value in `differences`; 0 if there are none."""
         return max(self.differences.values(), default=0.0)
 
     def __str__(self) -> str:
-        """Return the comparison in a few lines of plain text."""
+        """Return the comparison as plain text."""
         if self.same_data:
             lines = ["the data are the same to the bit"]
         else:
@@ -71,12 +72,12 @@ def compare(first: Run, second: Run) -> Comparison:
     Raises
     ------
     MbdkitError
-        If one is closed.
+        If a run is closed.
     """
     same = bool(first.data_sha256) and first.data_sha256 == second.data_sha256
-    with reading("something", first.path):
+    with reading("its contents", first.path):
         one = _arrays(first)
-    with reading("something", second.path):
+    with reading("its contents", second.path):
         two = _arrays(second)
     differences = {}
     for path in sorted({*one, *two}):

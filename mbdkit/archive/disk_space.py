@@ -1,4 +1,4 @@
-"""Whether an archive will fit where it is to be kept, told before the run."""
+"""Checks before a run that its archive will fit on the disk or in memory."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mbdkit.memory import available_memory, in_gib
 
 
 def row_bytes(bodies: int, joints: int, constraints: int, quantities: frozenset[str]) -> int:
-    """Return the size of one recorded row, with the interval that ends there [bytes].
+    """Return the size of one recorded row, including the statistics of the interval that ends there [bytes].
 
     Parameters
     ----------
@@ -34,18 +34,18 @@ def row_bytes(bodies: int, joints: int, constraints: int, quantities: frozenset[
 
 
 def check_room(path: Path | None, rows: int, row: int, every: int | None) -> None:
-    """Raise SpecError where an archive is larger than what is free on its disk, or in memory.
+    """Raise SpecError if an archive is larger than the free space on its disk or in memory.
 
     Parameters
     ----------
     path
-        Where it will lie; None: in memory.
+        Path of the archive; None for an archive in memory.
     rows
         Number of recorded rows.
     row
-        Size of one [bytes].
+        Size of one row [bytes].
     every
-        The number of steps from one row to the next; None where rows come at an interval.
+        Number of steps between rows; None if rows are recorded at a time interval.
     """
     free = available_memory() if path is None else shutil.disk_usage(path.parent).free
     needed = rows * row
@@ -63,6 +63,6 @@ def check_room(path: Path | None, rows: int, row: int, every: int | None) -> Non
 
 
 def _round_up(number: int) -> int:
-    """Return the next number with one digit and zeros."""
+    """Round up to one significant digit."""
     ten: int = 10 ** (len(str(number)) - 1)
     return -(-number // ten) * ten

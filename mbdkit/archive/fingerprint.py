@@ -1,4 +1,4 @@
-"""The hashes of an archive, byte for byte as `schemas/archive.md` defines them."""
+"""The hashes of an archive, as defined in `schemas/archive.md`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BLOCK_BYTES = 1 << 23
 
 
 def blocks(dataset: h5py.Dataset) -> Iterator[np.ndarray]:
-    """Yield the values of a dataset in pieces of whole rows of about 8 MiB, strings as Python strings."""
+    """Yield the values of a dataset in blocks of whole rows of about 8 MiB; strings are Python strings."""
     source = dataset.asstr() if is_text(dataset) else dataset
     if dataset.ndim == 0:
         yield np.asarray(source[()])
@@ -31,17 +31,17 @@ def is_text(dataset: h5py.Dataset) -> bool:
 
 
 def text_bytes(values: Iterable[str]) -> bytes:
-    """Return the byte stream of strings: UTF-8, each followed by a zero byte."""
+    """Return the concatenated UTF-8 bytes of strings, each followed by a zero byte."""
     return b"".join(value.encode() + b"\0" for value in values)
 
 
 def line(path: str, dtype: str, shape: Iterable[int], digest: str) -> str:
-    """Return the line of one array: its path, its type, its shape and the SHA-256 of its values."""
+    """Return the line of one array: path, type, shape and SHA-256 of the values."""
     return f"{path} {dtype} {','.join(map(str, shape))} {digest}\n"
 
 
 def digest_lines(lines: Iterable[str]) -> str:
-    """Return `data_sha256`: the SHA-256 of the lines of all arrays in the order of their paths."""
+    """Return `data_sha256`, the SHA-256 of the sorted lines of all arrays."""
     return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()
 
 
@@ -55,7 +55,7 @@ def dataset_line(dataset: h5py.Dataset) -> str:
 
 
 def datasets(group: h5py.Group) -> Iterator[h5py.Dataset]:
-    """Yield every dataset below a group, in the order of their paths."""
+    """Yield every dataset in a group and its subgroups, sorted by name within each group."""
     for name in sorted(group):
         item = group[name]
         if isinstance(item, h5py.Group):
@@ -65,10 +65,10 @@ def datasets(group: h5py.Group) -> Iterator[h5py.Dataset]:
 
 
 def data_sha256(file: h5py.File) -> str:
-    """Return the hash of every array of an open archive but the timings, in lower-case hexadecimal digits."""
+    """Return the hash of all arrays of an open archive except timings, in lower-case hexadecimal digits."""
     return digest_lines(dataset_line(item) for item in datasets(file) if not is_timing(item.name))
 
 
 def spec_sha256(spec_json: str) -> str:
-    """Return the hash of a spec: of the UTF-8 bytes of its canonical JSON, as it stands in the attribute `spec`."""
+    """Return the SHA-256 of the UTF-8 bytes of a spec's canonical JSON, as stored in the attribute `spec`."""
     return hashlib.sha256(spec_json.encode()).hexdigest()

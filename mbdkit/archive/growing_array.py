@@ -1,4 +1,4 @@
-"""Growing arrays: rows are copied into buffers of memory and go to the file in large pieces."""
+"""Growing arrays: rows are buffered in memory and written to the file in large blocks."""
 
 from __future__ import annotations
 
@@ -12,27 +12,28 @@ from mbdkit.archive.fingerprint import line, text_bytes
 from mbdkit.archive.hdf5 import create
 from mbdkit.archive.layout import TEXT, Array, is_timing
 
-#: Rows wait in memory until they fill this much, or a flush is due.
+#: Size of the row buffers of a table; they are written when they are full or when a flush is due.
 BUFFER_BYTES = 1 << 23
 
-#: A chunk holds what the first flush brought (about a second of the run), within these bounds, and at least one row.
+#: Bounds of the size of a chunk. Within them, a chunk holds the rows of the first flush (about one second of the run),
+#: and always at least one row.
 CHUNK_BYTES = (1 << 14, 1 << 17)
 
 FIRST_ROWS = 256
 
-#: What HDF5 itself needs in the file for an array, as it grows, at most.
+#: Upper bound of the space that HDF5 metadata needs when an array grows.
 _OVERHEAD_BYTES = 1 << 12
 
 
 class Series:
-    """One growing array: its dataset, once there is one, and the hash of the rows it took.
+    """One growing array: its dataset, created with the first rows, and the hash of the rows written.
 
     Parameters
     ----------
     array
-        Its entry in the layout.
+        Layout entry of the array.
     row_shape
-        The shape of one row.
+        Shape of one row.
     """
 
     def __init__(self, array: Array, row_shape: tuple[int, ...]):
@@ -45,7 +46,7 @@ class Series:
         self._sha = None if is_timing(array.path) else hashlib.sha256()
 
     def create(self, file: h5py.File, values: np.ndarray, *, more: bool) -> None:
-        """Create the dataset with its first rows: of that size where no `more` will come, otherwise in chunks."""
+        """Create the dataset with its first rows: chunked if `more` rows will follow, otherwise of fixed size."""
         chunks = (self._chunk_rows(len(values)), *(max(1, size) for size in self.row_shape)) if more else None
         self.dataset = create(file, self.array, values, chunks=chunks)
         self._took(values)
@@ -56,12 +57,12 @@ class Series:
         return max(1, min(max(first * row, low), high) // row)
 
     def size_on_disk(self, rows: int, *, more: bool) -> int:
-        """Return about how many bytes `rows` more rows take in the file, a chunk begun and HDF5's own included."""
+        """Estimate the bytes that `rows` more rows take in the file, including a partial chunk and HDF5 metadata."""
         begun = self._chunk_rows(rows) * self.row_bytes if more or self.dataset is not None else 0
         return rows * self.row_bytes + begun + _OVERHEAD_BYTES
 
     def extend(self, values: np.ndarray, start: int) -> None:
-        """Write the rows from row `start` on; those that an interrupted `write` wrote already are left alone."""
+        """Write the rows from row `start` on, except those that an interrupted `write` has written already."""
         assert self.dataset is not None
         new = values[self._rows - start :]
         if len(new):
@@ -75,27 +76,27 @@ class Series:
         self._rows += len(values)
 
     def line(self) -> str | None:
-        """Return the line of the array in the byte stream of the hash; None for a timing."""
+        """Return the line of the array for `data_sha256`; None for a timing."""
         if self._sha is None:
             return None
         return line(self.array.path, self.array.dtype, (self._rows, *self.row_shape), self._sha.hexdigest())
 
 
 class Table:
-    """Arrays that grow together along one axis, with a buffer for each.
+    """Arrays that grow together along one axis, with one buffer per array.
 
     Parameters
     ----------
     arrays
-        Their entries in the layout.
+        Layout entries of the arrays.
     sizes
-        The length of every axis that does not grow.
+        Lengths of the axes that do not grow, by name.
     on_full
-        Called when the buffers are full; it calls `write`.
+        Called when the buffers are full; it must call `write`.
     """
 
     def __init__(self, arrays: Sequence[Array], sizes: Mapping[str, int], on_full: Callable[[], None]):
-        # Scales come first: the other arrays are attached to them as they are made.
+        # Dimension scales come first because the other arrays are attached to them on creation.
         ordered = sorted(arrays, key=lambda array: not array.is_scale)
         self.series = [Series(array, tuple(sizes[dim] for dim in array.dims[1:])) for array in ordered]
         self.keys = frozenset(series.array.key for series in self.series)
@@ -111,7 +112,7 @@ class Table:
 
     @property
     def rows(self) -> int:
-        """How many rows there are, written or waiting."""
+        """Number of rows, written or buffered."""
         return self.written + self.waiting
 
     def append(self, rows: Mapping[str, np.ndarray]) -> None:
@@ -120,7 +121,7 @@ class Table:
         Parameters
         ----------
         rows
-            For every key of `keys` an array of the same number of rows.
+            One array for each key in `keys`, all with the same number of rows.
         """
         missing = self.keys - rows.keys()
         if missing:
@@ -140,7 +141,7 @@ class Table:
                 self._grow(min(self._limit, max(end, 2 * self._capacity)))
             for key, value in values.items():
                 self._buffers[key][self.waiting : end] = value[start:stop]
-            self.waiting = end  # only now do the rows count: an interruption before leaves whole rows
+            self.waiting = end  # set last, so that an interrupted append leaves no incomplete rows
             start = stop
 
     def _grow(self, capacity: int) -> None:
@@ -152,11 +153,11 @@ class Table:
         self._capacity = capacity
 
     def size_on_disk(self, *, more: bool) -> int:
-        """Return about how many bytes the waiting rows take in the file."""
+        """Estimate the bytes that the buffered rows take in the file."""
         return sum(series.size_on_disk(self.waiting, more=more) for series in self.series)
 
     def write(self, file: h5py.File, *, more: bool) -> None:
-        """Move the waiting rows into the file."""
+        """Move the buffered rows into the file."""
         for series in self.series:
             values = self._buffers[series.array.key][: self.waiting]
             if series.dataset is None:

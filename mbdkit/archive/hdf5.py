@@ -1,4 +1,7 @@
-"""Arrays with attributes and dimension scales, made by HDF5's own calls: that takes half the time of h5py's."""
+"""Creates arrays with attributes and dimension scales.
+
+The low-level API of h5py takes half the time of the high-level one.
+"""
 
 from __future__ import annotations
 
@@ -14,31 +17,33 @@ _SCALAR = h5s.create(h5s.SCALAR)
 
 
 def set_text(target: h5py.Group | h5py.Dataset, name: str, value: str) -> None:
-    """Give a group or array a new attribute: a variable-length UTF-8 string."""
+    """Add a variable-length UTF-8 string attribute to a group or an array."""
     attribute = h5a.create(target.id, name.encode(), _STRING, _SCALAR)
     attribute.write(np.array(value, dtype=object), mtype=_STR)
 
 
 def create(file: h5py.File, array: Array, values: np.ndarray, *, chunks: tuple[int, ...] | None = None) -> h5py.Dataset:
-    """Create an array of the layout with its values and attributes; its scales are there or it is one.
+    """Create an array of the layout with its values and attributes.
+
+    Unless the array is a dimension scale itself, the dimension scales of its axes must exist.
 
     Parameters
     ----------
     file
-        The archive; the array's group exists.
+        The archive; the array's group must exist.
     array
-        Its entry in the layout.
+        Layout entry of the array.
     values
-        Contiguous, of the array's type; strings as objects.
+        Contiguous array of the type in the layout; strings have the dtype object.
     chunks
-        The shape of a chunk, for an array whose first axis grows; None for one of fixed size.
+        Shape of a chunk for an array whose first axis grows; None for an array of fixed size.
     """
     plan = None
     limits = None
     if chunks is not None:
         plan = h5p.create(h5p.DATASET_CREATE)
         plan.set_chunk(chunks)
-        # HDF5 refuses chunks beyond a fixed axis, and so any chunk of an axis of length zero.
+        # HDF5 rejects chunks longer than a fixed axis, and therefore any chunk along a fixed axis of length zero.
         limits = (h5s.UNLIMITED, *(size or h5s.UNLIMITED for size in values.shape[1:]))
     kind, of_values = (_STRING, _STR) if array.dtype == TEXT else 2 * (h5t.py_create(np.dtype(array.dtype)),)
     identifier = h5d.create(file.id, array.path.encode(), kind, h5s.create_simple(values.shape, limits), plan)
@@ -58,7 +63,7 @@ def create(file: h5py.File, array: Array, values: np.ndarray, *, chunks: tuple[i
 
 
 def dims(dataset: h5py.Dataset) -> tuple[str, ...]:
-    """Return the names of an array's axes: those of their scales, or a made-up one for an axis without."""
+    """Return the names of an array's axes: the name of the dimension scale, or NAME_AXIS for an axis without one."""
     name = dataset.name.rpartition("/")[2]
     if dataset.is_scale:
         return (name,)

@@ -1,4 +1,4 @@
-"""What HDF5's errors say, in words for people."""
+"""Converts errors of HDF5 and h5py into readable messages."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from pathlib import Path
 
 from mbdkit.errors import MbdkitError, SpecError
 
-#: What h5py raises on a damaged file, wherever it happens to notice.
+#: Exceptions that h5py raises on damaged files.
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError)
 
 
 def cause(error: BaseException) -> str:
-    """Return why the system or HDF5 refused, without HDF5's inner details.
+    """Return the cause of an error of the system or HDF5, without HDF5's internal details.
 
     Parameters
     ----------
     error
-        What was raised; HDF5 often hides the system's error number in its text.
+        The exception; HDF5 often reports the system's error number only in the message.
     """
     number = getattr(error, "errno", None)
     if number is None and "errno = " in str(error):
@@ -29,21 +29,21 @@ def cause(error: BaseException) -> str:
 
 @contextlib.contextmanager
 def reading(what: str, file: Path | None, *, hint: str = "`mbdkit archive check` says more") -> Iterator[None]:
-    """Say in a sentence what of an archive, or of the index of a study, cannot be read.
+    """Convert read errors on a damaged archive or study index into SpecError.
 
     Parameters
     ----------
     what
-        What is read within the block, such as ``energy/total``.
+        Name of the data read within the block, such as ``energy/total``.
     file
-        The archive; None if it is in memory.
+        Path of the archive; None if it is in memory.
     hint
-        What the user may do about it.
+        Advice appended to the message.
 
     Raises
     ------
     SpecError
-        Instead of whatever h5py raises on a damaged file.
+        In place of the exceptions in `DAMAGE`.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""What a run tells of one body, one joint or one constraint row: named columns of the archive's arrays."""
+"""Histories of single bodies, joints and constraint rows: named columns of the archive's arrays."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from mbdkit.text import did_you_mean, listed
 
 
 class UnknownNameError(MbdkitError, KeyError):
-    """A run was asked for a name that it does not have."""
+    """The requested name does not exist in the run."""
 
     def __init__(self, what: str, name: object, known: Sequence[str]):
         few = listed(known[:8]) + (", ..." if len(known) > 8 else "")
-        hint = did_you_mean(str(name), known) or (f"; there is {few}" if known else "; there is none")
+        hint = did_you_mean(str(name), known) or (f"; available: {few}" if known else "; it has none")
         super().__init__(f"the run has no {what} {name!r}{hint}")
 
     def __str__(self) -> str:
@@ -26,10 +26,10 @@ class UnknownNameError(MbdkitError, KeyError):
 
 
 class NotRecordedError(MbdkitError, KeyError):
-    """A run was asked for an array that its spec did not have it record."""
+    """The requested array was not recorded by the run."""
 
     def __init__(self, what: str):
-        why = "`output.quantities` in its spec says what it records"
+        why = "`output.quantities` in its spec selects the recorded quantities"
         if what in BY_PATH and BY_PATH[what].optional:
             why = "its method, stabilization and events do not produce it"
         super().__init__(f"this run did not record {what}; {why}")
@@ -39,7 +39,7 @@ class NotRecordedError(MbdkitError, KeyError):
 
 
 class Source(Protocol):
-    """What histories are read from: a run."""
+    """Interface of the run from which histories are read."""
 
     def array(self, path: str) -> np.ndarray:
         """Return the whole array at `path`."""
@@ -50,21 +50,21 @@ class Source(Protocol):
         ...
 
     def column(self, path: str, index: int | None, part: slice | int | None) -> np.ndarray:
-        """Return the array at `path`, at `index` of its second axis and `part` of its third."""
+        """Return the array at `path` for one `index` of its second axis and a `part` of its third."""
         ...
 
 
 class Column:
-    """A property that reads one column of an array of the archive, as a read-only array.
+    """A property that returns one column of an array of the archive as a read-only array.
 
     Parameters
     ----------
     path
-        The array.
+        Path of the array.
     part
-        The piece of its last axis, where it has three.
+        Selected part of the last axis of a three-dimensional array.
     what
-        What that piece is, with shape and unit, where the layout's own words do not say it.
+        Docstring with shape and unit; by default built from the layout.
     """
 
     def __init__(self, path: str, part: slice | int | None = None, what: str = ""):
@@ -89,16 +89,16 @@ class Column:
 
 
 class View:
-    """Some columns of a run.
+    """Base class of histories: a set of columns of a run.
 
     Parameters
     ----------
     source
         The run.
     name
-        The name of the body, joint or row; empty for a whole group.
+        Name of the body, joint or constraint row; empty for a whole group.
     index
-        Its place along the second axis.
+        Index along the second axis of the arrays.
     """
 
     def __init__(self, source: Source, name: str = "", index: int | None = None):
@@ -115,7 +115,7 @@ _THETA = 2
 
 
 class BodyHistory(View):
-    """The motion of one body: of its centre of mass in the global frame, and of its angle."""
+    """Motion of one body: its centre of mass in the global frame and its angle."""
 
     position = Column("trajectory/position", _XY, "position of the centre of mass, (T, 2), m")
     angle = Column("trajectory/position", _THETA, "angle from the global x axis, never wrapped, (T,), rad")
@@ -126,7 +126,7 @@ class BodyHistory(View):
 
 
 class JointHistory(View):
-    """How well one joint meets, and what it carries: force and torque of its first body on its second."""
+    """Misalignment of one joint and its reaction: force and torque of the first body on the second."""
 
     misalignment = Column("joints/misalignment")
     velocity_misalignment = Column("joints/velocity_misalignment")
@@ -136,14 +136,14 @@ class JointHistory(View):
 
     def __init__(self, source: Source, name: str, index: int, misalignment_max: float, bodies: tuple[str, str]):
         super().__init__(source, name, index)
-        #: First and second body; reactions are what the first exerts on the second.
+        #: First and second body; reactions are exerted by the first on the second.
         self.bodies = bodies
         #: Largest misalignment over every step, recorded or not, m.
         self.misalignment_max = misalignment_max
 
 
 class ConstraintHistory(View):
-    """One row of the constraints: its residuals and its multiplier."""
+    """Residuals and multipliers of one constraint row."""
 
     position_residual = Column("constraints/position_residual")
     velocity_residual = Column("constraints/velocity_residual")
@@ -152,12 +152,12 @@ class ConstraintHistory(View):
 
     def __init__(self, source: Source, name: str, index: int, units: str):
         super().__init__(source, name, index)
-        #: What the row measures: ``m`` or ``rad``.
+        #: Unit of the constraint function: ``m`` or ``rad``.
         self.units = units
 
 
 class Energy(View):
-    """The energies of the whole mechanism."""
+    """Energies of the whole mechanism."""
 
     kinetic = Column("energy/kinetic")
     potential = Column("energy/potential")
@@ -168,7 +168,7 @@ class Energy(View):
 
 
 class Steps(View):
-    """What the integrator did in each recorded interval; interval i ends at row i of the run."""
+    """Statistics of the integrator for each recorded interval; interval i ends at row i (the start is row 0)."""
 
     time = Column("steps/time")
     steps = Column("steps/steps")
@@ -189,11 +189,11 @@ class Event:
     Attributes
     ----------
     name
-        The event, as in the spec.
+        Name of the event in the spec.
     time
-        When its expression crossed zero, s.
+        Time at which the expression crossed zero, s.
     direction
-        1 upwards, -1 downwards.
+        1 for an upward crossing, -1 for a downward one.
     """
 
     name: str
@@ -202,18 +202,18 @@ class Event:
 
 
 class Events(Sequence[Event]):
-    """The crossings of events, in order of time; `of_name` picks those of one.
+    """Crossings of events in order of time; `of_name` selects the crossings of one event.
 
     Attributes
     ----------
     names
         Name of the event of each crossing, (E,).
     time
-        Their times, (E,), s.
+        Times of the crossings, (E,), s.
     direction
-        1 where the expression rose through zero, -1 where it fell, (E,).
+        1 for an upward crossing, -1 for a downward one, (E,).
     position, velocity
-        (E, B, 3) x, y and angle of every body then, and their rates, m, rad, m/s, rad/s.
+        x, y and angle of every body at the crossings, and their rates, (E, B, 3), m, rad, m/s, rad/s.
     """
 
     def __init__(
@@ -231,7 +231,7 @@ class Events(Sequence[Event]):
 
     @classmethod
     def of(cls, run: Source, watched: Sequence[str], bodies: int) -> Events:
-        """Return the crossings that a run with the events `watched` recorded."""
+        """Return the crossings recorded by a run whose spec has the events `watched`."""
         if watched and run.records("events/time"):
             names = ("name", "time", "direction", "position", "velocity")
             return cls(watched, *(run.array(f"events/{name}") for name in names))
@@ -240,7 +240,7 @@ class Events(Sequence[Event]):
         return cls(watched, none.astype(object), none, none.astype(np.int64), states, states)
 
     def of_name(self, name: str) -> Events:
-        """Return the crossings of the event `name`; raises UnknownNameError where the spec does not have it."""
+        """Return the crossings of the event `name`; raise UnknownNameError if the spec has no such event."""
         if name not in self._watched:
             raise UnknownNameError("event", name, list(self._watched))
         its = np.flatnonzero(self.names == name)
@@ -274,11 +274,11 @@ class Histories(Mapping[str, V]):
     Parameters
     ----------
     what
-        What they are of: ``body``, ``joint``, ``constraint``.
+        Kind of object: ``body``, ``joint`` or ``constraint``.
     names
-        Their names.
+        Names of the objects.
     make
-        Makes the history of a name and its place.
+        Creates a history from a name and its index.
     """
 
     def __init__(self, what: str, names: Sequence[str], make: Callable[[str, int], V]):

@@ -1,4 +1,4 @@
-"""What is in an archive, for people and for programs."""
+"""Describes the content of an archive as a dictionary or as plain text."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from mbdkit.archive.layout import COUNTERS, TEXT, TIMINGS
 from mbdkit.archive.reader import load
 from mbdkit.archive.run_summary import corrections
 
-#: So many of a list are printed.
+#: Maximum number of items of a list to print.
 NAMES_SHOWN = 32
 
 
 def describe(path: str | Path) -> dict[str, Any]:
-    """Describe a run archive in values that JSON can hold.
+    """Describe a run archive by JSON-compatible values.
 
     Parameters
     ----------
     path
-        The archive.
+        Path of the archive.
 
     Returns
     -------
     dict
-        Its identity, how it ended, its spec's title, model, integrator, formulation and stabilization, the names in
-        it, statistics, provenance, hashes, and of every array dims, shape, type and units.
+        Identity and status of the run; title, model, integrator, formulation and stabilization of its spec; names of
+        bodies, joints and events; statistics, provenance and hashes; dimensions, shape, type and units of each array.
 
     Raises
     ------
     SpecError
-        If there is no archive there that this version can read.
+        If `path` is not an archive that this version can read.
     """
     path = Path(path)
-    with load(path) as run, reading("something", path):
+    with load(path) as run, reading("its contents", path):
         time = run.time
         return {
             "path": str(path),
@@ -87,12 +87,12 @@ def _array(dataset: h5py.Dataset) -> dict[str, Any]:
 
 
 def text(description: Mapping[str, Any]) -> str:
-    """Return what `describe` gave as plain text, the arrays in a table.
+    """Format a description as plain text, with a table of the arrays.
 
     Parameters
     ----------
     description
-        The dictionary.
+        Return value of `describe`.
     """
     lines = []
     for name, value in description.items():

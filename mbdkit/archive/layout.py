@@ -1,4 +1,4 @@
-"""The layout of a run archive, once: the writer writes it, the checker compares, `schemas/archive.md` prints it."""
+"""Layout of a run archive: the single definition used by the writer, the checker and `schemas/archive.md`."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ MIXED = "mixed"
 COORDINATES = ("x", "y", "theta")
 AXES = ("x", "y")
 
-#: What one row of a constraint measures, and so the units of its rate and of its multiplier.
+#: Units of the rate and of the multiplier of a constraint row, by the unit of its constraint function.
 RATE_UNITS = {"m": "m/s", "rad": "rad/s"}
 MULTIPLIER_UNITS = {"m": "N", "rad": "N m"}
 
@@ -66,17 +66,17 @@ class Array:
     path
         ``group/name`` in the file.
     dims
-        The dimension scales of its axes, each an array of that name in the same group.
+        Dimension scales of the axes: names of arrays in the same group.
     units
-        SI units; ``mixed`` where rows differ, ``1`` for names and counts.
+        SI units; ``mixed`` if they vary along an axis, ``1`` for names and counts.
     long_name
-        What it is, in words.
+        Description, stored as the attribute ``long_name``.
     dtype
         ``<f8``, ``<i8`` or ``utf-8`` (variable-length strings).
     row_units
-        Where `units` is ``mixed``: the array in the same group that names the units row by row.
+        If `units` is ``mixed``, the array in the same group that holds the units of each row.
     optional
-        Whether a run may be without it.
+        Whether an archive may lack the array.
     """
 
     path: str
@@ -89,34 +89,34 @@ class Array:
 
     @property
     def group(self) -> str:
-        """The group it lies in."""
+        """Name of the array's group."""
         return self.path.partition("/")[0]
 
     @property
     def name(self) -> str:
-        """Its name in the group."""
+        """Name of the array within its group."""
         return self.path.partition("/")[2]
 
     @property
     def is_scale(self) -> bool:
-        """Whether it is the dimension scale of its own axis."""
+        """Whether the array is a dimension scale."""
         return self.dims == (self.name,)
 
     @property
     def grows(self) -> bool:
-        """Whether rows are appended to it while the run is under way."""
+        """Whether rows are appended during the run."""
         return self.dims[0] in GROWING
 
     @property
     def key(self) -> str:
-        """What its rows are called when they are appended: its path, but one ``time`` serves every group."""
+        """Key of the rows to append: the path of the array, or ``time`` for the times of all groups."""
         return "time" if self.dims == ("time",) and self.is_scale else self.path
 
 
-#: Arrays of a mechanism with redundant joints whose attribute `not_unique` says which joints share their forces.
+#: Arrays with the attribute `not_unique`, which lists the joints with non-unique reactions in a redundant mechanism.
 SHARED = ("joints/reaction_force", "joints/reaction_torque", "constraints/multiplier")
 
-#: Axes that grow during a run: recorded rows, the intervals between them, and events.
+#: Axes that grow during a run: recorded rows, intervals between them, and events.
 GROWING = ("time", "interval", "event")
 
 
@@ -273,17 +273,17 @@ LAYOUT: tuple[Array, ...] = (
     _events("velocity", _EBC, MIXED, "velocity and angular velocity then", row_units="velocity_row_units"),
 )
 
-#: The arrays of events, all of them there where the spec has events.
+#: Paths of the arrays of events; all of them are present if the spec has events.
 EVENTS = tuple(array.path for array in LAYOUT if array.group == "events")
 
-#: Arrays that a stabilized run brings, by the kind of its stabilization.
+#: Paths of the arrays of corrections, by the kind of stabilization.
 CORRECTIONS: Mapping[str, tuple[str, ...]] = {
     "none": (),
     "baumgarte": ("steps/acceleration_correction",),
     "projection": ("steps/projections", "steps/position_correction", "steps/velocity_correction"),
 }
 
-#: Arrays that are there whatever is recorded.
+#: Paths of arrays in the groups of `QUANTITIES` that are present even if their group is not recorded.
 ALWAYS = frozenset(("joints/joint", "joints/first_body", "joints/second_body"))
 
 BY_PATH: Mapping[str, Array] = {array.path: array for array in LAYOUT}
@@ -291,7 +291,7 @@ GROUPS = ("trajectory", "joints", "constraints", "energy", "steps", "events")
 
 
 def is_timing(path: str) -> bool:
-    """Whether the array at `path` holds wall time, which no hash covers: its name ends in ``_s``."""
+    """Whether the array at `path` holds wall time (name ending in ``_s``), which the hashes exclude."""
     return path.endswith("_s")
 
 
@@ -301,9 +301,9 @@ def recorded(quantities: frozenset[str], extra: frozenset[str] = frozenset()) ->
     Parameters
     ----------
     quantities
-        Subset of `QUANTITIES`; trajectory and steps are always there, and so are the names of the joints.
+        Subset of `QUANTITIES`; trajectory, steps and the names of the joints are always recorded.
     extra
-        Paths of the optional arrays that are there.
+        Paths of the optional arrays to include.
     """
     return tuple(
         array

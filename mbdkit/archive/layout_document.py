@@ -1,4 +1,4 @@
-"""Prints the layout into its document: ``python -m mbdkit.archive.layout_document schemas/archive.md``."""
+"""Writes the layout table to the format document: ``python -m mbdkit.archive.layout_document schemas/archive.md``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ END = "<!-- layout: end -->"
 
 
 def table() -> str:
-    """Return the arrays of the layout as a Markdown table."""
+    """Return the layout as a Markdown table."""
     rows = ["| array | axes | type | units | what |", "|---|---|---|---|---|"]
     for array in LAYOUT:
         units = f"mixed: {array.row_units}" if array.row_units else array.units
@@ -22,7 +22,7 @@ def table() -> str:
 
 
 def renewed(text: str) -> str:
-    """Return the document with the table between its two marks replaced."""
+    """Return the document with the table between the two markers replaced."""
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not begin or not end:

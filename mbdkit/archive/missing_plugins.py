@@ -1,4 +1,4 @@
-"""Plugins that an archive was made with and that are not here: which distributions to install."""
+"""Finds plugins that an archive was made with and that are not installed."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class Needed:
     Parameters
     ----------
     kind
-        What it is.
+        Kind of plugin.
     id
-        Its long name.
+        Long name of the plugin.
     distribution, version
-        Where it came from.
+        Distribution that provided the plugin.
     """
 
     kind: Kind
@@ -32,12 +32,12 @@ class Needed:
 
     @property
     def advice(self) -> str:
-        """What to install, as a part of a sentence."""
+        """Installation advice, as a clause."""
         return f"install {self.distribution} {self.version} (pip install '{self.distribution}=={self.version}')"
 
 
 def missing_plugins(provenance: Mapping[str, object]) -> tuple[Needed, ...]:
-    """Return the plugins that a run's provenance names and that are not installed."""
+    """Return the plugins in a run's provenance that are not installed."""
     installed = {(item.kind, item.id) for item in registry().items}
     return tuple(needed for needed in _needed(provenance) if (needed.kind, needed.id) not in installed)
 
@@ -58,7 +58,7 @@ def _needed(provenance: Mapping[str, object]) -> Iterator[Needed]:
 
 
 def check_plugins_of(path: Path | None, provenance: Mapping[str, object]) -> None:
-    """Raise SpecError where an archive that is to be run again needs plugins that are not here."""
+    """Raise SpecError if rerunning an archive needs plugins that are not installed."""
     if missing := missing_plugins(provenance):
         first = missing[0]
         word = first.kind.replace("-", " ")
@@ -66,7 +66,7 @@ def check_plugins_of(path: Path | None, provenance: Mapping[str, object]) -> Non
 
 
 def advised(error: SpecError, archives: Iterable[Path]) -> SpecError:
-    """Return an error about a plugin that is not installed with what to install, if one of the archives knows it."""
+    """Return `error`, with installation advice if it names a missing plugin that one of the archives was made with."""
     from mbdkit.archive.reader import load
 
     if "there is no " not in error.message:

@@ -14,18 +14,18 @@ from mbdkit.errors import SpecError
 
 
 def open_archive(path: Path) -> h5py.File:
-    """Open the file of a run archive for reading, its format and version checked.
+    """Open the file of a run archive for reading, after checking its format and version.
 
     Raises
     ------
     SpecError
-        If it is missing, in use, truncated, no archive, or of a newer format.
+        If the file is missing, in use, truncated, not an archive, or of an unsupported format version.
     """
     if os.path.isdir(path):
         raise SpecError("this is a folder; name a run archive in it", file=path)
     if not os.path.exists(path):
         left = part_path(path)
-        hint = f"; {left} is what an unfinished run has written so far" if left.exists() else ""
+        hint = f"; {left} holds the data of an unfinished run" if left.exists() else ""
         raise SpecError(f"there is no such file{hint}", file=path)
     try:
         file = h5py.File(path, "r", locking="best-effort")

@@ -1,4 +1,4 @@
-"""Where an archive goes: written as FILE.h5.part under a lock, and given its final name in one atomic step."""
+"""Target file of an archive: written as FILE.h5.part under a lock and renamed atomically at the end."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from mbdkit.errors import MbdkitError, SpecError
 
 SUFFIX = ".h5"
 
-#: HDF5 1.8 (2008) is the oldest library that reads an archive. Its object headers, unlike the older ones, hold
-#: attributes of more than 64 KiB, which `misalignment_max` is from 8,000 joints on.
+#: HDF5 1.8 (2008) is the oldest library that can read an archive. Older object headers limit attributes to 64 KiB,
+#: which `misalignment_max` exceeds from about 8,000 joints on.
 LIBVER = ("v108", "v108")
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 def part_path(path: Path) -> Path:
-    """Return the name an archive has while it is written."""
+    """Return the name of an archive while it is being written."""
     return path.with_name(path.name + ".part")
 
 
 def check_target(path: str | Path, *, overwrite: bool = False) -> Path:
-    """Check, without touching anything, that an archive may be written at `path`.
+    """Check that an archive may be written at `path`, without changing the file system.
 
     Parameters
     ----------
     path
-        The final name; it ends in ``.h5``.
+        Final name, ending in ``.h5``.
     overwrite
         Whether an existing file may be replaced.
 
@@ -48,10 +48,10 @@ def check_target(path: str | Path, *, overwrite: bool = False) -> Path:
     Raises
     ------
     SpecError
-        If the name, the folder or what stands there does not allow it.
+        If the name, the folder or an existing file does not allow it.
     """
     path = Path(path)
-    # Not Path's own questions: they raise for a name too long or a folder that cannot be searched.
+    # os.path instead of methods of Path, which raise for names that are too long and for folders without permission.
     if os.path.isdir(path):
         raise SpecError(f"this is a folder; name a file in it, such as {path / 'run.h5'}", file=path)
     if path.suffix != SUFFIX:
@@ -71,39 +71,39 @@ def check_target(path: str | Path, *, overwrite: bool = False) -> Path:
 
 
 class Target:
-    """One archive on its way to `path`: created as ``.part`` at once, published or dropped at the end.
+    """An archive being written to `path`: created as ``.part`` immediately, published or dropped at the end.
 
     Parameters
     ----------
     path
-        The final name.
+        Final name.
     overwrite
-        Whether an existing file is replaced when the archive is published.
+        Whether publishing replaces an existing file.
 
     Raises
     ------
     SpecError
-        If the archive may not be written there, or another run is writing it.
+        If no archive may be written at `path`, or another run is writing it.
     """
 
     def __init__(self, path: Path, *, overwrite: bool):
         self.path = check_target(path, overwrite=overwrite)
         self.part = part_path(path)
         self.overwrite = overwrite
-        self._torn = False  # whether a write is under way, or failed half-way
+        self._torn = False  # whether a write is in progress or has failed halfway
         self.file = self._create()
         self._handle: int | None = os.open(self.part, os.O_RDWR)
         self._lock()
 
     def _create(self) -> h5py.File:
-        # A .part is only ever created where there is none, so of two runs that start at once one is refused.
+        # Exclusive creation: if two runs start at the same time, only one of them can create the .part.
         for attempt in range(3):
             try:
                 return h5py.File(self.part, "x", libver=LIBVER, locking="best-effort")
             except BlockingIOError:
                 raise self._in_use() from None
             except (OSError, ValueError) as error:
-                # HDF5 has no errno for a file that it has open itself.
+                # HDF5 sets no errno for a file that is open in this process.
                 if not isinstance(error, FileExistsError) and "file exists" not in str(error):
                     raise SpecError(f"the archive cannot be created: {cause(error)}", file=self.path) from error
                 if attempt == 2:
@@ -115,10 +115,10 @@ class Target:
         return SpecError(f"{self.part} is in use by another run; wait for it, or choose another name", file=self.path)
 
     def _remove_stale(self) -> None:
-        """Remove a .part whose writer is dead: a live one holds a lock on it."""
+        """Remove the .part of a crashed run; the .part of a running one is locked."""
         try:
             if not stat.S_ISREG(os.lstat(self.part).st_mode):
-                raise SpecError(f"{self.part} stands in the way and is not a regular file", file=self.path)
+                raise SpecError(f"{self.part} exists and is not a regular file", file=self.path)
             if sys.platform == "win32":  # an open file cannot be removed there
                 self.part.unlink()
                 return
@@ -139,11 +139,11 @@ class Target:
             raise SpecError(f"the unfinished {self.part} cannot be replaced: {cause(error)}", file=self.path) from error
 
     def _lock(self) -> None:
-        """Lock the new .part where HDF5 did not, as with HDF5_USE_FILE_LOCKING=FALSE."""
+        """Lock the new .part if HDF5 has not done so, as with HDF5_USE_FILE_LOCKING=FALSE."""
         if sys.platform != "win32":
             import fcntl
 
-            with contextlib.suppress(OSError):  # HDF5 did
+            with contextlib.suppress(OSError):  # already locked by HDF5
                 fcntl.flock(self._open_handle(), fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def _open_handle(self) -> int:
@@ -152,9 +152,10 @@ class Target:
 
     @contextlib.contextmanager
     def reserved(self, size: int) -> Iterator[None]:
-        """Write about `size` bytes to the file within this block; a disk too full for it fails before it.
+        """Reserve disk space for a block that writes about `size` bytes to the file, and flush the file after it.
 
-        A write that fails within HDF5 would cost all that was written before, for HDF5 cannot take it back.
+        A full disk raises OSError before the block starts. If a write failed within HDF5 instead, all data written
+        before would be lost, because HDF5 cannot roll a write back.
         """
         handle = self._open_handle()
         end = os.fstat(handle).st_size
@@ -174,16 +175,16 @@ class Target:
         self._torn = False
 
     def sync(self) -> None:
-        """Wait until the disk has what was flushed."""
+        """Wait until the flushed data are on the disk."""
         os.fsync(self._open_handle())
 
     def replace_content(self, image: bytes) -> None:
-        """Make the .part a copy of another archive; `file` is closed.
+        """Close `file` and replace the content of the .part with a copy of another archive.
 
         Parameters
         ----------
         image
-            All bytes of that archive.
+            Content of the other archive.
         """
         self.file.close()
         self._lock()
@@ -193,14 +194,15 @@ class Target:
         self.sync()
 
     def publish(self) -> None:
-        """Give the flushed .part its final name; a file that appeared there meanwhile is not replaced.
+        """Rename the flushed .part to its final name.
 
-        The archive is still open, and so its lock keeps other runs from taking the .part for a dead one's.
+        Without `overwrite`, a file created there during the run is not replaced. The archive is still open and locked,
+        so that other runs do not remove the .part as that of a crashed run.
 
         Raises
         ------
         MbdkitError
-            If it cannot be renamed; it stays under the name of the .part.
+            If the .part cannot be renamed; it keeps its name.
         """
         if sys.platform == "win32":  # an open file cannot be renamed there
             self.file.close()
@@ -211,18 +213,16 @@ class Target:
                 _rename_new(self.part, self.path)
         except FileExistsError as error:
             raise MbdkitError(
-                f"{self.path} appeared while the run was under way and is left as it is; the archive is {self.part}"
+                f"{self.path} was created during the run and is not overwritten; the archive is {self.part}"
             ) from error
         except OSError as error:
-            raise MbdkitError(
-                f"the archive cannot be renamed to {self.path} ({cause(error)}); it is {self.part}"
-            ) from error
+            raise MbdkitError(f"the archive {self.part} cannot be renamed to {self.path} ({cause(error)})") from error
 
     def close(self) -> None:
-        """Close the archive, by whatever name, and let go of the lock; a write that failed half-way is forgotten."""
+        """Close the archive, under either name, and release the lock; discard a write that failed halfway."""
         if self._torn and self.file and hasattr(os, "memfd_create"):
-            # HDF5 tries what it could not write again and again, and crashes the interpreter at its end: let it write
-            # to memory instead.
+            # HDF5 keeps retrying a failed write and crashes the interpreter at exit. Redirecting its file descriptor to
+            # memory lets the write succeed.
             nowhere = os.memfd_create("mbdkit")
             os.dup2(nowhere, self.file.id.get_vfd_handle())
             os.close(nowhere)
@@ -233,19 +233,19 @@ class Target:
             self._handle = None
 
     def drop(self) -> None:
-        """Close the .part and remove it."""
+        """Close and remove the .part."""
         self.close()
         self.part.unlink(missing_ok=True)
 
 
 def _rename_new(source: Path, target: Path) -> None:
-    """Rename in one step that fails if `target` exists."""
+    """Rename `source` atomically, or raise FileExistsError if `target` exists."""
     try:
         os.link(source, target)
     except FileExistsError:
         raise
     except OSError:
-        # A file system without hard links: look, then rename; the instant between the two is not covered.
+        # The file system has no hard links. A file created between the check and the renaming is overwritten.
         if os.path.lexists(target):
             raise FileExistsError(str(target)) from None
         os.rename(source, target)

@@ -1,4 +1,4 @@
-"""`mbdkit.load`."""
+"""Opens run archives."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from mbdkit.archive.run import Run
 
 
 def load(path: str | Path) -> Run:
-    """Open a run archive; its arrays are read when they are first used.
+    """Open a run archive; arrays are read on first use.
 
     Parameters
     ----------
     path
-        An archive, ``FILE.h5``, or what a crashed run left, ``FILE.h5.part``.
+        An archive, ``FILE.h5``, or the ``FILE.h5.part`` of a crashed run.
 
     Returns
     -------
     Run
-        With status ``running`` if the run crashed.
+        The run; its status is ``running`` if it crashed.
 
     Raises
     ------
     SpecError
-        If there is no archive at `path` that this version can read.
+        If `path` is not an archive that this version can read.
     """
     return Run.open(Path(path))

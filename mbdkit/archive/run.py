@@ -1,4 +1,4 @@
-"""The run as Python sees it: an archive, in a file or in memory, read when asked."""
+"""`Run`: access to a run archive in a file or in memory; arrays are read on demand."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ from mbdkit.errors import MbdkitError, RunError, SpecError
 if TYPE_CHECKING:
     import xarray
 
-#: Larger arrays are not kept in memory once read, and read column by column.
+#: Arrays larger than this are not cached, and are read column by column.
 KEEP_BYTES = 1 << 28
 
 
 class Run:
-    """A run: its spec, how it ended, and what it recorded, all in SI units and radians.
+    """A run: its spec, status and recorded data, in SI units and radians.
 
-    Arrays are read-only and come from the archive when they are first asked for. Close the run, or use it in a
-    `with` block, to release the file; a run without a file vanishes when it is closed.
+    Arrays are read-only and are read from the archive on first use. Close the run, or use it in a `with` block, to
+    release the file. Closing a run in memory discards its data.
 
     Parameters
     ----------
     file
         The open archive.
     path
-        Where it lies; None if it is in memory.
+        Path of the archive; None if it is in memory.
     """
 
     def __init__(self, file: h5py.File, path: Path | None = None):
@@ -56,7 +56,7 @@ class Run:
         self._path = path
         self._arrays: dict[str, np.ndarray] = {}
         try:
-            with reading("what it says of itself", path):
+            with reading("its header", path):
                 self._attributes = {name: str(file.attrs[name]) for name in layout.ROOT_ATTRIBUTES}
                 self._stats = _plain_attributes(file["stats"])
                 self._provenance = _plain_attributes(file["provenance"])
@@ -85,7 +85,7 @@ class Run:
 
     @property
     def path(self) -> Path | None:
-        """Where the archive lies; None if the run is in memory."""
+        """Path of the archive; None if the run is in memory."""
         return self._path
 
     @property
@@ -95,42 +95,42 @@ class Run:
 
     @property
     def status_reason(self) -> str:
-        """Why the run is not complete, or which event ended it: a code and a sentence; else empty."""
+        """Code and sentence saying why the run is not complete or which event ended it; otherwise empty."""
         return self._attributes["status_reason"]
 
     @property
     def run_id(self) -> str:
-        """The name of this run, unique to it."""
+        """Unique name of the run."""
         return self._attributes["run_id"]
 
     @property
     def created_utc(self) -> str:
-        """When the archive was begun, ISO 8601, UTC."""
+        """Time at which the archive was created, ISO 8601, UTC."""
         return self._attributes["created_utc"]
 
     @property
     def format_version(self) -> str:
-        """The version of the archive's format."""
+        """Version of the archive format."""
         return self._attributes["format_version"]
 
     @property
     def spec_json(self) -> str:
-        """The canonical JSON of the spec."""
+        """Canonical JSON of the spec."""
         return self._attributes["spec"]
 
     @property
     def spec_sha256(self) -> str:
-        """The hash of the spec."""
+        """SHA-256 of `spec_json`."""
         return self._attributes["spec_sha256"]
 
     @property
     def data_sha256(self) -> str:
-        """The hash of every array but timings; empty if the run crashed."""
+        """SHA-256 of all arrays except timings; empty if the run crashed."""
         return self._attributes["data_sha256"]
 
     @cached_property
     def spec(self) -> dict[str, Any]:
-        """The spec as it was run, defaults included, as plain values."""
+        """The spec of the run, including defaults, as plain values."""
         with reading("its spec", self.path):
             spec = json.loads(self.spec_json)
             if not isinstance(spec, dict):
@@ -159,12 +159,12 @@ class Run:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """The names of the joints, in the order of the second axis of the arrays in ``/joints``."""
+        """Names of the joints, in the order of the second axis of the arrays in ``/joints``."""
         return self._names["joints/joint"]
 
     @cached_property
     def bodies(self) -> Histories[BodyHistory]:
-        """The bodies' motions by name."""
+        """Motions of the bodies by name."""
         names = self._names["trajectory/body"]
         return Histories("body", names, lambda name, index: BodyHistory(self, name, index))
 
@@ -174,7 +174,7 @@ class Run:
 
     @cached_property
     def joints(self) -> Histories[JointHistory]:
-        """The joints' misalignments and reactions by name."""
+        """Misalignments and reactions of the joints by name."""
         largest = self._largest_misalignments
         first, second = (self._names.get(f"joints/{which}_body", ()) for which in ("first", "second"))
         return Histories(
@@ -187,17 +187,17 @@ class Run:
 
     @property
     def redundancy(self) -> str:
-        """Which joints hold what others hold already, such as ``1 redundant row: joint D``; empty if none does.
+        """Description of the redundant constraints, such as ``1 redundant row: joint D``; empty if there are none.
 
-        Reactions are not unique then. The recorded ones are, of all that give the same motion, those of the least sum
-        over joints of ``|force|^2 + (torque / length)^2``; the length [m] is the attribute ``characteristic_length`` of
-        the group ``joints``.
+        With redundant constraints, reactions are not unique. Of all reactions that produce the same motion, the
+        recorded ones minimize the sum over joints of ``|force|^2 + (torque / length)^2``. The length [m] is the
+        attribute ``characteristic_length`` of the group ``joints``.
         """
         return self._redundancy
 
     @cached_property
     def constraints(self) -> Histories[ConstraintHistory]:
-        """The constraint rows' residuals and multipliers by name, ``joint.row``."""
+        """Residuals and multipliers of the constraint rows by name, ``joint.row``."""
         if "constraints/constraint" not in self._names:
             raise NotRecordedError("constraints")
         units = self._names["constraints/row_units"]
@@ -209,45 +209,46 @@ class Run:
 
     @property
     def singularity_distance(self) -> np.ndarray:
-        """How far the mechanism is from a singular position at the recorded rows, (T,), true to about 1 %.
+        """Distance from a singular position at the recorded rows, (T,), accurate to about 1 %.
 
-        The smallest singular value of the Jacobian of the independent constraints in the mass metric, with the rows of
-        each joint's point made orthonormal: 1 where no joint feels another, 0 where joints block each other or let go.
+        This is the smallest singular value of the Jacobian of the independent constraints in the mass metric, with the
+        rows of each joint point orthonormalized. It is 1 if the joints are uncoupled, and 0 in a singular position,
+        where the rows are linearly dependent.
 
         Raises
         ------
         MbdkitError
-            If this run did not record it: without constraints, or by an earlier version.
+            If the run did not record it: the mechanism has no constraints, or an earlier version made the archive.
         """
         return self.array("constraints/singularity_distance")
 
     @property
     def energy(self) -> Energy:
-        """The energies of the mechanism."""
+        """Energies of the mechanism."""
         return Energy(self)
 
     @property
     def steps(self) -> Steps:
-        """What the integrator did in each recorded interval."""
+        """Statistics of the integrator for each recorded interval."""
         return Steps(self)
 
     @property
     def events(self) -> Events:
-        """The crossings of the spec's events, in order of time; none where the spec has no events."""
+        """Crossings of the spec's events in order of time; empty if the spec has no events."""
         return Events.of(self, tuple(self.spec.get("events") or ()), len(self.bodies))
 
     @cached_property
     def _largest_misalignments(self) -> np.ndarray:
         if self._misalignment_max is not None:
             return np.asarray(self._misalignment_max)
-        # A crashed run could not leave the maxima over every step: those over the recorded rows stand in.
+        # The archive of a crashed run lacks the maxima over all steps; use the maxima over the recorded rows.
         if not self.records("joints/misalignment"):
             return np.full(len(self.joint_names), np.nan)
         return np.asarray(np.max(self.array("joints/misalignment"), axis=0, initial=0.0))
 
     @property
     def misalignment_max(self) -> float:
-        """Largest misalignment of any joint over every step, m; 0 without joints, nan if a crashed run left none."""
+        """Largest misalignment of any joint over all steps, m; 0 without joints, nan if unknown after a crash."""
         return float(np.max(self._largest_misalignments, initial=0.0))
 
     def records(self, path: str) -> bool:
@@ -259,19 +260,19 @@ class Run:
         return True
 
     def array(self, path: str) -> np.ndarray:
-        """Return a whole array of the archive, read-only.
+        """Return a whole array of the archive as a read-only array.
 
         Parameters
         ----------
         path
-            Such as ``joints/misalignment``, (T, J); shapes and units are in the table of the archive's layout.
+            Path such as ``joints/misalignment``, (T, J). The layout of the archive lists paths, shapes and units.
 
         Raises
         ------
         UnknownNameError
             If there is no such array in the layout.
         MbdkitError
-            If this run did not record it, or is closed.
+            If the run did not record the array, or is closed.
         """
         if path not in self._arrays:
             values = self._read(path, ())
@@ -281,7 +282,7 @@ class Run:
         return self._arrays[path]
 
     def column(self, path: str, index: int | None, part: slice | int | None) -> np.ndarray:
-        """Return an array at `index` of its second axis and `part` of its third, read-only."""
+        """Return the array at `path` for one `index` of its second axis and a `part` of its third, read-only."""
         at: tuple[Any, ...] = (slice(None),)
         if index is not None:
             at += (index,)
@@ -293,24 +294,24 @@ class Run:
         return self._read(path, at)
 
     def dataset(self, path: str) -> h5py.Dataset | np.ndarray:
-        """Return an array of the archive unread, to be sliced: for those that are larger than memory.
+        """Return an array of the archive as an HDF5 dataset, to be read by slicing if it exceeds the memory.
 
         Parameters
         ----------
         path
-            Such as ``trajectory/position``, (T, B, 3).
+            Path such as ``trajectory/position``, (T, B, 3).
 
         Returns
         -------
         h5py.Dataset or ndarray
-            An empty array where a run crashed before it wrote its first rows.
+            The dataset; an empty ndarray if the run crashed before it wrote its first rows.
 
         Raises
         ------
         UnknownNameError
             If there is no such array in the layout.
         NotRecordedError
-            If this run did not record it.
+            If the run did not record the array.
         MbdkitError
             If the run is closed.
         """
@@ -328,7 +329,7 @@ class Run:
 
     @property
     def file(self) -> h5py.File:
-        """The open archive, for whatever this class does not offer."""
+        """The open HDF5 file."""
         if not self._file:
             raise MbdkitError(f"this run is closed; load {self._path} again" if self._path else "this run is closed")
         return self._file
@@ -348,24 +349,24 @@ class Run:
         Raises
         ------
         RunError
-            If it failed, was interrupted or crashed; the message says why.
+            If the run failed, was interrupted or crashed; the message gives the reason.
         """
         if self.status == "complete":
             return self
         if self.status == "running":
-            raise RunError("the run did not end: it crashed, or is still under way")
+            raise RunError("the run did not end: it crashed or is still running")
         reason = self.status_reason.removeprefix("interrupted: ")
         why = f": {reason}" if reason else ""
         raise RunError(f"the run {'failed' if self.status == 'failed' else 'was interrupted'}{why}")
 
     def summary(self) -> str:
-        """Return what matters about the run on a few lines of plain text."""
-        from mbdkit.archive.run_summary import summary  # the one import against the layers: a convenience for users
+        """Return a summary of the run as a few lines of plain text."""
+        from mbdkit.archive.run_summary import summary  # the only import of a higher layer, for convenience
 
         return summary(self)
 
     def to_xarray(self) -> xarray.DataTree:
-        """Return the archive as an xarray tree, in memory: the same as `xarray.open_datatree` gives for the file.
+        """Load the archive as an xarray DataTree, equal to the result of `xarray.open_datatree` for the file.
 
         Raises
         ------
@@ -374,7 +375,7 @@ class Run:
         """
         from mbdkit.archive.xarray_tree import to_datatree
 
-        with reading("something", self.path):
+        with reading("its contents", self.path):
             return to_datatree(self.file)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
@@ -383,14 +384,14 @@ class Run:
         Parameters
         ----------
         path
-            The name, ending in ``.h5``.
+            File name, ending in ``.h5``.
         overwrite
             Whether an existing file may be replaced.
 
         Raises
         ------
         SpecError
-            If no archive may be written there.
+            If no archive may be written at `path`.
         MbdkitError
             If the disk is full, or the run is closed.
         """
@@ -407,7 +408,7 @@ class Run:
             target.close()
 
     def close(self) -> None:
-        """Release the archive; arrays read before stay valid."""
+        """Close the archive; arrays read before remain valid."""
         self._file.close()
 
     def __enter__(self) -> Run:

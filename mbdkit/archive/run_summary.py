@@ -1,4 +1,4 @@
-"""A run on a few lines of plain text."""
+"""Summarizes a run in a few lines of plain text."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from mbdkit.text import counted
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-#: So many joints are named with their misalignment, the worst first.
+#: Number of joints listed with their misalignment, the largest first.
 JOINTS_NAMED = 4
 
-#: So many events are named.
+#: Number of events listed.
 EVENTS_NAMED = 4
-#: Distance to singularity below which a run is said to have come near one.
+
+#: Distance from a singular position below which the summary reports it.
 SINGULAR = 0.1
 
 _COUNTERS = {
@@ -32,7 +33,7 @@ _COUNTERS = {
 
 
 def summary(run: Run) -> str:
-    """Return what matters about a run: model, method, time, speed, misalignment, energy, counters, status, archive.
+    """Summarize a run: status, model, method, time, speed, misalignment, energy, events, counters and archive.
 
     Parameters
     ----------
@@ -42,14 +43,17 @@ def summary(run: Run) -> str:
     Returns
     -------
     str
-        Lines without a newline at the end.
+        Lines of text without a final newline.
     """
     spec = run.spec
     bodies, joints = len(run.bodies), len(run.joints)
     lines = [
         ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
         ("model", ", ".join((_named(spec, "model"), counted(bodies, "body", "bodies"), counted(joints, "joint")))),
-        ("redundancy", run.redundancy and f"{run.redundancy}; reactions are not unique, the least are recorded"),
+        (
+            "redundancy",
+            run.redundancy and f"{run.redundancy}; reactions are not unique, those of least norm recorded",
+        ),
         ("start", _start(run)),
         ("integrator", _method(spec)),
         ("stabilization", _stabilization(run)),
@@ -73,7 +77,7 @@ def _named(spec: Mapping[str, Any], kind: str) -> str:
 
 
 def _start(run: Run) -> str:
-    """Return what assembly moved, where it moved anything."""
+    """Return the changes made by assembly; empty if there were none."""
     told = str(run.provenance.get("assembly", ""))
     moved = told.removeprefix("The start was made consistent; ")
     return moved.rstrip(".") if moved != told else ""
@@ -93,7 +97,7 @@ def _method(spec: Mapping[str, Any]) -> str:
 
 
 def _stabilization(run: Run) -> str:
-    """Return what was done against drift, and how much of it; empty where nothing was."""
+    """Return the stabilization and its corrections; empty without stabilization."""
     chosen = run.spec.get("stabilization") or "none"
     if not isinstance(chosen, Mapping):
         return "" if chosen == "none" else str(chosen)
@@ -104,7 +108,7 @@ def _stabilization(run: Run) -> str:
 
 
 def corrections(run: Run) -> str:
-    """Return in words how often a stabilized run was corrected, and by how much at most; empty without records of it.
+    """Describe the number and the largest size of the corrections of a stabilized run; empty if none are recorded.
 
     Parameters
     ----------
@@ -155,7 +159,7 @@ def _misalignment(run: Run) -> str:
 
 
 def _angles(run: Run) -> str:
-    """Return the largest recorded error of a held angle, where there is any to speak of."""
+    """Return the largest recorded angle misalignment; empty if it is zero or not recorded."""
     if not run.records("joints/angle_misalignment") or len(run.time) == 0:
         return ""
     largest = np.max(np.abs(run.array("joints/angle_misalignment")), axis=0)
@@ -164,7 +168,7 @@ def _angles(run: Run) -> str:
 
 
 def _singularity(run: Run) -> str:
-    """Return how near the mechanism came to a singular position, where it came near one."""
+    """Return the smallest distance from a singular position; empty if it is not small."""
     path = "constraints/singularity_distance"
     if not run.records(path) or len(run.time) == 0:
         return ""
@@ -172,7 +176,7 @@ def _singularity(run: Run) -> str:
     row = int(np.argmin(distance))
     if distance[row] > SINGULAR or distance[row] > 0.5 * float(np.max(distance)):
         return ""
-    return f"as near as {distance[row]:.2g} of {float(np.max(distance)):.2g}, at {run.time[row]:g} s"
+    return f"distance {distance[row]:.2g} at {run.time[row]:g} s, maximum {float(np.max(distance)):.2g}"
 
 
 def _energy(run: Run) -> str:
@@ -185,7 +189,7 @@ def _energy(run: Run) -> str:
 
 
 def _events(run: Run) -> str:
-    """Return how often each event was found, and when first."""
+    """Return the number of crossings of each event and the time of the first."""
     found = []
     for name in run.spec.get("events") or ():
         times = run.events.of_name(name).time

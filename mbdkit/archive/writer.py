@@ -1,4 +1,4 @@
-"""Writes one run archive while the run is under way."""
+"""Writes a run archive during the run."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from mbdkit.archive.layout import Array
 from mbdkit.archive.part_file import LIBVER, Target
 from mbdkit.errors import MbdkitError
 
-#: Seconds between flushes, after which a crash loses nothing.
+#: Time between flushes [s]. A crash loses only rows recorded after the last flush.
 FLUSH_INTERVAL = 1.0
 
-#: HDF5 tells files in memory apart by name.
+#: HDF5 distinguishes files in memory by name.
 _MEMORY = itertools.count(1)
 
-#: All that rows may bring.
+#: Keys accepted by the `append` methods.
 _KEYS = frozenset(array.key for array in layout.LAYOUT)
 
-#: Room for attributes.
+#: Disk space reserved for attributes.
 _ATTRIBUTE_BYTES = 1 << 15
 
 
 @dataclass(frozen=True)
 class ArchiveNames:
-    """The names along the axes of an archive.
+    """Names along the axes of an archive.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class ArchiveNames:
     constraints
         ``joint.row`` for every constraint row, such as ``J1.x``.
     constraint_units
-        For every constraint row what it measures, ``m`` or ``rad``.
+        Unit of the constraint function of every constraint row, ``m`` or ``rad``.
     joint_bodies
         First and second body of every joint.
     """
@@ -61,17 +61,17 @@ class ArchiveNames:
 
 @dataclass(frozen=True)
 class SharedForces:
-    """What an archive says of a mechanism with redundant joints.
+    """Attributes of the archive of a mechanism with redundant joints.
 
     Parameters
     ----------
     redundancy
-        In words, such as ``1 redundant row: joint D``.
+        Description, such as ``1 redundant row: joint D``.
     joints
         The joints whose reactions are not unique.
     length
-        Characteristic length [m]: the recorded reactions are, of all that give the same motion, those of the least
-        sum over joints of ``|force|^2 + (torque / length)^2``.
+        Characteristic length [m]. Of all reactions that produce the same motion, the recorded ones minimize the sum
+        over joints of ``|force|^2 + (torque / length)^2``.
     """
 
     redundancy: str
@@ -80,28 +80,28 @@ class SharedForces:
 
 
 class ArchiveWriter:
-    """One archive in the making: append rows, flush now and then, finish.
+    """Writes one archive: appends rows, flushes them regularly, and finishes or abandons the archive.
 
     Parameters
     ----------
     path
-        The final name, ending in ``.h5``; written as ``.part`` until `finish`. None: an archive in memory.
+        Final name, ending in ``.h5``; the file is written as ``.part`` until `finish`. None for an archive in memory.
     names
-        The names of bodies, joints and constraint rows.
+        Names of bodies, joints and constraint rows.
     spec_json, spec_sha256
         The canonical JSON of the spec, and the SHA-256 of its UTF-8 bytes.
     run_id
-        A name of this run, unique to it.
+        Unique name of the run.
     provenance
         Attributes of ``/provenance``: versions, platform, command.
     quantities
         Which of ``joints``, ``constraints``, ``energy`` are recorded.
     extra_datasets
-        Paths of optional arrays that the run brings, such as ``constraints/method_multiplier``.
+        Paths of the optional arrays to record, such as ``constraints/method_multiplier``.
     overwrite
-        Whether an existing file is replaced, when the archive is finished.
+        Whether `finish` replaces an existing file.
     shared
-        For a mechanism with redundant joints: which of their forces are not unique.
+        Attributes for a mechanism with redundant joints; None without them.
 
     Raises
     ------
@@ -159,22 +159,22 @@ class ArchiveWriter:
 
     @property
     def row_keys(self) -> frozenset[str]:
-        """The keys that `append` needs; others of the layout are taken and left out."""
+        """Keys that `append` requires; it ignores other keys of the layout."""
         return self._rows.keys
 
     @property
     def path(self) -> Path | None:
-        """The final name; None in memory."""
+        """Final name of the archive; None in memory."""
         return None if self._target is None else self._target.path
 
     def append(self, rows: Mapping[str, np.ndarray]) -> None:
-        """Take recorded rows; they are copied.
+        """Append recorded rows; the values are copied.
 
         Parameters
         ----------
         rows
-            For every key of `row_keys`, a dataset path such as ``trajectory/position`` (T, B, 3) or ``time`` (T,)
-            for all groups, an array with the same number of rows T.
+            An array with T rows for every key of `row_keys`: paths such as ``trajectory/position`` (T, B, 3), and
+            ``time`` (T,) for the times of all groups.
 
         Raises
         ------
@@ -184,13 +184,13 @@ class ArchiveWriter:
         self._take(self._rows, rows)
 
     def append_steps(self, rows: Mapping[str, np.ndarray]) -> None:
-        """Take the statistics of recorded intervals; they are copied.
+        """Append the statistics of recorded intervals; the values are copied.
 
         Parameters
         ----------
         rows
-            ``time``, ``steps``, ``size``, ``iterations``, ``iterations_max``, ``rejected``, each (N,), and of a
-            stabilized run its corrections.
+            ``time``, ``steps``, ``size``, ``iterations``, ``iterations_max``, ``rejected``, and the corrections of a
+            stabilized run, each (N,).
         """
         count = len(rows["time"])
         numbers = np.arange(self._steps.rows + 1, self._steps.rows + count + 1)
@@ -198,7 +198,7 @@ class ArchiveWriter:
         self._take(self._steps, {**keyed, "steps/interval": numbers})
 
     def append_events(self, rows: Mapping[str, np.ndarray]) -> None:
-        """Take crossings of events; they are copied.
+        """Append crossings of events; the values are copied.
 
         Parameters
         ----------
@@ -219,7 +219,7 @@ class ArchiveWriter:
             table.append(rows)
 
     def flush_if_due(self) -> None:
-        """Write what waits and flush, if the last flush is a second ago; a crash later loses none of it."""
+        """Write the buffered rows and flush the file if `FLUSH_INTERVAL` has passed since the last flush."""
         if self._target is None or self._flushed is None:
             return
         if time.monotonic() - self._flushed >= FLUSH_INTERVAL:
@@ -229,25 +229,25 @@ class ArchiveWriter:
     def finish(
         self, status: str, reason: str, stats: Mapping[str, int | float], misalignment_max: np.ndarray
     ) -> h5py.File | None:
-        """Write the rest, the hash and the status, and give the archive its final name.
+        """Write the remaining rows, the hash and the status, and rename the archive to its final name.
 
         Parameters
         ----------
         status
             ``complete``, ``failed`` or ``interrupted``.
         reason
-            Why it is not complete: a code and a sentence, as in ``newton-failed: the step at t = ...``; of a complete
-            run which event ended it, or nothing.
+            Code and sentence saying why the run is not complete, such as ``newton-failed: the step at t = ...``. For
+            a complete run, the event that ended it, or an empty string.
         stats
-            Attributes of ``/stats``: counters (integers) and ``setup_s``, ``wall_s``, ``cpu_s``; ``finish_s`` is
-            added here and ends when the file has its final name.
+            Attributes of ``/stats``: counters (integers) and ``setup_s``, ``wall_s``, ``cpu_s``. This method adds
+            ``finish_s``, its own duration up to the renaming.
         misalignment_max
-            Largest misalignment of each joint over every step, (J,), m.
+            Largest misalignment of each joint over all steps, (J,), m.
 
         Returns
         -------
         h5py.File or None
-            The open archive if it is in memory; None if it is a file, which is closed.
+            The open archive if it is in memory; None for a file, which this method closes.
 
         Raises
         ------
@@ -275,7 +275,7 @@ class ArchiveWriter:
             return None
 
     def abandon(self) -> None:
-        """Drop the archive: nothing of it remains; without effect once it is finished or could not be written."""
+        """Remove the archive; no effect once it is finished or a write has failed."""
         if self._ended:
             return
         self._ended = True
@@ -362,14 +362,14 @@ class ArchiveWriter:
         self._kept = True
 
     def _room(self, *, more: bool, also: int = 0) -> contextlib.AbstractContextManager[None]:
-        """Make room on the disk for what waits, and flush once it is written."""
+        """Return a context that reserves disk space for the buffered rows and flushes the file on exit."""
         if self._target is None:
             return contextlib.nullcontext()
         return self._target.reserved(also + sum(table.size_on_disk(more=more) for table in self._tables))
 
     @contextlib.contextmanager
     def _storing(self) -> Iterator[None]:
-        """Turn what HDF5 raises on a full or vanished disk into a sentence, and save what was flushed before."""
+        """Convert HDF5's errors on a full or missing disk into MbdkitError, and keep the data flushed before."""
         if self._ended:
             raise MbdkitError("the archive is closed")
         try:
@@ -382,7 +382,7 @@ class ArchiveWriter:
                 raise MbdkitError(f"the archive in memory cannot be written: {cause(error)}") from error
             if self._kept:
                 self._target.close()
-                rest = f"; what was recorded until shortly before is in {self._target.part}"
+                rest = f"; the data up to the last flush are in {self._target.part}"
             else:
                 self._target.drop()
                 rest = ""

@@ -1,4 +1,4 @@
-"""A run archive as an xarray tree."""
+"""Converts a run archive to an xarray DataTree."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 
 def to_datatree(file: h5py.File) -> xarray.DataTree:
-    """Return an open archive as a tree of datasets in memory.
+    """Load an open archive into an xarray DataTree.
 
     Parameters
     ----------
     file
-        The archive.
+        The open archive.
 
     Returns
     -------
     xarray.DataTree
-        Equal to what `xarray.open_datatree(path, engine="h5netcdf")` gives.
+        Equal to the result of `xarray.open_datatree(path, engine="h5netcdf")`.
     """
     try:
         import xarray
@@ -46,12 +46,12 @@ def to_datatree(file: h5py.File) -> xarray.DataTree:
     return xarray.DataTree.from_dict(nodes)
 
 
-#: What HDF5 keeps about dimension scales in attributes; xarray shows it as dimensions.
+#: Attributes in which HDF5 stores dimension scales; xarray represents them as dimensions.
 _OF_SCALES = {"CLASS", "NAME", "REFERENCE_LIST", "DIMENSION_LIST"}
 
 
 def _attributes(item: h5py.Group | h5py.Dataset) -> dict[str, Any]:
-    # netCDF knows no difference between an array of one value and the value.
+    # netCDF does not distinguish an array of one value from a scalar.
     return {
         name: value[0] if getattr(value, "shape", None) == (1,) else value
         for name, value in item.attrs.items()

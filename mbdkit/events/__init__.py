@@ -1,1 +1,1 @@
-"""Events: expressions over a run, and the instants at which they cross zero."""
+"""Events: zero crossings of expressions of bodies, joints, energies and time."""

@@ -1,4 +1,4 @@
-"""Where a scalar crosses zero within a step: found where dense output shows it, located on the method's own states."""
+"""Zero crossings of a scalar within a step: detected on dense output, located on states of the method itself."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from itertools import pairwise
 from scipy.optimize import brentq
 
 ACCURACY = 1e-13
-"""Accuracy of the time of a crossing, relative to the time and to 1 s."""
+"""Accuracy of the time of a crossing, relative to the larger of the time and 1 s."""
 
 POLE = 100.0
-"""A change of sign where the scalar is larger by this factor than at both ends is a pole, not a zero."""
+"""A sign change is a pole if the scalar there is larger than at both ends by more than this factor."""
 
 _ROUNDING = 2.0**-52
 
@@ -22,7 +22,7 @@ Point = tuple[float, float]
 
 
 class UndefinedError(Exception):
-    """The scalar has no value; carries the place."""
+    """The scalar has no finite value at `theta`."""
 
     def __init__(self, theta: float):
         super().__init__(theta)
@@ -31,7 +31,7 @@ class UndefinedError(Exception):
 
 @dataclass(frozen=True)
 class Crossing:
-    """A change of sign: its place in the step, from 0 to 1, and 1 where the scalar rises, -1 where it falls."""
+    """A sign change: relative position in the step, 0 to 1, and direction, 1 for rising and -1 for falling."""
 
     theta: float
     direction: int
@@ -45,25 +45,33 @@ def sign(value: float) -> int:
 def crossings(
     before: int, shown: Sequence[Point], dense: Scalar, exact: Scalar, accuracy: float
 ) -> tuple[list[Crossing], int]:
-    """Return the crossings within a step, in order, and the sign with which the next step begins.
+    """Return the crossings within a step, in order, and the sign at the start of the next step.
 
-    A zero that is touched is no crossing; one that is met exactly counts where the other side is reached.
+    Only sign changes count. Touching zero is not a crossing; if the scalar is exactly zero, the crossing is counted
+    when it leaves zero with the opposite sign.
 
     Parameters
     ----------
     before
-        Sign that the scalar had last, 0 if it had none so far.
+        Last non-zero sign of the scalar; 0 if there has been none.
     shown
-        Points (place, value) of the scalar by increasing place, those of the ends exact, others by dense output.
+        Points (position in the step, value) in increasing order; the ends are exact, the others from dense output.
     dense, exact
-        The scalar at a place by dense output, and by the method itself.
+        The scalar as a function of the position in the step, from dense output and from the method itself.
     accuracy
-        How well a place is to be known.
+        Accuracy of the position of a crossing.
+
+    Returns
+    -------
+    found : list of Crossing
+        Crossings in increasing order.
+    sign : int
+        Last non-zero sign so far; 0 if there has been none.
 
     Raises
     ------
     UndefinedError
-        Where the scalar has no value at a place that matters.
+        If the scalar has no finite value at an end of the step or where a crossing is located.
     """
     for place, value in (shown[0], shown[-1]):
         if not math.isfinite(value):
@@ -71,7 +79,7 @@ def crossings(
     points = [shown[0], shown[-1]]
     full = _with_turns([point for point in shown if math.isfinite(point[1])], dense)
     ends = _changes(before, points)
-    if _changes(before, full) > ends:  # there and back again, if the method agrees
+    if _changes(before, full) > ends:  # a double crossing on dense output; verify it on exact values
         points = [shown[0], *((place, _defined(exact, place)) for place, _ in full[1:-1]), shown[-1]]
     found = []
     now = before or sign(shown[0][1])
@@ -86,13 +94,16 @@ def crossings(
 
 
 def _changes(before: int, points: Sequence[Point]) -> int:
-    """Return how often the sign changes, zeros left out."""
+    """Return the number of sign changes, ignoring zeros."""
     signs = [s for s in (before, *(sign(value) for _, value in points)) if s]
     return sum(a != b for a, b in pairwise(signs))
 
 
 def _with_turns(points: list[Point], dense: Scalar) -> list[Point]:
-    """Return the points with those added where parabolas through three of them have turned to the other side."""
+    """Add points near extrema of parabolas through three points if the scalar changes sign there.
+
+    This detects double crossings between points of equal sign.
+    """
     more = []
     for (a, fa), (b, fb), (c, fc) in zip(points, points[1:], points[2:], strict=False):
         if not sign(fa) == sign(fb) == sign(fc) != 0:
@@ -110,9 +121,9 @@ def _with_turns(points: list[Point], dense: Scalar) -> list[Point]:
 
 
 def _located(left: Point, right: Point, new: int, exact: Scalar, accuracy: float) -> float | None:
-    """Return where the sign turns to `new` between two points; None at a pole."""
+    """Return the position at which the sign changes to `new` between two points; None at a pole."""
     (a, fa), (b, fb) = left, right
-    if sign(fa) != -new:  # it stood at zero: the last place where it did
+    if sign(fa) != -new:  # the left value is zero: bisect for the last zero
         while b - a > max(accuracy, _ROUNDING):
             middle = 0.5 * (a + b)
             if sign(_defined(exact, middle)) == new:

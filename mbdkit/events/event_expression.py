@@ -1,14 +1,15 @@
-"""Expressions over a run: of time, bodies, joints and energies, parsed by the whitelist of expressions of time.
+"""Event expressions of time, bodies, joints and energies, parsed by an extension of the parser for expressions of time.
 
-Beside ``t``, ``pi``, numbers, operators and functions there are
+In addition to ``t``, ``pi``, numbers, operators and functions, an expression can contain
 
     NAME.x .y .angle   .vx .vy .angular_velocity   .ax .ay .angular_acceleration       of a body
     NAME.force .force_x .force_y .torque .misalignment .angle                          of a joint
     energy.kinetic .potential .total
 
-in SI units, as the archive records them: accelerations and reactions are those of index 1 at the state. The force of a
-joint is the magnitude; its angle is that of the second body against the first. A name that a body shares with a joint
-is written ``bodies.NAME`` or ``joints.NAME``, one with other characters ``bodies["NAME"]`` or ``joints["NAME"]``.
+in SI units, as recorded in the archive: accelerations and reactions are the index-1 values at the state. ``force`` is
+the magnitude of a joint's reaction force, ``angle`` the angle of its second body relative to the first. Write
+``bodies.NAME`` or ``joints.NAME`` if a body and a joint have the same name, and ``bodies["NAME"]`` or
+``joints["NAME"]`` if the name is not an identifier.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _NOT_NEGATIVE = {("joints", "force"), ("joints", "misalignment"), ("energy", "ki
 
 @dataclass(frozen=True)
 class Quantity:
-    """One scalar of a run: an attribute of one of the `bodies` or `joints`, or of the `energy`, which has no name."""
+    """One scalar of a run: `kind` is ``bodies``, ``joints`` or ``energy``; `name` is empty for ``energy``."""
 
     kind: str
     name: str
@@ -48,17 +49,17 @@ class Quantity:
 
 @dataclass(frozen=True)
 class RunExpression:
-    """A scalar over a run that may cross zero.
+    """A scalar function of the state and time of a run, whose zero crossings are events.
 
     Attributes
     ----------
     text
-        As the user wrote it.
+        The expression as written by the user.
     program
-        Postfix instructions as those of `mbdkit.mechanism.time_expression.Expression`, and ``get``, which pushes the
-        quantity of that number.
+        Postfix instructions as in `mbdkit.mechanism.time_expression.Expression`, and ``get``, which pushes the quantity
+        with the given index in `quantities`.
     quantities
-        What it is made of, beside the time.
+        Quantities in the expression, except time.
     """
 
     text: str
@@ -67,12 +68,12 @@ class RunExpression:
 
     @staticmethod
     def parse(text: str, mechanism: Mechanism) -> RunExpression:
-        """Return the expression that `text` says of a mechanism.
+        """Parse an expression of quantities of a mechanism.
 
         Raises
         ------
         SpecError
-            What cannot be read, is not there, or cannot cross zero.
+            If the syntax is wrong, a quantity does not exist, or the expression cannot cross zero.
         """
         compiler = _RunCompiler(text, mechanism)
         program = tuple(compiler.program())
@@ -80,12 +81,12 @@ class RunExpression:
         return RunExpression(text, program, tuple(compiler.quantities))
 
     def function(self, places: Mapping[Quantity, int]) -> Callable[[Sequence[float]], float]:
-        """Return what evaluates the expression: nan where it has no value.
+        """Return a function that evaluates the expression; it returns nan where the expression is undefined.
 
         Parameters
         ----------
         places
-            Where each quantity stands in the values that the function takes; the time is at 0.
+            Index of each quantity in the argument of the function; index 0 is the time.
         """
         stack: list[Callable[[Sequence[float]], float]] = []
         for operation, number in self.program:
@@ -141,7 +142,7 @@ def _binary(
 
 
 def _total(function: Callable[[Values], float]) -> Callable[[Values], float]:
-    """Return the function with nan for what has no value, such as the root of a negative number."""
+    """Wrap a function to return nan where it is undefined, as for the square root of a negative number."""
 
     def evaluated(values: Values) -> float:
         try:
@@ -153,11 +154,11 @@ def _total(function: Callable[[Values], float]) -> Callable[[Values], float]:
 
 
 def _check_crossing(program: Program, quantities: Sequence[Quantity]) -> None:
-    """Raise SpecError for an expression that is seen to keep its sign."""
+    """Raise SpecError if the form of the expression shows that it never changes sign."""
     last, number = program[-1]
     if len(program) == 1 and last == "const":
         raise SpecError(
-            f"the expression is the constant {number:.6g}, which never crosses zero; name something of the run in it, "
+            f"the expression is the constant {number:.6g}, which never crosses zero; use a quantity of the run in it, "
             "such as NAME.angle of a body"
         )
     alone = quantities[0] if len(program) == 1 and last == "get" else None
@@ -165,12 +166,12 @@ def _check_crossing(program: Program, quantities: Sequence[Quantity]) -> None:
         last in ("abs", "sqrt", "exp") or (last == "powi" and int(number) % 2 == 0)
     ):
         raise SpecError(
-            "the expression is never negative, so that it cannot cross zero; subtract the value that matters from it"
+            "the expression is never negative, so it cannot cross zero; subtract the threshold of the event from it"
         )
 
 
 class _RunCompiler(Compiler):
-    """Compiles one text, with the names of a run in it."""
+    """Compiles one expression with the quantities of a run."""
 
     wanted = "an expression of a run, which has numbers, t, pi, NAME.ATTRIBUTE of bodies and joints, energy.total"
 
@@ -184,7 +185,7 @@ class _RunCompiler(Compiler):
         super().__init__(text)
 
     def unquoted(self) -> str:
-        """Return the text with blanks for names in quotes."""
+        """Return the source with quoted names replaced by blanks of the same length."""
         return re.sub(r"\"[^\"\\]*\"|'[^'\\]*'", lambda match: " " * len(match[0]), self.source)
 
     def operand(self, node: ast.expr) -> Code:
@@ -203,22 +204,22 @@ class _RunCompiler(Compiler):
                 return self.of(self.kind(name, attribute, node), name, attribute, node)
             case ast.Name(id="energy" | "bodies" | "joints" as group):
                 example = f"{group}.{'NAME.' * (group in self.known)}{_ATTRIBUTES[group][-1]}"
-                self.refuse(f"'{group}' is no quantity by itself; write {example}, for example", node)
+                self.refuse(f"'{group}' is not a quantity by itself; write {example}, for example", node)
             case ast.Name(id=name) if any(name in names for names in self.known.values()):
                 what, attribute = ("body", "angle") if name in self.known["bodies"] else ("joint", "force")
                 self.refuse(
-                    f"'{name}' is a {what} and no number; name a quantity of it, such as {name}.{attribute}", node
+                    f"'{name}' is a {what}, not a number; use one of its quantities, such as {name}.{attribute}", node
                 )
             case ast.Name(id=name) if meant := [quoted for quoted in self.quoted if re.match(rf"{name}\W", quoted)]:
                 self.refuse(f"unknown name '{name}'{self.spelling(meant[0])}", node)
         return super().operand(node)
 
     def spelling(self, name: str) -> str:
-        """Return how a name is written that is not made of letters, digits and underscores."""
+        """Return a hint on how to write a name that is not an identifier."""
         return f"; a name such as {name!r} is written {self.quoted[name]}[{name!r}]"
 
     def kind(self, name: str, attribute: str, node: ast.expr) -> str:
-        """Return whether a name means a body or a joint."""
+        """Return the kind, ``bodies`` or ``joints``, to which a name refers."""
         kinds = [kind for kind, names in self.known.items() if name in names]
         if not kinds:
             self.unknown(name, [*self.known["bodies"], *self.known["joints"]], "body or joint", node)
@@ -240,13 +241,13 @@ class _RunCompiler(Compiler):
         return self.get(Quantity(kind, name, attribute))
 
     def get(self, quantity: Quantity) -> Code:
-        """Return the program of a quantity that is there."""
+        """Return the program that pushes a checked quantity."""
         if quantity not in self.quantities:
             self.quantities.append(quantity)
         return [("get", float(self.quantities.index(quantity)))]
 
     def checked(self, attribute: str, kinds: Sequence[str], name: str, node: ast.expr) -> str:
-        """Return an attribute that one of the kinds has; refuse others."""
+        """Return `attribute` if one of the kinds has it; raise SpecError otherwise."""
         known = [word for kind in kinds for word in _ATTRIBUTES[kind]]
         if attribute not in known:
             whose = " and ".join(f"{_ONE[kind]} '{name}'" for kind in kinds) if name else "energy"
@@ -255,6 +256,8 @@ class _RunCompiler(Compiler):
         return attribute
 
     def unknown(self, name: str, known: Sequence[str], what: str, node: ast.expr) -> NoReturn:
-        """Refuse a name that is not there."""
+        """Raise SpecError for an unknown name."""
         hint = did_you_mean(name, known) or f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}"
-        self.refuse(f"there is no {what} '{name}'{', for the ground stands still' if name == GROUND else hint}", node)
+        self.refuse(
+            f"there is no {what} '{name}'{', because the ground does not move' if name == GROUND else hint}", node
+        )

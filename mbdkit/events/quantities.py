@@ -1,4 +1,4 @@
-"""Values of the quantities that event expressions are made of, at states of a run."""
+"""Evaluates the quantities of event expressions at states of a run."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from mbdkit.events.event_expression import BODY, Quantity
 
 _REACTION = ("force_x", "force_y", "torque")
 _KINEMATIC = (*BODY[:6], "angle")
-"""Attributes that follow from positions and velocities alone."""
+"""Attributes that depend only on positions and velocities."""
 
 
 class _States(NamedTuple):
-    """K states, and what the engine computes from them; without `observed` if no quantity needs it."""
+    """K states and the values computed from them by the engine; `observed` is None if no quantity needs these."""
 
     q: np.ndarray
     v: np.ndarray
@@ -27,13 +27,13 @@ class _States(NamedTuple):
 
     @property
     def dynamics(self) -> Observed:
-        """What the engine computes."""
+        """Values computed by the engine, such as accelerations and reactions."""
         assert self.observed is not None
         return self.observed
 
 
 class QuantityEvaluator:
-    """Evaluates quantities at states; quantities of positions and velocities alone do not call the engine.
+    """Evaluates quantities at states, without calling the engine if all depend only on positions and velocities.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class QuantityEvaluator:
         self._buffers: dict[int, Observed] = {}
 
     def values(self, times: Sequence[float], q: np.ndarray, v: np.ndarray) -> list[list[float]]:
-        """Return for each of K states its time and the quantities after it; nan where a quantity has no value.
+        """Return, for each of K states, a list of its time and all quantities; undefined quantities are nan.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class QuantityEvaluator:
         return lambda states: np.sum(states.dynamics.reactions[:, pairs, component], axis=1)
 
     def _observed(self, times: np.ndarray, q: np.ndarray, v: np.ndarray) -> Observed:
-        """Return what the engine computes from states; nan for a state without unique accelerations."""
+        """Return the values computed by the engine; nan for states without unique accelerations."""
         count, begin = len(times), 0
         if count not in self._buffers:
             self._buffers[count] = self._observer.arrays(count)

@@ -1,4 +1,4 @@
-"""Watches a run for its events: one step after the other, each looked into before the next."""
+"""Detects the events of a run after every step."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from mbdkit.stepping import interface
 from mbdkit.stepping.interface import Failure, Stepper, StepTaken, Stretch, joined
 
 INSIDE = (0.25, 0.5, 0.75)
-"""Places within a step at which dense output is looked at."""
+"""Relative positions in a step at which dense output is evaluated."""
 
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
 
 
 @dataclass(frozen=True)
 class Watched:
-    """An event to be watched for.
+    """An event to detect.
 
     Parameters
     ----------
     name
-        Its name.
+        Name of the event.
     when
-        What crosses zero.
+        Expression whose zero crossings are detected.
     direction
-        Which crossings count.
+        Direction of the crossings that count.
     action
-        Whether the run ends there, or goes on.
+        Whether the run continues (``note``) or ends (``stop``) at a crossing.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Watched:
 
 @dataclass(frozen=True)
 class Found:
-    """One crossing: the event's name, time [s], direction (1 or -1), and the state (3 (B + 1),) there."""
+    """One crossing: name of the event, time [s], direction (1 or -1), and positions and velocities (3 (B + 1),)."""
 
     name: str
     time: float
@@ -61,7 +61,7 @@ class Found:
 
 
 def values_at_start(expressions: Mapping[str, RunExpression], workspace: Workspace) -> dict[str, float]:
-    """Return the values of expressions at the start of a run; nan where they have none."""
+    """Return the values of expressions at the start of a run; nan for undefined ones."""
     evaluator, functions = _prepared(list(expressions.values()), workspace)
     values = evaluator.values([workspace.t0], workspace.q0[None], workspace.v0[None])[0]
     return {name: function(values) for name, function in zip(expressions, functions, strict=True)}
@@ -70,28 +70,28 @@ def values_at_start(expressions: Mapping[str, RunExpression], workspace: Workspa
 def _prepared(
     expressions: Sequence[RunExpression], workspace: Workspace
 ) -> tuple[QuantityEvaluator, list[Callable[[Sequence[float]], float]]]:
-    """Return what evaluates the quantities of all expressions at once, and the expressions as functions of them."""
+    """Return an evaluator of the quantities of all expressions, and the expressions as functions of its values."""
     quantities = list(dict.fromkeys(quantity for one in expressions for quantity in one.quantities))
     places = {quantity: place for place, quantity in enumerate(quantities, start=1)}
     return QuantityEvaluator(workspace, quantities), [one.function(places) for one in expressions]
 
 
 class Watch:
-    """A stepper around another that takes single steps: looks for events, and ends the run at one that stops it.
+    """Wraps a stepper to detect events and to end the run at an event with the action ``stop``.
 
     Parameters
     ----------
     stepper
-        Started with ``Timetable.single``.
+        The stepper, started with ``Timetable.single``.
     workspace
-        What it steps.
+        Workspace of the stepper.
     events
-        What to watch for.
+        Events to detect.
 
     Attributes
     ----------
     stopped
-        The event that ended the run, if one did.
+        Crossing that ended the run, or None.
     """
 
     def __init__(self, stepper: Stepper, workspace: Workspace, events: Sequence[Watched]):
@@ -107,12 +107,12 @@ class Watch:
 
     @property
     def counters(self) -> Counters:
-        """Cost so far."""
+        """Counters of steps and evaluations so far."""
         return self.stepper.counters
 
     @property
     def finished(self) -> bool:
-        """Whether the run has come to its end, or to an event that stops it."""
+        """Whether the run has reached its end time or an event that stops it."""
         return self.stepper.finished
 
     @property
@@ -122,7 +122,7 @@ class Watch:
 
     @property
     def worst_pairs(self) -> np.ndarray:
-        """(P,) largest square of the norm of each pair's Phi so far."""
+        """(P,) largest squared norm of each pair's Phi so far."""
         return self.stepper.worst_pairs
 
     @property
@@ -136,7 +136,10 @@ class Watch:
         return found
 
     def advance(self) -> Stretch:
-        """Go on for about `STRETCH` seconds; what the method raised comes out after the rows before it."""
+        """Advance for about `STRETCH` seconds of wall time and return the rows to be recorded.
+
+        If the method raises an exception after some steps, their rows are returned first and the next call raises it.
+        """
         if self._raised is not None:
             raise self._raised
         until = time.perf_counter() + interface.STRETCH
@@ -162,7 +165,7 @@ class Watch:
         return self.stepper.last_state()
 
     def _look(self, stretch: Stretch) -> Stretch:
-        """Find the events of the last step; return its rows, cut where one of them stops the run."""
+        """Find the events of the last step; return its rows, truncated at an event that stops the run."""
         step = self.stepper.last_step
         if step is None:
             return stretch
@@ -186,7 +189,7 @@ class Watch:
         return stretch
 
     def _shown(self, step: StepTaken) -> list[list[tuple[float, float]]]:
-        """Return for each event its scalar at the beginning of a step, inside, and at its end."""
+        """Return, for each event, points (position, value) of its scalar at the start, inside and end of a step."""
         if self._values is None:
             self._values = self._quantities.values([step.t0], step.q0[None], step.v0[None])[0]
         states = [*(self.stepper.inside(theta) for theta in INSIDE), (step.q1, step.v1)]
@@ -196,7 +199,7 @@ class Watch:
         return [list(zip((0.0, *INSIDE, 1.0), map(function, rows), strict=True)) for function in self._functions]
 
     def _scalar(self, number: int, state: Callable[[float], tuple[np.ndarray, np.ndarray]]) -> Callable[[float], float]:
-        """Return the scalar of an event over the last step, at the states that `state` gives."""
+        """Return the scalar of an event as a function of the position in the last step, with states from `state`."""
         step = self.stepper.last_step
         assert step is not None
 
@@ -207,7 +210,7 @@ class Watch:
         return scalar
 
     def _cut(self, stretch: Stretch, theta: float) -> Stretch:
-        """End the run; return the rows before with that of the end, unless it is recorded already."""
+        """End the run at `theta`; return the rows before it and the row of the end, unless it is recorded already."""
         end = self.stepper.cut(theta)
         kept = stretch.rows(stretch.time < end.time[0])
         if end.time[0] <= max([self._recorded, *kept.time]):

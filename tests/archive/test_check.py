@@ -142,7 +142,7 @@ DAMAGE: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "time no number": (attribute("stats", "wall_s", "long"), "wall_s of stats is not a time in s"),
     "no misalignment_max": (attribute("joints", "misalignment_max", None), "does not hold a number for each of 2"),
     "short misalignment_max": (attribute("joints", "misalignment_max", [1.0]), "does not hold a number for each of 2"),
-    "small misalignment_max": (attribute("joints", "misalignment_max", [0.0, 0.0]), "is less than what"),
+    "small misalignment_max": (attribute("joints", "misalignment_max", [0.0, 0.0]), "is less than the maximum"),
     "two misalignment_max": (attribute("joints", "misalignment_max", [3.0, 3.0]), "and of joints/misalignment differ"),
 }
 
@@ -210,7 +210,7 @@ def test_flipped_byte_in_the_data_is_found(archive: Path) -> None:
     content = bytearray(archive.read_bytes())
     content[offset + 100] ^= 1
     archive.write_bytes(content)
-    assert check(archive) == ["the data are not those that were written: data_sha256 does not match"]
+    assert check(archive) == ["the data have changed since they were written: data_sha256 does not match"]
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ def test_missing_file_is_refused(tmp_path: Path) -> None:
 
 def test_missing_file_points_to_its_part(tmp_path: Path) -> None:
     (tmp_path / "run.h5.part").touch()
-    assert "run.h5.part is what an unfinished run has written" in refusal(tmp_path / "run.h5")
+    assert "run.h5.part holds the data of an unfinished run" in refusal(tmp_path / "run.h5")
 
 
 def test_folder_is_refused(tmp_path: Path) -> None:

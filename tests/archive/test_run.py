@@ -99,7 +99,7 @@ def test_arrays_are_read_once(archive: Path) -> None:
 def test_unknown_names_are_refused_with_the_nearest(run: Run) -> None:
     for ask, words in (
         (lambda: run["rod3"], r"the run has no body 'rod3' \(did you mean 'rod2'\?\)|rod1"),
-        (lambda: run.joints["K"], "the run has no joint 'K'; there is J1, J2"),
+        (lambda: run.joints["K"], "the run has no joint 'K'; available: J1, J2"),
         (lambda: run.constraints["J1.z"], "no constraint 'J1.z'"),
         (lambda: run.array("energy/totl"), r"no array 'energy/totl' \(did you mean 'energy/total'\?\)"),
     ):

@@ -85,5 +85,5 @@ def test_summary_says_how_near_a_run_came_to_a_singular_position() -> None:
         into.append_steps(steps(10))
         with Run(into.finish("complete", "", STATS, np.full(2, 1.0))) as run:
             np.testing.assert_array_equal(run.singularity_distance, distance)
-            assert ("singularity   as near as 0.002 of 0.4, at 0.04 s" in run.summary()) is told
+            assert ("singularity   distance 0.002 at 0.04 s, maximum 0.4" in run.summary()) is told
             assert ("singularity" in run.summary()) is told

@@ -103,7 +103,7 @@ def test_file_that_appears_meanwhile_is_left_alone(tmp_path: Path) -> None:
     into = writer(path)
     fill(into, 11)
     path.write_text("precious")
-    with pytest.raises(MbdkitError, match=r"appeared while the run was under way.*run\.h5\.part"):
+    with pytest.raises(MbdkitError, match=r"was created during the run.*run\.h5\.part"):
         into.finish("complete", "", STATS, largest(11, names()))
     assert path.read_text() == "precious"
     assert check(tmp_path / "run.h5.part") == []
@@ -119,7 +119,7 @@ def test_file_systems_without_hard_links_will_do(tmp_path: Path, monkeypatch: py
     assert os.listdir(tmp_path) == ["run.h5"]
     into = writer(tmp_path / "next.h5")
     (tmp_path / "next.h5").write_text("precious")
-    with pytest.raises(MbdkitError, match="appeared while"):
+    with pytest.raises(MbdkitError, match="was created during the run"):
         into.finish("complete", "", STATS, largest(0, names()))
     assert (tmp_path / "next.h5").read_text() == "precious"
 
@@ -133,7 +133,7 @@ def test_part_of_a_dead_run_is_replaced(tmp_path: Path, left: bytes) -> None:
 
 def test_part_that_is_no_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "run.h5.part").mkdir()
-    with pytest.raises(SpecError, match="in the way"):
+    with pytest.raises(SpecError, match="not a regular file"):
         writer(tmp_path / "run.h5")
 
 
@@ -238,7 +238,7 @@ def test_disk_that_fails_without_warning_is_said(tmp_path: Path, limit: int, int
 
 def test_full_disk_leaves_what_was_flushed(tmp_path: Path) -> None:
     done = run_python(FULL_DISK.format(limit=800_000, interval=0.0), tmp_path)
-    assert "what was recorded until shortly before is in run.h5.part" in done.stdout
+    assert "the data up to the last flush are in run.h5.part" in done.stdout
     with load(tmp_path / "run.h5.part") as run:
         assert run.status == "running"
         assert len(run.time) >= 100

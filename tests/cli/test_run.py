@@ -180,7 +180,10 @@ def test_redundant_joints_are_named_by_validate_run_and_info(mbdkit, in_tmp_path
     assert "freedom      1 degree of freedom, 6 joints, 1 redundant row: joint D\n" in result.stdout
     result = mbdkit("run", "spec.yaml")
     assert result.exit_code == 0, result.stderr
-    assert "redundancy    1 redundant row: joint D; reactions are not unique, the least are recorded\n" in result.stdout
+    assert (
+        "redundancy    1 redundant row: joint D; reactions are not unique, those of least norm recorded\n"
+        in result.stdout
+    )
     result = mbdkit("archive", "info", "spec.h5")
     assert "redundancy        1 redundant row: joint D\n" in result.stdout
     assert result.stdout.count(", not unique\n") == 3
