@@ -217,7 +217,7 @@ def test_any_vector_of_the_right_length_will_do(given: Any) -> None:
 
 def test_a_wrong_length_is_told() -> None:
     p = problem("driven chain")
-    with pytest.raises(ValueError, match=r"shape \(3,\) was given where \(12,\) is wanted"):
+    with pytest.raises(ValueError, match=r"expected an array of shape \(12,\), got shape \(3,\)"):
         p.constraints(T, np.zeros(3))
 
 
