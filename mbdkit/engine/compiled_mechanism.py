@@ -108,7 +108,7 @@ class CompiledMechanism:
     def freedoms(self) -> str:
         """Return the number of degrees of freedom as text, such as ``1 degree of freedom, 10 joints, 1 driver``.
 
-        Redundant rows are not subtracted.
+        This is the number of coordinates minus the number of independent constraint rows.
         """
         number = self.coordinates - int(np.sum(self.topology.rows))
         parts = [

@@ -372,7 +372,7 @@ class EquationsOfMotion:
 
     def _singular(self, error: SingularSystemError) -> StepError:
         name = self._workspace.mechanism.unknown_name(error.index)
-        return StepError("singular", f"no independent equations are left at {name}")
+        return StepError("singular", f"the system of equations is singular at {name}")
 
     def _not_finite(self) -> StepError:
         if not self._workspace.motions_are_finite():

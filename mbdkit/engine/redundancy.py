@@ -246,10 +246,12 @@ class _Analysis:
                 places.append(self.place_at(search, q, spare))
             elif latest <= SMALL_MOVE:
                 phi = search.evaluate(q)[0][self.rows] * start.scale
-                raise self.contradiction(start, phi, f"at t = {t:g} s they can no longer be satisfied together")
+                raise self.contradiction(
+                    start, phi, f"at t = {t:g} s their constraints can no longer be satisfied together"
+                )
         return places
 
-    # ---- errors ------------------------------------------------------------------------------------------------
+    # ---- errors --------------------------------------------------------------------------------------------------
 
     def check_accelerations(self, start: _Place, v0: np.ndarray) -> None:
         """Raise SpecError if redundant rows require different accelerations."""
@@ -345,9 +347,8 @@ def require_unique_start(workspace: Workspace) -> None:
     if not (np.all(np.isfinite(acc)) and np.all(np.isfinite(lam))):
         refuse_law(workspace)
         raise SpecError("the forces at the start overflow in double precision", key="model")
-    workspace.scratch.faulty[
-        0
-    ] = -1  # a force law with an infinite derivative here can still be used by explicit methods
+    # A force law with an infinite derivative at the start can still be used by explicit methods.
+    workspace.scratch.faulty[0] = -1
 
 
 def refuse_law(workspace: Workspace) -> None:

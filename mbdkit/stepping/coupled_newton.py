@@ -1,8 +1,8 @@
 """Newton's method for all stages of a step simultaneously, with the tangents evaluated at each stage.
 
 The iteration of `mbdkit.stepping.collocation_index1` uses the same tangents for all stages. It does not converge if a
-singular position is less than a step away: accelerations are proportional to 1 / x there, with x the distance to the
-singular position, so that the tangents of different stages differ strongly for any step size. But the equations
+singular position is less than a step away: accelerations vary like 1 / x there, with x the distance to the singular
+position, so that the tangents of different stages differ strongly, however small the step. But the equations
 
     M a_i + Phi_q^T lambda_i = Q,    Phi_q a_i = gamma    at    (t_i, q_i(a), v_i(a)),    i = 1..s
 

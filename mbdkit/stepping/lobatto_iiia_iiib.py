@@ -99,7 +99,7 @@ class Pair(NamedTuple):
     acc: np.ndarray
     """(s, 3 (B + 1)) accelerations of the stages."""
     lam: np.ndarray
-    """(s, P, 2) multipliers of the stages, of the rows that are solved for."""
+    """(s, P, 2) multipliers of the independent rows at the stages."""
     past: PastSteps
     q_stage: np.ndarray
     v_stage: np.ndarray
@@ -322,7 +322,7 @@ class PairFamily(Family):
     attempt = attempt
     carries_stages = True
     carries_multipliers = True
-    hint = "a smaller time.step may help, or radau-iia where forces are stiff"
+    hint = "a smaller time.step may help, or radau-iia for stiff forces"
 
     def __init__(self, method: LobattoPair, workspace: Workspace):
         super().__init__(workspace)

@@ -26,8 +26,8 @@ MAX_TRIALS = 100
 """Iterations of a symmetric projection, each with a step of the method; it converges slowly on fast linkages."""
 
 IDLE, IDLE_RATIO = 2, 0.9
-"""The iteration ends after so many iterations without progress: the residual is above this ratio of the smallest one
-so far, and already at the level of rounding errors."""
+"""Number of iterations without progress after which the iteration ends. No progress means that the residual exceeds
+this ratio of the smallest one so far, and is below `STAGNANT`, the level of rounding errors."""
 
 
 @subkernel

@@ -105,7 +105,7 @@ class SciPyStepper:
                 workspace.use_pivots()
             except SingularSystemError as error:
                 name = workspace.mechanism.unknown_name(error.index)
-                where = f"no independent equations are left at {name} at t = {t:.6g} s"
+                where = f"the system of equations is singular at {name} at t = {t:.6g} s"
                 raise _StoppedError(Failure("singular", f"{where}{self._nearness(t, y)}.")) from None
         self._finite = self._finite and bool(np.all(np.isfinite(out)))
         return out if self.has_power else out[: 2 * self.n3]

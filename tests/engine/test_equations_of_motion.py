@@ -260,7 +260,7 @@ def test_a_mechanism_without_a_unique_solution_is_told_by_name() -> None:
         lambda: p.accelerations(0.0, flat, p.v0),
         lambda: p.iteration_matrix(0.0, flat, p.v0, *nothing, stiffness=1e-6).solve(np.ones(p.n), np.ones(p.m)),
     ):
-        with pytest.raises(StepError, match=r"no independent equations are left|too close to singular") as error:
+        with pytest.raises(StepError, match=r"system of equations is singular|too close to singular") as error:
             call()
         assert error.value.code == "singular"
 
