@@ -1,1 +1,1 @@
-"""The engine: a mechanism compiled to flat arrays, its equations of motion, a consistent start, and its redundancy."""
+"""The engine: compilation of mechanisms to flat arrays, assembly, analysis of redundancy, and equations of motion."""

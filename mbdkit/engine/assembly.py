@@ -1,4 +1,4 @@
-"""A consistent start: initial positions and velocities moved onto the joints by the least amount in the mass metric."""
+"""Assembly: make the initial state satisfy the constraints, with the least change in the mass metric."""
 
 from __future__ import annotations
 
@@ -16,31 +16,34 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Table
 
 NOISE = 1e-9
-"""Changes below this are not told [m, rad, m/s, rad/s]."""
+"""Changes below this are not reported [m, rad, m/s, rad/s]."""
 
 MUCH_CHANGED = 1e3
-"""Residuals up to this many tolerances are what round-off leaves of velocities that had to change a lot."""
+"""Velocity residuals up to this multiple of the tolerance are accepted after a correction.
+
+If velocities change by much more than their own size, round-off leaves residuals above the tolerance.
+"""
 
 ROUND_OFF = 8 * np.finfo(float).eps
-"""Residuals below this, relative to the largest coordinate, cannot be told from round-off."""
+"""Residuals below this, relative to the largest coordinate, count as round-off."""
 
 
 @dataclass(frozen=True)
 class AssembledState:
-    """A consistent start.
+    """An initial state that satisfies the constraints.
 
     Attributes
     ----------
     q, v
         (B, 3) positions (x, y, theta) and velocities [m, rad, m/s, rad/s].
     changed
-        Whether anything moved; if not, `q` and `v` are the given values to the bit.
+        Whether any value changed; if not, `q` and `v` are bitwise equal to the given values.
     moved_position, moved_angle
-        How far each body's centre moved [m] and turned [rad].
+        Displacement of each body's centre of mass [m] and rotation of each body [rad], as absolute values.
     changed_velocity, changed_rate
-        By how much each body's velocity [m/s] and angular velocity [rad/s] changed.
+        Change of each body's velocity [m/s] and angular velocity [rad/s], as absolute values.
     residual, velocity_residual
-        Largest |Phi| and |Phi_q v + Phi_t| that are left.
+        Largest remaining |Phi| and |Phi_q v + Phi_t|.
     """
 
     q: np.ndarray
@@ -54,9 +57,9 @@ class AssembledState:
     velocity_residual: float
 
     def describe(self) -> str:
-        """Return in a sentence what assembly moved, largest first."""
+        """Return a sentence that lists the changes made by assembly, largest first."""
         if not self.changed:
-            return "The given start meets the joints and is left untouched."
+            return "The given initial state satisfies the constraints and is left untouched."
         parts = []
         for unit, moved in (
             ("m", self.moved_position),
@@ -68,42 +71,43 @@ class AssembledState:
             if most:
                 more = f" and {len(most) - 3} more" if len(most) > 3 else ""
                 parts.append(", ".join(f"{name} {moved[name]:.3g} {unit}" for name in most[:3]) + more)
-        told = "; ".join(parts) or "nothing by more than 1e-9"
-        return f"The start was made consistent; moved by: {told}."
+        told = "; ".join(parts) or "none above 1e-9"
+        return f"The start was made consistent; changes: {told}."
 
 
 def assemble(mechanism: Mechanism, t0: float = 0.0, compiled: CompiledMechanism | None = None) -> AssembledState:
-    """Make a mechanism's start consistent with its joints.
+    """Correct the initial state of a mechanism so that it satisfies the constraints.
 
-    Positions minimise the mass-weighted change under Phi(q, t0) = 0: Newton steps close the gaps, then Newton runs on
-    the conditions of least change; velocities likewise under Phi_q v + Phi_t = 0, which is linear. Bodies named in
-    ``assembly.fix`` keep their position and velocity. A start within the tolerance is left untouched to the bit.
+    The positions minimise the mass-weighted change subject to Phi(q, t0) = 0: Newton steps reduce the residuals to
+    zero, then Newton's method is applied to the optimality conditions. The velocities minimise the mass-weighted change
+    subject to Phi_q v + Phi_t = 0, a linear problem. Bodies named in ``assembly.fix`` keep their position and velocity.
+    Positions and velocities whose residuals are within the tolerance are not changed, not even in the last bit.
 
     Parameters
     ----------
     mechanism
-        Validated mechanism; its initial values may be approximate.
+        Validated mechanism. Its initial values may be approximate.
     t0
         Start time [s].
     compiled
-        The same mechanism compiled, where that is at hand.
+        The compiled mechanism, if it is available already.
 
     Returns
     -------
     AssembledState
-        The start, and what moved by how much.
+        The consistent initial state and the changes that were made.
 
     Raises
     ------
     SpecError
-        Where joints cannot meet; the message names them and the gaps that are left.
+        If the constraints cannot be satisfied. The message names the joints and their remaining residuals.
     """
     work = _Assembly(mechanism, compiled or compile_mechanism(mechanism), t0)
     return work.run()
 
 
 class _Assembly:
-    """The start of one mechanism, on its way to its joints."""
+    """The assembly of one mechanism."""
 
     def __init__(self, mechanism: Mechanism, compiled: CompiledMechanism, t0: float):
         self.mechanism, self.compiled, self.t0 = mechanism, compiled, t0
@@ -124,7 +128,7 @@ class _Assembly:
             q = search.positions(q, q_tolerance)
             phi, _, _ = search.evaluate(q)
             if not _largest(phi) <= q_tolerance:
-                raise self.failure(phi, q_tolerance, "meet")
+                raise self.failure(phi, q_tolerance, "be assembled")
         _, jacobian, phi_t = search.evaluate(q)
         rate = search.rates(jacobian, v, phi_t)
         v_tolerance = max(tolerance, ROUND_OFF * _largest(v) * search.reach)
@@ -132,11 +136,11 @@ class _Assembly:
             v = search.velocities(v, jacobian, phi_t, v_tolerance)
             rate = search.rates(jacobian, v, phi_t)
             if not _largest(rate) <= MUCH_CHANGED * v_tolerance:
-                raise self.failure(rate, v_tolerance, "move together")
+                raise self.failure(rate, v_tolerance, "have consistent velocities")
         return self.report(q, v, phi, rate)
 
     def check_motions(self) -> None:
-        """Raise SpecError for the first driver or load whose motion is not a finite number at the start."""
+        """Raise SpecError for the first driver or load whose motion is not finite at the start."""
         top, scratch = self.compiled.topology, self.search.scratch
         self.search.evaluate(self.given_q.ravel())
         if finite_motions(top, scratch.u):
@@ -156,16 +160,16 @@ class _Assembly:
                         key=key,
                     )
                 raise SpecError(
-                    f"{motion!r} is not a finite number at the start, t = {self.t0:g} s, "
-                    "or one of the first two derivatives is not, which a driver needs",
+                    f"{motion!r} is not finite at the start, t = {self.t0:g} s; a driver also needs finite first and "
+                    "second time derivatives",
                     key=key,
                 )
 
     def failure(self, residual: np.ndarray, tolerance: float, what: str) -> SpecError:
-        """Return the error that names the joints that cannot meet, worst first."""
+        """Return the error that names the joints with residuals above the tolerance, largest first."""
         gaps: dict[str, tuple[float, str]] = {}
         for row, value in zip(self.compiled.rows, residual, strict=True):
-            name, unit = row.label.rsplit(".", 1)[0], row.unit if what == "meet" else f"{row.unit}/s"
+            name, unit = row.label.rsplit(".", 1)[0], row.unit if what == "be assembled" else f"{row.unit}/s"
             gap = abs(float(value)) if np.isfinite(value) else np.inf
             if name not in gaps or gap > gaps[name][0]:
                 gaps[name] = (gap, unit)
@@ -176,7 +180,7 @@ class _Assembly:
         fixed = f" while {', '.join(held)} stay{'s' * (len(held) == 1)} fixed" if held else ""
         return SpecError(
             f"these joints cannot {what} at t = {self.t0:g} s{fixed}: {listed}{more}; "
-            "check lengths, points and drivers, or start nearer to a pose that fits",
+            "check lengths, points and drivers, or start closer to a consistent pose",
             key="model.joints",
         )
 

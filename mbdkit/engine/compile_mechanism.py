@@ -1,4 +1,4 @@
-"""From a mechanism by name to the flat arrays of a compiled one."""
+"""Compile a mechanism, whose bodies, joints and forces have names, to flat numbered arrays."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from mbdkit.mechanism.values import Motion, Table
 Numbers = tuple[float, ...]
 
 LOADS = {"torque": TORQUE, "point_force": POINT_FORCE, "body_force": BODY_FORCE}
-"""Code of each kind of load."""
+"""Kernel code of each kind of load."""
 WELL_SCALED = 1e6
-"""Largest ratio of masses (and of inertias over squared arms) at which the Schur complement keeps its digits."""
+"""Largest ratio of masses, and of inertias over squared lever arms, for which the Schur complement is accurate."""
 
 
 class _Motions:
-    """Collects the motions of a mechanism as one program store; equal motions share a number."""
+    """Collects the programs of all motions of a mechanism in flat lists; equal motions share one number."""
 
     def __init__(self) -> None:
         self.numbers: dict[Motion, int] = {}
@@ -58,17 +58,17 @@ class _Motions:
 
     @property
     def values(self) -> list[float]:
-        """The constants of the programs, and behind them the tables."""
+        """The constants of the programs, followed by the tables; the offset of each table is made absolute."""
         ops = zip(self.ops, self.constants, strict=True)
         return [x + len(self.ops) if op == OPCODES["table"] else x for op, x in ops] + self.tables
 
 
 def _piecewise_cubic(table: Table) -> list[float]:
-    """Return a table's cubic spline as the kernel reads it: number of pieces, their ends, coefficients of each."""
+    """Return the cubic spline of a table for the kernel: number of pieces, breakpoints, coefficients of the pieces."""
     from scipy.interpolate import CubicSpline
 
     times, values = (np.array(column) for column in table.table)
-    coefficients = np.full((len(times) - 1, 4), np.nan)  # which the check of the start will tell
+    coefficients = np.full((len(times) - 1, 4), np.nan)  # reported later, by `check_motions` of assembly
     with np.errstate(all="ignore"), suppress(ValueError, np.linalg.LinAlgError):
         found = CubicSpline(times, values).c[::-1].T
         coefficients = found if np.all(np.isfinite(found)) else coefficients
@@ -86,7 +86,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
     Returns
     -------
     CompiledMechanism
-        With the pairs of constraint rows numbered in order of elimination.
+        The flat arrays. Pairs of constraint rows are numbered in order of elimination.
     """
     bodies = tuple(mechanism.bodies)
     number = {name: i for i, name in enumerate(bodies)}
@@ -155,7 +155,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
 
 @dataclass(frozen=True)
 class _Pair:
-    """One or two constraint rows of a joint: `first_row` is the first of them among the joint's rows."""
+    """One or two constraint rows of a joint; `first_row` is the index of the first one among the rows of the joint."""
 
     joint: int
     first_row: int
@@ -167,7 +167,7 @@ class _Pair:
 
 
 def _pairs(mechanism: Mechanism, number: dict[str, int], motions: _Motions) -> list[_Pair]:
-    """Return the pairs of rows of every joint; rows that measure metres and rows that measure radians stay apart."""
+    """Return the pairs of rows of all joints. The rows of a pair have the same unit, metres or radians."""
     pairs: list[_Pair] = []
     for j, joint in enumerate(mechanism.joints.values()):
         a, b = joint.bodies
@@ -179,7 +179,7 @@ def _pairs(mechanism: Mechanism, number: dict[str, int], motions: _Motions) -> l
 
 
 class _Forces:
-    """Collects force elements on pathways (springs) and loads, each by its topology and its numbers."""
+    """Collects force elements on pathways (springs) and loads: their kinds, bodies and parameters."""
 
     def __init__(self, mechanism: Mechanism, number: dict[str, int], motions: _Motions):
         self.number, self.motions = number, motions
@@ -226,7 +226,10 @@ class _Forces:
 
 
 def _length(mechanism: Mechanism) -> float:
-    """Return the largest distance on one body between joint points, its centre of mass included [m]; 1 if all are 0."""
+    """Return the largest distance [m] between two joint points, or a joint point and the centre of mass, of one body.
+
+    The result is 1 if all distances are 0.
+    """
     points: dict[str, set[tuple[float, float]]] = {name: {(0.0, 0.0)} for name in mechanism.bodies}
     for joint in mechanism.joints.values():
         for _, name, point in joint.attachments():
@@ -241,9 +244,10 @@ def _length(mechanism: Mechanism) -> float:
 
 
 def _is_well_scaled(mechanism: Mechanism) -> bool:
-    """Return whether masses, and inertias over squared arms, lie within `WELL_SCALED` of each other.
+    """Return whether the masses and inertias have ratios of at most `WELL_SCALED`.
 
-    So do the inertias of bodies whose angles are tied to each other.
+    Masses are compared with inertias over squared lever arms of the joints. The inertias of bodies whose angles are
+    coupled by a joint are compared with each other.
     """
     arms = dict.fromkeys(mechanism.bodies, 0.0)
     for joint in mechanism.joints.values():

@@ -1,4 +1,4 @@
-"""A compiled mechanism: flat arrays of numbers instead of names, and the way back from numbers to names."""
+"""A compiled mechanism: flat numbered arrays for the kernels, and the names that belong to the numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mbdkit.text import counted, listed
 
 @dataclass(frozen=True)
 class Row:
-    """One constraint row: the pair and the place in it, its label ``joint.row`` and its unit."""
+    """One constraint row: its pair, its place in the pair (0 or 1), its label ``joint.row`` and its unit."""
 
     pair: int
     place: int
@@ -25,16 +25,16 @@ class Row:
 
 @dataclass(frozen=True)
 class Redundancy:
-    """What a mechanism has more of than it needs: nothing, to begin with.
+    """Redundant constraints of a mechanism; none by default.
 
     Attributes
     ----------
     rows
-        Number of redundant constraint rows, which are not solved for.
+        Number of redundant constraint rows. They are excluded from the equations that are solved.
     joints
-        Joints that they belong to, drivers included, in the order of the mechanism.
+        Joints that the redundant rows belong to, drivers included, in the order of the mechanism.
     not_unique
-        Joints whose reactions are not determined by the motion.
+        Joints whose reactions are not uniquely determined by the motion.
     """
 
     rows: int = 0
@@ -42,7 +42,7 @@ class Redundancy:
     not_unique: tuple[str, ...] = ()
 
     def describe(self, drivers: Collection[str] = ()) -> str:
-        """Return it in words, such as ``1 redundant row: joint D``; empty where there is none."""
+        """Return a description such as ``1 redundant row: joint D``; empty if there are no redundant rows."""
         if not self.rows:
             return ""
         kinds = (
@@ -55,12 +55,12 @@ class Redundancy:
 
 @dataclass(frozen=True)
 class CompiledMechanism:
-    """A mechanism as the kernels see it; immutable, shared by any number of runs.
+    """A mechanism in the form used by the kernels. It is immutable and can be shared by any number of runs.
 
     Attributes
     ----------
     topology
-        Flat arrays.
+        Flat arrays for the kernels.
     bodies, joints
         Names, in the order of the mechanism.
     joint_bodies
@@ -68,24 +68,25 @@ class CompiledMechanism:
     rows
         Constraint rows in the order of the mechanism's joints, redundant ones included.
     joint_pairs
-        (J,) the pairs of rows that make up each joint.
+        (J,) numbers of the pairs of rows of each joint.
     drivers
         Names of the joints that are drivers.
     coordinates
-        Number of coordinates that mean something: 3 for each body, 2 for each point mass.
+        Number of coordinates: 3 for each body, 2 for each point mass, whose angle is not counted.
     length
-        The largest distance of two joint points on one body, or of a joint point from its body's centre of mass [m];
-        1 where there is none.
+        Characteristic length: the largest distance [m] between two joint points, or a joint point and the centre of
+        mass, of one body; 1 if all distances are 0.
     motions
-        What each motion was written as.
+        Each motion as given in the model: a number, an expression or a table.
     laws
-        The force laws that are no linear springs, in the order of the topology's rows: the force and its law.
+        Name and compiled law of each force with a force law, in the order of ``topology.laws``. Linear springs have
+        none.
     order, below
-        Order of elimination of the pairs and the fill that goes with it.
+        Order of elimination of the pairs, and the resulting fill, as returned by `minimum_degree`.
     well_scaled
-        Whether the Schur complement may serve.
+        Whether the Schur complement is accurate enough; otherwise the pivoted solver is used.
     redundancy
-        What is not solved for because it follows from the rest.
+        Constraints that are excluded because they follow from the others.
     """
 
     topology: Topology
@@ -105,7 +106,10 @@ class CompiledMechanism:
     redundancy: Redundancy = Redundancy()
 
     def freedoms(self) -> str:
-        """Return in words the degrees of freedom by rank, as in ``1 degree of freedom, 10 joints, 1 driver``."""
+        """Return the number of degrees of freedom as text, such as ``1 degree of freedom, 10 joints, 1 driver``.
+
+        This is the number of coordinates minus the number of independent constraint rows.
+        """
         number = self.coordinates - int(np.sum(self.topology.rows))
         parts = [
             counted(number, "degree of freedom", "degrees of freedom"),
@@ -122,12 +126,12 @@ class CompiledMechanism:
 
     @property
     def unknowns(self) -> int:
-        """Number of accelerations and of multipliers that are solved for."""
+        """Number of unknowns of the index-1 equations: accelerations and multipliers of the independent rows."""
         return 3 * len(self.bodies) + int(np.sum(self.topology.rows))
 
     @property
     def row_index(self) -> np.ndarray:
-        """(P, 2) unknown of each multiplier in a pivoted system, -1 for a row that is not solved for."""
+        """(P, 2) index of each multiplier among the unknowns of the pivoted system; -1 for a redundant row."""
         index = np.full((len(self.topology.pairs), 2), -1, dtype=np.int64)
         for i, row in enumerate(self.solved_rows):
             index[row.pair, row.place] = 3 * len(self.bodies) + i
@@ -135,17 +139,20 @@ class CompiledMechanism:
 
     @property
     def solved_rows(self) -> list[Row]:
-        """Rows of a pivoted system; in a pair with a redundant direction the place is not that of its own row."""
+        """Constraint rows of the pivoted system.
+
+        In a pair with a redundant direction, the solved row is a combination of both rows of the pair.
+        """
         return [row for row in self.rows if row.place < self.topology.rows[row.pair]]
 
     @property
     def natural_order(self) -> np.ndarray:
-        """(n,) unknowns of a pivoted system with bodies first, then multipliers in order of elimination."""
+        """(n,) indices of the unknowns of the pivoted system: coordinates, then multipliers in order of elimination."""
         multipliers = self.row_index.ravel()
         return np.concatenate([np.arange(3 * len(self.bodies)), multipliers[multipliers >= 0]])
 
     def unknown_name(self, index: int) -> str:
-        """Return in words which body or joint an unknown of a pivoted system belongs to."""
+        """Return the body or joint, as text, to which an unknown of the pivoted system belongs."""
         if 0 <= index < 3 * len(self.bodies):
             return f"body {self.bodies[index // 3]!r}{self._joints_on(index // 3)}"
         if index >= 0 and index < self.unknowns:
@@ -153,7 +160,7 @@ class CompiledMechanism:
         return "the mechanism"
 
     def _joints_on(self, body: int) -> str:
-        """Return in words which joints hold a body."""
+        """Return a clause that lists the joints attached to a body; empty if there are none."""
         pairs = self.topology.pairs
         held = [
             name

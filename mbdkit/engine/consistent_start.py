@@ -1,4 +1,4 @@
-"""From a mechanism to a workspace at its consistent start."""
+"""Create the workspace of a mechanism at its consistent initial state."""
 
 from __future__ import annotations
 
@@ -22,28 +22,29 @@ def workspace_at_start(
     formulation: str = "index-1",
     stabilization: Stabilization = NONE,
 ) -> tuple[Workspace, AssembledState]:
-    """Compile a mechanism, make its start consistent and find its independent constraint rows.
+    """Compile a mechanism, assemble its initial state and determine its independent constraint rows.
 
     Parameters
     ----------
     mechanism
-        As a model builds it.
+        The validated mechanism.
     t0, end
-        Start and end of the run [s]; redundant joints must agree at both. `end` is `t0` if left out.
+        Start and end of the run [s]; `end` defaults to `t0`. Redundancy is analysed at times between them.
     formulation, stabilization
-        Of the equations that are stepped.
+        Formulation and stabilization of the equations that are integrated.
 
     Returns
     -------
     Workspace
-        The compiled mechanism at its start, with working arrays of its own.
+        The compiled mechanism at its initial state, with its own working arrays.
     AssembledState
-        The start, and by how much assembly changed it.
+        The initial state, and the changes made by assembly.
 
     Raises
     ------
     SpecError
-        Where joints cannot meet, the two ends of a spring coincide, or redundant joints contradict each other.
+        If the constraints cannot be satisfied, the two ends of a spring coincide, redundant joints contradict each
+        other, or the initial position is singular.
     """
     compiled = compile_mechanism(mechanism)
     start = assemble(mechanism, t0, compiled)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass
 class Counters:
-    """Cost of a run; each part of the code counts the work it does itself."""
+    """Numbers of steps, evaluations and factorizations of a run. Each module counts the work that it performs."""
 
     steps: int = 0
     accepted: int = 0

@@ -1,4 +1,4 @@
-"""Orders of elimination, worked out once per mechanism: for the Schur complement and for pivoted sparse LU."""
+"""Elimination orders of the Schur complement and of the pivoted sparse LU decomposition, computed in advance."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.schur import Schur
 
 PIVOT_STRATEGIES = (("NATURAL", 1e-3), ("MMD_AT_PLUS_A", 1e-3), ("COLAMD", 0.1), ("COLAMD", 1.0))
-"""SuperLU's column order, and how small a diagonal pivot may be against its column; in order of preference."""
+"""SuperLU's column ordering and threshold for diagonal pivots relative to their column, in order of preference."""
 
 ACCURATE = 1e-11
-"""Largest residual of a trial solution, relative to its right side, with pivots that are fit for use."""
+"""Largest residual of a trial solution, relative to its right side, for pivots to be accepted."""
 
 LITTLE_FILL = 4
-"""Entries of the factors, relative to those of the matrix, below which no further strategy is tried."""
+"""If the factors have at most this many times the entries of the matrix, no further strategy is tried."""
 
 GOOD_CONDITION = 1e8
-"""Condition of the equilibrated matrix, in the 1-norm, below which no other scaling is tried."""
+"""1-norm condition number of the equilibrated matrix below which no further scaling is tried."""
 
 WORST_CONDITION = 1e13
-"""Condition above which the matrix counts as singular."""
+"""1-norm condition number from which on the matrix counts as singular."""
 
 
 class SingularSystemError(Exception):
-    """A matrix has no pivots left; `index` is the unknown at which they ran out, -1 where that is not known."""
+    """The matrix is singular; `index` is the unknown at which the elimination failed, -1 if not known."""
 
     def __init__(self, index: int = -1):
         super().__init__(index)
@@ -36,7 +36,7 @@ class SingularSystemError(Exception):
 
 
 def neighbours(pairs: Sequence[tuple[int, int]], ground: int) -> list[set[int]]:
-    """Return for every pair of constraint rows the others that share a body with it (ground is not shared)."""
+    """Return, for each pair of constraint rows, the other pairs attached to one of its bodies other than ground."""
     on_body: dict[int, list[int]] = {}
     for k, bodies in enumerate(pairs):
         for body in set(bodies) - {ground}:
@@ -58,7 +58,7 @@ def minimum_degree(adjacent: Sequence[set[int]]) -> tuple[list[int], list[set[in
     order : list of int
         Nodes in order of elimination.
     below : list of set
-        For each node, those eliminated later that are adjacent to it at its turn: the rows of its column.
+        For each node, the adjacent nodes at the time of its elimination: the rows of its column in the factor.
     """
     graph = [set(others) for others in adjacent]
     heap = [(len(others), node) for node, others in enumerate(graph)]
@@ -84,7 +84,7 @@ def minimum_degree(adjacent: Sequence[set[int]]) -> tuple[list[int], list[set[in
 def schur_schedule(
     pairs: Sequence[tuple[int, int]], ground: int, order: Sequence[int], below: Sequence[set[int]]
 ) -> Schur:
-    """Work out storage and schedule of the block LDL^T.
+    """Allocate the block LDL^T decomposition and precompute its sequence of operations.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def schur_schedule(
     ground
         Number of the ground body.
     order, below
-        What `minimum_degree` returned for the numbering before.
+        Result of `minimum_degree`, in the numbering before reordering.
     """
     place = {node: k for k, node in enumerate(order)}
     columns = [sorted(place[other] for other in below[node]) for node in order]
@@ -126,12 +126,12 @@ def schur_schedule(
 
 
 def empty_schur() -> Schur:
-    """Return a schedule of nothing, for mechanisms that always take the pivoted path."""
+    """Return an empty schedule, for mechanisms that always use the pivoted solver."""
     return schur_schedule([], -1, [], [])
 
 
 class PivotChoice(NamedTuple):
-    """An order of elimination with the scaling it was chosen under; all (n,), scales in original order."""
+    """A pivot sequence and the scaling for which it was chosen; all (n,), the scales in original order."""
 
     row_of: np.ndarray
     column_of: np.ndarray
@@ -142,19 +142,21 @@ class PivotChoice(NamedTuple):
 def pivot_order(
     n: int, row: np.ndarray, column: np.ndarray, values: np.ndarray, natural: np.ndarray, scales: Sequence[np.ndarray]
 ) -> PivotChoice:
-    """Choose pivots of a sparse matrix by its numbers: SuperLU on the equilibrated matrix, the sparsest fit factors.
+    """Choose the pivots of a sparse matrix from its values.
+
+    SuperLU factorizes the equilibrated matrix with each of `PIVOT_STRATEGIES`; the sparsest accurate factors are used.
 
     Parameters
     ----------
     n
         Number of unknowns.
     row, column, values
-        (nnz,) the entries.
+        (nnz,) row, column and value of each entry.
     natural
-        (n,) an order of the unknowns that gives little fill where its diagonal pivots will do.
+        (n,) order of the unknowns that causes little fill if the diagonal pivots in this order are acceptable.
     scales
-        Symmetric scalings (n,) to begin equilibration with; the first that leaves the matrix well conditioned is
-        taken, or else the best. Small inertias ask for another than small masses.
+        Symmetric scalings (n,), each a starting point of the equilibration. The first one that gives a well-conditioned
+        matrix is used, otherwise the best one. Small inertias require a different scaling than small masses.
 
     Returns
     -------
@@ -164,7 +166,7 @@ def pivot_order(
     Raises
     ------
     SingularSystemError
-        Where no pivot is left, or none that carries digits.
+        If the matrix is singular or its condition number is not below `WORST_CONDITION`.
     """
     from scipy.sparse import csc_array
 
@@ -174,7 +176,7 @@ def pivot_order(
     for scale in scales:
         row_scale, column_scale = equilibrate(n, row, column, np.abs(values) * scale[row] * scale[column])
         row_scale, column_scale = row_scale * scale, column_scale * scale
-        # entries that are zero just now stay in the pattern: a product of sparse matrices would drop them
+        # Entries that happen to be zero must stay in the pattern. A product of sparse matrices would drop them.
         entries = values * row_scale[row] * column_scale[column]
         scaled = csc_array((entries, (place[row], place[column])), shape=(n, n))
         lu, condition = _sparsest(scaled)
@@ -190,7 +192,7 @@ def pivot_order(
 
 
 def _sparsest(matrix: Any) -> tuple[Any, float]:
-    """Return SuperLU's factors of an equilibrated matrix with little fill, and the condition in the 1-norm."""
+    """Return the sparsest accurate SuperLU factors of an equilibrated matrix and its 1-norm condition number."""
     from scipy.sparse.linalg import LinearOperator, onenormest, splu
 
     probe = matrix @ np.ones(matrix.shape[0])
@@ -218,12 +220,14 @@ def _sparsest(matrix: Any) -> tuple[Any, float]:
 
 
 def equilibrate(n: int, row: np.ndarray, column: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return factors, powers of two, that bring the largest entry of every row and column near 1 (Ruiz 2001).
+    """Return row and column factors that scale the largest entry of each row and column to about 1 (Ruiz 2001).
+
+    The factors are powers of two, so that scaling does not cause rounding errors.
 
     Raises
     ------
     SingularSystemError
-        Where a row or column is empty, or an entry not finite.
+        If a row or column is empty or an entry is not finite.
     """
     if not np.all(np.isfinite(sizes)):
         raise SingularSystemError
@@ -242,19 +246,19 @@ def equilibrate(n: int, row: np.ndarray, column: np.ndarray, sizes: np.ndarray) 
 
 
 def power_of_two(x: np.ndarray) -> np.ndarray:
-    """Return the nearest powers of two: scaling by them rounds nothing."""
+    """Return the nearest powers of two. Scaling by them causes no rounding errors."""
     return np.exp2(np.round(np.log2(x)))
 
 
 def symbolic_lu(n: int, row: np.ndarray, column: np.ndarray, choice: PivotChoice) -> tuple[Pattern, np.ndarray]:
-    """Work out the pattern of the factors for a fixed order of pivots.
+    """Compute the sparsity pattern of the factors for a fixed pivot sequence.
 
     Returns
     -------
     Pattern
         Patterns of A and of its factors in pivot order.
     position : (nnz,) int array
-        Where each given entry stands among the values of A.
+        Index of each given entry among the values of A.
     """
     row_of, column_of, row_scale, column_scale = choice
     row_place, column_place = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
@@ -301,14 +305,14 @@ def _flat(rows: list[list[int]]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def empty_pattern() -> Pattern:
-    """Return the pattern of a matrix without unknowns."""
+    """Return the pattern of a 0 x 0 matrix."""
     none = np.zeros(0, dtype=np.int64)
     zero, scale = np.zeros(1, dtype=np.int64), np.zeros(0)
     return Pattern(zero, none, zero, none, zero, none, none, none, scale, scale, scale)
 
 
 def new_factors(pattern: Pattern, dtype: type) -> Factors:
-    """Return storage for the values that go with `pattern`."""
+    """Return storage for the values of a matrix with this pattern and of its factors."""
     n = len(pattern.row_of)
     return Factors(
         a=np.zeros(len(pattern.a_column), dtype),

@@ -1,4 +1,4 @@
-"""A mechanism as a method written in NumPy sees it: its equations, their tangents and their solutions, all counted."""
+"""The equations of motion for methods written in NumPy: evaluation, tangents and solution, with work counters."""
 
 from __future__ import annotations
 
@@ -28,37 +28,38 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Tangents:
-    """The derivatives that implicit methods need, each a sparse array."""
+    """Derivatives of the equations of motion for implicit methods, as sparse arrays."""
 
     stiffness: csr_array
     """(n, n) K = d(Phi_q^T lam - Q)/dq."""
     damping: csr_array
     """(n, n) C = -dQ/dv."""
     gamma_v: csr_array
-    """(m, n) d gamma/dv, which is -2 d(Phi_q v + Phi_t)/dq, and with Baumgarte's terms less 2 alpha Phi_q."""
+    """(m, n) d gamma/dv = -2 d(Phi_q v + Phi_t)/dq, minus 2 alpha Phi_q with Baumgarte's terms."""
     residual_q: csr_array
     """(m, n) d(Phi_q a - gamma)/dq."""
 
 
 class EquationsOfMotion:
-    """The equations of motion of one mechanism, for the `step` of a method.
+    """The equations of motion of one mechanism, for use in the `step` of a method.
+
+    ::
 
         M q'' + Phi_q^T lam = Q(t, q, v),      Phi(t, q) = 0,      Phi_q v + Phi_t = 0,      Phi_q q'' = gamma(t, q, v)
 
-    Vectors are NumPy arrays without ground: q, v, a, Q are (n,) with n = 3 B (x, y, theta of each body in turn, SI
-    units and radians), multipliers and constraint rows are (m,) in the order of ``/constraints`` in the archive. Of a
-    redundant mechanism only the independent rows are seen; `recorded_multipliers` gives those of all.
-    Every array that is returned is new. Everything is compiled underneath, and costs time linear in the number of
-    bodies.
+    Vectors are NumPy arrays without ground: q, v, a, Q are (n,) with n = 3 B (x, y, theta of each body in turn, in SI
+    units and radians); multipliers and constraint rows are (m,), in the order of ``/constraints`` in the archive. Only
+    the independent rows of a redundant mechanism are included; `recorded_multipliers` returns the multipliers of all
+    rows. Every returned array is new. The computations are compiled; their cost is linear in the number of bodies.
 
-    Every method raises `StepError`: ``singular`` where there is no unique solution, ``not-finite`` where numbers
-    overflow. What is done is counted in `counters`: an evaluation of forces or accelerations is one of the right side;
-    tangents are one Jacobian; a solve with an iteration matrix is one Newton iteration.
+    All methods raise `StepError` with the code ``singular`` if there is no unique solution, or ``not-finite`` on
+    overflow. Work is counted in `counters`: each evaluation of forces or accelerations as an evaluation of the right
+    side, each evaluation of tangents as a Jacobian, each solve with an iteration matrix as a Newton iteration.
 
     Parameters
     ----------
     workspace
-        The compiled mechanism at its consistent start.
+        The compiled mechanism at its consistent initial state.
 
     Attributes
     ----------
@@ -69,16 +70,16 @@ class EquationsOfMotion:
     mass : (n,) array
         Diagonal of the mass matrix M [kg, kg m^2].
     t0
-        Time of the start [s].
+        Start time [s].
     q0, v0 : (n,) arrays
-        The consistent start.
+        Consistent positions and velocities at the start.
     formulation, stabilization
-        What the run asks for: the formulation of the equations by name, and what is done against drift. Baumgarte's
-        terms are part of gamma, of the accelerations and of the tangents already; projections are made around `step`.
+        Name of the formulation and stabilization requested for the run. Baumgarte's terms are included in gamma, in
+        the accelerations and in the tangents. Projections are performed outside `step`, by the framework.
     counters
-        What was done so far.
+        Counters of the work done so far.
     address
-        Where the kernels find the mechanism; not for use.
+        Address of the data for the kernels; for internal use.
     """
 
     def __init__(self, workspace: Workspace):
@@ -100,14 +101,14 @@ class EquationsOfMotion:
 
     @classmethod
     def of(cls, mechanism: Mechanism, t0: float = 0.0) -> EquationsOfMotion:
-        """Return the workspace of a mechanism with its start made consistent, to try a method on.
+        """Return the equations of motion of a mechanism at its consistent initial state, for example to test a method.
 
         Parameters
         ----------
         mechanism
-            As a model builds it.
+            The validated mechanism.
         t0
-            Time of the start [s].
+            Start time [s].
         """
         from mbdkit.engine.consistent_start import workspace_at_start
 
@@ -115,7 +116,7 @@ class EquationsOfMotion:
 
     @property
     def terms_now(self) -> np.ndarray:
-        """The terms of the tangents that were evaluated last."""
+        """Values of all terms of the tangents at the last evaluation."""
         return self._workspace.scratch.source
 
     def accelerations(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -145,7 +146,7 @@ class EquationsOfMotion:
         return 0.0 - self.residual(t, q, v, self._no_force, self._no_rows)
 
     def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """Return ``M a + Phi_q^T lam - Q(t, q, v)`` (n,), what the equations of motion lack."""
+        """Return the residual of the equations of motion, ``M a + Phi_q^T lam - Q(t, q, v)`` (n,)."""
         self.counters.rhs_evaluations += 1
         return self._residual(t, q, v, a, lam, with_forces=True)
 
@@ -166,7 +167,7 @@ class EquationsOfMotion:
         return self._rows(t, q, v)[2]
 
     def constraint_jacobian(self, t: float, q: np.ndarray) -> csr_array:
-        """Return Phi_q, a sparse (m, n) array; ``.toarray()`` makes it dense."""
+        """Return Phi_q, a sparse (m, n) array."""
         self._rows(t, q, self._no_force)
         terms, n = self._workspace.terms, self.n
         return self._sparse((terms.factor == 0) & (terms.row >= n), below=True)
@@ -183,7 +184,7 @@ class EquationsOfMotion:
         )
 
     def evaluated_terms(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """Return the value of every term of the tangents at a state, in the order of the workspace's list of terms."""
+        """Return the values of all terms of the tangents at a state, in the order of the workspace's list of terms."""
         self._evaluate_tangents(t, q, v, a, lam)
         return self.terms_now.copy()
 
@@ -201,23 +202,28 @@ class EquationsOfMotion:
         gamma_v: complex = 0.0,
         residual_q: complex = 0.0,
     ) -> IterationMatrix:
-        """Return the matrix of a Newton iteration, factorized.
+        """Return the factorized matrix of a Newton iteration.
 
         ::
 
             [ mass M + damping C + stiffness K                     Phi_q^T ]
             [ Phi_q + gamma_v gamma_v + residual_q residual_q      0       ]
 
-        The unknowns are best scaled as accelerations and multipliers: with dv = c1 da and dq = c2 da, index 3 takes
-        ``damping=c1, stiffness=c2`` and the lower right side -Phi / c2; index 2 takes -(Phi_q v + Phi_t) / c1 and
-        ``gamma_v=-c2 / (2 c1)``; index 1 takes ``gamma_v=-c1, residual_q=c2``. Rows and columns are equilibrated.
+        The unknowns should be scaled as accelerations and multipliers. With dv = c1 da and dq = c2 da, all formulations
+        use ``damping=c1, stiffness=c2``, and in addition
+
+        - index 3: the lower right side -Phi / c2;
+        - index 2: ``gamma_v=-c2 / (2 c1)`` and the lower right side -(Phi_q v + Phi_t) / c1;
+        - index 1: ``gamma_v=-c1, residual_q=c2``.
+
+        Rows and columns are equilibrated.
 
         Parameters
         ----------
         t, q, v, a, lam
-            Time [s], state, accelerations and multipliers at which the tangents are taken.
+            Time [s], state, accelerations and multipliers at which the tangents are evaluated.
         mass, damping, stiffness, gamma_v, residual_q
-            Coefficients; complex ones make a complex matrix.
+            Coefficients. The matrix is complex if any of them is complex.
         """
         dtype = (
             complex if any(isinstance(x, complex) for x in (mass, damping, stiffness, gamma_v, residual_q)) else float
@@ -241,7 +247,7 @@ class EquationsOfMotion:
         return matrix
 
     def project_positions(self, t: float, q: np.ndarray) -> np.ndarray:
-        """Return the positions (n,) nearest to `q` in the mass metric that meet all constraints at time `t`.
+        """Return the positions (n,) nearest to `q` in the mass metric that satisfy all constraints at time `t`.
 
         Solves ``M (p - q) + Phi_q(p)^T mu = 0``, ``Phi(t, p) = 0`` to round-off; counts as one projection.
         """
@@ -251,7 +257,7 @@ class EquationsOfMotion:
     def project_velocities(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the velocities (n,) nearest to `v` in the mass metric with ``Phi_q v + Phi_t = 0`` at `t`, `q`.
 
-        The equations are linear; a second solve takes their round-off away. Counts as one projection.
+        The equations are linear; a second solve removes the rounding error of the first. Counts as one projection.
         """
         self.counters.projections += 1
         return nearest_velocities(self, t, vector(q, self.n), vector(v, self.n))
@@ -263,44 +269,44 @@ class EquationsOfMotion:
         return float(baumgarte_at(workspace.stepping_engine, float(t), *state))
 
     def powers(self, t: float, q: np.ndarray, v: np.ndarray, lam: np.ndarray) -> tuple[float, float]:
-        """Return the power of loads and drivers under the multipliers `lam`, and the power dissipated [W]."""
+        """Return the power of loads and drivers and the dissipated power at a state with multipliers `lam` [W]."""
         q, v, lam = vector(q, self.n), vector(v, self.n), vector(lam, self.m)
         work, lost = equations.powers_of(self.address, float(t), q, v, lam)
         return work, lost
 
     def recorded_multipliers(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """Return the multipliers (rows,) of every row of ``/constraints``: independent ones alone carry a force."""
+        """Return the multipliers (rows,) of all rows of ``/constraints``; only independent rows carry a force."""
         rows = self._workspace.mechanism.rows
         pairs = np.zeros((len(self._workspace.mechanism.topology.pairs), 2))
         equations.pair_multipliers_of(self.address, float(t), vector(q, self.n), vector(lam, self.m), pairs)
         return np.array([pairs[row.pair, row.place] for row in rows])
 
     def relative_change(self, q: np.ndarray, dq: np.ndarray) -> float:
-        """Return the largest change of a coordinate relative to the largest of its kind.
+        """Return the largest change of a coordinate relative to the largest coordinate of the same kind.
 
-        Lengths are compared with the largest length (1 m at least), angles with the largest angle (1 rad at least); a
-        Newton iteration has converged where this is a few roundings, or shrinks no more.
+        Lengths are compared with the largest length (at least 1 m), angles with the largest angle (at least 1 rad). A
+        Newton iteration has converged if the result is a few eps or does not decrease any more.
         """
         size, change = np.abs(q).reshape(-1, 3), np.abs(dq).reshape(-1, 3)
         lengths = change[:, :2].max() / max(1.0, size[:, :2].max())
         return float(max(lengths, change[:, 2].max() / max(1.0, size[:, 2].max())))
 
     def arrive(self, t: float, q: np.ndarray, v: np.ndarray, worst: np.ndarray) -> bool:
-        """Raise `worst` (P,) by the squared misalignments of a state; return whether the state stays finite."""
+        """Update the maxima `worst` (P,) by the squared misalignments at a state; return whether it is finite."""
         finite: bool = equations.arrive_at(self.address, float(t), vector(q, self.n), vector(v, self.n), worst)
         return finite
 
     def _solved(
         self, t: float, q: np.ndarray, v: np.ndarray, given: bool, force: np.ndarray, rows: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Solve a system with the matrix of index 1, if need be with newly chosen pivots."""
+        """Solve a system with the index-1 matrix; choose new pivots if the current ones fail."""
         x, mu = np.empty(self.n), np.empty(self.m)
         state = float(t), vector(q, self.n), vector(v, self.n)
         workspace = self._workspace
 
         def solve() -> int:
             self.counters.factorizations += 1
-            if self._hold.bundle.solver is not workspace.solver:  # new pivots were chosen, here or by the recorder
+            if self._hold.bundle.solver is not workspace.solver:  # new pivots, chosen here or by the recorder
                 self._hold.replace(self._hold.bundle._replace(solver=workspace.solver))
                 self.address = self._hold.address
             return int(equations.solution_of(self.address, *state, given, force, rows, x, mu))
@@ -339,7 +345,7 @@ class EquationsOfMotion:
             raise self._not_finite()
 
     def _sparse(self, keep: np.ndarray, *, below: bool = False) -> csr_array:
-        """Return the sum of some of the terms that were evaluated last: of upper rows, or of those `below`."""
+        """Return the sum of the selected terms of the last evaluation; `below` selects the lower rows."""
         from scipy.sparse import csr_array
 
         terms = self._workspace.terms.kept(keep)
@@ -348,7 +354,10 @@ class EquationsOfMotion:
         return csr_array((values, (row, terms.column)), shape=(rows, self.n))
 
     def _choose_at_start(self, key: tuple[bool, ...], coefficients: np.ndarray) -> None:
-        """Choose pivots by the numbers at the start, if they will do: so a run that goes on later has the same ones."""
+        """Choose pivots from the values at the start, if possible.
+
+        A run that is resumed later then has the same pivots as an uninterrupted one.
+        """
         try:
             a, lam = self.accelerations(self.t0, self.q0, self.v0)
             self._evaluate_tangents(self.t0, self.q0, self.v0, a, lam)
@@ -363,25 +372,25 @@ class EquationsOfMotion:
 
     def _singular(self, error: SingularSystemError) -> StepError:
         name = self._workspace.mechanism.unknown_name(error.index)
-        return StepError("singular", f"no independent equations are left at {name}")
+        return StepError("singular", f"the system of equations is singular at {name}")
 
     def _not_finite(self) -> StepError:
         if not self._workspace.motions_are_finite():
-            return StepError("not-finite", "a driver or load is not a finite number")
+            return StepError("not-finite", "the value of a driver or load is not finite")
         if force := self._workspace.unusable_law():
-            return StepError("not-finite", f"the law of force {force!r} gave no finite number")
+            return StepError("not-finite", f"the law of force {force!r} did not return a finite number")
         return StepError("not-finite", "numbers overflowed")
 
 
 def call_everything(p: EquationsOfMotion, check: Callable[[], None] = lambda: None) -> None:
-    """Call every kernel that there is for methods written in Python, so that it stands compiled and loaded.
+    """Call all kernels used by methods written in Python, so that they are compiled and loaded.
 
     Parameters
     ----------
     p
-        Any workspace; its counters count.
+        Equations of any mechanism. The calls are counted in its counters.
     check
-        Called now and then.
+        Function that is called between the kernels, for example to stop the compilation.
     """
     a, lam = p.accelerations(p.t0, p.q0, p.v0)
     check()

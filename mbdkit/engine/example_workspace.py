@@ -1,4 +1,4 @@
-"""A workspace of the smallest mechanism, for compiling kernels and for the types of bundles."""
+"""A workspace of a minimal mechanism, used to compile kernels and to determine the types of bundles."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 
 
 def example_workspace() -> Workspace:
-    """Return a workspace of a single free body; the types of its arrays are those of every workspace."""
+    """Return a workspace of a single free body. Its arrays have the same types as those of any workspace."""
     m = Mechanism()
     m.body("body", mass=1.0, inertia=1.0)
     return Workspace(compile_mechanism(m), 0.0, np.zeros(6), np.zeros(6))

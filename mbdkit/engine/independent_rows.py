@@ -1,8 +1,9 @@
-"""Which rows to leave out of a redundant mechanism, so that the rest is independent wherever it goes.
+"""Choice of the rows to remove from a redundant mechanism, such that the others stay independent during the motion.
 
-A set of rows can be left out where the self-stresses, restricted to it, form an invertible matrix: each of them then
-is held by one row of its own. Of the two rows of a pair, x and y, often one *direction* is redundant, and turns with
-some body: a rod between two pins has its spare row along itself. So a direction fixed in a body's frame is left out.
+A set of rows can be removed if the self-stresses, restricted to these rows, form an invertible matrix. Often only one
+direction in the plane of the two rows of a pair, x and y, is redundant, and this direction rotates with a body. For
+example, the redundant direction of a rod between two pins is the axis of the rod. Therefore a direction that is fixed
+in the frame of a body is removed, not a row.
 """
 
 from __future__ import annotations
@@ -12,15 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 
 WELL_HELD = 0.1
-"""Part in the self-stresses, relative to the largest, from which on a row may be left out."""
+"""Smallest component in the self-stresses, relative to the largest one, of a row that may be removed."""
 
 SAME_FRAME = 1e-6
-"""Deviation of a direction from a body's frame, as 1 - cosine, that is as good as none."""
+"""Deviation (1 - cosine) below which a direction counts as fixed in the frame of a body."""
 
 
 @dataclass(frozen=True)
 class Spare:
-    """A redundant direction: its pair, and a unit vector among the pair's rows in the frame of a body."""
+    """A redundant direction: its pair, and a unit vector in the plane of the pair's rows, in the frame of a body."""
 
     pair: int
     frame: int
@@ -30,24 +31,25 @@ class Spare:
 def choose_spare(
     stresses: list[np.ndarray], pair: np.ndarray, place: np.ndarray, last_resort: np.ndarray
 ) -> list[tuple[int, np.ndarray]]:
-    """Choose the rows to leave out: late ones first.
+    """Choose the rows to remove. Rows that come later in the mechanism are preferred.
 
     Parameters
     ----------
     stresses
         (m, r) orthonormal self-stresses at each of K positions.
     pair, place
-        (m,) pair of each row and its place there, in the order of the joints.
+        (m,) pair of each row and its place in the pair, in the order of the joints.
     last_resort
-        (m,) whether a row stays as long as any other will do.
+        (m,) whether a row may be removed only if no other row is suitable.
 
     Returns
     -------
     list of (int, ndarray)
-        The r pairs, one of two rows perhaps twice, each with the direction (K, 2) among its rows at each position.
+        For each of the r redundant directions: its pair, and the direction (K, 2) in the plane of the pair's rows at
+        each position. A pair of two rows can occur twice.
     """
     pairs, unit = np.unique(pair, return_inverse=True)
-    rows = np.full((len(pairs), 2), len(pair))  # a row of zeros stands behind the others
+    rows = np.full((len(pairs), 2), len(pair))  # index of a row of zeros that is appended below
     rows[unit, place] = np.arange(len(pair))
     late = np.where(rows < len(pair), rows, -1).max(axis=1)
     order = np.lexsort((-late, last_resort[late]))
@@ -79,24 +81,24 @@ def _largest_part(x: np.ndarray) -> np.ndarray:
 def direction_frames(
     chosen: list[tuple[int, np.ndarray]], rows: np.ndarray, pairs: np.ndarray, angles: np.ndarray
 ) -> list[Spare]:
-    """Find for each redundant direction the frame in which it is fixed.
+    """Find the frame in which each redundant direction is fixed.
 
     Parameters
     ----------
     chosen
-        What `choose_spare` returned.
+        Result of `choose_spare`.
     rows
         (P,) number of rows of each pair.
     pairs
         (P, 4) kind, first and second body of each pair, motion.
     angles
-        (K, B + 1) tilt of every body at each position; ground comes last.
+        (K, B + 1) angle of each body at each position, ground last [rad].
     """
     ground = angles.shape[1] - 1
     spare: list[Spare] = []
     times = np.bincount([pair for pair, _ in chosen], minlength=len(rows))
     for pair, directions in chosen:
-        if times[pair] == rows[pair]:  # all of them: any basis will do
+        if times[pair] == rows[pair]:  # the whole pair is redundant, so any basis is suitable
             second = any(one.pair == pair for one in spare)
             spare.append(Spare(pair, ground, (0.0, 1.0) if second else (1.0, 0.0)))
             continue
@@ -112,7 +114,7 @@ def direction_frames(
 
 
 def _in_frame(directions: np.ndarray, angle: np.ndarray) -> tuple[float, tuple[float, float]]:
-    """Return the largest deviation of directions (K, 2) from one that turns by `angle` (K,), and that direction."""
+    """Fit one direction, rotating by `angle` (K,), to directions (K, 2); return its largest deviation and itself."""
     c, s = np.cos(angle), np.sin(angle)
     x, y = directions.T
     own = np.column_stack([c * x + s * y, -s * x + c * y])

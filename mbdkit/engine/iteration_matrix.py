@@ -35,12 +35,12 @@ REAL, COMPLEX = np.dtype(float), np.dtype(complex)
 
 
 def vector(x: np.ndarray, size: int, dtype: np.dtype[Any] = REAL) -> np.ndarray:
-    """Return `x` as a contiguous vector of that dtype; raises ValueError if it is no vector of that size."""
+    """Return `x` as a contiguous vector of the given dtype; raise ValueError unless its shape is ``(size,)``."""
     if type(x) is np.ndarray and x.dtype is dtype and x.flags.carray and x.shape == (size,):
         return x
     array: np.ndarray = np.array(x, dtype=dtype)
     if array.shape != (size,):
-        raise ValueError(f"an array of shape {array.shape} was given where ({size},) is wanted")
+        raise ValueError(f"expected an array of shape ({size},), got shape {array.shape}")
     return array
 
 
@@ -131,7 +131,7 @@ class IterationMatrix:
         self._counters.newton_iterations += 1
         if not kernel(self._hold.address, force, rows, x, mu) < KKT_TOLERANCE:
             if not (np.all(np.isfinite(force)) and np.all(np.isfinite(rows))):
-                raise StepError("not-finite", "the right side of an iteration is no finite number")
+                raise StepError("not-finite", "the right side of an iteration is not finite")
             raise StepError("singular", "the matrix of the iteration is too close to singular")
         return x, mu
 

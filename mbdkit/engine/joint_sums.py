@@ -1,4 +1,4 @@
-"""Quantities of joints, summed over the pairs of constraint rows that make up each joint."""
+"""Quantities of joints, summed over the pairs of constraint rows of each joint."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 
 
 def joint_of_pairs(mechanism: CompiledMechanism) -> np.ndarray:
-    """Return the number of the joint that each pair belongs to, (P,)."""
+    """Return the number of the joint of each pair, (P,)."""
     joint = {pair: number for number, pairs in enumerate(mechanism.joint_pairs) for pair in pairs}
     return np.array([joint[pair] for pair in range(len(mechanism.topology.pairs))], dtype=np.int64)
 
 
 class JointSums:
-    """Turns values of pairs into values of joints.
+    """Computes values of joints from values of pairs.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class JointSums:
     Attributes
     ----------
     joint : (P,) int array
-        Number of the joint that each pair belongs to.
+        Number of the joint of each pair.
     """
 
     def __init__(self, mechanism: CompiledMechanism):
@@ -35,9 +35,9 @@ class JointSums:
         self._is_length[[row.pair for row in mechanism.rows if row.unit == "m"]] = True
 
     def misalignment(self, residual: np.ndarray) -> np.ndarray:
-        """Return how far joints fail to meet, (T, J) [m], from the residuals (T, P, 2) of their pairs.
+        """Return the misalignment of joints, (T, J) [m], from the residuals (T, P, 2) of their pairs.
 
-        The same of residual rates gives the relative velocity [m/s].
+        From the time derivatives of the residuals, the result is the velocity misalignment [m/s].
         """
         return self.misalignment_of_squares(residual[..., 0] ** 2 + residual[..., 1] ** 2)
 
@@ -46,7 +46,7 @@ class JointSums:
         return np.sqrt(self.sum(np.where(self._is_length, squares, 0.0)[..., None])[..., 0])
 
     def angle_misalignment(self, residual: np.ndarray) -> np.ndarray:
-        """Return the angles by which joints fail to meet, (T, J) [rad], from the residuals (T, P, 2) of their pairs."""
+        """Return the angular misalignment of joints, (T, J) [rad], from the residuals (T, P, 2) of their pairs."""
         angles = np.where(self._is_length, 0.0, np.abs(residual[..., 0]) + np.abs(residual[..., 1]))
         return self.sum(angles[..., None])[..., 0]
 

@@ -1,4 +1,4 @@
-"""Least change: the nearest positions and velocities, in the mass metric, that meet all constraints."""
+"""The positions and velocities nearest to given ones, in the mass metric, that satisfy all constraints."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_DESCENTS = 30
 
 
 class LeastChange:
-    """Newton iterations onto the constraints of a mechanism at one time.
+    """Newton iterations that make states of a mechanism satisfy its constraints at a given time.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class LeastChange:
     t0
         Time [s].
     fixed
-        (n,) whether a coordinate is held.
+        (n,) whether a coordinate is held constant.
     """
 
     def __init__(self, compiled: CompiledMechanism, t0: float, fixed: np.ndarray):
@@ -41,11 +41,11 @@ class LeastChange:
 
     @property
     def reach(self) -> float:
-        """Largest arm of a joint, at least 1 m: by how much a rate of turning is magnified in a point's velocity."""
+        """Largest lever arm of a joint, at least 1 m: the ratio of a joint point's velocity to the angular velocity."""
         return max(1.0, float(np.max(np.abs(self.compiled.topology.pair_parameters[:, :4]), initial=0.0)))
 
     def padded(self, x: np.ndarray) -> np.ndarray:
-        """Return a vector of coordinates (n,) with those of the ground behind."""
+        """Return a vector of coordinates (n,) with those of ground appended."""
         return np.concatenate([x, np.zeros(3)])
 
     def evaluate(self, q: np.ndarray) -> tuple[np.ndarray, Entries, np.ndarray]:
@@ -67,7 +67,10 @@ class LeastChange:
         return phi_t + np.bincount(row, value * v[column], minlength=len(phi_t))
 
     def positions(self, given: np.ndarray, tolerance: float) -> np.ndarray:
-        """Return the positions nearest to the given ones at which the gaps close, or come as near as they can."""
+        """Return the positions nearest to the given ones that satisfy the constraints.
+
+        If none are found, return positions with small residuals; the caller must check them.
+        """
         q = self.closed(self.separated(given), tolerance)
         if float(np.max(np.abs(self.evaluate(q)[0]))) > tolerance:
             return q
@@ -82,7 +85,10 @@ class LeastChange:
         return q
 
     def velocities(self, v: np.ndarray, jacobian: Entries, phi_t: np.ndarray, tolerance: float) -> np.ndarray:
-        """Return the velocities nearest to `v` under which the gaps stay closed, or as near to that as they come."""
+        """Return the velocities nearest to `v` with ``Phi_q v + Phi_t = 0``.
+
+        If the tolerance is not reached, return the last iterate; the caller must check the residual.
+        """
         rate = self.rates(jacobian, v, phi_t)
         try:
             solve = self.kkt(jacobian)
@@ -96,7 +102,7 @@ class LeastChange:
         return v
 
     def closed(self, q: np.ndarray, tolerance: float) -> np.ndarray:
-        """Close the gaps by Newton steps of least size, damped while the gaps do not shrink."""
+        """Solve ``Phi = 0`` by Newton steps of least norm, damped if the residual does not decrease."""
         phi, jacobian, _ = self.evaluate(q)
         size = max(1.0, float(np.max(np.abs(q), initial=0.0)), self.reach)
         nothing = np.zeros(self.n)
@@ -121,7 +127,7 @@ class LeastChange:
                     break
                 scale *= 0.5
             if best[0] is q:
-                return q  # as near as round-off lets it come, or stuck
+                return q  # limited by round-off, or no further progress
             closed_enough = gap <= tolerance
             q, phi, jacobian, _ = best
             if closed_enough:
@@ -129,7 +135,7 @@ class LeastChange:
         return q
 
     def stationary(self, given: np.ndarray, q: np.ndarray, tolerance: float) -> np.ndarray | None:
-        """Run Newton on the conditions of least change from `q`; None where it does not come to a nearer point."""
+        """Apply Newton's method to the optimality conditions, starting at `q`; None unless it finds a nearer point."""
         start = q
         size = max(1.0, float(np.max(np.abs(q), initial=0.0)), self.reach)
         multipliers: np.ndarray | None = None
@@ -148,14 +154,14 @@ class LeastChange:
             if not largest < size:
                 return None
             q, multipliers = q + step, multipliers + change
-            if largest <= 1e-9 * size:  # Newton: the next change would be round-off
+            if largest <= 1e-9 * size:  # converges quadratically, so the next change would be round-off
                 gap = float(np.max(np.abs(self.evaluate(q)[0])))
                 near = self.distance(given, q) <= self.distance(given, start) * (1 + 1e-9)
                 return q if gap <= tolerance and near else None
         return None
 
     def descended(self, given: np.ndarray, q: np.ndarray, tolerance: float) -> np.ndarray | None:
-        """Take a step along the joints towards the given positions; None where none is nearer."""
+        """Take a step along the constraints towards the given positions; None if no nearer position is found."""
         _, jacobian, _ = self.evaluate(q)
         try:
             step, _ = self.kkt(jacobian)(self.mass * (q - given), np.zeros(len(self.rows)))
@@ -171,11 +177,14 @@ class LeastChange:
         return None
 
     def distance(self, given: np.ndarray, q: np.ndarray) -> float:
-        """Return the change in the mass metric, which assembly makes as small as it can."""
+        """Return the squared distance of two positions in the mass metric, which assembly minimises."""
         return float(self.mass @ (q - given) ** 2)
 
     def separated(self, q: np.ndarray) -> np.ndarray:
-        """Return positions at which no distance joint has its points on top of each other, without a direction."""
+        """Return positions at which the two points of each distance joint are distinct.
+
+        The Jacobian of a distance joint is not defined if its points coincide.
+        """
         top = self.compiled.topology
         for k in np.flatnonzero(top.pairs[:, 0] == KINDS["distance"]):
             constraints_at(top, self.scratch, self.t0, self.padded(q), self.padded(np.zeros(self.n)))
@@ -191,8 +200,8 @@ class LeastChange:
     def kkt(self, jacobian: Entries, stiffness: Entries | None = None) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
         """Return a solver of ``[M + K, J^T; J, -e] [step, mu] = [-gradient, -gap]`` over the free coordinates.
 
-        A trace `e` of regularisation keeps redundant rows from stopping the solve. It acts on the change of the
-        multipliers only, so that it vanishes as the iterations around it converge.
+        The small regularisation `e` makes the matrix regular even if rows are redundant. It multiplies the change of
+        the multipliers only, so that it has no influence on the converged result.
         """
         from scipy.sparse import block_array, csr_array, diags_array
         from scipy.sparse.linalg import splu

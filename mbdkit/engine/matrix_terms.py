@@ -1,11 +1,11 @@
-"""Terms of the stage matrix: which entry of the working arrays is added where, and with which factor.
+"""Terms of the stage matrix: the index of each value in the working arrays, its place in the matrix and its factor.
 
 The matrix of a stage with rate ``h mu`` is
 
     [ M + h mu C + (h mu)^2 K                     Phi_q^T ]
     [ Phi_q - h mu gamma_v + (h mu)^2 res_q       0       ]
 
-and with ``h mu = 0`` it is the matrix of the index-1 system.
+With ``h mu = 0`` this is the matrix of the index-1 system.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class MatrixTerms:
     factor: np.ndarray
 
     def chosen(self, *, tangents: bool) -> MatrixTerms:
-        """Return all terms, or without `tangents` those of the index-1 system."""
+        """Return all terms if `tangents`, otherwise those of the index-1 system."""
         return self if tangents else self.kept(self.factor == CONSTANT)
 
     def kept(self, keep: np.ndarray) -> MatrixTerms:
@@ -65,7 +65,7 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
     offsets
         Index in ``Scratch.source`` at which each array of terms begins.
     stabilized
-        Whether Baumgarte's terms are part of gamma: its derivatives then have entries wherever the Jacobian has.
+        Whether Baumgarte's terms are part of gamma, whose derivatives then have at least the pattern of the Jacobian.
     """
     top, row_index = mechanism.topology, mechanism.row_index
     n3 = 3 * len(mechanism.bodies)
@@ -79,7 +79,9 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
         return 3 * bodies[:, column // 3] + column % 3
 
     def multiplier(members: np.ndarray, place: int) -> np.ndarray:
-        return row_index[members, place] + 3  # leaves room for the three coordinates of ground, removed below
+        return (
+            row_index[members, place] + 3
+        )  # three places are reserved for the coordinates of ground and removed below
 
     diagonal = np.arange(n3)
     add(diagonal, diagonal, diagonal, CONSTANT)
@@ -88,7 +90,8 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
         bodies = top.pairs[members, 1:3]
         reduced = np.isin(members, top.spare[:, 0])
         for entry in range(12):
-            # one row left of two is a combination of both, without zeros; a pair without rows has no multiplier
+            # If one of two rows is redundant, the other is a combination of both and has no structural zeros. A pair
+            # without rows has no multiplier.
             taken = np.where(reduced, (entry < 6) & (top.rows[members] == 1), entry in e.JACOBIAN_ENTRIES[kind])
             some, ends = members[taken], bodies[taken]
             row, column = multiplier(some, entry // 6), coordinate(ends, entry % 6)

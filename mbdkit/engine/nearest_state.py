@@ -1,4 +1,4 @@
-"""The state on the constraints that is nearest to a given one in the mass metric, by Newton's method in Python."""
+"""The consistent state nearest to a given one in the mass metric, computed by Newton's method in Python."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class ConstrainedSystem(Protocol):
         ...
 
     def relative_change(self, q: np.ndarray, dq: np.ndarray) -> float:
-        """Return the largest change of a coordinate relative to the largest of its kind."""
+        """Return the largest change of a coordinate relative to the largest coordinate of the same kind."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""Accelerations, reactions and energies of given states: the Python side of `mbdkit.engine.kernels.observe`."""
+"""Accelerations, reactions and energies at given states, computed by `mbdkit.engine.kernels.observe`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mbdkit.engine.singularity import new_vectors
 from mbdkit.engine.workspace import Workspace
 
 SELF_STRESS_BYTES = 1 << 25
-"""Bound on the buffer for self-stresses, which are needed only until the reactions are shared."""
+"""Limit on the size of the buffer for self-stresses. They are only needed to distribute redundant reactions."""
 
 
 @dataclass(frozen=True)
@@ -27,10 +27,10 @@ class SingularState:
 
 
 class StateObserver:
-    """Evaluates states of one run.
+    """Evaluates the states of one run.
 
-    The distance to singularity of a state is found by iteration from the state before, so that an observer should be
-    given the states of a run in order of time.
+    The distance to singularity is computed by an iteration that starts from the result of the previous state.
+    Therefore the states of a run should be passed in order of time.
 
     Parameters
     ----------
@@ -48,13 +48,13 @@ class StateObserver:
         self._stress = SelfStress.zeros(0, self._directions, self._pairs)
 
     def arrays(self, states: int) -> Observed:
-        """Return arrays that `observe` can fill, for T = `states`."""
+        """Return arrays for the results of `observe`, for T = `states`."""
         return Observed.zeros(states, self._bodies, self._pairs)
 
     def observe(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, out: Observed) -> SingularState | None:
-        """Fill `out`, from the first state to the last or to one without unique accelerations.
+        """Evaluate states in order and write the results into `out`; stop at a state without unique accelerations.
 
-        Where elimination with the present pivots fails, new pivots are chosen once for that state.
+        If the elimination with the current pivots fails at a state, new pivots are chosen once for that state.
 
         Parameters
         ----------
@@ -68,7 +68,7 @@ class StateObserver:
         Returns
         -------
         SingularState or None
-            The state that could not be evaluated; its row of `out` and all later ones are void.
+            The state that could not be evaluated. Its row of `out` and all later rows are not valid.
         """
         count = len(times)
         done, repivoted = 0, -1
@@ -102,7 +102,7 @@ class StateObserver:
         return max(1, SELF_STRESS_BYTES // size) if size else np.iinfo(np.int64).max
 
     def _self_stress(self, states: int) -> SelfStress:
-        """Return arrays for the self-stresses of at least so many states."""
+        """Return arrays for the self-stresses of at least `states` states."""
         if self._directions and len(self._stress.lam) < states:
             self._stress = SelfStress.zeros(states, self._directions, self._pairs)
         return self._stress

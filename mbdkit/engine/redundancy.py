@@ -1,9 +1,10 @@
-"""Redundant joints: which rows follow from the others not only at the start but wherever the mechanism can go.
+"""Detection of redundant joints: constraint rows that depend on other rows in every position of the mechanism.
 
-The Jacobian of the constraints is looked at where the mechanism stands and at consistent positions around: small moves
-along its freedoms, and the positions of its drivers a little later. Rows that depend on others everywhere are
-redundant; where they do so at the start alone, the start is a singular position, and accelerations are undefined.
-Which of them to leave out is decided from positions far off as well, so that the others stay independent on the way.
+The constraint Jacobian is evaluated at the start and at consistent positions nearby: after small displacements along
+the degrees of freedom, and a short time later with moving drivers. Rows that depend on others in all these positions
+are redundant. If they depend on others at the start only, the start is a singular position with undefined
+accelerations. To choose the rows that are removed, distant positions are evaluated as well, so that the remaining rows
+stay independent during the motion.
 """
 
 from __future__ import annotations
@@ -24,34 +25,39 @@ from mbdkit.errors import SpecError
 from mbdkit.text import listed
 
 MOVES = (1e-4, 1e-2, 0.1)
-"""Sizes of the moves, relative to the characteristic length and to 1 rad."""
+"""Sizes of the displacements from the start, relative to the characteristic length and to 1 rad."""
 
 SMALL_MOVE = 1e-2
-"""Moves up to this size can be made from every position that is not singular."""
+"""Displacements up to this size are possible from every position that is not singular."""
 
 LATER = ((1e-3, 1e-3), (1e-2, 1e-2), (0.1, 0.1))
-"""Times after the start at which drivers are looked at: no more than so much [s], nor than this part of the run."""
+"""Times after the start at which drivers are checked: the smaller of a time [s] and a fraction of the run."""
 
 FAR, FAR_MOVE = 40, 0.2
-"""Number of positions far off, and the move from each to the next: a whole turn to either side."""
+"""Number of distant positions, and the displacement from one to the next. Together they cover a turn.
+
+Half of them lie on either side of the start.
+"""
 
 FAR_COORDINATES = 12_000
-"""Coordinates of all positions far off together: with many bodies there are fewer."""
+"""Limit on the total number of coordinates of the distant positions; large mechanisms have fewer positions."""
 
 CLOSED = 1e-11
-"""Largest gap of a position that counts as consistent, relative to the largest coordinate."""
+"""Largest residual of a consistent position, relative to the largest coordinate."""
 
 CONTRADICTION = 1e-7
-"""Disagreement of rows on the accelerations, relative to their terms, from which on they contradict each other."""
+"""Rows contradict each other if the accelerations they require differ by more than this, relative to their terms."""
 
 INVOLVED = 1e-6
-"""Part in a self-stress from which on a joint's reaction is not unique."""
+"""Component in a self-stress above which the reaction of a joint is not unique."""
 
 
 @dataclass(frozen=True)
 class _Place:
-    """A consistent position: its coordinates (n,), factors (m',) that bring the rows to a size of about 1, which
-    are equal for the rows of a pair, and the self-stresses (m', r) of the rows so scaled.
+    """A consistent position: coordinates (n,), scale factors of the rows (m',) and self-stresses (m', r) of the rows.
+
+    The factors scale the rows to a norm of about 1; they are equal for both rows of a pair. The self-stresses belong to
+    the scaled rows.
     """
 
     q: np.ndarray
@@ -62,23 +68,23 @@ class _Place:
 def without_redundancy(
     compiled: CompiledMechanism, t0: float, q0: np.ndarray, v0: np.ndarray, end: float
 ) -> CompiledMechanism:
-    """Return the mechanism with an independent set of rows to be solved for; the others are still watched.
+    """Return the mechanism with an independent set of constraint rows; residuals of the others are still monitored.
 
-    Rows of joints that come earlier stay; drivers stay before all others.
+    Rows of drivers are kept if possible, then rows of joints that come first in the mechanism.
 
     Parameters
     ----------
     compiled
-        The mechanism, every row solved for.
+        The compiled mechanism with all constraint rows.
     t0, end
         Start and end of the run [s].
     q0, v0
-        (3 B,) consistent start.
+        (3 B,) consistent positions and velocities at the start.
 
     Raises
     ------
     SpecError
-        Where redundant joints contradict each other, or the start is a singular position; joints are named.
+        If redundant joints contradict each other, or the start is a singular position. The message names the joints.
     """
     rows = looped_rows(compiled)
     if len(rows) == 0:
@@ -93,14 +99,17 @@ class _Analysis:
         self.search = self.at(t0)
         self.joint_of_pair = {pair: j for j, pairs in enumerate(compiled.joint_pairs) for pair in pairs}
         self.involved = np.arange(len(rows))
-        """Rows among `rows` that self-stresses were found in; elsewhere they are looked for last."""
+        """Indices into `rows` of the rows that take part in self-stresses at the start.
+
+        At other positions, self-stresses are first computed for these rows only.
+        """
         self.pair = np.array([compiled.rows[i].pair for i in rows], dtype=np.int64)
         self.place = np.array([compiled.rows[i].place for i in rows], dtype=np.int64)
         self.unit = np.tile([1.0, 1.0, compiled.length], len(compiled.bodies))
-        """(n,) metres that a coordinate's change of 1 moves a point, about."""
+        """(n,) approximate displacement of a point [m] per unit change of each coordinate."""
 
     def at(self, t: float) -> LeastChange:
-        """Return the search for consistent positions at a time."""
+        """Return a solver for consistent positions at time `t`."""
         return LeastChange(self.compiled, t, np.zeros(self.n, dtype=bool))
 
     def run(self, q0: np.ndarray, v0: np.ndarray) -> CompiledMechanism:
@@ -126,14 +135,14 @@ class _Analysis:
     # ---- consistent positions ------------------------------------------------------------------------------------
 
     def gap(self, search: LeastChange, q: np.ndarray) -> float:
-        """Return the largest gap at `q`, relative to the largest coordinate (1 at least)."""
+        """Return the largest residual at `q`, relative to the largest coordinate (at least 1)."""
         return float(np.max(np.abs(search.evaluate(q)[0]), initial=0.0)) / max(1.0, float(np.max(np.abs(q))))
 
     def closed(self, search: LeastChange, q: np.ndarray) -> np.ndarray:
         return search.closed(q, 1e-14 * max(1.0, float(np.max(np.abs(q)))))
 
     def place_at(self, search: LeastChange, q: np.ndarray, spare: int = 0) -> _Place:
-        """Return what there is at `q`, where `spare` self-stresses are expected."""
+        """Return the consistent position `q` with its self-stresses, of which `spare` are expected."""
         _, (row, column, value), _ = search.evaluate(q)
         local = np.full(len(self.compiled.rows), -1)
         local[self.rows] = np.arange(len(self.rows))
@@ -152,24 +161,27 @@ class _Analysis:
         return _Place(q, scale, stresses)
 
     def freedom(self, start: _Place) -> np.ndarray | None:
-        """Return some move (n,) that the joints allow, of the size of the mechanism; None where nothing can move."""
+        """Return an admissible displacement (n,) of characteristic length; None without degrees of freedom."""
         _, jacobian, _ = self.search.evaluate(start.q)
         touched = np.zeros(self.n, dtype=bool)
         touched[jacobian[1][np.isin(jacobian[0], self.rows)]] = True
         if np.count_nonzero(touched) == len(self.rows) - start.stresses.shape[1]:
             return None
         step = np.where(touched, np.random.default_rng(0).normal(size=self.n), 0.0) / self.unit
-        for _ in range(3):  # what is almost a freedom dies out
+        for _ in range(3):  # repeated, since one projection leaves components that are only nearly admissible
             step = self.allowed(start.q, step)
         return step * (self.compiled.length / float(np.max(np.abs(step * self.unit)[touched])))
 
     def allowed(self, q: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Return the move nearest to a given one that the joints allow at `q`."""
+        """Return the admissible displacement at `q` that is nearest to a given one."""
         solve = self.search.kkt(self.search.evaluate(q)[1])
         return solve(-self.search.mass * step, np.zeros(len(self.compiled.rows)))[0]
 
     def moved(self, start: _Place, step: np.ndarray) -> list[_Place]:
-        """Return positions around the start; raises SpecError where moves that the joints allow cannot be made."""
+        """Return positions near the start.
+
+        Raises SpecError if no small admissible displacement leads to a consistent position: the start is singular.
+        """
         spare = start.stresses.shape[1]
         places: list[_Place] = []
         small = 0
@@ -184,7 +196,7 @@ class _Analysis:
         return places
 
     def wandered(self, start: _Place, step: np.ndarray, number: int) -> list[_Place]:
-        """Return positions on a path from the start on, as far as the same rows are redundant along it."""
+        """Return positions on a path from the start, up to the first one with fewer self-stresses than the start."""
         size = FAR_MOVE * float(np.max(np.abs(step * self.unit)))
         q, step = start.q, FAR_MOVE * step
         places: list[_Place] = []
@@ -196,12 +208,12 @@ class _Analysis:
             step = self.allowed(found.q, found.q - q)
             largest = float(np.max(np.abs(step * self.unit)))
             if not largest > 1e-3 * size:
-                break  # it has come to a dead end
+                break  # the mechanism cannot move further in this direction
             q, step = found.q, step * (size / largest)
         return places
 
     def driven(self, start: _Place, number: int) -> list[_Place]:
-        """Return positions at times spread over the run, where the drivers can be followed there."""
+        """Return positions at equidistant times of the run, omitting times at which no consistent position is found."""
         q = start.q
         places: list[_Place] = []
         for k in range(1, number + 1):
@@ -212,7 +224,7 @@ class _Analysis:
         return places
 
     def place_from(self, search: LeastChange, q: np.ndarray, start: _Place) -> _Place | None:
-        """Return the consistent position near `q`; None where there is none with as many self-stresses as the start."""
+        """Return the consistent position near `q`; None unless it exists and has as many self-stresses as the start."""
         q = self.closed(search, q)
         if not self.gap(search, q) <= CLOSED:
             return None
@@ -221,7 +233,7 @@ class _Analysis:
         return place if place.stresses.shape[1] == spare else None
 
     def later(self, start: _Place, v0: np.ndarray) -> list[_Place]:
-        """Return positions where the drivers are a little later; raises SpecError where they contradict each other."""
+        """Return positions a short time after the start; raises SpecError if drivers contradict each other there."""
         spare = start.stresses.shape[1]
         places: list[_Place] = []
         if not self.compiled.drivers:
@@ -234,42 +246,44 @@ class _Analysis:
                 places.append(self.place_at(search, q, spare))
             elif latest <= SMALL_MOVE:
                 phi = search.evaluate(q)[0][self.rows] * start.scale
-                raise self.contradiction(start, phi, f"at t = {t:g} s they cannot meet any more")
+                raise self.contradiction(
+                    start, phi, f"at t = {t:g} s their constraints can no longer be satisfied together"
+                )
         return places
 
-    # ---- refusals ------------------------------------------------------------------------------------------------
+    # ---- errors --------------------------------------------------------------------------------------------------
 
     def check_accelerations(self, start: _Place, v0: np.ndarray) -> None:
-        """Raise SpecError where redundant rows ask for different accelerations."""
+        """Raise SpecError if redundant rows require different accelerations."""
         search, top = self.search, self.compiled.topology
         constraints_at(top, search.scratch, self.t0, search.padded(start.q), search.padded(v0))
         gamma = search.scratch.gamma[self.pair, self.place] * start.scale
         size = max(1.0, float(np.max(np.abs(gamma))))
         if float(np.max(np.abs(start.stresses.T @ gamma))) > CONTRADICTION * size:
-            raise self.contradiction(start, gamma, "they ask for different accelerations at the start")
+            raise self.contradiction(start, gamma, "they require different accelerations at the start")
 
     def contradiction(self, start: _Place, residual: np.ndarray, what: str) -> SpecError:
-        """Return the error that names the joints of the self-stress which does not agree with a scaled residual."""
+        """Return the error that names the joints whose scaled residuals contradict each other."""
         part = start.stresses @ (start.stresses.T @ residual)
         names = self.joints_of(np.abs(part) > 0.1 * np.max(np.abs(part)))
         driven = [name for name in names if name in self.compiled.drivers]
         names = driven if len(driven) > 1 else names
         return SpecError(
-            f"{_named(names)} hold the same thing and contradict each other: {what}; leave one of them out",
+            f"{_named(names)} constrain the same motion and contradict each other: {what}; remove one of them",
             key="model.joints",
         )
 
     def singular(self, start: _Place) -> SpecError:
-        """Return the error that names the joints which are dependent at the start alone."""
+        """Return the error that names the joints which are dependent at the start only."""
         names = self.joints_of(np.linalg.norm(start.stresses, axis=1) > 0.1 * np.max(np.abs(start.stresses)))
         return SpecError(
-            "the mechanism stands in a singular position at the start, where its accelerations have no unique "
+            "the mechanism is in a singular position at the start, where its accelerations have no unique "
             f"solution: {_named(names)} block each other there, but not nearby; start from another position",
             key="model.joints",
         )
 
     def joints_of(self, involved: np.ndarray) -> list[str]:
-        """Return the names of the joints of the rows for which `involved` (m',) holds, in order."""
+        """Return the names of the joints of the rows selected by `involved` (m',), in the order of the mechanism."""
         numbers = {self.joint_of_pair[pair] for pair in self.pair[involved].tolist()}
         return [self.compiled.joints[j] for j in sorted(numbers)]
 
@@ -307,12 +321,12 @@ def _named(names: list[str]) -> str:
 
 
 def require_unique_start(workspace: Workspace) -> None:
-    """Raise SpecError where the start has no unique accelerations, or none that double precision can hold.
+    """Raise SpecError if the accelerations at the start are not unique or overflow in double precision.
 
     Parameters
     ----------
     workspace
-        The mechanism at its start, with independent rows; its solver is left ready for use.
+        The mechanism at its start, with independent rows. Afterwards its solver has pivots for the start.
     """
     mechanism = workspace.mechanism
     acc, lam = np.zeros(mechanism.size), np.zeros((len(mechanism.topology.pairs), 2))
@@ -332,11 +346,12 @@ def require_unique_start(workspace: Workspace) -> None:
         ) from None
     if not (np.all(np.isfinite(acc)) and np.all(np.isfinite(lam))):
         refuse_law(workspace)
-        raise SpecError("the forces of the start are too large to be held in double precision", key="model")
-    workspace.scratch.faulty[0] = -1  # a law whose slope is infinite here may still serve an explicit method
+        raise SpecError("the forces at the start overflow in double precision", key="model")
+    # A force law with an infinite derivative at the start can still be used by explicit methods.
+    workspace.scratch.faulty[0] = -1
 
 
 def refuse_law(workspace: Workspace) -> None:
-    """Raise SpecError if a law has no finite force at the start."""
+    """Raise SpecError if a force law does not return a finite number at the start."""
     if force := workspace.unusable_law():
         raise SpecError("its law gives no finite number at the start", key=f"model.forces.{force}")

@@ -1,4 +1,4 @@
-"""Reactions of redundant joints: of all that hold the mechanism alike, those of least norm."""
+"""Reactions of redundant joints: the solution of least norm among all equivalent ones."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ def share_evenly(
 ) -> None:
     """Replace multipliers and reactions by those that minimise ``sum |force|^2 + (torque / length)^2`` over the joints.
 
-    They are sought among all that give the same generalized forces: what is added is a combination of self-stresses.
+    The generalized constraint forces are preserved: only a linear combination of self-stresses is added.
 
     Parameters
     ----------
     lam : (T, P, 2) array
-        Multipliers of some solution; replaced.
+        Multipliers of any solution; overwritten.
     reactions : (T, P, 3) array
-        Force (x, y) [N] and torque [N m] of every pair of rows; replaced.
+        Force (x, y) [N] and torque [N m] of each pair of rows; overwritten.
     self_stress, its_reactions : (T, D, P, 2) and (T, D, P, 3) arrays
-        Multipliers that move nothing, independent of each other, and their reactions.
+        D linearly independent self-stresses, which are multipliers without generalized forces, and their reactions.
     joint : (P,) int array
-        The joint that each pair belongs to; the reactions of its pairs add up.
+        The joint of each pair. The reaction of a joint is the sum over its pairs.
     length
         Characteristic length of the mechanism [m].
     """
@@ -41,7 +41,7 @@ def share_evenly(
 
     basis = by_joint(its_reactions).swapaxes(1, 2)
     q, r = np.linalg.qr(basis)
-    for _ in range(2):  # once more for round-off
+    for _ in range(2):  # the second pass removes the round-off of the first
         projected = q.swapaxes(1, 2) @ by_joint(reactions)[..., None]
         share = np.linalg.solve(r, projected)[..., 0]
         lam -= (share[:, None] @ self_stress.reshape(rows, spare, -1)).reshape(lam.shape)

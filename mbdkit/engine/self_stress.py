@@ -1,7 +1,8 @@
-"""Self-stresses: multipliers that push on nothing, ``Phi_q^T lambda = 0``; one for each redundant constraint row.
+"""Self-stresses: multipliers without generalized forces, ``Phi_q^T lambda = 0``; one for each redundant row.
 
-Only joints in closed loops can have any: a body that a single joint holds is in equilibrium under that joint's forces
-alone, so that they vanish, and so on inwards. Chains and trees are done with by that argument.
+Only joints in closed loops can have self-stresses. If a body has a single joint, that joint's force must vanish for the
+body to be in equilibrium; the joint can be removed, and the argument applies to the next body. Thus chains and trees
+have no self-stresses.
 """
 
 from __future__ import annotations
@@ -14,17 +15,20 @@ if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
 
 SMALL = 1e-9
-"""Singular values of the scaled Jacobian below this count as zero; round-off leaves 1e-15 to 1e-11."""
+"""Singular values of the scaled Jacobian below this count as zero. Round-off causes values of 1e-15 to 1e-11."""
 
 MOST_DENSE = 300
-"""Rows up to which the self-stresses are found by a dense decomposition."""
+"""Largest number of rows for which a dense singular value decomposition is used."""
 
 TRACE = 1e-12
-"""Regularisation of the sparse solves: singular values far above its root die out within an iteration."""
+"""Regularisation of the sparse solves.
+
+An iteration suppresses the components of singular values far above its square root.
+"""
 
 
 def looped_rows(compiled: CompiledMechanism) -> np.ndarray:
-    """Return the numbers of the constraint rows of joints that may lie in closed loops, (m',)."""
+    """Return the numbers (m',) of the constraint rows of all joints that can be part of closed loops."""
     ground = len(compiled.bodies)
     ends = [compiled.topology.pairs[members[0], 1:3].tolist() for members in compiled.joint_pairs]
     on_body: dict[int, set[int]] = {}
@@ -49,7 +53,7 @@ def looped_rows(compiled: CompiledMechanism) -> np.ndarray:
 
 
 def scaled_matrix(m: int, row: np.ndarray, column: np.ndarray, value: np.ndarray) -> Any:
-    """Return the matrix with these entries, without its empty columns: dense up to `MOST_DENSE` rows, else sparse."""
+    """Return a matrix with the given entries, without empty columns: dense up to `MOST_DENSE` rows, else sparse."""
     columns, column = np.unique(column, return_inverse=True)
     shape = (m, len(columns))
     if m > MOST_DENSE:
@@ -62,16 +66,16 @@ def scaled_matrix(m: int, row: np.ndarray, column: np.ndarray, value: np.ndarray
 
 
 def self_stresses(jacobian: Any, expected: int = 0) -> np.ndarray:
-    """Return an orthonormal basis (m, r) of the vectors that a matrix annihilates from the left.
+    """Return an orthonormal basis (m, r) of the left null space of a matrix.
 
     Parameters
     ----------
     jacobian
-        (m, n), as `scaled_matrix` makes it, with rows of size about 1. A dense one is decomposed as a whole; for a
-        sparse one the basis comes from inverse iteration with sparse factors, in time linear in m for chains of loops
-        and few self-stresses.
+        (m, n) matrix as returned by `scaled_matrix`, with rows of norm about 1. For a dense matrix the singular value
+        decomposition is computed. For a sparse matrix inverse iteration with sparse factors is used; its cost is linear
+        in m for chains of loops with few self-stresses.
     expected
-        How many there may be.
+        Expected number r of basis vectors; determines the initial size of the sparse iteration only.
     """
     m, n = jacobian.shape
     if m == 0:
@@ -91,7 +95,7 @@ def self_stresses(jacobian: Any, expected: int = 0) -> np.ndarray:
 def smallest_stress(jacobian: Any) -> tuple[np.ndarray, float]:
     """Return the left singular vector (m,) of the smallest singular value of a matrix (m, n), and that value.
 
-    The matrix is as `scaled_matrix` makes it. With more rows than columns the value is 0.
+    The matrix has the format of `scaled_matrix`. If it has more rows than columns, the value is 0.
     """
     m, n = jacobian.shape
     if m > MOST_DENSE and m <= n:
@@ -103,7 +107,7 @@ def smallest_stress(jacobian: Any) -> tuple[np.ndarray, float]:
 
 
 def _smallest(jacobian: Any, some: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return `some` left singular vectors of the smallest singular values, and those, largest first."""
+    """Return the left singular vectors of the `some` smallest singular values and these values, in descending order."""
     from scipy.sparse import block_array, eye_array
     from scipy.sparse.linalg import splu
 

@@ -1,14 +1,14 @@
-"""Distance to singularity: how near the joints of a mechanism are to blocking each other, or to letting go.
+"""Distance to singularity: a measure of how close the constraints of a mechanism are to becoming dependent.
 
-It is the smallest singular value of the constraint Jacobian of the independent rows in the mass metric,
-``D Phi_q M^-1/2``, where D makes the rows orthonormal, those of one point's x and y as a pair, so that the value does
-not depend on the directions of the axes: 1 where no joint feels another, 0 where the rows are dependent. Near a
-singular position it falls in proportion to the way that is left; accelerations lose digits in proportion to its
-inverse, multipliers to the square of that.
+It is the smallest singular value of ``D Phi_q M^-1/2``, the constraint Jacobian of the independent rows in the mass
+metric. The block-diagonal matrix D makes the two rows (x, y) of each pair orthonormal, so that the value does not
+depend on the orientation of the axes. It is 1 if the joints do not interact, and 0 if the rows are dependent. Near a
+singular position it is proportional to the remaining distance. The rounding errors of accelerations grow with its
+inverse, those of multipliers with the square of its inverse.
 
-Along a run it is found by inverse iteration with two vectors on ``D Phi_q M^-1 Phi_q^T D^T``, with the factors that the
-accelerations were solved with, from the vectors of the row before, and the smaller Ritz value is taken (Parlett, The
-Symmetric Eigenvalue Problem, 1998): an upper bound, true to about 1 %.
+During a run it is computed by inverse iteration with two vectors on ``D Phi_q M^-1 Phi_q^T D^T``. The iteration uses
+the factors of the solution for the accelerations and starts from the vectors of the previous row. The smaller Ritz
+value is used (Parlett, The Symmetric Eigenvalue Problem, 1998), an upper bound with an accuracy of about 1 %.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
 NEAR = 0.05
-"""Distance below which a failure is put down to a singular position."""
+"""Distance below which a failure is attributed to a singular position."""
 
 
 def new_vectors(workspace: Workspace) -> np.ndarray:
-    """Return (P, 11) zeros, what `singularity_distance` keeps between the rows of a run."""
+    """Return (P, 11) zeros: the initial data that `singularity_distance` keeps between the rows of a run."""
     return np.zeros((len(workspace.mechanism.topology.pairs), COLUMNS))
 
 
 def nearest_singularity(workspace: Workspace, t: float, q: np.ndarray) -> tuple[float, str]:
-    """Return how far a position is from the nearest singular one, and which joint has the largest part in it.
+    """Return the distance of a position to singularity and the joint with the largest component in the singular vector.
 
     Parameters
     ----------
@@ -48,10 +48,10 @@ def nearest_singularity(workspace: Workspace, t: float, q: np.ndarray) -> tuple[
     Returns
     -------
     distance : float
-        Smallest singular value of the scaled Jacobian, to round-off; 1 with fewer than two rows, 0 where the Jacobian
-        is no finite number.
+        Smallest singular value of the scaled Jacobian, accurate to round-off; 1 with fewer than two rows, 0 if the
+        Jacobian is not finite.
     joint : str
-        Name of the joint whose rows hold the largest part of the left singular vector; empty without rows.
+        Name of the joint whose rows have the largest component in the left singular vector; empty without rows.
     """
     mechanism = workspace.mechanism
     top, w, rows = mechanism.topology, workspace.scratch, mechanism.solved_rows
@@ -81,7 +81,7 @@ def nearest_singularity(workspace: Workspace, t: float, q: np.ndarray) -> tuple[
 
 
 def describe_nearness(workspace: Workspace, t: float, q: np.ndarray) -> str:
-    """Return in words that a position is nearly singular, and where; empty where it is not.
+    """Return a clause stating that a position is nearly singular, and at which joint; empty if it is not.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def describe_nearness(workspace: Workspace, t: float, q: np.ndarray) -> str:
         return ""
     if not joint or distance > NEAR:
         return ""
-    return f"the mechanism is in a singular position, or next to one, at joint '{joint}' (distance {distance:.1g})"
+    return f"the mechanism is in or near a singular position at joint '{joint}' (distance {distance:.1g})"
 
 
 def _joint_of(mechanism: CompiledMechanism, pair: int) -> str:

@@ -1,4 +1,4 @@
-"""How a run keeps its constraints from drifting: a choice of its own, told to the equations and to the stepper."""
+"""Stabilization of a run against constraint drift, independent of the choice of integration method."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ Kind = Literal["none", "baumgarte", "projection"]
 
 @dataclass(frozen=True)
 class Stabilization:
-    """What is done against the drift of constraints.
+    """Stabilization against drift of the constraints.
 
     Parameters
     ----------
     kind
-        ``none``; ``baumgarte``: constraint accelerations are pulled back, Phi'' + 2 alpha Phi' + beta^2 Phi = 0;
-        ``projection``: positions and velocities are moved onto the constraints by the least change in the mass metric.
+        ``none``; ``baumgarte``: the constraints are replaced by Phi'' + 2 alpha Phi' + beta^2 Phi = 0; ``projection``:
+        positions and velocities are projected onto the constraints, with the least change in the mass metric.
     alpha, beta
-        Of Baumgarte's terms [1/s].
+        Coefficients of Baumgarte's terms [1/s].
     every
-        Project, or look whether to project, after every k-th step.
+        Number of steps between projections, or between checks of the residuals if `bound` is given.
     bound
-        Project only where a constraint's residual exceeds it: Phi in metres and radians, or its rate per second; None
-        projects in any case.
+        Project only if the residual of a constraint [m, rad] or its time derivative [m/s, rad/s] exceeds this bound.
+        None: project in any case.
     symmetric
-        Whether each step is projected symmetrically (Hairer 2000): moved off the constraints before it by the same
-        multipliers as onto them after it.
+        Whether each step is projected symmetrically (Hairer 2000): the state is displaced before the step and projected
+        after it with the same multipliers.
     """
 
     kind: Kind = "none"
@@ -40,24 +40,24 @@ class Stabilization:
 
     @property
     def name(self) -> str:
-        """What a method's claims call it: the kind, or ``symmetric-projection``."""
+        """Name used in the claims of methods: the kind, or ``symmetric-projection``."""
         return "symmetric-projection" if self.symmetric else self.kind
 
     def describe(self) -> str:
-        """Return it in words, such as ``projection, every 5 steps``."""
+        """Return a description such as ``projection, every 5 steps``."""
         if self.kind == "baumgarte":
             return f"Baumgarte, alpha {self.alpha:g} 1/s, beta {self.beta:g} 1/s"
         if self.kind == "none":
             return "none"
         often = "every step" if self.every == 1 else f"every {self.every} steps"
-        off = "" if self.bound is None else f", where a constraint is off by {self.bound:g}"
+        off = "" if self.bound is None else f", if a constraint residual exceeds {self.bound:g}"
         return f"{'symmetric ' * self.symmetric}projection, {often}{off}"
 
     @property
     def coefficients(self) -> np.ndarray:
-        """(2,) alpha and beta as the kernels take them; zeros unless it is Baumgarte's."""
+        """(2,) alpha and beta for the kernels; zeros unless the kind is ``baumgarte``."""
         return np.array([self.alpha, self.beta] if self.kind == "baumgarte" else [0.0, 0.0])
 
 
 NONE = Stabilization()
-"""Nothing is done, and the drift of a method shows."""
+"""No stabilization."""

@@ -1,4 +1,4 @@
-"""Workspace of one run: a compiled mechanism with its working arrays, its solver, and the choice of pivots."""
+"""Workspace of one run: a compiled mechanism with its working arrays, its solver and its pivots."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Whether a method takes Baumgarte's terms at its step: what it does to e'' + 2 alpha e' + beta^2 e = 0.
+"""Numerical stability of Baumgarte's terms: whether a method is stable for e'' + 2 alpha e' + beta^2 e = 0 at its step.
 
-The stabilized constraints are linear in the state wherever the motion is slow against them, so a Runge-Kutta method
-treats a constraint error e as it treats this equation, whose eigenvalues are -alpha +- sqrt(alpha^2 - beta^2). In a
-step it multiplies the error by its stability function R(z) = 1 + z b^T (1 - z A)^-1 1 at z = h times these.
+If the motion is slow compared with Baumgarte's terms, a constraint error e satisfies this linear equation, whose
+eigenvalues are -alpha +- sqrt(alpha^2 - beta^2). In a step of size h, a Runge-Kutta method multiplies the error by its
+stability function R(z) = 1 + z b^T (1 - z A)^-1 1 at z = h times an eigenvalue.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
 from mbdkit.registry.items import Claims
 
 Growth = Callable[[float], float]
-"""What an error is multiplied by in a step, or in an iteration, of a size [s]."""
+"""Growth factor of an error in a step, or in an iteration, as a function of the step size [s]."""
 
 
 def stiff_baumgarte(name: str, method: Method, claims: Claims, wanted: Stabilization, step: float | None) -> str:
-    """Return a sentence where Baumgarte's terms are stiff against a fixed step; empty where all is well.
+    """Return a warning if Baumgarte's terms are unstable with a fixed step; empty otherwise.
 
     Parameters
     ----------
     name
-        What the method is called.
+        Name of the method.
     method, claims
-        The method and what it claims; one written in Python that asks for no tangents is taken for an explicit one,
-        with as many stages as its order.
+        The method and its claims. A method written in Python that does not use tangents is treated as an explicit
+        Runge-Kutta method with as many stages as its order.
     wanted
-        The stabilization.
+        The stabilization of the run.
     step
-        The fixed step [s].
+        The fixed step [s]; None if there is none.
     """
     if wanted.kind != "baumgarte" or step is None or claims.adaptive:
         return ""
@@ -43,26 +43,26 @@ def stiff_baumgarte(name: str, method: Method, claims: Claims, wanted: Stabiliza
     alpha, beta = wanted.alpha, wanted.beta
     most = alpha * _limit(growth, step)
     return (
-        f"Baumgarte's alpha = {alpha:g} and beta = {beta:g} 1/s are stiff against the step of {step:g} s: "
-        f"with '{name}' {does} {growth(step):.3g} times as large, not smaller; "
-        f"alpha times the step is {alpha * step:.4g}, and with beta = {beta / alpha:g} alpha it should be "
+        f"Baumgarte's alpha = {alpha:g} and beta = {beta:g} 1/s are too large for the step of {step:g} s: "
+        f"with '{name}' {does} by {growth(step):.3g} instead of reducing them; "
+        f"alpha times the step is {alpha * step:.4g}, with beta / alpha = {beta / alpha:g} it should be "
         f"below {most:.4g}: take a smaller step or a smaller alpha"
     )
 
 
 def _growth(method: Method, claims: Claims, wanted: Stabilization) -> tuple[Growth, str]:
-    """Return what an error is multiplied by as a function of the step, and in words what makes it so."""
+    """Return the growth factor of an error as a function of the step, and a clause that says what multiplies it."""
     alpha, beta = wanted.alpha, wanted.beta
     root = np.sqrt(complex(alpha**2 - beta**2))
     eigenvalues = np.array([-alpha + root, -alpha - root])
-    in_a_step = "each step makes an error of the constraints"
+    in_a_step = "each step multiplies constraint errors"
     if isinstance(method, ImplicitRungeKutta) and method.stage_solver == "fixed-point":
         mu = np.linalg.eigvals(method.tableau.floats()[0])
 
         def iterated(h: float) -> float:
             return float(np.max(np.abs(2 * alpha * h * mu + (beta * h * mu) ** 2)))
 
-        return iterated, "each fixed-point iteration makes an error of the stages"
+        return iterated, "each fixed-point iteration multiplies errors of the stages"
     if isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta):
         a, b, _ = method.tableau.floats()
         one, unit = np.ones(len(b)), np.eye(len(b))
@@ -78,7 +78,7 @@ def _growth(method: Method, claims: Claims, wanted: Stabilization) -> tuple[Grow
 
 
 def _limit(growth: Growth, step: float) -> float:
-    """Return the step [s] up to which no error grows, below `step`, at which one does."""
+    """Return the largest stable step [s], which is below the unstable `step`."""
     sizes = step * np.linspace(0.0, 1.0, 2001)[1:]
     first = next(i for i, size in enumerate(sizes) if growth(size) >= 1)
     low, high = sizes[first] - sizes[0], sizes[first]

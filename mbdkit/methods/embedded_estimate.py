@@ -1,4 +1,4 @@
-"""What an explicit tableau needs to choose its own steps and to be evaluated between them."""
+"""Error estimates and dense output of explicit Runge-Kutta methods."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class EmbeddedPair:
     Parameters
     ----------
     error
-        (1 or 2, S) weights of the stages in the estimates of the local error over h, the finer one first.
+        (1 or 2, S) weights of the stages in the estimates of the local error divided by h, higher order first.
     estimate_order
-        Power of h with which the estimate falls; of two, with which their combination does.
+        Order of the estimate, as a power of h; with two estimates, the order of their combination.
     a, c
-        (E, E) and (E,) coefficients and nodes with the further stages of dense output, E >= S.
+        (E, E) and (E,) coefficients and nodes, including the additional stages of dense output, E >= S.
     dense
         (E, degree) dense output: the weight of stage i at theta is ``sum_k dense[i, k] theta^(k + 1)``.
     """
@@ -32,12 +32,12 @@ class EmbeddedPair:
 
 
 def nested_polynomials(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Return dense output written as ``theta (F_0 + (1 - theta) (F_1 + theta (F_2 + (1 - theta) (...))))``.
+    """Expand dense output given as ``theta (F_0 + (1 - theta) (F_1 + theta (F_2 + (1 - theta) (...))))``.
 
     Parameters
     ----------
     parts
-        F_0, F_1, ...: each (E,) weights of the stages.
+        F_0, F_1, ...: weights of the stages, (E,) each.
 
     Returns
     -------

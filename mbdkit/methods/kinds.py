@@ -1,6 +1,6 @@
-"""The kinds of integration method as data: objects of these classes are returned by the `create` of a plugin.
+"""Descriptions of integration methods. The `create` function of an integrator plugin returns one of these objects.
 
-`mbdkit.stepping.start.start_method` runs them.
+`mbdkit.stepping.start.start_method` creates the stepper that executes them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The base class of a method that is written in Python as a class with `step`, and the state that its steps pass on."""
+"""Base class of integration methods written in Python, and the state that is passed between their steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runge-Kutta methods as data: Butcher tableaus with exact coefficients that check themselves when they are built."""
+"""Butcher tableaus with exact coefficients. Their order conditions are checked on construction."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ _OPERATORS: dict[type, Callable[..., Any]] = {
 
 
 class TableauError(MbdkitError, ValueError):
-    """A tableau that is not what it claims to be."""
+    """A tableau is malformed or does not have the claimed properties."""
 
 
 def _read(text: str, number: Callable[[str], Any], root: Callable[[Any], Any]) -> Any:
-    """Evaluate an exact coefficient written with + - * / ** and sqrt."""
+    """Evaluate an exact coefficient given as text with the operators + - * / ** and sqrt."""
 
     def visit(node: ast.expr) -> Any:
         if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
@@ -107,33 +107,34 @@ def rooted_trees(order: int) -> tuple[Tree, ...]:
 
 @dataclass(frozen=True)
 class ButcherTableau:
-    """Coefficients of a Runge-Kutta method, checked when built: row sums and order conditions to the claimed order.
+    """Coefficients of a Runge-Kutta method. Row sums and the conditions of the claimed order are checked.
 
     Parameters
     ----------
     name
         Name of the method.
     a
-        (s, s) matrix, row by row; an explicit method may leave out the zeros on and above the diagonal.
+        (s, s) matrix, row by row. For an explicit method, the zeros on and above the diagonal may be omitted.
     b
         (s,) weights.
     c
         (s,) nodes.
     order
-        The order it claims, 1 or more.
+        Claimed order, 1 or more.
     reference
-        Where it comes from, as a BibTeX entry.
+        Source of the coefficients, as a BibTeX entry.
 
     Raises
     ------
     TableauError
-        Where a row does not sum to its node or an order condition fails; the message says which one, and by how much.
+        If the sum of a row differs from its node or an order condition fails. The message contains the condition and
+        its defect.
 
     Notes
     -----
-    Conditions are evaluated with 60 digits. Exact coefficients must meet them to 1e-50, a tableau that contains
-    rounded floats to 1e-13. Order p follows from the simplifying assumptions B(p), C(eta), D(zeta) with
-    p <= eta + zeta + 1 and p <= 2 eta + 2 (Butcher 1964), or else from all rooted trees up to order p.
+    The conditions are evaluated with 60 digits. The tolerance is 1e-50 for exact coefficients, and 1e-13 if the tableau
+    contains rounded floats. Order p is proved by the simplifying assumptions B(p), C(eta), D(zeta) with
+    p <= eta + zeta + 1 and p <= 2 eta + 2 (Butcher 1964), or else by the conditions of all rooted trees up to order p.
     """
 
     name: str
@@ -155,10 +156,10 @@ class ButcherTableau:
         stages = len(b)
         if any(len(row) > stages for row in a) or len(a) != stages or len(c) != stages or stages == 0:
             raise TableauError(
-                f"{name}: a, b and c do not belong together: {len(a)} rows, {stages} weights, {len(c)} nodes"
+                f"{name}: a, b and c have inconsistent sizes: {len(a)} rows, {stages} weights, {len(c)} nodes"
             )
         if isinstance(order, bool) or not isinstance(order, int) or order < 1:
-            raise TableauError(f"{name}: the order should be a whole number from 1, not {order!r}")
+            raise TableauError(f"{name}: the order should be a positive integer, not {order!r}")
         padded = tuple(tuple(row) + (0,) * (stages - len(row)) for row in a)
         for field, value in (("name", name), ("a", padded), ("b", tuple(b)), ("c", tuple(c)), ("order", order)):
             object.__setattr__(self, field, value)
@@ -186,13 +187,13 @@ class ButcherTableau:
 
     @property
     def is_explicit(self) -> bool:
-        """Whether no stage needs a later one or itself."""
+        """Whether each stage depends on earlier stages only."""
         a, _, _ = self._numbers
         return all(a[i][j] == 0 for i in range(self.stages) for j in range(i, self.stages))
 
     @property
     def is_diagonalisable(self) -> bool:
-        """Whether ``a`` has a well-conditioned basis of eigenvectors; it may be singular, as with Lobatto IIIA."""
+        """Whether ``a`` has a well-conditioned basis of eigenvectors. It may be singular, as for Lobatto IIIA."""
         import numpy as np
 
         _, vectors = np.linalg.eig(self.floats()[0])
@@ -200,13 +201,16 @@ class ButcherTableau:
 
     @property
     def is_first_same_as_last(self) -> bool:
-        """Whether the last stage is the first one of the next step: its row of ``a`` is ``b``, and its node 1."""
+        """Whether the last stage is the first stage of the next step: the last row of ``a`` is ``b``, its node 1."""
         a, b, c = self._numbers
         return bool(self.stages > 1 and c[-1] == 1 and a[-1] == b)
 
     @property
     def is_collocation(self) -> bool:
-        """Whether it integrates polynomials through distinct nodes: ``sum_j a_ij c_j^(k-1) = c_i^k / k``, k <= s."""
+        """Whether the method is a collocation method.
+
+        The nodes are distinct and ``sum_j a_ij c_j^(k-1) = c_i^k / k``, ``sum_j b_j c_j^(k-1) = 1 / k`` for k <= s.
+        """
         a, b, c = self._numbers
         s = range(self.stages)
         with mpmath.workdps(_DIGITS):
@@ -222,7 +226,10 @@ class ButcherTableau:
 
     @property
     def is_stiffly_accurate(self) -> bool:
-        """Whether the last stage is the end of the step, and ``a`` is regular, as constraints on stages need it."""
+        """Whether the last stage is the end of the step and ``a`` is regular.
+
+        Both are required for constraints that are imposed on the stages.
+        """
         import numpy as np
 
         a, b, c = self._numbers
@@ -231,7 +238,7 @@ class ButcherTableau:
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether a step by -h undoes a step by h: ``a[s-1-i][s-1-j] + a[i][j] = b[j]``."""
+        """Whether a step of size -h reverses a step of size h: ``a[s-1-i][s-1-j] + a[i][j] = b[j]``."""
         a, b, _ = self._numbers
         s = self.stages
         with mpmath.workdps(_DIGITS):
@@ -255,7 +262,7 @@ class ButcherTableau:
         return np.array(a, dtype=float), np.array(b, dtype=float), np.array(c, dtype=float)
 
     def second_order_floats(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``A A`` (s, s) and ``A^T b`` (s,): weights of accelerations in positions, each rounded once."""
+        """Return ``A A`` (s, s) and ``A^T b`` (s,), the weights of accelerations in positions, each rounded once."""
         import numpy as np
 
         a, b, _ = self._numbers
@@ -266,7 +273,7 @@ class ButcherTableau:
         return np.array(squared, dtype=float), np.array(weights, dtype=float)
 
     def to_sympy(self) -> tuple[sp.Matrix, sp.Matrix, sp.Matrix]:
-        """Return ``a`` (s, s), ``b`` (s, 1) and ``c`` (s, 1) as SymPy matrices, exact where they were given exactly."""
+        """Return ``a`` (s, s), ``b`` (s, 1) and ``c`` (s, 1) as SymPy matrices; exact coefficients stay exact."""
         import sympy as sp
 
         return (
@@ -276,7 +283,7 @@ class ButcherTableau:
         )
 
     def check_trees(self, order: int) -> None:
-        """Check the order conditions of every rooted tree with at most `order` vertices; raise TableauError."""
+        """Check the order conditions of all rooted trees with at most `order` vertices; raise TableauError if not."""
         a, b, _ = self._numbers
         s = range(self.stages)
         weights: dict[Tree, list[mpmath.mpf]] = {}
@@ -307,7 +314,7 @@ class ButcherTableau:
                     if abs(defect) > self._tolerance:
                         raise TableauError(
                             f"{self.name} claims order {order}, but an order condition of order {vertices} "
-                            f"is off by {mpmath.nstr(defect, 3)}"
+                            f"has the defect {mpmath.nstr(defect, 3)}"
                         )
 
     def _check(self) -> None:
@@ -357,14 +364,14 @@ def collocation(name: str, nodes: Sequence[Coefficient], order: int, reference: 
     nodes
         (s,) distinct nodes in [0, 1].
     order
-        The order it claims.
+        Claimed order.
     reference
-        Where it comes from, as a BibTeX entry.
+        Source of the method, as a BibTeX entry.
 
     Returns
     -------
     ButcherTableau
-        With ``a_ij`` and ``b_j`` the integrals of the Lagrange polynomials up to ``c_i`` and 1.
+        The tableau, with ``a_ij`` and ``b_j`` the integrals of the Lagrange polynomials from 0 to ``c_i`` and to 1.
     """
     with mpmath.workdps(_DIGITS + 15):
         c = [_precise(node) for node in nodes]

@@ -1,14 +1,14 @@
-"""Newton's method on all stages of a step at once, each with the tangents of its own state.
+"""Newton's method for all stages of a step simultaneously, with the tangents evaluated at each stage.
 
-The iteration of `mbdkit.stepping.collocation_index1` takes one tangent for all stages, which does not converge within a
-step of a singular position: accelerations change with the state like 1 / x there, x being the distance to it, so that
-the tangents of different stages have nothing in common, however small the step. The equations themselves stay smooth,
+The iteration of `mbdkit.stepping.collocation_index1` uses the same tangents for all stages. It does not converge if a
+singular position is less than a step away: accelerations vary like 1 / x there, with x the distance to the singular
+position, so that the tangents of different stages differ strongly, however small the step. But the equations
 
     M a_i + Phi_q^T lambda_i = Q,    Phi_q a_i = gamma    at    (t_i, q_i(a), v_i(a)),    i = 1..s
 
-with q_i and v_i as in `mbdkit.stepping.collocation_index1`, and so Newton's method converges on them, unless a stage
-comes to stand in the singular position itself. One system of s (n + m) unknowns, by SuperLU; for the few steps that
-need it.
+with q_i and v_i as in `mbdkit.stepping.collocation_index1`, are smooth. Therefore Newton's method converges, unless the
+position of a stage is singular itself. Each iteration solves one system of s (n + m) unknowns with SuperLU, which is
+acceptable because few steps need it.
 """
 
 from __future__ import annotations
@@ -28,35 +28,38 @@ if TYPE_CHECKING:
 MOST_ITERATIONS = 20
 
 SHORT = 0.5
-"""Largest move over a step, in rad or in lengths of the mechanism, for which its equations are tried.
+"""Largest displacement in a step for which this iteration is used, in rad or relative to the characteristic length.
 
-A longer step may have solutions that have nothing to do with the motion.
+The equations of a longer step can have spurious solutions that do not approximate the motion.
 """
 
 CONTRACTION = 0.5
-"""Largest ratio of one change to the one before (Deuflhard 2004): beyond it the start is too far away."""
+"""Largest ratio of successive changes (Deuflhard 2004). A larger ratio means that the initial guess is too far away."""
 
 DONE = 1e-15
-"""Change relative to the accelerations that ends the iteration."""
+"""Change relative to the accelerations at which the iteration has converged."""
 
 STAGNANT = 1e-8
-"""Largest change that round-off next to a singular position may leave where it shrinks no more."""
+"""If the changes stop decreasing below this relative size, the iteration has reached the level of round-off.
+
+Round-off is large near a singular position.
+"""
 
 
 class CoupledNewton:
-    """Solves the stage equations of a fully implicit tableau with exact tangents.
+    """Solver for the stage equations of a fully implicit tableau, with exact tangents.
 
     Parameters
     ----------
     workspace
         The mechanism.
     a, a2, c
-        (s, s) the tableau's matrix and its square, (s,) its nodes.
+        (s, s) matrix of the tableau and its square, and (s,) nodes.
 
     Attributes
     ----------
     counters
-        Iterations, evaluations and factorizations so far.
+        Counters of iterations, evaluations and factorizations.
     """
 
     def __init__(self, workspace: Workspace, a: np.ndarray, a2: np.ndarray, c: np.ndarray):
@@ -66,29 +69,30 @@ class CoupledNewton:
         terms, size, s = workspace.terms, workspace.unknowns, len(c)
         i, j = np.meshgrid(np.arange(s), np.arange(s), indexing="ij")
         entry = (i == j)[..., None] | (terms.factor > 0)
-        """(s, s, N) which terms enter the block of stage i and the accelerations of stage j."""
+        """(s, s, N) whether a term occurs in the block of the equations of stage i and the unknowns of stage j."""
         self.entry = entry
         self.row = (size * i[..., None] + terms.row)[entry]
         self.column = (size * j[..., None] + terms.column)[entry]
 
     def solve(self, t: float, h: float, q: np.ndarray, v: np.ndarray, acc: np.ndarray, lam: np.ndarray) -> int:
-        """Solve for the stages of a step, beginning with constant accelerations.
+        """Solve for the stages of a step, with constant accelerations as the initial guess.
 
         Parameters
         ----------
         t, h
             Start of the step and its size [s].
         q, v
-            (3 (B + 1),) state at its start, ground last.
+            (3 (B + 1),) state at the start of the step, ground last.
         acc : (s, 3 (B + 1)) array
-            Receives the accelerations of the stages.
+            Accelerations of the stages; overwritten.
         lam : (s, P, 2) array
-            Receives their multipliers.
+            Multipliers of the stages; overwritten.
 
         Returns
         -------
         int
-            Iterations; 0 where they do not converge or the step is too long: `acc` and `lam` are left as they were.
+            Number of iterations; 0 if the iteration does not converge or the step is too long. In this case `acc` and
+            `lam` are not changed.
         """
         p, s = self.equations, len(self.c)
         try:
@@ -109,7 +113,7 @@ class CoupledNewton:
         return iterations
 
     def _iterate(self, t: float, h: float, q: np.ndarray, v: np.ndarray, acc: np.ndarray, lam: np.ndarray) -> int:
-        """Change stage accelerations (s, n) and multipliers (s, m) until they meet the equations."""
+        """Solve for stage accelerations (s, n) and multipliers (s, m) in place; return the iterations, 0 on failure."""
         from scipy.sparse import csc_array
         from scipy.sparse.linalg import splu
 
@@ -139,7 +143,7 @@ class CoupledNewton:
     def _linearise(
         self, t: float, h: float, q: np.ndarray, v: np.ndarray, acc: np.ndarray, lam: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the entries of the matrix, and what the equations lack (s (n + m),)."""
+        """Return the entries of the matrix and the residual of the equations (s (n + m),)."""
         p, terms, n, s = self.equations, self.workspace.terms, self.equations.n, len(self.c)
         defect = np.empty((s, self.workspace.unknowns))
         values = np.empty((s, s, len(terms.source)))
@@ -159,7 +163,7 @@ class CoupledNewton:
         return values[self.entry], defect.ravel()
 
     def _relative(self, change: np.ndarray, acc: np.ndarray) -> float:
-        """Return the largest change relative to the largest acceleration, linear and angular ones apart."""
+        """Return the largest change relative to the largest acceleration, separately for linear and angular ones."""
         largest = 0.0
         for some in (np.arange(self.equations.n) % 3 < 2, np.arange(self.equations.n) % 3 == 2):
             moved, size = np.max(np.abs(change[:, some])), np.max(np.abs(acc[:, some]))

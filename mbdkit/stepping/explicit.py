@@ -1,6 +1,6 @@
 """Explicit Runge-Kutta methods: one compiled step for every tableau, with error estimates and dense output.
 
-A tableau may have more rows than the step needs. These stages are evaluated only for dense output.
+The tableau can have more stages than the step requires; the additional ones are evaluated for dense output only.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Explicit(NamedTuple):
-    """An explicit method and its stages: S stages of the step, E stages with those of dense output."""
+    """Coefficients and stages of an explicit method: S stages of the step, E stages including those of dense output."""
 
     a: np.ndarray
     """(E, E) coefficients."""
@@ -45,7 +45,7 @@ class Explicit(NamedTuple):
     weights: np.ndarray
     """(E,) work array: weights of dense output."""
     status: np.ndarray
-    """(2,) whether the last stage of a step is the first of the next; number of stages evaluated."""
+    """(2,) whether the last stage of a step is the first one of the next; number of stages evaluated so far."""
 
 
 def new_explicit(method: ExplicitRungeKutta, size: int, pairs: int) -> Explicit:

@@ -76,16 +76,16 @@ class PairCoefficients(NamedTuple):
 
 
 class PastSteps(NamedTuple):
-    """Accelerations of the steps before, from which the next ones are extrapolated."""
+    """Accelerations of previous steps, from which those of the next step are extrapolated."""
 
     acc: np.ndarray
     """(MOST_PAST, s, 3 (B + 1)), newest first."""
     begin: np.ndarray
-    """(1,) time at which the newest of them began [s]."""
+    """(1,) start time of the newest step [s]."""
     size: np.ndarray
-    """(1,) its size [s]."""
+    """(1,) size of the newest step [s]."""
     known: np.ndarray
-    """(1,) number of consecutive steps of that size that are kept."""
+    """(1,) number of consecutive steps of that size that are stored."""
 
 
 class Pair(NamedTuple):
@@ -93,13 +93,13 @@ class Pair(NamedTuple):
 
     rk: PairCoefficients
     most_iterations: np.ndarray
-    """(1,) iterations in one step after which its equations count as unsolved."""
+    """(1,) largest number of iterations in one step."""
     tolerance: np.ndarray
     """(1,) predicted change of positions, relative to their size, at which the iteration ends."""
     acc: np.ndarray
     """(s, 3 (B + 1)) accelerations of the stages."""
     lam: np.ndarray
-    """(s, P, 2) multipliers of the stages, of the rows that are solved for."""
+    """(s, P, 2) multipliers of the independent rows at the stages."""
     past: PastSteps
     q_stage: np.ndarray
     v_stage: np.ndarray
@@ -127,7 +127,7 @@ load_pair = bundle_loader(_example)
 
 @subkernel
 def _predict(m, t, h):
-    """Extrapolate the accelerations of the previous steps, each stage by itself, or start from free flight.
+    """Extrapolate the accelerations of previous steps for each stage separately; without previous steps, use zero.
 
     Only the newest step is used if the step size has changed, or if the same step is tried again.
     """
@@ -135,7 +135,7 @@ def _predict(m, t, h):
     known = past.known[0]
     if t == past.begin[0] or past.size[0] != h:
         known = min(known, 1)
-    elif not abs(past.begin[0] + h - t) <= 1e-6 * abs(h):  # not the step that follows the newest one
+    elif not abs(past.begin[0] + h - t) <= 1e-6 * abs(h):  # the newest step does not end at t
         known = 0
     x0, x1, x2 = past.acc[0], past.acc[1], past.acc[2]
     for i in range(len(m.rk.c)):
@@ -152,7 +152,7 @@ def _predict(m, t, h):
 
 @subkernel
 def _keep(m, t, h):
-    """Keep the accelerations of a step for the next ones; a repeated attempt replaces the last one."""
+    """Store the accelerations of a step for the next ones; a repeated attempt replaces the previous one."""
     past = m.past
     if past.known[0] > 0 and t == past.begin[0]:
         past.known[0] = max(past.known[0] - 1, 0) if past.size[0] == h else 0
@@ -322,7 +322,7 @@ class PairFamily(Family):
     attempt = attempt
     carries_stages = True
     carries_multipliers = True
-    hint = "a smaller time.step may help, or radau-iia where forces are stiff"
+    hint = "a smaller time.step may help, or radau-iia for stiff forces"
 
     def __init__(self, method: LobattoPair, workspace: Workspace):
         super().__init__(workspace)
@@ -331,9 +331,9 @@ class PairFamily(Family):
         self.memory = tuple(self.own.past)
 
     def forget(self) -> None:
-        """Start the next step without accelerations to extrapolate."""
+        """Discard the stored accelerations, so that the next step does not extrapolate them."""
         self.own.past.known[0] = 0
 
     def describe_divergence(self, report: np.ndarray) -> str:
-        """Return the largest change of an acceleration and where it is."""
+        """Return the largest change of an acceleration, and its location, as text."""
         return describe_divergence(self.workspace, report)

@@ -1,4 +1,4 @@
-"""A step of a compiled method with its projection: none, onto the constraints after the step, or symmetric."""
+"""Steps of compiled methods, optionally with projection onto the constraints, after the step or symmetric."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ MAX_TRIALS = 100
 """Iterations of a symmetric projection, each with a step of the method; it converges slowly on fast linkages."""
 
 IDLE, IDLE_RATIO = 2, 0.9
-"""The iteration ends after so many iterations without progress: the residual is above this ratio of the smallest one
-so far, and already at the level of rounding errors."""
+"""Number of iterations without progress after which the iteration ends. No progress means that the residual exceeds
+this ratio of the smallest one so far, and is below `STAGNANT`, the level of rounding errors."""
 
 
 @subkernel
@@ -84,7 +84,7 @@ def _symmetric_step(common, own, attempt, t, h):
             return status
         for d in range(len(c.q)):
             c.new_q[d] = c.from_q[d] + c.dq[d]
-        for _ in range(2):  # Phi_q belongs to the projected end, which it changes
+        for _ in range(2):  # twice, since Phi_q is evaluated at the projected end, which depends on it
             _push(c, t + h, c.new_q, c.est_q, c.est_v)
             for d in range(len(c.q)):
                 c.new_q[d] = c.from_q[d] + c.dq[d] + c.est_q[d]
@@ -137,7 +137,7 @@ def _passes_bound(c, t, q, v, bound):
 def take(common, own, attempt, t, h, want_error, mode):
     """Compute one step, and its projection if that is symmetric; write its end into ``new_q, new_v``; return a status.
 
-    The state is not changed. ``shift_q, shift_v`` is what the projection adds to ``dq, dv``.
+    The state is not changed. ``shift_q, shift_v`` are the corrections that the projection adds to ``dq, dv``.
     """
     c = load_common(common)
     if mode == SYMMETRIC:
@@ -158,7 +158,7 @@ def take(common, own, attempt, t, h, want_error, mode):
 
 @subkernel
 def project(common, t, mode, due, bound):
-    """Project the end of a step if that is due; return a status and whether the step is projected."""
+    """Project the end of a step if a projection is due; return a status and whether the step is projected."""
     c = load_common(common)
     if mode != PLAIN or not due or (bound > 0.0 and not _passes_bound(c, t, c.new_q, c.new_v, bound)):
         return OK, mode == SYMMETRIC

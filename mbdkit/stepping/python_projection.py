@@ -1,7 +1,7 @@
 """Projection of the steps of Python methods onto the constraints, after the step or symmetrically before and after it.
 
-`mbdkit.stepping.projected_step` does this for compiled methods in compiled code. Here the iteration contains a step in
-Python, so it calls `EquationsOfMotion`.
+`mbdkit.stepping.projected_step` is the equivalent for compiled methods. Here the iteration contains a step in Python,
+therefore it uses `EquationsOfMotion`.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ class Taken:
 class StabilizedSteps:
     """Takes steps of a Python method with the stabilization of the run.
 
-    *Projection*: positions and velocities go to the nearest ones on the constraints, in the mass metric. *Symmetric
+    *Projection* replaces positions and velocities by the nearest consistent ones in the mass metric. *Symmetric
     projection* (Hairer 2000, BIT 40, 726-734): with multipliers mu of positions and nu of velocities,
 
         q_0~ = q_0 + M^-1 Phi_q(q_0)^T mu,    (q_1~, v_1~) = step(q_0~, v_0~),    q_1 = q_1~ + M^-1 Phi_q(q_1)^T mu
         v_0~ = v_0 + M^-1 Phi_q(q_0)^T nu,                                        v_1 = v_1~ + M^-1 Phi_q(q_1)^T nu
 
     so that Phi(q_1) = 0 and Phi_q(q_1) v_1 + Phi_t = 0. The projected method is symmetric if the method is. The
-    multipliers are computed by a simplified Newton iteration: each iteration takes a step of the method, and the
-    matrix is that of a step that changes q by h v.
+    multipliers are computed by a simplified Newton iteration. Each iteration takes a step of the method; its matrix
+    approximates the step by q + h v.
 
-    Multipliers and memory of a state are not changed by projection. A memory that must be consistent with the
-    velocities, such as that of generalized-alpha, then is not, which can reduce the order of the multipliers by one.
+    Projection does not change the multipliers and the memory of a state. If the memory should be consistent with the
+    velocities, as in the generalized-alpha method, this can reduce the order of the multipliers by one.
 
     Parameters
     ----------
     step
-        The step of the method: (t, state, h) to state.
+        Function that takes a step of the method: (t, state, h) to the new state.
     equations
         The equations, with their counters and the stabilization of the run.
     """

@@ -1,4 +1,4 @@
-"""Runs a method that is written in Python: takes its steps, checks them, integrates energies and records states."""
+"""Execution of methods written in Python: steps, checks of their results, integration of energies, recording."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _load_kernels() -> None:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Work since the last recorded row: steps, size of the last, iterations, and corrections (4,) as in `Stretch`."""
+    """Work since the last recorded row: steps, size of the last step, iterations, corrections (4,) as in `Stretch`."""
 
     steps: int = 0
     size: float = 0.0
@@ -89,7 +89,7 @@ class PythonStepper:
         _load_kernels()
 
     def advance(self) -> Stretch:
-        """See `Stepper.advance`. An exception of the method is raised by the next call, after the rows before it."""
+        """See `Stepper.advance`. An exception of the method is raised by the next call, so that no rows are lost."""
         if self.raised is not None:
             raise self.raised
         until, table = time.perf_counter() + interface.STRETCH, self.timetable
@@ -161,7 +161,9 @@ class PythonStepper:
         return table.last_step if begin.done == table.steps - 1 else table.step
 
     def _after(self, begin: Reached, theta: float, worst: np.ndarray) -> Reached:
-        """Return the result of a share of the step from `begin`, and raise `worst` (P,) by its misalignments.
+        """Return the result of the fraction `theta` of the step from `begin`; update the maxima `worst` (P,).
+
+        `worst` are squared misalignments.
 
         Raises StepError, and any exception of the method.
         """
@@ -182,7 +184,10 @@ class PythonStepper:
         return Reached(done, table.end if done == table.steps else end, new, energy, low, interval)
 
     def _again(self, theta: float) -> Reached | None:
-        """Take a share of the last step; None if the step fails. Raises any other exception of the method."""
+        """Repeat the last step with the fraction `theta` of its size; None if this fails with a StepError.
+
+        Raises any other exception of the method.
+        """
         try:
             return self._after(self._before, theta, self.worst_pairs.copy())
         except StepError:
@@ -194,7 +199,7 @@ class PythonStepper:
         self.finished = there.done == self.timetable.steps
 
     def _recorded(self) -> Reached:
-        """Return the point reached, to be recorded, and begin a new interval."""
+        """Return the current point for recording, and start a new interval."""
         recorded = self.now
         self.now = replace(recorded, interval=Interval())
         return recorded
@@ -220,13 +225,13 @@ class PythonStepper:
             try:
                 found.append(vector(value, size))
             except (TypeError, ValueError) as error:
-                raise ValueError(f"{name}.step returned `{field_name}` amiss: {error}") from None
+                raise ValueError(f"{name}.step returned an invalid `{field_name}`: {error}") from None
         if len(found) == 3 and not np.all(np.isfinite(found[2])):
             raise StepError("not-finite", "multipliers overflowed")
         return new if found[0] is new.q and found[1] is new.v else replace(new, q=found[0], v=found[1])
 
     def _booked(self, begin: Reached, h: float, taken: Taken) -> tuple[np.ndarray, np.ndarray]:
-        """Return work and dissipated energy after the step of the method, by compensated sums."""
+        """Return work and dissipated energy after the step of the method, computed by compensated summation."""
         gains: Sequence[float | None] = (taken.made.work, taken.made.dissipated)
         if None in gains:
             ours = self._gains(begin.time, h, taken)
@@ -248,7 +253,7 @@ class PythonStepper:
         return h / 6 * (begin + 4 * middle + np.array(equations.powers(t + h, new.q, new.v, lam1)))
 
     def _stretch(self, rows: list[Reached]) -> Stretch:
-        """Return recorded states as a stretch."""
+        """Return recorded states as a `Stretch`."""
         n, count = self.equations.n, len(rows)
         q, v = np.zeros((2, count, self.workspace.mechanism.size))
         intervals = np.zeros((count, 6))

@@ -1,6 +1,6 @@
-"""The state of a run that the compiled driver shares with every compiled method, with work arrays and results.
+"""State, work arrays and results of a run, shared by the compiled driver and all compiled methods.
 
-The arrays are bundled once and kept for the kernels (`mbdkit.engine.jit.bundle`); functions pass the address on.
+The arrays are stored in a bundle (`mbdkit.engine.jit.bundle`), whose address is passed to the kernels.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ RHS, JACOBIANS, FACTORIZATIONS, ITERATIONS, PROJECTIONS = range(5)
 
 
 class Progress(NamedTuple):
-    """How far a run has come; each array has one element."""
+    """Progress of a run; each array has one element."""
 
     time: np.ndarray
     """Time reached [s], and the low part of its compensated sum."""
     time_low: np.ndarray
     next_size: np.ndarray
-    """Size of the next step, if the error controls it [s]."""
+    """Size of the next step with step size control [s]."""
     last_size: np.ndarray
     """Size of the last accepted step [s]."""
     last_error: np.ndarray
     """Scaled error of the last accepted step; 0 before the first."""
     next_row: np.ndarray
-    """Number of the next row that is recorded by interval."""
+    """Number of the next row to be recorded at equidistant times."""
     accepted: np.ndarray
     """Number of accepted steps."""
     rejected: np.ndarray
     """Number of rejected steps."""
     pending: np.ndarray
-    """Whether a step has been accepted whose rows are not yet written; the state is still the one before it."""
+    """Whether a step has been accepted whose rows are not yet written; the state is then still that of its start."""
     retrying: np.ndarray
     """Whether the last attempt was rejected."""
 
@@ -73,7 +73,7 @@ INTERVAL_FIELDS = Interval._fields[1:]
 
 
 def new_progress() -> Progress:
-    """Return the progress of a run that has not begun."""
+    """Return the progress at the start of a run."""
     reals, counts = np.zeros((6, 1)), np.zeros((4, 1), dtype=np.int64)
     return Progress(*reals, *counts)
 
@@ -85,7 +85,7 @@ def new_interval() -> Interval:
 
 
 class Common(NamedTuple):
-    """A run as the compiled driver sees it. Vectors are (3 (B + 1),), ground last; multipliers are (P, 2) by pair."""
+    """Data of a run for the compiled driver. Vectors are (3 (B + 1),), ground last; multipliers are (P, 2) by pair."""
 
     top: Topology
     """The mechanism, with Baumgarte's terms if the run is stabilized by them."""
@@ -119,7 +119,7 @@ class Common(NamedTuple):
     """Estimates of the local error, if requested."""
     est_v: np.ndarray
     second_q: np.ndarray
-    """Second estimates of lower order, of methods that have two."""
+    """Second estimates, of lower order, for methods with two estimates."""
     second_v: np.ndarray
     point_q: np.ndarray
     """Result of dense output: positions, velocities, energies gained since the start of the step, multipliers."""
@@ -159,7 +159,7 @@ class Common(NamedTuple):
     row_energy: np.ndarray
     row_interval: np.ndarray
     row_lam: np.ndarray
-    """No rows if the method computes no multipliers."""
+    """Empty if the method does not compute multipliers."""
 
 
 def new_common(workspace: Workspace, rows: int, *, own_multipliers: bool = False) -> Common:
@@ -172,7 +172,7 @@ def new_common(workspace: Workspace, rows: int, *, own_multipliers: bool = False
     rows
         Size of the buffer of recorded states.
     own_multipliers
-        Whether the method computes multipliers, which are recorded.
+        Whether the method computes multipliers, which are then recorded.
     """
     top = workspace.stepping_topology
     size, pairs = workspace.mechanism.size, len(top.pairs)

@@ -1,8 +1,8 @@
-"""SciPy's adaptive solvers on the first-order form y = (q, v) of the index-1 equations.
+"""SciPy's adaptive solvers, applied to the first-order form y = (q, v) of the index-1 equations.
 
-If loads, drivers or dampers act, work and dissipated energy [J] are two more states, so that they are integrated with
-the weights of the method. Solvers that use a Jacobian get the exact Jacobian of the accelerations. Events are located
-on the solvers' dense output, whose order may be lower than that of the steps.
+If loads, drivers or dampers are present, work and dissipated energy [J] are two additional components of y, so that
+they are integrated with the weights of the method. Solvers that use a Jacobian get the exact Jacobian of the
+accelerations. Events are located on the solvers' dense output, whose order can be lower than that of the steps.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _RADAU_FIRST_NODE = (4 - 6**0.5) / 10
 
 Row = tuple[float, np.ndarray, np.ndarray, float]
-"""A state to be recorded: time, y, the interval that ends there (6,), and the largest Baumgarte term in it."""
+"""A state to be recorded: time, y, data of the interval since the last row (6,), largest Baumgarte term in it."""
 
 
 class _StoppedError(Exception):
@@ -41,7 +41,7 @@ class _StoppedError(Exception):
 
 
 class SciPyStepper:
-    """Runs an `OdeSolver` of SciPy over a timetable; implements `mbdkit.stepping.interface.Stepper`."""
+    """Integrates with an `OdeSolver` of SciPy over a timetable; implements `mbdkit.stepping.interface.Stepper`."""
 
     def __init__(self, method: SciPySolver, workspace: Workspace, timetable: Timetable):
         import scipy.integrate
@@ -105,7 +105,7 @@ class SciPyStepper:
                 workspace.use_pivots()
             except SingularSystemError as error:
                 name = workspace.mechanism.unknown_name(error.index)
-                where = f"no independent equations are left at {name} at t = {t:.6g} s"
+                where = f"the system of equations is singular at {name} at t = {t:.6g} s"
                 raise _StoppedError(Failure("singular", f"{where}{self._nearness(t, y)}.")) from None
         self._finite = self._finite and bool(np.all(np.isfinite(out)))
         return out if self.has_power else out[: 2 * self.n3]
@@ -125,7 +125,7 @@ class SciPyStepper:
         n, terms = workspace.unknowns, workspace.terms
         values = workspace.scratch.source[terms.source]
         sign = np.array([1.0, 1.0, -1.0, 1.0])[terms.factor]
-        parts = np.zeros((3, n, n))  # KKT matrix, then derivatives of its residual by v and by q
+        parts = np.zeros((3, n, n))  # KKT matrix; derivatives of the residual with respect to v and to q
         np.add.at(parts, (np.array([0, 1, 1, 2])[terms.factor], terms.row, terms.column), sign * values)
         right = -np.concatenate([parts[2][:, :n3], parts[1][:, :n3]], axis=1)
         out = np.zeros((len(y), len(y)))
@@ -175,7 +175,7 @@ class SciPyStepper:
         return self.last_state()
 
     def _interpolated(self, theta: float) -> np.ndarray:
-        """Return y at the share `theta` of the last step, by dense output or the cubic through both ends."""
+        """Return y at the fraction `theta` of the last step, by dense output or the cubic through both ends."""
         step = self.last_step
         assert step is not None
         if theta in (0.0, 1.0):
@@ -216,7 +216,7 @@ class SciPyStepper:
         except (ValueError, np.linalg.LinAlgError):
             if self._finite:
                 raise
-            self.failure = self._overflow(before)  # SciPy's linear algebra refuses numbers that are not finite
+            self.failure = self._overflow(before)  # raised by SciPy's linear algebra for numbers that are not finite
             return False
         self.counters.factorizations += solver.nlu - lu
         if solver.status == "failed":
@@ -226,8 +226,8 @@ class SciPyStepper:
                 where = f"at t = {before:.6g} s: {message}".rstrip(".")
                 self.failure = Failure("step-too-small", f"{where}{self._nearness(before, self.y)}.")
             return False
-        if solver.t == before:  # LSODA would continue forever with steps below the rounding of the time
-            where = f"at t = {before:.6g} s: the step is too small to move the time"
+        if solver.t == before:  # LSODA would never stop taking steps below the rounding error of the time
+            where = f"at t = {before:.6g} s: the step is below the rounding error of the time"
             self.failure = Failure("step-too-small", f"{where}{self._nearness(before, self.y)}.")
             return False
         if not np.all(np.abs(solver.y) < BEYOND):
@@ -254,7 +254,7 @@ class SciPyStepper:
         return True
 
     def _nearness(self, t: float, y: np.ndarray) -> str:
-        """Return a clause that says that a state is nearly singular; empty if it is not."""
+        """Return a clause stating that a state is nearly singular; empty if it is not."""
         near = describe_nearness(self.workspace, t, self._positions(y))
         return near and f"; {near}"
 

@@ -71,7 +71,7 @@ def test_a_slide_that_cannot_meet_its_angle_is_named() -> None:
     m.body("block", mass=1.0, inertia=1.0, position=(0.0, 0.0))
     m.prismatic("P", m.ground, "block", at=(0.0, 0.0), axis=(1.0, 0.0), angle=0.2)
     m.driver("turn", m.ground, "block", coordinate="angle", motion=0.0)
-    with pytest.raises(SpecError, match=r"these joints cannot meet at t = 0 s: .*P \(0\.1 rad\)"):
+    with pytest.raises(SpecError, match=r"these joints cannot be assembled at t = 0 s: .*P \(0\.1 rad\)"):
         assemble(m)
 
 
@@ -232,7 +232,7 @@ def test_joints_that_cannot_meet_are_named(kind: str) -> None:
         assemble(m)
     message = str(caught.value)
     assert any(f"{name} (" in message for name in names)
-    assert ("move together" if kind == "driven apart" else "meet") in message
+    assert ("have consistent velocities" if kind == "driven apart" else "be assembled") in message
     if kind == "held":
         assert "while rod stay fixed" in message or "while rod stays fixed" in message
 

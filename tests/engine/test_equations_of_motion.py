@@ -217,7 +217,7 @@ def test_any_vector_of_the_right_length_will_do(given: Any) -> None:
 
 def test_a_wrong_length_is_told() -> None:
     p = problem("driven chain")
-    with pytest.raises(ValueError, match=r"shape \(3,\) was given where \(12,\) is wanted"):
+    with pytest.raises(ValueError, match=r"expected an array of shape \(12,\), got shape \(3,\)"):
         p.constraints(T, np.zeros(3))
 
 
@@ -260,7 +260,7 @@ def test_a_mechanism_without_a_unique_solution_is_told_by_name() -> None:
         lambda: p.accelerations(0.0, flat, p.v0),
         lambda: p.iteration_matrix(0.0, flat, p.v0, *nothing, stiffness=1e-6).solve(np.ones(p.n), np.ones(p.m)),
     ):
-        with pytest.raises(StepError, match=r"no independent equations are left|too close to singular") as error:
+        with pytest.raises(StepError, match=r"system of equations is singular|too close to singular") as error:
             call()
         assert error.value.code == "singular"
 

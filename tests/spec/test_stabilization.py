@@ -133,7 +133,7 @@ def test_a_warning_tells_from_where_on_baumgarte_is_stiff(
     step = small["time"]["step"]
     assert told(0.999 * limit / step) == ""
     words = told(1.001 * limit / step)
-    assert "stiff against the step of 0.01 s" in words
+    assert "too large for the step of 0.01 s" in words
     assert f"it should be below {limit:.4g}: " in words
 
 

@@ -209,7 +209,7 @@ def test_a_run_warns_where_baumgarte_is_stiff_and_keeps_the_warning(capsys: pyte
     # expected: RK4 multiplies an error by R(-3) = 1 - 3 + 9/2 - 9/2 + 27/8 a step
     stiff = {"name": "baumgarte", "alpha": 300.0}
     run = run_with(RungeKutta(), DOUBLE, {"steps": 3, "step": 0.01}, stabilization=stiff).check()
-    words = "with 'mine' each step makes an error of the constraints 1.38 times as large"
+    words = "with 'mine' each step multiplies constraint errors by 1.38"
     assert words in capsys.readouterr().err
     assert words in run.summary()
     assert "warning" not in run_with(RungeKutta(), DOUBLE, {"steps": 3, "step": 0.01}).provenance

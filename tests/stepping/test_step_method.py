@@ -168,12 +168,12 @@ WRONGS = {
     "it returns nothing": (lambda p, s: None, "Failing.step returned NoneType, not a StepState"),
     "its positions are too short": (
         lambda p, s: StepState(s.q[:3], s.v),
-        "Failing.step returned `q` amiss: an array of shape (3,) was given where (6,) is wanted",
+        "Failing.step returned an invalid `q`: expected an array of shape (6,), got shape (3,)",
     ),
-    "its velocities are text": (lambda p, s: StepState(s.q, "fast"), "Failing.step returned `v` amiss"),
+    "its velocities are text": (lambda p, s: StepState(s.q, "fast"), "Failing.step returned an invalid `v`"),
     "it asks with a wrong shape": (
         lambda p, s: p.accelerations(0.0, s.q.reshape(2, 3), s.v),
-        "an array of shape (2, 3) was given where (6,) is wanted",
+        "expected an array of shape (6,), got shape (2, 3)",
     ),
 }
 
@@ -195,7 +195,7 @@ def test_multipliers_that_were_promised_must_come() -> None:
 
     run = run_with(Silent(), DOUBLE, {"steps": 3, "step": 0.01})
     assert run.status_reason.startswith("plugin-error")
-    assert "Silent.step returned `multipliers` amiss" in run.status_reason
+    assert "Silent.step returned an invalid `multipliers`" in run.status_reason
 
 
 def test_a_method_that_is_none_is_refused_by_name() -> None:
