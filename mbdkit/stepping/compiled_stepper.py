@@ -303,7 +303,7 @@ class CompiledStepper:
     def _unusable(self) -> str:
         """Return which force or motion was not finite when last evaluated; empty if all were finite."""
         if not self.workspace.motions_are_finite():
-            return "a driver or load is not a finite number"
+            return "the value of a driver or load is not finite"
         if force := self.workspace.unusable_law():
             return f"the law of force '{force}' gives no finite number"
         return ""
@@ -359,9 +359,9 @@ class CompiledStepper:
             index, column = int(workspace.solver.failed[0]), workspace.solver.pattern.column_of
             name = workspace.mechanism.unknown_name(int(column[index]) if 0 <= index < len(column) else -1)
         if self.family.carries_stages and distance > REGULAR:
-            what = f"{where}: the stage iteration strayed to where no independent equations are left at {name}"
+            what = f"{where}: the stage iteration reached a state in which the system of equations is singular at {name}"
             return Failure("newton-failed", f"{what}; {hint}.")
-        return Failure("singular", f"no independent equations are left at {name} {where}; {hint}.")
+        return Failure("singular", f"the system of equations is singular at {name} {where}; {hint}.")
 
     def _own_multipliers(self, lam: np.ndarray) -> np.ndarray | None:
         """Return the multipliers of the method by constraint row, from those by pair (T, P, 2)."""

@@ -107,7 +107,7 @@ def test_adaptive_solvers_that_stop_at_a_singular_position_name_a_joint_of_it(na
         assert code in ("singular", "step-too-small")
         assert "singular position" in sentence
         assert any(f"'{joint}'" in sentence for joint in result.joint_names)
-        assert np.abs(result.energy.balance).max() < 1e-3
+        assert np.abs(result.energy.balance[result.time < FIRST_FLAT - 0.01]).max() < 1e-6
 
 
 def test_start_in_a_flat_position_is_refused_by_the_joints_that_block_each_other():

@@ -98,7 +98,7 @@ def test_stages_around_a_flat_position_solve_their_equations_where_one_tangent_f
     angle, h = 0.0017, 0.001
     speed = rod.speed(angle)
     p = EquationsOfMotion.of(n_four_bar.build(n_four_bar.NFourBarOptions(angle=angle, speed=-speed)))
-    problem = p._problem
+    problem = p._workspace
     a, b, c = gauss.tableau(3).floats()
     acc, lam = np.zeros((3, len(problem.q0))), np.zeros((3, len(problem.mechanism.topology.pairs), 2))
     assert 0 < CoupledNewton(problem, a, a @ a, c).solve(0.0, h, problem.q0, problem.v0, acc, lam) < 10
@@ -111,7 +111,7 @@ def test_stages_around_a_flat_position_solve_their_equations_where_one_tangent_f
 
 def test_stages_that_have_no_solution_are_left_as_they_were():
     p = EquationsOfMotion.of(n_four_bar.build(n_four_bar.NFourBarOptions()))
-    problem = p._problem
+    problem = p._workspace
     a, _, c = gauss.tableau(2).floats()
     acc, lam = np.ones((2, len(problem.q0))), np.ones((2, len(problem.mechanism.topology.pairs), 2))
     assert CoupledNewton(problem, a, a @ a, c).solve(0.0, 50.0, problem.q0, problem.v0, acc, lam) == 0
