@@ -118,7 +118,7 @@ def lowest(placed: Placed, at: State, count: int) -> tuple[np.ndarray, np.ndarra
     no_rows = np.zeros(p.m)
 
     def inverse(x: np.ndarray) -> np.ndarray:
-        """Solve ``dv - shift dq = f``, ``-K dq - C dv - shift M dv = M g`` along the degrees of freedom for (dq, dv)."""
+        """Solve ``dv - shift dq = f``, ``-K dq - C dv - shift M dv = M g`` for (dq, dv), free motions only."""
         f, g = x[:n], x[n:]
         right = -p.mass * (g + shift * f) - tangents.damping @ f
         dq, _ = matrix.solve(right, no_rows)
