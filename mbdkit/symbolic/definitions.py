@@ -42,8 +42,8 @@ INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
 }
 """Named intermediate quantities, each in terms of coordinates, parameters and earlier ones."""
 
-# These rules keep derivatives in terms of the intermediates: the derivative of a rotated vector by its angle is the same
-# vector rotated by 90 degrees.
+# These rules keep derivatives in terms of the intermediates: the derivative of a rotated vector by its angle is the
+# same vector rotated by 90 degrees.
 _DERIVATIVES: dict[sp.Symbol, dict[sp.Symbol, sp.Expr]] = {
     ca: {tha: -sa},
     sa: {tha: ca},
