@@ -36,7 +36,7 @@ class Pattern(NamedTuple):
     row_scale: RealVector
     """(n,) factors that equilibrate the rows, in original order; powers of two, so that scaling is exact."""
     column_scale: RealVector
-    """(n,) factors that equilibrate the columns."""
+    """(n,) factors that equilibrate the columns, also powers of two."""
     weight: RealVector
     """(nnz,) product of row and column factor for every entry of A."""
 
