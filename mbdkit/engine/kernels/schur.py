@@ -2,9 +2,9 @@
 
 The mass matrix is diagonal, so S has a block for every two pairs of rows that share a body, and is positive definite
 if the rows are independent. The factorization therefore needs no pivoting; `TOO_SMALL` detects a loss of accuracy. The
-pairs of constraint rows are numbered in elimination order, so that the factors need no permutation.
-The existing blocks and the target of every update are determined once per mechanism
-(`mbdkit.engine.elimination_order`); the kernels only follow this schedule.
+pairs of constraint rows are numbered in elimination order, so that the factors need no permutation. The existing blocks
+and the target of every update are determined once per mechanism (`mbdkit.engine.elimination_order`); the kernels only
+follow this schedule.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Schur(NamedTuple):
     row: IntVector
     """(E,) block row of each block."""
     update: IntVector
-    """Targets of the updates: for each column and each two of its blocks, in order of use, the block from
-    which their product is subtracted."""
+    """Targets of the updates: for each column and each two of its blocks, in order of use, the block from which their
+    product is subtracted."""
     coupling: IntMatrix
     """(C, 6) contributions to S off the diagonal, one for each shared body: block; pair of the block's row and first
     column of the body in its Jacobian; pair of the block's column and the same; body."""
