@@ -165,7 +165,7 @@ def with_law(law: str, **options: Any) -> Mechanism:
     [
         ("without-derivatives", {}, "its function returns one value, not the four numbers force, derivative by length"),
         ("not-compilable", {}, "cannot be compiled: TypingError"),
-        ("not-numbers", {}, "its function returns other things, not the four numbers"),
+        ("not-numbers", {}, "its function returns other types, not the four numbers"),
         ("not-smooth", {}, "SymPy cannot differentiate its force f(length)"),
         ("bessel", {}, "its force besselj(0, length) contains functions that cannot be compiled"),
         ("named-length", {}, "its parameter 'length' has the name of what every law is a function of"),
