@@ -133,7 +133,7 @@ class _Path:
             raise self.stopped(error) from error
 
     def go_to(self, t: float) -> None:
-        """Advance to time `t` [s] in steps that are halved where needed and doubled after each success."""
+        """Advance to time `t` [s] in steps that are halved if needed and doubled after each success."""
         whole = t - self.t
         step = whole
         while self.t < t:

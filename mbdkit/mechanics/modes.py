@@ -267,9 +267,10 @@ def _few(placed: Placed, state: State, count: int) -> tuple[np.ndarray, np.ndarr
             f"a mechanism of {len(placed.equations.bodies)} bodies is too large to be linearised while it moves "
             f"(limit: {DENSE // 3} bodies); linearise it about its equilibrium instead"
         )
-    if 2 * count + 8 > placed.freedoms:
+    if 2 * count + 8 > placed.freedoms:  # ARPACK finds only a part of the spectrum
         raise placed.error(f"at most {placed.freedoms // 2 - 4} modes can be found of a mechanism this large", key="")
     values, shapes = lowest(placed, state, 2 * count + 2)
+    # A real part this small is rounding error of the iteration; without this, undamped modes would seem to grow.
     values = np.where(np.abs(values.real) <= 1e-9 * np.abs(values), 1j * values.imag, values)
     once = np.flatnonzero(values.imag >= 0)
     once = once[np.argsort(np.abs(values[once]))][:count]
