@@ -166,6 +166,7 @@ def residual_of(address, t, q, v, a, lam, with_forces, out):
     _put_rows(eq, eq.lam, lam)
     prepare(top, w, t, eq.q)
     solved_rows(top, w, eq.q, eq.v)
+    # `eq.a` serves as the accumulator of the residual. Gravity is not part of ``w.force`` and is subtracted separately.
     for d in range(len(eq.q)):
         eq.a[d] = 0.0
     if with_forces:
@@ -186,7 +187,7 @@ def residual_of(address, t, q, v, a, lam, with_forces, out):
                 eq.a[first + i] += w.jac[k, 6 * r + i] * eq.lam[k, r]
                 eq.a[second + i] += w.jac[k, 6 * r + 3 + i] * eq.lam[k, r]
     finite = _take(eq.a, out)
-    eq.a[len(eq.a) - 3 :] = 0.0  # other kernels rely on a ground at rest
+    eq.a[len(eq.a) - 3 :] = 0.0  # remove the reactions on ground: other kernels rely on zero accelerations there
     if not finite:
         return NOT_FINITE
     return OK

@@ -67,7 +67,7 @@ def factorize(p, f):
     l_start, l_column, u_start, u_column = p.l_start, p.l_column, p.u_start, p.u_column
     a, lower, upper, pivot, reference, w = f.a, f.lower, f.upper, f.pivot, f.reference, f.work
     for i in range(len(pivot)):
-        for x in range(l_start[i], l_start[i + 1]):
+        for x in range(l_start[i], l_start[i + 1]):  # clear only the entries in the pattern of this row
             w[l_column[x]] = 0.0
         w[i] = 0.0
         for x in range(u_start[i], u_start[i + 1]):
@@ -84,7 +84,7 @@ def factorize(p, f):
         size = abs(d.real) + abs(d.imag)
         if not size > WORN * reference[i]:  # also true for NaN
             return i
-        if reference[i] == 0.0:
+        if reference[i] == 0.0:  # first factorization with these pivots
             reference[i] = size
         pivot[i] = 1.0 / d
         for x in range(u_start[i], u_start[i + 1]):

@@ -107,6 +107,7 @@ def _binary(op, a0, a1, a2, b0, b1, b2):
     if b1 == 0.0 and b2 == 0.0:
         f0, d1, d2 = _power(a0, b0)
         return f0, d1 * a1, d2 * a1 * a1 + d1 * a2
+    # f = exp(g) with g = b ln a, so that f' = f g' and f'' = f (g'' + g'^2)
     f0 = a0**b0
     ln = log(a0)
     g1 = b1 * ln + b0 * a1 / a0
@@ -174,6 +175,7 @@ def evaluate_motions(t, ptr, ops, values, stack, u):
                     f, d1, d2 = _power(a[0], values[j])
                 else:
                     f, d1, d2 = _unary(op, a[0])
+                # chain rule: (f(a))' = f' a' and (f(a))'' = f'' a'^2 + f' a''
                 a[0], a[1], a[2] = f, d1 * a[1], d2 * a[1] * a[1] + d1 * a[2]
         u[i, 0], u[i, 1], u[i, 2] = stack[0, 0], stack[0, 1], stack[0, 2]
 

@@ -134,6 +134,7 @@ def observe(engine, times, q, v, out, stress, near):
             return status, r
         # The order matters: the next two calculations use the factors and the Jacobian of this solution.
         out.singularity_distance[r] = singularity_distance(top, w, solver, near)
+        # Self-stress: a unit multiplier of the redundant direction minus the equivalent multipliers of all other rows.
         for i in range(len(top.spare)):
             transferred(top, w, solver, i, stress.lam[r, i])
             dx, dy = spare_direction(top, w.cs, i)

@@ -75,7 +75,7 @@ def factor(top, jac, schur):
         whole[k, 0], whole[k, 1] = d00, d11
     for e in range(len(row)):
         scaled[e, 0] = scaled[e, 1] = scaled[e, 2] = scaled[e, 3] = 0.0
-    for c in range(len(coupling)):
+    for c in range(len(coupling)):  # block J_r M^-1 J_k^T, restricted to the columns of one shared body
         e, r, i0, k, j0, body = coupling[c]
         for i in range(3):
             w = weight[body, i]
@@ -92,7 +92,7 @@ def factor(top, jac, schur):
         if not (d00 > TOO_SMALL * whole[k, 0] and det > TOO_SMALL * whole[k, 0] * whole[k, 1]):  # also true for NaN
             return k
         inverse = 1.0 / det
-        p00, p01, p11 = d11 * inverse, -d01 * inverse, d00 * inverse
+        p00, p01, p11 = d11 * inverse, -d01 * inverse, d00 * inverse  # inverse of the symmetric 2 x 2 pivot block
         diagonal[k, 0], diagonal[k, 1], diagonal[k, 2] = p00, p01, p11
         for e in range(start[k], start[k + 1]):
             s00, s01, s10, s11 = scaled[e, 0], scaled[e, 1], scaled[e, 2], scaled[e, 3]

@@ -414,7 +414,7 @@ def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
     n3 = 3 * (len(top.mass) - 1)
     pattern, factors, row_index = solver.pattern, solver.factors, solver.row_index
     right, solution, correction = w.right, w.solution, w.correction
-    if len(pattern.row_of) != len(right):  # no pivots have been chosen yet
+    if len(pattern.row_of) != len(right):  # the pattern is still empty: no pivots have been chosen yet
         return REPIVOT
     for b in range(len(top.mass) - 1):
         right[3 * b] = top.mass[b, 0] * top.gravity[0]
@@ -466,6 +466,7 @@ def solve_system(top, w, solver, has_forces, acc, lam, refine):
     if solver.pivoted[0] != 0:
         status = pivoted_accelerations(top, w, solver, has_forces, acc, lam)
     else:
+        # a = a_free - M^-1 Phi_q^T lambda, and so S lambda = Phi_q a_free - gamma
         free_accelerations(top, has_forces, w.force, acc)
         joint_right_side(top, w, acc, lam)
         solver.failed[0] = schur_factor(top, w.jac, solver.schur)
@@ -494,7 +495,7 @@ def transferred(top, w, solver, i, lam):
         right, solution, correction = w.right, w.solution, w.correction
         right[:] = 0.0
         for d in range(3):
-            if 3 * a < n3:
+            if 3 * a < n3:  # ground has no rows in the pivoted system
                 right[3 * a + d] = w.loose[i, d]
             if 3 * b < n3:
                 right[3 * b + d] = w.loose[i, 3 + d]
