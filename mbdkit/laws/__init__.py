@@ -1,4 +1,4 @@
-"""The force laws that mbdkit ships, one a file: options, the law, and where it comes from."""
+"""Built-in force laws, one per file; each file defines the options and the law."""
 
 from mbdkit.laws import linear, one_sided, tabulated
 from mbdkit.registry.items import ForceLawPlugin

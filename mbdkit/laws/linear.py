@@ -22,11 +22,11 @@ class LinearOptions(StrictModel):
     damping: NotNegative = 0.0
     """Damping [N s/m or N m s/rad]."""
     free_length: Number = 0.0
-    """Length, angle or coordinate without force [m or rad]."""
+    """Length, angle or coordinate at which the spring exerts no force [m or rad]."""
 
 
 def force() -> sympy.Expr:
-    """Return k (s - s_0) + c s'."""
+    """Return the force ``k (s - s_0) + c s'`` of length s, stiffness k, free length s_0 and damping c."""
     from sympy import symbols
 
     length, rate, stiffness, damping, free_length = symbols("length rate stiffness damping free_length", real=True)
@@ -34,7 +34,7 @@ def force() -> sympy.Expr:
 
 
 def potential() -> sympy.Expr:
-    """Return k (s - s_0)^2 / 2."""
+    """Return the potential ``k (s - s_0)^2 / 2``."""
     from sympy import symbols
 
     length, stiffness, free_length = symbols("length stiffness free_length", real=True)

@@ -15,25 +15,25 @@ SUMMARY = "A spring and damper that only pulls (a rope) or only pushes (a stop).
 
 
 class OneSidedOptions(StrictModel):
-    """Options of `one-sided`: a linear spring and damper that acts on one side of its free length alone.
+    """Options of `one-sided`: a linear spring and damper that acts on one side of its free length only.
 
-    With ``acts: tension`` it is slack while shorter than its free length and never pushes; with ``acts: compression``
-    it is out of touch while longer and never pulls. Neither does its damper: where spring and damper together would act
-    the other way, there is no force.
+    With ``acts: tension`` there is no force below the free length, and the element never pushes. With
+    ``acts: compression`` there is no force above the free length, and the element never pulls. This includes the
+    damper: if the sum of spring and damper force has the wrong sign, the force is zero.
     """
 
     stiffness: NotNegative
     """Stiffness [N/m or N m/rad]."""
     damping: NotNegative = 0.0
-    """Damping while in touch [N s/m or N m s/rad]; the force jumps with it where the spring comes into touch."""
+    """Damping while in contact [N s/m or N m s/rad]; it makes the force jump at the beginning of contact."""
     free_length: Number = 0.0
-    """Length, angle or coordinate at which the spring comes into touch [m or rad]."""
+    """Length, angle or coordinate at which contact begins [m or rad]."""
     acts: Literal["tension", "compression"]
     """`tension` pulls when longer than the free length, `compression` pushes when shorter."""
 
 
 def force() -> sympy.Expr:
-    """Return k x + c x' where the spring is in touch, x > 0, and this is positive; with the sign of the side."""
+    """Return ``side * (k x + c x')`` with ``x = side * (s - s_0)``; zero if x or the bracket is not positive."""
     from sympy import And, Piecewise, symbols
 
     length, rate, stiffness, damping, free_length, side = symbols(
@@ -45,7 +45,7 @@ def force() -> sympy.Expr:
 
 
 def potential() -> sympy.Expr:
-    """Return k x^2 / 2 where the spring is in touch, x > 0."""
+    """Return the potential ``k x^2 / 2`` for ``x = side * (s - s_0) > 0``, otherwise zero."""
     from sympy import Piecewise, symbols
 
     length, stiffness, free_length, side = symbols("length stiffness free_length side", real=True)

@@ -1,4 +1,4 @@
-"""The tabulated spring: its force by points over its length, with a linear damper beside it."""
+"""The tabulated spring: force over length as a cubic spline through given points, plus a linear damper."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mbdkit.mechanism.force_law import FunctionLaw
 from mbdkit.mechanism.values import NotNegative, Number, columns_of
 from mbdkit.strict_model import StrictModel
 
-SUMMARY = "A spring whose force is a table over its length: a cubic spline, linear beyond its ends."
+SUMMARY = "A spring whose force is tabulated over its length: a cubic spline, extrapolated linearly."
 
 _columns = partial(columns_of, at="lengths", of="forces", shown="length, force")
 
@@ -25,8 +25,8 @@ def _check(value: Any) -> Any:
 class TableOptions(StrictModel):
     """Options of `table`: a spring whose force over its length is given by points, and a linear damper.
 
-    The force is the cubic spline through the points, with the not-a-knot condition at both ends (three points give a
-    parabola and two a line). Beyond the ends it goes on in a straight line, with the slope that it has there.
+    The force is the cubic spline through the points, with the not-a-knot condition at both ends (a parabola for three
+    points, a straight line for two). Beyond the ends it is extrapolated linearly with the slope at the end.
     """
 
     table: Annotated[
@@ -34,14 +34,18 @@ class TableOptions(StrictModel):
         BeforeValidator(_check),
         Field(json_schema_extra={"examples": [[[0.0, 0.1, 0.3], [0.0, 20.0, 90.0]]]}),
     ]
-    """Lengths, angles or coordinates [m or rad], strictly increasing, and the force at each [N or N m], positive where
+    """Lengths, angles or coordinates [m or rad], strictly increasing, and the force at each [N or N m], positive if
     it pulls: ``[[length, ...], [force, ...]]``."""
     damping: NotNegative = 0.0
     """Damping [N s/m or N m s/rad]."""
 
 
 def law(length: float, rate: float, time: float, parameters: Any) -> tuple[float, float, float, float]:
-    """Return force, derivatives and potential; the potential is zero at the first length of the table."""
+    """Return force, its derivatives by length and rate, and the potential, which is zero at the first table length.
+
+    `parameters` holds the damping, the number n of pieces, the n + 1 lengths, and five numbers for each piece: its
+    coefficients in ascending powers of the length from the beginning of the piece, and the potential there.
+    """
     damping, pieces = parameters[0], int(parameters[1])
     low, high = 0, pieces
     while high - low > 1:
@@ -51,7 +55,9 @@ def law(length: float, rate: float, time: float, parameters: Any) -> tuple[float
         else:
             high = middle
     begin, end = parameters[2 + low], parameters[3 + low]
-    inside = min(max(length, begin), end)  # beyond the ends of the table it is the end itself
+    inside = min(
+        max(length, begin), end
+    )  # clipped to the table; `beyond` is the remainder, which is extrapolated linearly
     x, beyond = inside - begin, length - inside
     row = 3 + pieces + 5 * low
     c0, c1, c2, c3, stored = (
@@ -69,7 +75,7 @@ def law(length: float, rate: float, time: float, parameters: Any) -> tuple[float
 
 
 def parameters(options: TableOptions) -> list[float]:
-    """Return damping, number of pieces, their ends, and for each piece its coefficients and the potential before it."""
+    """Return the parameters of `law` in the order that it reads them."""
     from scipy.interpolate import CubicSpline
 
     lengths, forces = (np.array(column) for column in options.table)
@@ -79,7 +85,9 @@ def parameters(options: TableOptions) -> list[float]:
             h = np.diff(lengths)[:, None]
             areas = np.sum(coefficients * h ** np.arange(1, 5) / np.arange(1, 5), axis=1)
     except (FloatingPointError, ValueError, np.linalg.LinAlgError):
-        raise SpecError("no spline goes through these points in double precision", key="table") from None
+        raise SpecError(
+            "the cubic spline through these points cannot be computed in double precision", key="table"
+        ) from None
     stored = np.concatenate([[0.0], np.cumsum(areas)[:-1]])
     pieces = np.column_stack([coefficients, stored])
     return [options.damping, float(len(pieces)), *lengths.tolist(), *pieces.ravel().tolist()]

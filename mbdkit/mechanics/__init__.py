@@ -1,1 +1,1 @@
-"""What a mechanism tells without a run: where it rests, how it swings there, and how its drivers move it."""
+"""Analyses without time integration: static equilibrium, linearised modes and kinematics of driven mechanisms."""

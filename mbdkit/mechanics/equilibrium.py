@@ -1,4 +1,4 @@
-"""Static equilibrium: where forces and joints balance, sought downhill from the start so that it is a stable one."""
+"""Static equilibrium by a damped Newton search that moves in the direction of the forces, so that it ends stably."""
 
 from __future__ import annotations
 
@@ -18,44 +18,44 @@ from mbdkit.mechanics.source import Placed
 from mbdkit.spec.plain_data import plain
 
 MOST_STEPS = 500
-"""Steps, refused ones included, after which there is no equilibrium to be found."""
+"""Largest number of attempted steps, rejected ones included; beyond it the search fails."""
 
 LONGEST = 0.5
-"""Longest step, relative to the mechanism's size and to 1 rad."""
+"""Largest step of a coordinate, relative to the size of the mechanism or to 1 rad."""
 
 BALANCED = 1e-13
-"""Imbalance that is nothing but round-off, relative to the forces that balance."""
+"""An imbalance below this fraction of the balancing forces counts as zero and ends the search."""
 
 STALLED = 1e-8
-"""Imbalance below which a search that comes no nearer has met round-off."""
+"""A search that no longer improves is accepted if the imbalance is below this fraction of the balancing forces."""
 
 NEAR = 1e-2
-"""Imbalance below which a Newton step may lead to the end, relative to the forces that balance."""
+"""Below this imbalance, relative to the balancing forces, a step with the true stiffness is tried first."""
 
 PATIENCE = 8
-"""Steps in a row that bring nothing, after which a search comes no nearer."""
+"""Consecutive steps that do not halve the imbalance, after which the search counts as stagnant."""
 
 MUCH = 1e3
-"""Times its round-off that an imbalance may be where a search comes no nearer."""
+"""A stagnant search is accepted if the imbalance is at most this multiple of its estimated rounding error."""
 
 PLACES = 1e-6
-"""Weight of moving a body by the mechanism's size against turning it by 1 rad, where joints are closed."""
+"""Weight of a translation by the size of the mechanism, relative to a rotation by 1 rad, when joints are closed."""
 
 MOST_CLOSINGS = 20
-"""Newton steps after which joints are not to be closed."""
+"""Largest number of Newton steps for closing the joints."""
 
 NEUTRAL = 1e-11
-"""Least stiffness that counts as none, relative to the largest of a single coordinate."""
+"""The lowest stiffness counts as zero below this fraction of the largest stiffness of a single coordinate."""
 
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """A mechanism at rest, its drivers held where they are at `time`.
+    """A mechanism at rest, with its drivers held at their values at `time`.
 
     Attributes
     ----------
     time
-        The time at which drivers and loads were taken [s].
+        The time at which drivers and loads were evaluated [s].
     bodies, joints, constraints
         Names of the bodies, the joints, and the constraint rows as ``joint.row``.
     position : (B, 3) array
@@ -63,22 +63,23 @@ class Equilibrium:
     multiplier : (rows,) array
         Multipliers of the constraint rows [N, N m].
     reaction_force, reaction_torque : (J, 2) and (J,) arrays
-        What the first body of each joint exerts on the second, in the global frame, at the second body's joint point
-        [N, N m].
+        Force and torque of the first body of each joint on the second, in the global frame, at the joint point of the
+        second body [N, N m].
     shared
         Joints whose reactions are not unique because joints are redundant.
     imbalance
-        Largest acceleration that is left [m/s^2, rad/s^2].
+        Largest remaining acceleration [m/s^2, rad/s^2].
     residual
         Largest gap in the joints [m, rad].
     stiffness
-        Least eigenvalue of the stiffness along the freedoms, for unit mass [1/s^2]: the square of the lowest natural
-        frequency where it is positive, none (nan) where nothing can move. Beyond 500 bodies, where some are negative,
-        one of these next to zero.
+        Lowest eigenvalue of the stiffness along the degrees of freedom, for unit mass [1/s^2]. If positive, it is the
+        square of the lowest natural frequency. NaN without degrees of freedom. With more than 500 bodies and several
+        negative eigenvalues, it is the negative eigenvalue closest to zero.
     stability
-        ``stable``, ``neutral`` (something moves without resistance), ``unstable``, or ``fixed`` (nothing can move).
+        ``stable``, ``neutral`` (a motion without restoring force exists), ``unstable``, or ``fixed`` (no degrees of
+        freedom).
     iterations
-        Newton steps that were tried.
+        Number of Newton steps tried.
     """
 
     time: float
@@ -104,7 +105,7 @@ class Equilibrium:
 
 @dataclass(frozen=True)
 class Rest:
-    """Where a search ended: position (n,), multipliers (m,), accelerations left (n,), steps tried."""
+    """Result of a search: position (n,), multipliers (m,), remaining accelerations (n,), number of steps tried."""
 
     q: np.ndarray
     lam: np.ndarray
@@ -113,12 +114,13 @@ class Rest:
 
 
 def equilibrium(source: Any, **sections: Any) -> Equilibrium:
-    """Find the static equilibrium of a mechanism, downhill from its start.
+    """Find the static equilibrium of a mechanism from its start.
 
-    Newton steps on the balance ``Phi_q^T lam = Q(t, q, 0)``, ``Phi(t, q) = 0``, damped in the mass metric until the
-    forces do positive work along each of them (Levenberg and Marquardt), so that saddles and tops repel: the end is
-    stable unless the start was an unstable equilibrium itself, and `Equilibrium.stability` says which. Drivers are held
-    and loads taken at the start time, ``time={"start": ...}``; velocities count as zero.
+    Solves ``Phi_q^T lam = Q(t, q, 0)``, ``Phi(t, q) = 0`` by Newton's method. Each step is damped in the mass metric
+    (Levenberg-Marquardt) until the forces do positive work along it. Saddles and maxima of the potential therefore
+    repel the search, and its result is stable unless the start itself is an unstable equilibrium;
+    `Equilibrium.stability` reports which. Drivers and loads are evaluated at the start time, ``time={"start": ...}``,
+    and velocities are zero.
 
     Parameters
     ----------
@@ -135,13 +137,13 @@ def equilibrium(source: Any, **sections: Any) -> Equilibrium:
     Raises
     ------
     SpecError
-        Where the input is wrong, or no equilibrium is found from this start.
+        If the input is wrong, or no equilibrium is found from this start.
     """
     return equilibrium_of(Placed.of(source, **sections))
 
 
 def equilibrium_of(placed: Placed) -> Equilibrium:
-    """Find the static equilibrium of a mechanism that is built; see `equilibrium`."""
+    """Find the static equilibrium of a prepared mechanism; see `equilibrium`."""
     with placed.blamed():
         found = rest(placed)
         p, compiled = placed.equations, placed.workspace.mechanism
@@ -168,7 +170,7 @@ def equilibrium_of(placed: Placed) -> Equilibrium:
 
 
 def _stability(placed: Placed, at: State) -> tuple[float, str]:
-    """Return the least stiffness at rest [1/s^2], and what it says in a word."""
+    """Return the lowest stiffness at rest [1/s^2] and the stability that follows from it."""
     if placed.freedoms == 0:
         return float("nan"), "fixed"
     stiffness = least_stiffness(placed, at)
@@ -178,7 +180,7 @@ def _stability(placed: Placed, at: State) -> tuple[float, str]:
 
 
 def rest(placed: Placed) -> Rest:
-    """Return where the mechanism rests; raises SpecError if nowhere."""
+    """Return the static equilibrium; raises SpecError if none is found."""
     search = _Search(placed)
     found = search.run()
     if found is not None:
@@ -187,8 +189,8 @@ def rest(placed: Placed) -> Rest:
     worst = int(np.argmax(np.abs(here)))
     name, unit = placed.equations.bodies[worst // 3], "rad/s^2" if worst % 3 == 2 else "m/s^2"
     raise placed.error(
-        f"no static equilibrium was found from this start in {search.tried} steps: at the last one body {name!r} would "
-        f"still be accelerated by {abs(here[worst]):.3g} {unit}; start nearer to one, or hold what runs away"
+        f"no static equilibrium was found from this start in {search.tried} steps: in the last position body {name!r} "
+        f"still accelerates by {abs(here[worst]):.3g} {unit}; start closer to an equilibrium, or hold that body"
     )
 
 
@@ -202,14 +204,14 @@ class _Search:
         self.q = self.p.q0.copy()
         self.tried = 0
         self.force = 0.0
-        """Size of the forces that balance, in the metric of the inverse mass, where it was largest."""
+        """Largest norm so far of applied and constraint forces together, in the metric of the inverse mass."""
         self.x, self.lam, self.imbalance = self.balance(self.q)
         stiffest = stiffness_scale(placed, at_rest(placed, self.q, self.lam)) if placed.freedoms else 0.0
         self.blur = float(np.finfo(float).eps) * stiffest * self.extent * float(np.sqrt(np.sum(self.p.mass)))
-        """Imbalance that round-off of the positions leaves of stiff springs."""
+        """Imbalance that rounding errors of the positions cause through the stiffest spring."""
 
     def balance(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the accelerations from rest, the multipliers, and the accelerations' size in the mass metric."""
+        """Return the accelerations from rest (n,), the multipliers (m,) and the mass norm of the accelerations."""
         p = self.p
         applied = p.forces(p.t0, q, self.none)
         x, lam = p.solve(p.t0, q, applied, self.no_rows)
@@ -219,11 +221,14 @@ class _Search:
         return x, lam, float(np.sqrt(np.sum(p.mass * x**2)))
 
     def size(self, s: np.ndarray) -> float:
-        """Return the largest part of a step, relative to the mechanism's size and to 1 rad."""
+        """Return the largest coordinate change of a step, relative to the size of the mechanism or to 1 rad."""
         parts = np.abs(s.reshape(-1, 3)) / (self.extent, self.extent, 1.0)
         return float(np.max(parts))
 
     def run(self) -> Rest | None:
+        # Levenberg-Marquardt: with little damping a step is a Newton step, with much damping a short step along the
+        # accelerations. The initial value limits a step along the accelerations to `LONGEST`. After a rejected step the
+        # damping has a lower bound, because a multiple of a vanishing value would grow too slowly.
         idle, damping = 0, self.size(self.x) / LONGEST
         while self.tried < MOST_STEPS:
             if self.imbalance <= max(BALANCED * self.force, self.blur) or (idle >= PATIENCE and self.settled):
@@ -241,10 +246,11 @@ class _Search:
         return None
 
     def step(self, damping: float) -> bool:
-        """Take a step with so much mass added to the stiffness [1/s^2]; return whether one was taken.
+        """Try a step with ``damping * M`` added to the stiffness, damping in 1/s^2; return whether it was taken.
 
-        Where bodies under pressure make the forces drive the mechanism away from the step, what their stiffness lacks
-        is made up for body by body.
+        Compressed elements make diagonal entries of the stiffness negative, so that a Newton step can point against
+        the forces. A second step is therefore tried in which twice their size is added to these entries, which makes
+        them positive. Far from equilibrium that step is tried first.
         """
         p = self.p
         at = p.t0, self.q, self.none, self.none, self.lam
@@ -259,28 +265,30 @@ class _Search:
                 matrix = block_array([[upper, jacobian.T], [jacobian, None]], format="csc")
                 if self.take(splu(matrix).solve(right)[: p.n]):
                     return True
-        except (StepError, RuntimeError):  # a singular matrix, or a step from which the joints cannot be met
+        except (StepError, RuntimeError):  # a singular matrix, or a step after which the joints cannot be closed
             pass
         return False
 
     @property
     def settled(self) -> bool:
-        """Whether what is left may be round-off."""
+        """Whether the remaining imbalance is small enough to be rounding error."""
         return self.imbalance <= max(STALLED * self.force, MUCH * self.blur)
 
     def take(self, s: np.ndarray) -> bool:
-        """Move by a step, or as far along it as one goes, if the forces drive it; return whether they do."""
+        """Take a step, shortened to `LONGEST`, if the forces do positive work along it; return whether it was taken."""
         p, before = self.p, self.imbalance
         if not np.all(np.isfinite(s)):
             return False
         s = s / max(1.0, self.size(s) / LONGEST)
+        # The imbalance does not measure progress, because it also vanishes at a maximum of the potential. Instead, the
+        # forces must do at least a tenth of the work that they predict at the beginning of the step.
         promised = float(np.sum(p.mass * self.x * s))
         if not promised > 0:
             return False
         half, end = (self.closed(self.q + part * s) for part in (0.5, 1.0))
         work = self.work(self.q, half, end)
         there = self.balance(end)
-        near = self.settled and there[2] < 0.5 * before  # work is lost in round-off here
+        near = self.settled and there[2] < 0.5 * before  # this close, the work is smaller than its rounding error
         if not (work >= 0.1 * promised or near):
             return False
         self.q = end
@@ -288,7 +296,10 @@ class _Search:
         return True
 
     def closed(self, q: np.ndarray) -> np.ndarray:
-        """Return a position near `q` where all joints meet; places follow angles rather than angles places."""
+        """Return a position near `q` at which all joints are closed.
+
+        Translations have the small weight `PLACES`, so that the bodies are moved rather than turned.
+        """
         p, before = self.p, np.inf
         weight = np.tile([PLACES / self.extent**2, PLACES / self.extent**2, 1.0], len(p.bodies))
         for _ in range(MOST_CLOSINGS):
@@ -300,10 +311,10 @@ class _Search:
             if now <= ROUND_OFF or (now >= 0.5 * before and now < STAGNANT):
                 return q
             before = now
-        raise StepError("newton-failed", "the joints do not meet")
+        raise StepError("newton-failed", "the joints cannot be closed")
 
     def work(self, start: np.ndarray, half: np.ndarray, end: np.ndarray) -> float:
-        """Return the work of the forces along the parabola through three positions, by Simpson's rule."""
+        """Return the work of the forces along the parabola through three positions, by Simpson's rule [J]."""
         ways = (-3 * start + 4 * half - end, end - start, start - 4 * half + 3 * end)
         total = 0.0
         for weight, q, way in zip((1, 4, 1), (start, half, end), ways, strict=True):
@@ -312,7 +323,7 @@ class _Search:
 
 
 def _reactions(placed: Placed, q: np.ndarray, multiplier: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return force (J, 2) and torque (J,) of each joint on its second body, at that body's joint point."""
+    """Return force (J, 2) [N] and torque (J,) [N m] of each joint on its second body, at that body's joint point."""
     compiled, w = placed.workspace.mechanism, placed.workspace.scratch
     top, ground = compiled.topology, np.zeros(3)
     padded = np.concatenate([q, ground])
@@ -330,7 +341,7 @@ def _reactions(placed: Placed, q: np.ndarray, multiplier: np.ndarray) -> tuple[n
 
 
 def spec_at(placed: Placed, found: Equilibrium) -> dict[str, Any]:
-    """Return the spec as a plain mapping with its mechanism written out, at rest in the equilibrium."""
+    """Return the spec as a plain mapping in which the mechanism is written out at rest in the equilibrium."""
     spec = placed.spec
     model = spec.mechanism().to_spec()
     for name, (x, y, angle) in zip(found.bodies, found.position.tolist(), strict=True):

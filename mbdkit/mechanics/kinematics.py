@@ -1,4 +1,4 @@
-"""Kinematic analysis: the motion that the drivers alone prescribe, without forces and without integration."""
+"""Kinematic analysis: the motion of a fully driven mechanism, computed without forces and without integration."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from mbdkit.mechanics.source import Placed
 from mbdkit.text import counted, listed
 
 ASIDE = 0.1
-"""Distance of a position from where the step before foretold it, relative to the step, from which a step is split."""
+"""A step is halved if the position deviates from its extrapolation by more than this fraction of the step."""
 
 SMALL = 1e-6
-"""Distance below which it does not matter, relative to the mechanism's size and to 1 rad."""
+"""Deviations below this, relative to the size of the mechanism or to 1 rad, never cause a step to be halved."""
 
 FINEST = 2.0**-12
-"""Smallest part of a step that is tried."""
+"""Smallest step that is tried, as a fraction of the interval between two recorded times."""
 
 STILL = 1e-6
-"""Part in a free motion below which a coordinate does not take part in it."""
+"""Component of a coordinate in the free motions below which it counts as driven."""
 
 COLUMNS = ("x", "y", "angle", "vx", "vy", "rate", "ax", "ay", "angular_acceleration")
 
 
 @dataclass(frozen=True)
 class Kinematics:
-    """The motion of a mechanism that its drivers prescribe.
+    """The motion of a fully driven mechanism.
 
     Attributes
     ----------
@@ -40,7 +40,8 @@ class Kinematics:
     bodies
         Names of the bodies.
     position, velocity, acceleration : (T, B, 3) arrays
-        x, y [m] and angle [rad] of each body, and their first and second derivatives. The angle of a point mass stays.
+        x, y [m] and angle [rad] of each body, and their first and second time derivatives. The angle of a point mass is
+        constant.
     """
 
     time: np.ndarray
@@ -55,7 +56,7 @@ class Kinematics:
         return BodyMotion(self.position[:, at], self.velocity[:, at], self.acceleration[:, at])
 
     def write_csv(self, path: Path) -> None:
-        """Write a table: the time, then for each body x, y, angle and their derivatives, one row a time."""
+        """Write a CSV table with one row per time: time, then x, y, angle and their derivatives of each body."""
         with path.open("w", newline="", encoding="utf-8") as file:
             table = csv.writer(file)
             table.writerow(["time", *(f"{body}.{column}" for body in self.bodies for column in COLUMNS)])
@@ -76,17 +77,17 @@ class BodyMotion:
 def kinematics(source: Any, **sections: Any) -> Kinematics:
     """Compute the motion of a fully driven mechanism from its joints and drivers alone.
 
-    At each time the joints are closed by Newton's method and the linear equations of velocity and acceleration solved,
-    all to round-off; masses and forces do not matter. Steps on the way from one time to the next are halved where the
-    position is not near the one foretold, so that the mechanism stays assembled the same way.
+    At each time, Newton's method closes the joints, and the linear equations for velocities and accelerations are
+    solved, all to rounding errors. Masses and forces have no influence. Between two recorded times a step is halved if
+    the new position is far from its extrapolation; this keeps the mechanism in the same assembly configuration.
 
     Parameters
     ----------
     source
-        A file name, the name of a packaged example, a mapping, a RunSpec, or a Mechanism, which needs
-        ``time={"end": ..., "step": ...}`` beside it.
+        A file name, the name of a packaged example, a mapping, a RunSpec, or a Mechanism. A Mechanism also needs
+        ``time={"end": ..., "step": ...}``.
     **sections
-        Sections of the spec that replace those of `source`; of them only `model` and `time` matter.
+        Sections of the spec that replace those of `source`; only `model` and `time` are used.
 
     Returns
     -------
@@ -96,15 +97,15 @@ def kinematics(source: Any, **sections: Any) -> Kinematics:
     Raises
     ------
     SpecError
-        Where the input is wrong, or the mechanism is not fully driven; the message says what is left free.
+        If the input is wrong, or the mechanism is not fully driven; the message names the free coordinates.
     RunError
-        Where the mechanism cannot follow its drivers, or passes a singular position.
+        If the mechanism cannot follow its drivers, or passes a singular position.
     """
     return kinematics_of(Placed.of(source, **sections))
 
 
 def kinematics_of(placed: Placed) -> Kinematics:
-    """Compute the motion of a fully driven mechanism that is built; see `kinematics`."""
+    """Compute the motion of a prepared, fully driven mechanism; see `kinematics`."""
     _require_driven(placed)
     time = placed.spec.time
     if time.step is None or time.count is None:
@@ -120,7 +121,7 @@ def kinematics_of(placed: Placed) -> Kinematics:
 
 
 class _Path:
-    """A mechanism on the way that its drivers prescribe."""
+    """State of a fully driven mechanism, advanced in time."""
 
     def __init__(self, placed: Placed):
         self.placed, self.p = placed, placed.equations
@@ -132,7 +133,7 @@ class _Path:
             raise self.stopped(error) from error
 
     def go_to(self, t: float) -> None:
-        """Follow the drivers to a time."""
+        """Advance to time `t` [s] in steps that are halved if needed and doubled after each success."""
         whole = t - self.t
         step = whole
         while self.t < t:
@@ -150,7 +151,7 @@ class _Path:
                 raise self.stopped(why)
 
     def advance(self, t: float) -> bool:
-        """Move to a time; return whether the position there is near the one that was foretold."""
+        """Try one step to time `t`; return whether the new position is close to its second-order extrapolation."""
         h = t - self.t
         move = h * self.v + 0.5 * h * h * self.a
         q = self.p.project_positions(t, self.q + move)
@@ -161,22 +162,22 @@ class _Path:
         return True
 
     def arrive(self, t: float, q: np.ndarray) -> None:
-        """Take a position where the joints meet, with its velocities and accelerations."""
+        """Store a position with closed joints, and compute its velocities and accelerations."""
         p = self.p
         v = p.project_velocities(t, q, np.zeros(p.n))
         a, _ = p.solve(t, q, np.zeros(p.n), p.gamma(t, q, v))
         self.t, self.q, self.v, self.a = t, q, v, a
 
     def stopped(self, why: StepError | None) -> RunError:
-        reason = f": {why}" if why is not None else ", at least not in one piece"
+        reason = f": {why}" if why is not None else ": no continuous motion was found"
         return RunError(
             f"the mechanism cannot follow its drivers beyond t = {self.t:.6g} s{reason}; "
-            "there it is near a dead centre, or out of reach"
+            "it is near a dead centre, or the prescribed position cannot be reached"
         )
 
 
 def _require_driven(placed: Placed) -> None:
-    """Raise SpecError where something is left free, by name."""
+    """Raise SpecError, with the names of the free coordinates, unless the mechanism is fully driven."""
     if placed.freedoms == 0:
         return
     p = placed.equations

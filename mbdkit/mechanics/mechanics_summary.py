@@ -1,4 +1,4 @@
-"""Equilibrium, modes and kinematics in words for people, and as plain data for programs."""
+"""Results of equilibrium, modes and kinematics as text for the terminal and as plain data for JSON."""
 
 from __future__ import annotations
 
@@ -13,29 +13,31 @@ from mbdkit.mechanics.modes import Modes
 from mbdkit.text import counted, listed, table
 
 SHOWN = 20
-"""Most rows of a table."""
+"""Largest number of rows in a printed table."""
 
 AT_REST = 1e-9
-"""Largest velocity or acceleration of a state that counts as one of rest."""
+"""A state counts as at rest if no velocity or acceleration exceeds this [m/s, rad/s, m/s^2, rad/s^2]."""
 
 STABILITY = {
     "stable": "stable",
-    "neutral": "neutral: something moves without resistance",
-    "unstable": "UNSTABLE: the slightest push and the mechanism leaves it",
-    "fixed": "fixed: joints and drivers let nothing move",
+    "neutral": "neutral: a motion without restoring force exists",
+    "unstable": "UNSTABLE: any small disturbance grows",
+    "fixed": "fixed: joints and drivers leave no degree of freedom",
 }
 
 
 def equilibrium_text(found: Equilibrium) -> str:
-    """Return an equilibrium in words: how good it is, where the bodies are, what the joints carry."""
-    left = f"with accelerations of {found.imbalance:.1e} left and gaps of {found.residual:.1e}"
+    """Return an equilibrium as text: accuracy, positions of the bodies, reactions in the joints."""
+    left = f"remaining accelerations {found.imbalance:.1e}, gaps in the joints {found.residual:.1e} (m, rad, s)"
     lines = [
         f"equilibrium  {STABILITY[found.stability]}",
-        f"time         {found.time:g} s, at which drivers are held and loads taken",
-        f"found in     {counted(found.iterations, 'step')}, {left}",
+        f"time         {found.time:g} s, for drivers and loads",
+        f"found in     {counted(found.iterations, 'step')}; {left}",
     ]
     if found.stability != "fixed":
-        lines.append(f"stiffness    {found.stiffness:.6g} 1/s^2 at least along the freedoms, for unit mass")
+        lines.append(
+            f"stiffness    {found.stiffness:.6g} 1/s^2, the lowest along the degrees of freedom, for unit mass"
+        )
     places = [
         (name, *(f"{x:.9g}" for x in _clean(place))) for name, place in zip(found.bodies, found.position, strict=True)
     ]
@@ -75,17 +77,17 @@ def equilibrium_data(found: Equilibrium) -> dict[str, Any]:
 
 
 def modes_text(found: Modes) -> str:
-    """Return modes in words: about which state, and one row a mode."""
+    """Return modes as text: the state they belong to, then one row per mode."""
     speed, push = (float(np.max(np.abs(x), initial=0.0)) for x in (found.velocity, found.acceleration))
     if speed > AT_REST or push > AT_REST:
         what = " and ".join(
             [f"moves at up to {speed:.3g}"] * (speed > AT_REST)
             + [f"accelerates at up to {push:.3g}"] * (push > AT_REST)
         )
-        state = f"the start, which is no rest: it {what} (in m, rad and s), so that the modes hold at this instant only"
+        state = f"the start, not at rest: it {what} (in m, rad and s); the modes are valid at this instant only"
     else:
         state = "at rest"
-    many = f", {len(found.eigenvalues)} modes of them" if len(found.eigenvalues) < found.freedoms else ""
+    many = f", {len(found.eigenvalues)} modes computed" if len(found.eigenvalues) < found.freedoms else ""
     lines = [
         f"linearised   at t = {found.time:g} s, {state}",
         f"freedoms     {counted(found.freedoms, 'degree of freedom', 'degrees of freedom')}{many}",
@@ -99,7 +101,7 @@ def modes_text(found: Modes) -> str:
 
 
 def modes_data(found: Modes) -> dict[str, Any]:
-    """Return modes as plain data; complex numbers as [real, imaginary]."""
+    """Return modes as plain data; complex numbers become [real, imaginary]."""
     return {
         "time": found.time,
         "freedoms": found.freedoms,
@@ -125,7 +127,7 @@ def modes_data(found: Modes) -> dict[str, Any]:
 
 
 def kinematics_text(found: Kinematics) -> str:
-    """Return in words over what range each body moves, and how fast at most."""
+    """Return as text the range of motion and the largest speed, rate and acceleration of each body."""
     rows: list[tuple[str, ...]] = [
         ("BODY", "X [m]", "Y [m]", "ANGLE [rad]", "SPEED [m/s]", "RATE [rad/s]", "ACCELERATION [m/s^2]")
     ]
@@ -136,7 +138,7 @@ def kinematics_text(found: Kinematics) -> str:
         speed, push = (np.hypot(x[:, 0], x[:, 1]).max() for x in (motion.velocity, motion.acceleration))
         rows.append((name, *ranges, f"{speed:.5g}", f"{np.abs(motion.velocity[:, 2]).max():.5g}", f"{push:.5g}"))
     first, last = found.time[[0, -1]]
-    return f"kinematics   {len(found.time)} times from {first:g} to {last:g} s; ranges, and largest values\n\n" + table(
+    return f"kinematics   {len(found.time)} times from {first:g} to {last:g} s; ranges and largest values\n\n" + table(
         _some(rows)
     )
 
@@ -157,9 +159,9 @@ def kinematics_data(found: Kinematics) -> dict[str, Any]:
 
 
 def _remark(value: complex) -> str:
-    """Return what there is to be said about a mode that is no decaying or steady oscillation."""
+    """Return a remark on a mode that is not a steady or decaying oscillation; empty for one that is."""
     if value == 0:
-        return "free: moves without resistance"
+        return "free: no restoring force"
     if value.imag == 0:
         verb = "UNSTABLE: grows" if value.real > 0 else "decays"
         return f"{verb} without oscillation, e-fold in {1 / abs(value.real):.4g} s"
@@ -177,13 +179,13 @@ def _by_name(names: tuple[str, ...], rows: np.ndarray) -> dict[str, list[float]]
 
 
 def _some(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Return a heading with as many rows as one wants to read."""
+    """Return the heading and the first `SHOWN` rows, followed by the number of omitted rows."""
     more = len(rows) - 1 - SHOWN
     return rows if more <= 0 else [*rows[: SHOWN + 1], (f"and {more} more", *[""] * (len(rows[0]) - 1))]
 
 
 def _clean(values: np.ndarray) -> list[float]:
-    """Return numbers without what is round-off beside 1."""
+    """Return the numbers, with those that are only rounding errors of quantities of size 1 set to zero."""
     return [0.0 if abs(x) < 1e-12 else x for x in values.tolist()]
 
 

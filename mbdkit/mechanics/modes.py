@@ -1,4 +1,4 @@
-"""Linearisation about a state: natural frequencies, damping ratios and mode shapes along a mechanism's freedoms."""
+"""Linearisation of a mechanism about a state: natural frequencies, damping ratios and mode shapes."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from mbdkit.mechanics.source import Placed
 Where = Literal["equilibrium", "start"]
 
 NOISE = 64 * float(np.finfo(float).eps)
-"""Round-off of an eigenvalue for each freedom, relative to the largest."""
+"""Rounding error of an eigenvalue per degree of freedom, relative to the largest eigenvalue."""
 
 FEW = 10
-"""Modes that are sought of a mechanism too large to have all of them found."""
+"""Default number of modes for a mechanism that is too large for a dense eigenvalue problem."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,12 @@ class Linearization:
     position, velocity : (B, 3) arrays
         The state: x, y [m] and angle [rad] of each body, and their rates.
     acceleration : (B, 3) array
-        Accelerations there; about zero in an equilibrium.
+        Accelerations in this state; zero up to rounding errors in an equilibrium.
     basis : (3 B, f) array
-        Directions of the f freedoms, on the constraint manifold, orthonormal in the mass metric [1/sqrt(kg)].
+        Basis of the f degrees of freedom: tangent to the constraint manifold, orthonormal in the mass metric
+        [1/sqrt(kg)].
     stiffness, damping : (f, f) arrays
-        Of unit mass [1/s^2, 1/s].
+        Stiffness and damping in this basis, for unit mass [1/s^2, 1/s].
     """
 
     time: float
@@ -51,7 +52,7 @@ class Linearization:
     damping: np.ndarray
 
     def state_matrix(self) -> np.ndarray:
-        """Return A (2 f, 2 f) of ``x' = A x`` for ``x = (y, y')``."""
+        """Return the matrix A (2 f, 2 f) of the first-order form ``x' = A x`` with ``x = (y, y')``."""
         f = len(self.stiffness)
         return np.block([[np.zeros((f, f)), np.eye(f)], [-self.stiffness, -self.damping]])
 
@@ -60,8 +61,9 @@ class Linearization:
 class Modes:
     """Small motions of a mechanism about a state, each ``Re(shape exp(eigenvalue t))``.
 
-    A pair of conjugate eigenvalues is one mode, given by the one with the positive imaginary part; a real eigenvalue is
-    a mode that does not oscillate; an undamped motion that meets no resistance is one mode with eigenvalue zero.
+    A pair of conjugate eigenvalues is one mode, represented by the eigenvalue with positive imaginary part. A real
+    eigenvalue is a mode without oscillation. An undamped motion without restoring force has a double eigenvalue zero
+    and is one mode.
 
     Attributes
     ----------
@@ -72,12 +74,12 @@ class Modes:
     position, velocity, acceleration : (B, 3) arrays
         The state: x, y [m] and angle [rad] of each body, their rates, and the accelerations there.
     eigenvalues : (K,) complex array
-        [1/s], by growing size.
+        Eigenvalues [1/s] in ascending order of their absolute value.
     shapes : (K, B, 3) complex array
-        x, y and angle of each body, of unit modal mass, the largest displacement real and positive; they satisfy
-        ``Phi_q u = 0``. The angle of a point mass is zero.
+        x, y and angle of each body, scaled to unit modal mass; the largest displacement is real and positive. Every
+        shape u satisfies ``Phi_q u = 0``. The angle of a point mass is zero.
     freedoms
-        Degrees of freedom, drivers held to their motion.
+        Number of degrees of freedom; driven coordinates are not free.
     """
 
     time: float
@@ -91,13 +93,13 @@ class Modes:
 
     @property
     def natural_frequency(self) -> np.ndarray:
-        """Size of the eigenvalues, (K,) [rad/s]: the frequency that an oscillation has without its damping."""
+        """Absolute value of the eigenvalues, (K,) [rad/s]; the frequency of the undamped oscillation."""
         size: np.ndarray = np.abs(self.eigenvalues)
         return size
 
     @property
     def damped_frequency(self) -> np.ndarray:
-        """Imaginary part of the eigenvalues, (K,) [rad/s]: the frequency that is seen; zero without oscillation."""
+        """Imaginary part of the eigenvalues, (K,) [rad/s]; the damped frequency, 0 without oscillation."""
         return self.eigenvalues.imag.copy()
 
     @property
@@ -107,9 +109,9 @@ class Modes:
 
     @property
     def damping_ratio(self) -> np.ndarray:
-        """Damping as part of the critical one, (K,): 1 for what decays without oscillation, below 0 for what grows.
+        """Damping relative to critical damping, (K,): 1 for decay without oscillation, negative for growing modes.
 
-        Not a number (nan) where the eigenvalue is zero.
+        NaN for an eigenvalue of zero.
         """
         with np.errstate(invalid="ignore"):
             ratio: np.ndarray = -self.eigenvalues.real / np.abs(self.eigenvalues)
@@ -117,7 +119,7 @@ class Modes:
 
     @property
     def unstable(self) -> np.ndarray:
-        """Whether a mode grows by itself, (K,)."""
+        """Whether each mode grows, (K,)."""
         found: np.ndarray = self.eigenvalues.real > 1e-9 * np.max(np.abs(self.eigenvalues), initial=0.0)
         return found
 
@@ -125,16 +127,17 @@ class Modes:
 def linearize(source: Any, *, at: Where = "equilibrium", **sections: Any) -> Linearization:
     """Linearise the equations of motion about a state, on the constraint manifold.
 
-    Drivers are held to their motion, loads at their value of the moment. In a state that is no equilibrium, or moves,
-    the deviation between neighbouring motions obeys these equations at this instant only, measured in a basis that
-    moves along without turning; centrifugal and driving terms are in the stiffness.
+    Drivers keep their prescribed motion, and loads their current value. If the state moves or is not an equilibrium,
+    the equations describe the deviation between neighbouring motions at this instant only. The deviation is measured in
+    a basis that moves with the mechanism without rotating within the tangent space (see
+    `mbdkit.mechanics.reduced.reduce`); the stiffness then includes the centrifugal and driving terms.
 
     Parameters
     ----------
     source
         A file name, the name of a packaged example, a mapping, a RunSpec, or a Mechanism.
     at
-        ``equilibrium``: at rest in the static equilibrium that `equilibrium` finds from the start; ``start``: in the
+        ``equilibrium``: at rest in the static equilibrium that `equilibrium` finds from the start; ``start``: at the
         start itself, with its velocities.
     **sections
         Sections of the spec that replace those of `source`.
@@ -142,20 +145,21 @@ def linearize(source: Any, *, at: Where = "equilibrium", **sections: Any) -> Lin
     Returns
     -------
     Linearization
-        Stiffness and damping along the freedoms.
+        Stiffness and damping along the degrees of freedom.
 
     Raises
     ------
     SpecError
-        Where the input is wrong, no equilibrium is found, or the mechanism has no freedoms, or more than 500 bodies.
+        If the input is wrong, no equilibrium is found, or the mechanism has no degrees of freedom or more than 500
+        bodies.
     """
     placed = Placed.of(source, **sections)
     state = state_of(placed, at)
     _require_freedoms(placed)
     if placed.equations.n > DENSE:
         raise placed.error(
-            f"a mechanism of {len(placed.equations.bodies)} bodies is too large to be reduced to all its freedoms "
-            f"(up to {DENSE // 3} bodies); `modes` finds the lowest modes of one at rest"
+            f"a mechanism of {len(placed.equations.bodies)} bodies is too large to be linearised as a whole "
+            f"(limit: {DENSE // 3} bodies); `modes` finds its lowest modes at rest"
         )
     with placed.blamed():
         small = reduce(placed, state)
@@ -173,7 +177,7 @@ def modes(source: Any, *, at: Where = "equilibrium", count: int | None = None, *
         ``equilibrium``: about the static equilibrium that `equilibrium` finds from the start; ``start``: about the
         start, with its velocities, at this instant; see `linearize`.
     count
-        How many modes, the slowest first; left out: all of them, or ten of a mechanism of more than 500 bodies.
+        Number of modes, in ascending order of frequency. Default: all, or ten for a mechanism of more than 500 bodies.
     **sections
         Sections of the spec that replace those of `source`.
 
@@ -185,13 +189,13 @@ def modes(source: Any, *, at: Where = "equilibrium", count: int | None = None, *
     Raises
     ------
     SpecError
-        Where the input is wrong, no equilibrium is found, or nothing can move.
+        If the input is wrong, no equilibrium is found, or the mechanism has no degrees of freedom.
     """
     return modes_of(Placed.of(source, **sections), at, count)
 
 
 def modes_of(placed: Placed, at: Where = "equilibrium", count: int | None = None) -> Modes:
-    """Find the modes of a mechanism that is built; see `modes`."""
+    """Find the modes of a prepared mechanism; see `modes`."""
     if count is not None and count < 1:
         raise placed.error(f"the number of modes must be at least 1, not {count}", key="")
     state = state_of(placed, at)
@@ -226,8 +230,13 @@ def state_of(placed: Placed, at: Where) -> State:
 def oscillations(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the eigenvalues (K,) of ``y'' + damping y' + stiffness y = 0`` and their vectors (f, K).
 
-    Of conjugate pairs the one with the positive imaginary part; of the double zero of an undamped motion without
-    resistance one.
+    Only the eigenvalue with positive imaginary part of a conjugate pair is returned, and one of the double eigenvalue
+    zero of an undamped motion without restoring force.
+
+    Without damping and with a symmetric stiffness, the symmetric problem of size f is solved; its eigenvalues are real,
+    so that no rounding error appears as damping or growth. Otherwise the first-order form of size 2 f is solved. There,
+    rounding errors would split a double zero into two small non-zero values, so zeros are counted from the null space
+    of the stiffness and the same number of smallest eigenvalues is discarded.
     """
     f = len(stiffness)
     size = float(np.linalg.norm(stiffness))
@@ -252,15 +261,16 @@ def oscillations(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray
 
 
 def _few(placed: Placed, state: State, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the slowest modes of a large mechanism at rest."""
+    """Return the `count` lowest modes of a large mechanism at rest."""
     if np.any(state.v):
         raise placed.error(
             f"a mechanism of {len(placed.equations.bodies)} bodies is too large to be linearised while it moves "
-            f"(up to {DENSE // 3} bodies); at rest, in its equilibrium, it is not"
+            f"(limit: {DENSE // 3} bodies); linearise it about its equilibrium instead"
         )
-    if 2 * count + 8 > placed.freedoms:
-        raise placed.error(f"of a mechanism this large no more than {placed.freedoms // 2 - 4} modes are found", key="")
+    if 2 * count + 8 > placed.freedoms:  # ARPACK finds only a part of the spectrum
+        raise placed.error(f"at most {placed.freedoms // 2 - 4} modes can be found of a mechanism this large", key="")
     values, shapes = lowest(placed, state, 2 * count + 2)
+    # A real part this small is rounding error of the iteration; without this, undamped modes would seem to grow.
     values = np.where(np.abs(values.real) <= 1e-9 * np.abs(values), 1j * values.imag, values)
     once = np.flatnonzero(values.imag >= 0)
     once = once[np.argsort(np.abs(values[once]))][:count]
@@ -268,7 +278,7 @@ def _few(placed: Placed, state: State, count: int) -> tuple[np.ndarray, np.ndarr
 
 
 def _normalised(shapes: np.ndarray, mass: np.ndarray) -> np.ndarray:
-    """Return shapes (n, K) of unit modal mass, the largest displacement of each real and positive."""
+    """Return shapes (n, K) scaled to unit modal mass, with the largest displacement of each real and positive."""
     largest = np.argmax(np.abs(shapes) * np.sqrt(mass)[:, None], axis=0)
     phase = np.take_along_axis(shapes, largest[None], axis=0)
     shapes = shapes * (np.abs(phase) / phase)
@@ -279,7 +289,9 @@ def _normalised(shapes: np.ndarray, mass: np.ndarray) -> np.ndarray:
 
 def _require_freedoms(placed: Placed) -> None:
     if placed.freedoms == 0:
-        raise placed.error("this mechanism has no degrees of freedom, so it has no modes: drivers and joints hold it")
+        raise placed.error(
+            "this mechanism has no degrees of freedom and so no modes: joints and drivers fix its motion"
+        )
 
 
 def _seen(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,7 +1,8 @@
-"""The equations along the freedoms of a mechanism: what is left of stiffness and damping on the constraint manifold.
+"""Linearised equations along the degrees of freedom: stiffness and damping on the constraint manifold.
 
-A mechanism of up to `DENSE` coordinates is reduced to its freedoms with an orthogonal basis of the null space of the
-constraint Jacobian; a larger one stays sparse, and a few of its modes are found by inverse iteration (ARPACK).
+A mechanism of up to `DENSE` coordinates is reduced to its degrees of freedom with an orthogonal basis of the null space
+of the constraint Jacobian. The equations of a larger one stay sparse, and ARPACK finds a few of its modes by inverse
+iteration.
 """
 
 from __future__ import annotations
@@ -14,13 +15,13 @@ import numpy as np
 from mbdkit.mechanics.source import Placed
 
 DENSE = 1500
-"""Most coordinates with which the equations are reduced to freedoms one by one."""
+"""Largest number of coordinates for which the equations are reduced with a dense basis."""
 
 NEGATIVE = 1e-6
-"""Accuracy, relative to the softest motion, with which one is looked for that has a negative stiffness."""
+"""Tolerance of the search for a negative stiffness, relative to the eigenvalue closest to zero."""
 
 PILOTS = 3
-"""Inverse iterations that estimate the lowest frequency."""
+"""Number of inverse iterations that estimate the lowest frequency."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,9 @@ class Reduced:
     Attributes
     ----------
     basis : (n, f) array
-        Directions along the freedoms, of unit mass and orthogonal in the mass metric.
+        Basis of the degrees of freedom, orthonormal in the mass metric [1/sqrt(kg)].
     stiffness, damping : (f, f) arrays
-        In these directions [1/s^2, 1/s].
+        Stiffness and damping in this basis [1/s^2, 1/s].
     """
 
     basis: np.ndarray
@@ -52,12 +53,13 @@ class Reduced:
 
 
 def reduce(placed: Placed, at: State) -> Reduced:
-    """Linearise the equations about a state, along its freedoms.
+    """Linearise the equations about a state, along the degrees of freedom.
 
-    A deviation ``Z(t) y`` stays tangent to the constraint manifold. Its basis is carried along the motion without
-    turning within the tangent space (``Z^T M Z' = 0``), so that ``Z' = P`` is the least solution, in the mass metric,
-    of ``Phi_q P = -d(Phi_q v + Phi_t)/dq Z``; the stiffness is ``Z^T (K Z + C P) - P^T M P``, the damping
-    ``Z^T C Z``, with ``K = d(Phi_q^T lam - Q)/dq`` and ``C = -dQ/dv``. Where the state rests, P is zero.
+    A deviation ``Z(t) y`` stays tangent to the constraint manifold. The basis Z moves with the mechanism and does not
+    rotate within the tangent space, ``Z^T M Z' = 0``. Its derivative ``P = Z'`` is therefore the solution of
+    ``Phi_q P = -d(Phi_q v + Phi_t)/dq Z`` with the smallest norm in the mass metric. The stiffness is
+    ``Z^T (K Z + C P) - P^T M P`` and the damping ``Z^T C Z``, with ``K = d(Phi_q^T lam - Q)/dq`` and ``C = -dQ/dv``.
+    In a state at rest P is zero.
     """
     p, free = placed.equations, np.flatnonzero(~placed.held)
     root = np.sqrt(p.mass[free])
@@ -66,7 +68,7 @@ def reduce(placed: Placed, at: State) -> Reduced:
     basis = q[:, p.m :] / root[:, None]
     tangents = p.tangents(at.t, at.q, at.v, at.a, at.lam)
     k, c = (x.toarray()[np.ix_(free, free)] for x in (tangents.stiffness, tangents.damping))
-    turning = 0.5 * tangents.gamma_v.toarray()[:, free] @ basis
+    turning = 0.5 * tangents.gamma_v.toarray()[:, free] @ basis  # d(Phi_q v + Phi_t)/dq is -gamma_v / 2
     normal = q[:, : p.m] @ np.linalg.solve(r[: p.m].T, turning)  # M^1/2 P
     stiffness = basis.T @ (k @ basis + c @ (normal / root[:, None])) - normal.T @ normal
     everywhere = np.zeros((p.n, basis.shape[1]))
@@ -75,13 +77,13 @@ def reduce(placed: Placed, at: State) -> Reduced:
 
 
 def at_rest(placed: Placed, q: np.ndarray, lam: np.ndarray) -> State:
-    """Return the state that rests at `q` under the multipliers `lam`."""
+    """Return the state of rest at position `q` (n,) with the multipliers `lam` (m,)."""
     none = np.zeros(placed.equations.n)
     return State(placed.equations.t0, q, none, none, lam)
 
 
 def least_stiffness(placed: Placed, at: State) -> float:
-    """Return the least eigenvalue of the stiffness along the freedoms at rest [1/s^2]."""
+    """Return the lowest eigenvalue of the stiffness along the degrees of freedom, at rest [1/s^2]."""
     if placed.equations.n > DENSE:
         return _least_by_inverse_iteration(placed, at)
     return float(np.min(np.linalg.eigvals(reduce(placed, at).stiffness).real))
@@ -95,14 +97,16 @@ def stiffness_scale(placed: Placed, at: State) -> float:
 
 
 def lowest(placed: Placed, at: State, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the eigenvalues [1/s] nearest to zero, and their shapes (n, k), of a large mechanism at rest.
+    """Return the eigenvalues [1/s] closest to zero, and their shapes (n, k), of a large mechanism at rest.
+
+    ARPACK runs in shift-invert mode on the first-order form; the real shift is half of the estimated lowest frequency.
 
     Parameters
     ----------
     placed, at
         The mechanism and the state.
     count
-        How many; those in conjugate pairs count twice.
+        Number of eigenvalues; both members of a conjugate pair count.
     """
     from scipy.sparse.linalg import LinearOperator, eigs
 
@@ -114,7 +118,7 @@ def lowest(placed: Placed, at: State, count: int) -> tuple[np.ndarray, np.ndarra
     no_rows = np.zeros(p.m)
 
     def inverse(x: np.ndarray) -> np.ndarray:
-        """Solve for (dq, dv) in ``dv - shift dq = f``, ``-K dq - C dv - shift M dv = M g`` along the freedoms."""
+        """Solve ``dv - shift dq = f``, ``-K dq - C dv - shift M dv = M g`` for (dq, dv), free motions only."""
         f, g = x[:n], x[n:]
         right = -p.mass * (g + shift * f) - tangents.damping @ f
         dq, _ = matrix.solve(right, no_rows)
@@ -128,7 +132,12 @@ def lowest(placed: Placed, at: State, count: int) -> tuple[np.ndarray, np.ndarra
 
 
 def _pilot(placed: Placed, at: State) -> tuple[float, np.ndarray]:
-    """Return about the square of the lowest frequency [1/s^2], and a motion (n,) of which it is."""
+    """Return an estimate of the square of the lowest frequency [1/s^2] and of its mode shape (n,).
+
+    The estimate is the Rayleigh quotient after `PILOTS` inverse iterations from a random vector. The shift and the
+    lower bound of 1e-9, relative to the quotient of the start vector, keep the matrix regular if a motion has no
+    stiffness.
+    """
     p = placed.equations
     state, no_rows = (at.t, at.q, at.v, at.a, at.lam), np.zeros(p.m)
     x = np.where(placed.held, 0.0, np.random.default_rng(0).standard_normal(p.n))
@@ -144,10 +153,12 @@ def _pilot(placed: Placed, at: State) -> tuple[float, np.ndarray]:
 
 
 def _least_by_inverse_iteration(placed: Placed, at: State) -> float:
-    """Return the least eigenvalue of a large mechanism, or a negative one, that next to zero.
+    """Return the lowest eigenvalue of a large mechanism [1/s^2]; if any are negative, the negative one closest to zero.
 
-    Of the inverse, whose eigenvalues crowd at zero, the one of largest size is sought, and if that is positive the
-    least one: raised by that size, so that the crowd stands well away from zero and a part in a million tells it.
+    ARPACK first finds the eigenvalue of the inverse with the largest absolute value. If it is positive, a second search
+    looks for the lowest eigenvalue of the inverse. Most eigenvalues of the inverse lie close to zero, where a relative
+    tolerance asks for more accuracy than is needed. The second search therefore adds the first eigenvalue as a shift;
+    the tolerance `NEGATIVE` is then relative to that.
     """
     from scipy.sparse.linalg import LinearOperator, eigsh
 

@@ -1,4 +1,4 @@
-"""From whatever a user names as a spec to its equations at the consistent start."""
+"""Load a spec or mechanism from any accepted source and prepare its equations at the consistent start."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from mbdkit.run_preparation import build
 from mbdkit.spec import RunSpec, load_spec
 
 UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
-"""Sections that a spec must have and that nothing here depends on, for a mechanism that comes without them."""
+"""Sections that a spec requires but these analyses do not use; added to a bare `Mechanism`."""
 
 
 @dataclass(frozen=True)
 class Placed:
-    """A mechanism at its consistent start, with the spec that it came from."""
+    """A mechanism at its consistent start, with its spec."""
 
     spec: RunSpec
     workspace: Workspace
@@ -31,35 +31,35 @@ class Placed:
 
     @classmethod
     def of(cls, source: Any, overrides: Iterable[str] = (), **sections: Any) -> Placed:
-        """Build what `source` names, as `mbdkit.run` takes it; a `Mechanism` needs no other sections.
+        """Prepare a mechanism from any source that `mbdkit.run` accepts; a `Mechanism` needs no other sections.
 
         Raises
         ------
         SpecError
-            Where the input is wrong, joints that cannot meet included.
+            If the input is wrong, or the joints cannot be closed.
         """
         if isinstance(source, Mechanism):
             sections = UNUSED | sections
         spec = load_spec(source, overrides, **sections)
         workspace, _ = build(spec)
-        workspace = replace(workspace, stabilization=NONE)  # which is no property of the mechanism
+        workspace = replace(workspace, stabilization=NONE)  # Baumgarte terms would change the equations
         return cls(spec, workspace, EquationsOfMotion(workspace))
 
     @property
     def held(self) -> np.ndarray:
-        """(n,) whether a coordinate means nothing: the angle of a point mass."""
+        """Which coordinates have no meaning, (n,): the angles of point masses."""
         bodies = self.spec.mechanism().bodies.values()
         return np.array([(False, False, body.inertia is None) for body in bodies], dtype=bool).ravel()
 
     @property
     def extent(self) -> float:
-        """The size of the mechanism at its start [m]."""
+        """Size of the mechanism at its start [m]: extent of the centres of mass, at least the characteristic length."""
         centres = self.equations.q0.reshape(-1, 3)[:, :2]
         return max(float(np.max(np.ptp(centres, axis=0))), self.workspace.mechanism.length)
 
     @property
     def freedoms(self) -> int:
-        """Number of degrees of freedom, drivers held to their motion."""
+        """Number of degrees of freedom; driven coordinates are not free."""
         return self.workspace.mechanism.coordinates - self.equations.m
 
     def error(self, message: str, key: str = "model") -> SpecError:
@@ -68,8 +68,8 @@ class Placed:
 
     @contextmanager
     def blamed(self) -> Iterator[None]:
-        """Turn equations that cannot be solved into an error about the mechanism."""
+        """Convert a StepError into a SpecError about the mechanism."""
         try:
             yield
         except StepError as error:
-            raise self.error(f"the equations cannot be solved here: {error}") from error
+            raise self.error(f"the equations of motion cannot be solved in this position: {error}") from error

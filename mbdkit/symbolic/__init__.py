@@ -1,6 +1,6 @@
-"""Every element defined once, at position level, in SymPy; source of ``engine/kernels/element_kernels.py``.
+"""Definitions of all elements at position level in SymPy, and the code generator that uses them.
 
-`Mechanism.to_sympy` assembles the equations of a whole mechanism from the same definitions. No simulation imports this
-package, except to compile a force law. ``python -m mbdkit.symbolic`` writes the generated file;
-``python -m mbdkit.symbolic --check`` checks that the file in the repository is current.
+``python -m mbdkit.symbolic`` generates ``engine/kernels/element_kernels.py``; ``python -m mbdkit.symbolic --check``
+checks that the file in the repository is current. `Mechanism.to_sympy` assembles the equations of a whole mechanism
+from the same definitions. A simulation imports this package only to compile a force law.
 """

@@ -13,7 +13,10 @@ def main(arguments: list[str]) -> int:
     if "--check" in arguments:
         if TARGET.read_text(encoding="utf-8") == fresh:
             return 0
-        print(f"{TARGET.name} is not what mbdkit/symbolic generates: run `python -m mbdkit.symbolic`", file=sys.stderr)
+        print(
+            f"{TARGET.name} differs from the output of mbdkit/symbolic: run `python -m mbdkit.symbolic`",
+            file=sys.stderr,
+        )
         return 1
     TARGET.write_text(fresh, encoding="utf-8")
     return 0

@@ -1,7 +1,7 @@
-"""Assemble the symbolic equations of a mechanism, its `SymbolicSystem`, from the definitions of its elements.
+"""Assemble the symbolic equations of a mechanism, a `SymbolicSystem`, from the definitions of its elements.
 
-Each joint lists its constraints by kind, so a new joint type needs no change here. A force is its virtual work along a
-pathway or at a point of the definitions.
+Each joint lists its constraints by kind, so a new joint type needs no change here. The generalized forces follow from
+the virtual work of a force along a pathway, or of a load at a point, of the definitions.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from mbdkit.symbolic.symbolic_law import T as LAW_TIME
 TIME = sp.Symbol("t", real=True)
 
 Jet = tuple[sp.Expr, sp.Expr, sp.Expr]
-"""A motion with its first two derivatives by time."""
+"""A motion and its first two time derivatives."""
 
 _LETTERS = {"stiffness": ("k", "k"), "damping": ("c", "c"), "free_length": ("l", r"\ell")}
-"""Name and LaTeX of a law's parameter; others are called as they are."""
+"""Symbol name and LaTeX of common law parameters; the symbols of all others have the name of the option."""
 
 _KINKED = (sp.Abs, sp.Min, sp.Max)
 
@@ -52,19 +52,19 @@ def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
     mechanism
         Bodies, joints and forces by name.
     numbers
-        Whether masses, lengths and other parameters are inserted as numbers; otherwise they stay symbols.
+        Whether masses, lengths and other parameters are inserted as numbers instead of symbols.
 
     Raises
     ------
     SpecError
-        For a mechanism that is not valid, or a force without symbolic form.
+        If the mechanism is not valid, or a force has no symbolic form.
     """
     mechanism.validate()
     return _Builder(mechanism, numbers).system()
 
 
 class _Builder:
-    """Names the symbols of one mechanism and adds up the terms of its elements."""
+    """Creates the symbols of one mechanism and sums the terms of its elements."""
 
     def __init__(self, mechanism: Mechanism, numbers: bool):
         self.mechanism, self.numbers = mechanism, numbers
@@ -112,7 +112,10 @@ class _Builder:
     # ---- symbols -------------------------------------------------------------------------------------------------
 
     def symbol(self, name: str, tex: str) -> sp.Symbol:
-        """Return a new real symbol; one whose name is taken, as names with underscores can bring about, gets a mark."""
+        """Return a new real symbol; primes are appended to `name` until it is unique.
+
+        Names of bodies with underscores can produce the same symbol name twice.
+        """
         symbol = sp.Symbol(name, real=True)
         while symbol in self.names:
             name, tex = f"{name}'", f"{{{tex}}}'"
@@ -121,7 +124,7 @@ class _Builder:
         return symbol
 
     def parameter(self, value: float, letter: str, *owners: str, tex: str = "") -> sp.Expr:
-        """Return a parameter as a number, or as a symbol that belongs to elements and bodies; zeros stay zeros."""
+        """Return a parameter as a number, or as a symbol with the names of its owners as index; zero stays a number."""
         if self.numbers or value == 0:
             return _number(value)
         key = (value, letter, owners)
@@ -141,7 +144,7 @@ class _Builder:
     # ---- elements ------------------------------------------------------------------------------------------------
 
     def masses_and_gravity(self) -> list[sp.Expr]:
-        """Return the diagonal of the mass matrix, and add the weights to the forces."""
+        """Return the diagonal of the mass matrix; add the gravity forces to `forces`."""
         x, y = self.mechanism.gravity
         if x == 0 and y < 0:
             gravity = (sp.Integer(0), -self.parameter(-y, "g"))
@@ -229,7 +232,10 @@ class _Builder:
         return [*self.point(name, a, points[:2]), *self.point(name, b, points[2:])]
 
     def add_law(self, name: str, force: Law) -> None:
-        """Add the force F of a law on its pathway: Q = -F s_q; a law that is no expression stays a function F."""
+        """Add the force F of a law on its pathway, Q = -F s_q.
+
+        F is an expression for an `ExpressionLaw`; for any other law it is an undefined function of length, rate, time.
+        """
         length, gradient = _pathway_terms(force.pathway.kind)
         rate = (gradient * sp.Matrix(d.BODY_VELOCITIES))[0]
         law = force.force_law
@@ -246,7 +252,7 @@ class _Builder:
         self.add(-tension * gradient.T, *force.bodies, self.pathway_points(name, force.pathway))
 
     def numeric_law(self, name: str, function: Any, parameters: np.ndarray) -> Any:
-        """Return the force of a law as a function that has no formula, only numbers: of length, rate and time."""
+        """Return the force of a law as an undefined function of length, rate and time that evaluates numerically."""
 
         def force(length: float, rate: float, time: float) -> float:
             return float(function(length, rate, time, parameters)[0])
@@ -262,17 +268,17 @@ class _Builder:
         return UndefinedFunction(word, __dict__={"_imp_": staticmethod(force), "_latex": latex})
 
     def add(self, terms: sp.Matrix, a: str, b: str, parameters: Sequence[sp.Expr]) -> None:
-        """Add generalized forces (6, 1), as the definitions have them, on bodies `a` and `b`."""
+        """Add generalized forces (6, 1) in the symbols of the definitions to those of bodies `a` and `b`."""
         first, second = self.bodies.index(a), self.bodies.index(b)
         here = self.values(first, second, parameters)
         self.spread([_shortest(x).xreplace(here) for x in terms], first, second, self.forces)
 
-    # ---- from the definitions' symbols to the mechanism's ----------------------------------------------------------
+    # ---- symbols of the definitions replaced by those of the mechanism ---------------------------------------------
 
     def values(
         self, a: int, b: int, parameters: Sequence[sp.Expr], motion: Jet | None = None
     ) -> dict[sp.Symbol, sp.Expr]:
-        """Return what each symbol of the definitions stands for in an element between bodies `a` and `b`."""
+        """Return the replacement of each symbol of the definitions in an element between bodies `a` and `b`."""
         at_rest = [sp.Integer(0)] * 3
         q, v = (
             [x for body in (a, b) for x in (whole[3 * body : 3 * body + 3] or at_rest)] for whole in (self.q, self.v)
@@ -288,7 +294,7 @@ class _Builder:
         return values
 
     def spread(self, terms: Sequence[sp.Expr], a: int, b: int, whole: list[sp.Expr]) -> None:
-        """Add six terms to the places of two bodies in a row of the whole system; ground has none."""
+        """Add six terms to the columns of two bodies in a row `whole` (n,) of the system; ground has no columns."""
         for i, term in enumerate(terms):
             place = 3 * (a, b)[i // 3] + i % 3
             if place < len(whole):
@@ -314,7 +320,7 @@ def _pathway_terms(kind: str) -> tuple[sp.Expr, sp.Matrix]:
 
 
 def _shortest(expr: sp.Expr) -> sp.Expr:
-    """Return the shortest of a few ways of writing an expression."""
+    """Return the form of an expression, as given, expanded or factored, that has the fewest operations."""
     return min((expr, sp.expand(expr), sp.factor_terms(sp.expand(expr))), key=sp.count_ops)
 
 
@@ -323,13 +329,13 @@ def _column(entries: Sequence[sp.Expr]) -> sp.ImmutableMatrix:
 
 
 def _number(value: float) -> sp.Expr:
-    """Return a number as it was written: an integer, or the shortest decimal that stands for the same float."""
+    """Return a number as an integer, or as the shortest decimal that rounds to the same float."""
     value = float(value)
     return sp.Integer(int(value)) if value.is_integer() else sp.Float(repr(value), 17)
 
 
 def _jet(motion: Any) -> Jet:
-    """Return a motion, a number, an expression of t or a table, with its first two derivatives by time."""
+    """Return the value and the first two time derivatives of a motion: a number, an expression in t, or a table."""
     if isinstance(motion, Table):
         value = _spline(motion)
         return value, value.diff(TIME), value.diff(TIME, 2)
@@ -342,7 +348,7 @@ def _jet(motion: Any) -> Jet:
 
 
 def _spline(table: Table) -> sp.Expr:
-    """Return the cubic spline of a table; its end pieces go on beyond its ends."""
+    """Return the cubic spline of a table; the first and last pieces extrapolate it."""
     from scipy.interpolate import CubicSpline
 
     times, values = table.table
@@ -354,7 +360,7 @@ def _spline(table: Table) -> sp.Expr:
 
 
 def _angle(value: float) -> sp.Expr:
-    """Return a number as a simple fraction of pi where it is one to the last bits, otherwise as it was written."""
+    """Return a number as a simple fraction of pi if it equals one within one ulp, otherwise as a decimal."""
     part = Fraction(value / math.pi).limit_denominator(12)
     if part and abs(value - float(part) * math.pi) <= math.ulp(value):
         return sp.Rational(part.numerator, part.denominator) * sp.pi

@@ -1,8 +1,8 @@
-"""Position-level definitions of every element in SymPy, from which all derivatives in use are generated.
+"""Position-level definitions of all elements in SymPy; all derivatives in the kernels are generated from them.
 
-Planar bodies have the coordinates ``q = (x, y, theta)``: centre of mass and tilt. A body-fixed point ``s`` of body
-``b`` is at ``r_b + R(theta_b) s`` in the global frame. An element joins a first body ``a`` and a second body ``b``;
-ground is a body that stays at ``q = 0``.
+A planar body has the coordinates ``q = (x, y, theta)``: centre of mass and orientation. A body-fixed point ``s`` of
+body ``b`` has the global position ``r_b + R(theta_b) s``. An element connects a first body ``a`` and a second body
+``b``; ground is a body fixed at ``q = 0``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PARAMETERS = sp.symbols("p0:6", real=True)
 ca, sa, cb, sb = sp.symbols("ca sa cb sb", real=True)
 """Cosine and sine of ``theta_a`` and ``theta_b``."""
 ax, ay, bx, by = sp.symbols("ax ay bx by", real=True)
-"""Global components of the two points, from their bodies' centres of mass."""
+"""Global components of the vectors from the centres of mass to the two points."""
 nx, ny = sp.symbols("nx ny", real=True)
 """Global components of the normal of a line whose direction in the frame of the first body is ``(p4, p5)``."""
 gx, gy, length = sp.symbols("gx gy length", positive=True)
@@ -42,6 +42,8 @@ INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
 }
 """Named intermediate quantities, each in terms of coordinates, parameters and earlier ones."""
 
+# These rules keep derivatives in terms of the intermediates: the derivative of a rotated vector by its angle is the
+# same vector rotated by 90 degrees.
 _DERIVATIVES: dict[sp.Symbol, dict[sp.Symbol, sp.Expr]] = {
     ca: {tha: -sa},
     sa: {tha: ca},
@@ -62,7 +64,7 @@ _DERIVATIVES[length] = {
 
 
 def differentiate(expr: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
-    """Return the total derivative of `expr` by `symbol`, intermediates taken as functions of the coordinates."""
+    """Return the total derivative of `expr` by `symbol`, with the intermediates as functions of the coordinates."""
     total = expr.diff(symbol)
     for inner, rules in _DERIVATIVES.items():
         if symbol in rules and expr.has(inner):
@@ -71,7 +73,7 @@ def differentiate(expr: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
 
 
 def jacobian(exprs: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> sp.Matrix:
-    """Return the matrix of total derivatives, one row an expression."""
+    """Return the matrix of total derivatives, one row per expression."""
     return sp.Matrix([[differentiate(e, s) for s in symbols] for e in exprs])
 
 
@@ -83,15 +85,15 @@ class ConstraintKind:
     rows: tuple[sp.Expr, ...]
     note: str
     constants: tuple[tuple[str, str], ...] = ()
-    """Name and LaTeX of the parameters behind the points, ``p4`` and ``p5``."""
+    """Name and LaTeX of the parameters after the points, ``p4`` and ``p5``."""
 
 
 _ARM = (xb + bx - xa, yb + by - ya)
 _IN_A = (ca * _ARM[0] + sa * _ARM[1], ca * _ARM[1] - sa * _ARM[0])
-"""The point of the second body in the frame of the first, from its origin."""
+"""Position of the second body's point in the frame of the first body, relative to its centre of mass."""
 
 CONSTRAINTS = (
-    ConstraintKind("revolute", (gx, gy), "Two points coincide: Phi = p_b - p_a"),
+    ConstraintKind("revolute", (gx, gy), "Phi = p_b - p_a of two points that coincide"),
     ConstraintKind("distance", (length - PARAMETERS[4],), "Phi = |p_b - p_a| - length", (("L", "L"),)),
     ConstraintKind("driver_angle", (thb - tha - u,), "Phi = theta_b - theta_a - u(t)"),
     ConstraintKind("driver_x", (_IN_A[0] - u,), "Phi = x of b's point in a's frame - u(t)"),
@@ -126,7 +128,7 @@ PATHWAYS = (
 
 
 def derive_constraint(kind: ConstraintKind) -> dict[str, sp.Matrix]:
-    """Derive the Jacobian, the right sides and the tangents of a constraint.
+    """Derive the Jacobian, the right-hand side and the tangents of a constraint.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Force laws written in SymPy: their checks, derivatives and Python source."""
+"""Force laws written in SymPy: checks, derivatives and generated Python source."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _CORNERED = (sp.Abs, sp.Min, sp.Max, sp.Heaviside, sp.sign)
 
 
 def law_expressions(law: ExpressionLaw, names: Sequence[str]) -> tuple[sp.Expr, sp.Expr]:
-    """Return force and potential of a law in real symbols of the names of its arguments and parameters.
+    """Return force and potential of a law in real symbols named like its arguments and parameters.
 
     Raises
     ------
     PluginError
-        If the law is not an expression of these symbols.
+        If the law is not a SymPy expression in these symbols.
     """
     potential = 0 if law.potential is None else law.potential
     return _expression(law.force, names, ARGUMENTS), _expression(potential, names, ARGUMENTS[:1])
@@ -38,38 +38,40 @@ def _expression(given: Any, names: Sequence[str], arguments: Sequence[str]) -> s
     except sp.SympifyError:
         expression = None
     if not isinstance(expression, sp.Expr):
-        raise PluginError(f"an object of type {type(made).__name__} is no SymPy expression")
+        raise PluginError(f"an object of type {type(made).__name__} is not a SymPy expression")
     known = [*arguments, *names]
     for symbol in sorted(expression.free_symbols, key=str):
         if str(symbol) not in known:
             what = "potential" if len(arguments) == 1 else "force"
             raise PluginError(
-                f"the symbol '{symbol}' of its {what} is none of {listed(known)}{did_you_mean(str(symbol), known)}"
+                f"the symbol '{symbol}' of its {what} is not one of {listed(known)}{did_you_mean(str(symbol), known)}"
             )
     return expression.xreplace({symbol: sp.Symbol(str(symbol), real=True) for symbol in expression.free_symbols})
 
 
 def law_source(law: ExpressionLaw, example: Mapping[str, float]) -> str:
-    """Return the source of ``law(length, rate, time, parameters)``, which returns the four numbers of a law.
+    """Return the source of ``law(length, rate, time, parameters)``.
+
+    The function returns the force, its derivatives by length and by rate, and the potential.
 
     Parameters
     ----------
     law
         The law.
     example
-        Its parameters in the order of the array, with values that they may have.
+        Names of its parameters in the order of the array, with example values, at which the potential is checked.
 
     Raises
     ------
     PluginError
-        If SymPy cannot differentiate the force, or the potential does not belong to it.
+        If SymPy cannot differentiate the force, or the derivative of the potential is not the force at rate zero.
     """
     names = list(example)
     force, potential = (_without_corners(one) for one in law_expressions(law, names))
     results = [force, force.diff(LENGTH), force.diff(RATE), potential]
     for result in results:
         if result.has(sp.Derivative, sp.Subs, sp.DiracDelta, sp.core.function.AppliedUndef):
-            raise PluginError(f"SymPy cannot take the derivatives of its force {force}")
+            raise PluginError(f"SymPy cannot differentiate its force {force}")
     if law.potential is not None:
         _check_potential(force, potential, example)
     local = {sp.Symbol(name, real=True): sp.Symbol(f"p_{i}", real=True) for i, name in enumerate(names)}
@@ -84,19 +86,24 @@ def law_source(law: ExpressionLaw, example: Mapping[str, float]) -> str:
     lines.append(f"    return {', '.join(f'float({printer.doprint(one)})' for one in reduced)}")
     text = "\n".join(lines) + "\n"
     if "Not supported" in text:
-        raise PluginError(f"its force {force} has functions that cannot be compiled")
+        raise PluginError(f"its force {force} contains functions that cannot be compiled")
     return text
 
 
 def _without_corners(expression: sp.Expr) -> sp.Expr:
+    # Derivatives of Abs, Min and the like lead to DiracDelta, which `law_source` rejects; those of Piecewise do not.
     return expression.rewrite(sp.Piecewise) if expression.has(*_CORNERED) else expression
 
 
 def _check_potential(force: sp.Expr, potential: sp.Expr, example: Mapping[str, float]) -> None:
-    """Raise PluginError unless the potential's slope is the force at rate zero, tried at random lengths."""
+    """Raise PluginError unless dV/ds equals the force at rate zero.
+
+    Both are compared numerically at 40 random lengths for every scale, 1 and the sizes of the parameters. The
+    random numbers are the same in every call.
+    """
     at_rest = force.subs(RATE, 0)
     if at_rest.has(T):
-        raise PluginError("a law whose force at rate zero depends on time has no potential: leave it out")
+        raise PluginError("a law whose force at rate zero depends on time has no potential: remove the potential")
     slope = potential.diff(LENGTH)
     values = {sp.Symbol(name, real=True): value for name, value in example.items()}
     both = sp.lambdify([LENGTH, *values], [slope, at_rest], modules="math")
@@ -104,11 +111,11 @@ def _check_potential(force: sp.Expr, potential: sp.Expr, example: Mapping[str, f
     for scale in (1.0, *(abs(value) for value in example.values())) * 40:
         try:
             found, wanted = both(scale * numbers.uniform(-2.0, 2.0), *values.values())
-        except (ArithmeticError, ValueError, TypeError):  # outside of its domain
+        except (ArithmeticError, ValueError, TypeError):  # outside the domain of the expressions
             continue
         if isinstance(found, complex) or isinstance(wanted, complex):
             continue  # a power of a negative number
         if not (math.isfinite(found) and math.isfinite(wanted)):
             continue
         if abs(found - wanted) > 1e-8 * max(abs(found), abs(wanted)):
-            raise PluginError(f"the slope {slope} of its potential is not its force at rate zero, {at_rest}")
+            raise PluginError(f"the derivative {slope} of its potential is not its force at rate zero, {at_rest}")

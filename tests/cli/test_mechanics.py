@@ -49,7 +49,7 @@ def test_modes_are_listed_and_drawn(mbdkit, in_tmp_path):
 
 def test_modes_about_a_start_that_is_no_rest_say_so(mbdkit):
     said = mbdkit("modes", "knee", "--at", "start").stdout
-    assert "no rest" in said
+    assert "not at rest" in said
     assert "at this instant only" in said
     assert "at rest" in mbdkit("modes", "knee").stdout
 

@@ -1,16 +1,16 @@
-"""Bundles of arrays at a fixed address, so that a call from Python passes one address instead of all arrays.
+"""Bundles of arrays at a fixed address: a call from Python passes one address instead of all arrays.
 
 Unpacking the arrays of a mechanism takes 4 to 8 us per call, ten times the computing time of a kernel on a small
-mechanism. A bundle is therefore unpacked once into a block of memory that has the layout of the compiled NamedTuple,
-and kernels read the arrays from that block.
+mechanism. A bundle is therefore unpacked once into a block of memory with the layout of the compiled NamedTuple, and
+kernels read the arrays from this block.
 
-In compiled code a loaded bundle is a pointer to the block: it is passed as one word, and only the arrays that are named
-are read.
+In compiled code, a loaded bundle is a pointer to the block. It is passed as one word, and only those arrays that the
+code names are read.
 
-Public API of Numba (``numba.extending``) and llvmlite: `intrinsic`, `infer_getattr`, `lower_getattr_generic`,
-`register_model`, `models`, and the IR builder. Internal to Numba: `AttributeTemplate`, `types.BaseNamedTuple` and the
-memory layout of an array, `_ARRAY_FIELDS`, which is checked before anything is compiled. There is no plain alternative
-to this module.
+This module uses the public API of Numba (``numba.extending``) and llvmlite: `intrinsic`, `infer_getattr`,
+`lower_getattr_generic`, `register_model`, `models`, and the IR builder. It also uses internals of Numba:
+`AttributeTemplate`, `types.BaseNamedTuple`, and the memory layout of an array, `_ARRAY_FIELDS`, which is checked before
+anything is compiled. Unlike for subkernels, no path without these internals exists.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, mod
 
 _JIT_DISABLED = vars(config)["DISABLE_JIT"]
 _PYTHON_BUNDLES: dict[int, Any] = {}
-"""Bundles by the address of their block, with NUMBA_DISABLE_JIT=1."""
+"""Bundles by the address of their block; used only with NUMBA_DISABLE_JIT=1."""
 
 _ARRAY_FIELDS = ("meminfo", "parent", "nitems", "itemsize", "data", "shape", "strides")
-"""Members of an array in compiled code, in this order; `_words` writes them."""
+"""Members of an array in compiled code, in the order in which `_words` writes them."""
 
 
 class _Pointer(types.Type):
-    """Pointer to the compiled form of a bundle."""
+    """Numba type of a pointer to the compiled form of a bundle."""
 
     def __init__(self, bundle: Any):
         self.bundle = bundle
@@ -45,7 +45,7 @@ class _Pointer(types.Type):
 
 @register_model(_Pointer)
 class _PointerModel(models.OpaqueModel):
-    """Represents `_Pointer` as an address."""
+    """Represents a `_Pointer` in memory as an address."""
 
 
 @infer_getattr
@@ -62,9 +62,10 @@ class _Attributes(AttributeTemplate):
 
 @lower_getattr_generic(_Pointer)
 def _read(context, builder, kind, value, name):
-    """Read one array of a bundle, or point at a bundle inside it.
+    """Generate code that reads one array of a bundle, or returns a pointer to a bundle inside it.
 
-    ``invariant.load`` lets LLVM read an array once: a block does not change while a kernel runs.
+    The metadata ``invariant.load`` allows LLVM to read each array descriptor only once per function. This is valid
+    because a block does not change while a kernel runs.
     """
     index = kind.bundle.fields.index(name)
     word = ir.IntType(32)
@@ -83,7 +84,7 @@ def bundle_loader(example: Callable[[], tuple[Any, ...]]) -> Any:
     Parameters
     ----------
     example
-        Makes a bundle of the same type; called only during compilation.
+        Returns a bundle of the same type; called only during compilation.
     """
     if _JIT_DISABLED:
         return _PYTHON_BUNDLES.__getitem__
@@ -102,7 +103,7 @@ def bundle_loader(example: Callable[[], tuple[Any, ...]]) -> Any:
 
 
 def _check_array_layout(context: Any) -> None:
-    """Raise NotImplementedError if this version of Numba stores arrays in another way than `_words` does."""
+    """Raise NotImplementedError if this version of Numba has another memory layout of arrays than `_words` writes."""
     fields = tuple(context.data_model_manager.lookup(types.Array(types.float64, 1, "C"))._fields)
     if fields != _ARRAY_FIELDS:
         raise NotImplementedError(
@@ -114,7 +115,8 @@ def _check_array_layout(context: Any) -> None:
 def _words(bundle: Any) -> list[int]:
     """Return the compiled form of a bundle: the members `_ARRAY_FIELDS` of each array.
 
-    The first two are zero, because Python owns the memory of all arrays.
+    The first two, `meminfo` and `parent`, are zero: Python owns the memory of all arrays, and kernels count no
+    references.
     """
     words: list[int] = []
     for x in bundle:
@@ -126,7 +128,9 @@ def _words(bundle: Any) -> list[int]:
 
 
 class PinnedBundle:
-    """A bundle that kernels find under `address` as long as this object lives.
+    """A bundle that kernels can read at `address` during the lifetime of this object.
+
+    The object keeps a reference to the bundle, and so to its arrays.
 
     Parameters
     ----------

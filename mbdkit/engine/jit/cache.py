@@ -1,8 +1,8 @@
-"""The cache folder of compiled kernels, and the lock under which they are compiled.
+"""The cache folder of compiled kernels, and the lock that is held while they are compiled.
 
-Numba's own cache checks only the file that contains a kernel: after a change to a callee in another file it would load
-outdated machine code. The cache folder is therefore named after a hash of *all* kernel sources, the version of Numba
-and the processor: ``<user cache>/mbdkit/<hash>``. It is determined when this module is imported.
+Numba's own cache checks only the file that contains a kernel. After a change to a callee in another file, it would load
+outdated machine code. The name of the cache folder therefore contains a hash of *all* kernel sources, the version of
+Numba and the processor: ``<user cache>/mbdkit/<hash>``. It is determined when this module is imported.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def kernel_sources() -> list[Path]:
 
 
 def fingerprint() -> str:
-    """Return 16 hex digits that change with any kernel source, Numba's version, the compile path and the processor."""
+    """Return 16 hex digits that depend on all kernel sources, Numba, Python, the compile path and the processor."""
     digest = hashlib.sha256()
     for path in kernel_sources():
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
@@ -62,8 +62,8 @@ def _open_cache() -> Path:
             pass
     except (OSError, RuntimeError) as error:
         warnings.warn(
-            f"the cache folder {folder} cannot be written ({error}): kernels are compiled anew in every process; "
-            "set MBDKIT_CACHE_DIR to a folder that can",
+            f"the cache folder {folder} cannot be written ({error}), so that kernels are compiled again in every "
+            "process; set MBDKIT_CACHE_DIR to a writable folder",
             RuntimeWarning,
             stacklevel=2,
         )
@@ -77,10 +77,11 @@ FOLDER = _open_cache()
 
 @contextmanager
 def cached_here() -> Iterator[None]:
-    """Let Numba cache in `FOLDER` the functions decorated inside this context.
+    """Make Numba use `FOLDER` as its cache for functions that are decorated inside this context.
 
-    CACHE_DIR is the documented variable NUMBA_CACHE_DIR, which Numba otherwise reads only once and for all packages.
-    If a later version renames it, the lookup fails with KeyError, and no kernel is cached in a wrong folder.
+    CACHE_DIR corresponds to the documented environment variable NUMBA_CACHE_DIR, which Numba reads only once and
+    applies to all packages. If a later version of Numba renames it, the lookup raises KeyError; kernels are then never
+    cached in a wrong folder.
     """
     before = vars(config)["CACHE_DIR"]
     vars(config)["CACHE_DIR"] = str(FOLDER)
@@ -91,9 +92,10 @@ def cached_here() -> Iterator[None]:
 
 
 def _marker() -> Path:
-    """Return the file whose presence means that all kernels are compiled.
+    """Return the path of the file that exists once all kernels have been compiled.
 
-    Its name depends on path and modification time of each source, because Numba's own index files do.
+    Its name depends on the path and modification time of each source. Numba's own index files depend on them too, so
+    Numba would compile kernels again after they change.
     """
     stamps = [f"{path} {path.stat().st_mtime_ns}" for path in kernel_sources()]
     return FOLDER / f"compiled-{hashlib.sha256(chr(10).join(stamps).encode()).hexdigest()[:16]}"

@@ -20,8 +20,9 @@ _SUBKERNEL: dict[str, Any] = {}
 if not PLAIN:
     from mbdkit.engine.jit.subkernel_compiler import SubkernelCompiler
 
-    # Undocumented options of njit. `_nrt`: kernels allocate nothing, and reference counts of arrays cost more than the
-    # arithmetic of a small mechanism. Wrappers: subkernels are not called from Python, and nothing from C but entries.
+    # Undocumented options of njit. `_nrt`: kernels allocate nothing, and counting references of arrays costs more time
+    # than the arithmetic of a small mechanism. Wrappers for calls from C and from Python take time to compile; only
+    # entries are called from C, and subkernels are not called from Python either.
     _KERNEL |= {"_nrt": False, "no_cfunc_wrapper": True}
     _SUBKERNEL |= {
         "_nrt": False,
@@ -38,7 +39,11 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Any:
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function that Python calls: cached on disk, releases the interpreter lock, IEEE arithmetic."""
+    """Compile a function that Python calls.
+
+    Its machine code is cached on disk, it releases the global interpreter lock, and division by zero follows IEEE 754
+    instead of raising an exception.
+    """
     return _compiled(function, **_KERNEL)
 
 
@@ -48,7 +53,7 @@ def subkernel(function: Callable[..., Any]) -> Any:
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """Compile a function that only kernels call, copied into each of its callers."""
+    """Compile a function that only kernels call and that LLVM copies into each of its callers."""
     return _compiled(function, **_SUBKERNEL, forceinline=True)
 
 

@@ -1,7 +1,8 @@
-"""Functions that kernels call by address, so that they need not be compiled together with their callers.
+"""Entries: functions that kernels call by address, so that they are compiled independently of their callers.
 
-An entry is a C callback of Numba. Its arguments are two addresses (int) and three numbers (float); it returns a status
-(int). `cfunc` and `intrinsic` are public API of Numba; the IR that `call_entry` generates is that of llvmlite.
+An entry is a C callback of Numba. Its arguments are two addresses (int) and three numbers (float), and it returns a
+status (int). `cfunc` and `intrinsic` are public API of Numba; `call_entry` generates its code with the IR builder of
+llvmlite.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ _SIGNATURE = types.int64(types.int64, types.int64, types.float64, types.float64,
 _OPTIONS: dict[str, Any] = {} if PLAIN else {"_nrt": False}  # see `mbdkit.engine.jit.decorators`
 _JIT_DISABLED = vars(config)["DISABLE_JIT"]
 _PYTHON_ENTRIES: dict[int, Callable[..., Any]] = {}
-"""Entries by address, with NUMBA_DISABLE_JIT=1."""
+"""Entries by address; used only with NUMBA_DISABLE_JIT=1."""
 
 
 class Entry:
-    """A function that kernels call by its address."""
+    """A function that kernels call by its address, compiled on first use."""
 
     def __init__(self, function: Callable[[int, int, float, float, float], int]):
         self.function = function
@@ -41,7 +42,8 @@ class Entry:
         make: Any = cfunc
         done = FOLDER / f"entry-{self.function.__module__}.{self.function.__name__}"
         with ExitStack() as stack:
-            # During the first compilation `compiling` already holds the lock; an existing `done` means a read only.
+            # While the kernels are compiled, `compiling` already holds the lock. If `done` exists, the entry is only
+            # read from the cache, which needs no lock.
             if is_warm() and not done.exists():
                 print("mbdkit compiles the kernels of this method; this happens once ...", file=sys.stderr, flush=True)
                 stack.enter_context(locked())
@@ -66,4 +68,4 @@ def _call_compiled(typing_context, address, first, second, t, h, x):
 
 
 call_entry: Any = _call_python if _JIT_DISABLED else _call_compiled
-"""Call the entry at an address (int64) with its five arguments."""
+"""Call the entry at `address` (int64) with its five arguments; returns its status."""

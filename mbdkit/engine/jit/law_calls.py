@@ -1,12 +1,12 @@
-"""Calls of force laws from compiled kernels: by address, with one explicit C signature.
+"""Calls of force laws from compiled kernels, by address and with a single C signature.
 
 A law is a C function ``void law(double length, double rate, double time, const double *parameters, double *out)``. It
 writes the force, its derivatives by length and by rate, and the potential into ``out[0..3]``; ``parameters[0]`` is the
-number of parameters that follow. Kernels read the address from an array, so they need not be compiled again for other
-laws.
+number of parameters that follow. Kernels read the address of a law from an array, so that a new law does not require
+them to be compiled again.
 
-Public API of Numba and llvmlite: `njit`, `intrinsic`, `is_jitted`, and the IR builder. Internal to Numba: the helper
-``context.make_array``, which has no public counterpart.
+This module uses the public API of Numba and llvmlite: `njit`, `intrinsic`, `is_jitted`, and the IR builder. It also
+uses the helper ``context.make_array``, which is internal to Numba and has no public counterpart.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from numba import njit, types
 from numba.extending import intrinsic, is_jitted
 
 HAS_POTENTIAL, PASSIVE = 1, 2
-"""Claims of a law, as bits. HAS_POTENTIAL: at zero rate its force is the slope of its potential. PASSIVE: the rest of
-its power is dissipated."""
+"""Bits of the claims of a law. HAS_POTENTIAL: the force at zero rate is the derivative of the potential by length.
+PASSIVE: all power that is not stored as potential energy is dissipated."""
 
 SIGNATURE = types.void(
     types.float64, types.float64, types.float64, types.CPointer(types.float64), types.CPointer(types.float64)
@@ -28,7 +28,7 @@ SIGNATURE = types.void(
 
 
 def _call_law(typing, address, length, rate, time, parameters, begin, out, row):
-    """Call the law at `address` with the `parameters` (N,) from index `begin`; it writes row `row` of `out` (K, 4)."""
+    """Call the law at `address` with `parameters` (N,) from index `begin` on; it writes row `row` of `out` (K, 4)."""
     number, real = types.int64, types.float64
     vector, matrix = types.Array(real, 1, "C"), types.Array(real, 2, "C")
     signature = types.void(number, real, real, real, vector, number, matrix, number)

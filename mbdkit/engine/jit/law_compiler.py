@@ -1,7 +1,8 @@
-"""Compile force laws to machine code: each one is a C function in a small generated module in the cache folder.
+"""Compile force laws to machine code.
 
-The module is named after a hash of all sources of its code, so that it is compiled once, loaded by later processes, and
-never outdated. A function that cannot be imported, such as a lambda, is compiled in every process.
+Each law becomes a C function in a small generated module in the cache folder. The name of the module contains a hash of
+all sources that its code depends on. A law is therefore compiled once, loaded by later processes, and compiled again
+after any change. A function that cannot be imported, such as a lambda, is compiled in every process.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _ENTRY = '''
 
 @cfunc(SIGNATURE, cache={cache}, error_model="numpy")
 def entry(length, rate, time, parameters, out):
-    """Write force, its derivatives by length and by rate, and the potential; they stay NaN where the law raises."""
+    """Write force, its derivatives by length and by rate, and the potential; all stay NaN if the law raises."""
     results = carray(out, (4,))
     results[0] = results[1] = results[2] = results[3] = nan
     count = int(carray(parameters, (1,))[0])
@@ -48,7 +49,7 @@ def entry(length, rate, time, parameters, out):
     results[3] = potential
 '''
 _COMPILED: dict[tuple[ForceLaw, tuple[str, ...]], CompiledLaw] = {}
-"""Laws compiled by this process, by law and names of parameters."""
+"""Laws compiled or loaded by this process; the key is the law and the names of its parameters."""
 
 _ARGUMENTS = (types.float64, types.float64, types.float64, types.float64[::1])
 
@@ -64,7 +65,7 @@ class CompiledLaw:
     claims
         `HAS_POTENTIAL` and `PASSIVE`, as bits.
     keeper
-        Keeps the machine code in memory.
+        Reference that keeps the machine code in memory.
     """
 
     address: int
@@ -73,7 +74,7 @@ class CompiledLaw:
 
 
 def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[float]]:
-    """Return the machine code of a law and its parameters for one element: their number, then their values.
+    """Return the machine code of a law, and for one element the number of its parameters followed by their values.
 
     Parameters
     ----------
@@ -82,12 +83,12 @@ def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[
     options
         Instance of the law's options.
     name
-        Name of the law in messages.
+        Name of the law in error messages.
 
     Raises
     ------
     PluginError
-        If the law cannot be compiled, lacks derivatives, or fails to make its parameters.
+        If the law cannot be compiled, does not return derivatives, or fails to compute its parameters.
     """
     names, values = law_parameters(law, options, name)
     if (law, names) not in _COMPILED:
@@ -96,7 +97,7 @@ def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[
 
 
 def _compile(law: ForceLaw, example: dict[str, float], name: str) -> CompiledLaw:
-    """Return the machine code of a law; `example` maps the names of an expression's parameters to possible values."""
+    """Return the machine code of a law; `example` maps the names of an expression's parameters to example values."""
     try:
         if isinstance(law, ExpressionLaw):
             keeper = _of_expression(law, example)
@@ -122,7 +123,10 @@ def _of_expression(law: ExpressionLaw, example: dict[str, float]) -> dict[str, A
 
 
 def _origin(expression: Any) -> str:
-    """Return text that changes with the expression."""
+    """Return text that identifies an expression: the hash of its sources, or else its SymPy representation.
+
+    The hash avoids importing SymPy if the compiled law is already in the cache.
+    """
     if expression is None:
         return ""
     sources = _sources(expression) if callable(expression) and getattr(expression, "__code__", None) else None
@@ -154,18 +158,21 @@ def _check_results(function: Callable[..., Any]) -> None:
     dispatcher = compiled(function)
     dispatcher.compile(_ARGUMENTS)
     returned = dispatcher.overloads[_ARGUMENTS].signature.return_type
-    numbers = list(getattr(returned, "types", [returned]))  # of a tuple
+    numbers = list(getattr(returned, "types", [returned]))  # the elements of a tuple
     if len(numbers) == 4 and all(isinstance(one, types.Number | types.Boolean) for one in numbers):
         return
-    found = "one value" if len(numbers) == 1 else f"{len(numbers)} values" if len(numbers) != 4 else "other things"
+    found = "one value" if len(numbers) == 1 else f"{len(numbers)} values" if len(numbers) != 4 else "other types"
     raise PluginError(
         f"its function returns {found}, not the four numbers force, derivative by length, derivative by rate and "
-        "potential: give the derivatives, or write the law as a SymPy expression, which has them by itself"
+        "potential: return all four, or write the law as a SymPy expression, whose derivatives are computed"
     )
 
 
 def _sources(function: Callable[..., Any]) -> str | None:
-    """Return a hash of the source files of a function's package; None if they do not determine the function."""
+    """Return a hash of the source files of a function's package; None if they do not determine the function.
+
+    This is the case in an interactive session or a script, and for closures, whose variables are not in the sources.
+    """
     module = sys.modules.get(function.__module__)
     file = getattr(module, "__file__", None)
     if module is None or not file or module.__name__ == "__main__" or getattr(function, "__closure__", None):
@@ -184,14 +191,16 @@ def _package_hash(package: str, file: str) -> str:
 
 
 def _generated_module(origin: str, body: Callable[[], str]) -> dict[str, Any]:
-    """Return the namespace of the generated module of a law; write the module first if it does not exist.
+    """Return the namespace of the generated module of a law; the module is written first if it does not exist.
+
+    It is written to a temporary file and renamed, so that another process never reads an incomplete module.
 
     Parameters
     ----------
     origin
-        Text that changes with all sources of the law.
+        Text that depends on all sources of the law.
     body
-        Makes the source of the law, a function ``law``.
+        Returns source code that defines the function ``law``.
     """
     name = f"mbdkit_law_{hashlib.sha256((origin + _HEAD + _ENTRY).encode()).hexdigest()[:24]}"
     path = FOLDER / f"{name}.py"

@@ -1,9 +1,9 @@
-"""The installed version of Numba, and whether kernels are compiled with its internals.
+"""The installed version of Numba, and whether compilation uses internals of Numba.
 
-Within the tested range, functions that only kernels call are compiled by `mbdkit.engine.jit.subkernel_compiler`, and
-without reference counts. Both use internals of Numba and make compilation faster. With any other version, plain
-``numba.njit`` compiles them: compilation takes longer, results are the same. Setting ``MBDKIT_PLAIN_NUMBA=1`` selects
-the plain path with any version.
+Within the tested range of versions, functions that only kernels call are compiled by
+`mbdkit.engine.jit.subkernel_compiler` and without reference counting. Both use internals of Numba and make compilation
+faster. With any other version, plain ``numba.njit`` is used: compilation takes longer, and the results are the same.
+Setting ``MBDKIT_PLAIN_NUMBA=1`` selects the plain path with any version.
 
 This module does not import Numba.
 """
@@ -30,7 +30,7 @@ def _major_minor(text: str) -> tuple[int, ...]:
 
 INSTALLED = version("numba")
 PLAIN = os.environ.get("MBDKIT_PLAIN_NUMBA", "") not in ("", "0") or not is_tested(INSTALLED)
-"""Whether kernels are compiled by plain ``numba.njit``."""
+"""Whether all functions are compiled by plain ``numba.njit``."""
 
 
 def numba_report() -> dict[str, Any]:

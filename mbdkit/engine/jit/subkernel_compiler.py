@@ -1,11 +1,11 @@
 """Compile subkernels only as far as linking requires.
 
 Numba optimizes each function together with all its callees and generates machine code for it. For a function that only
-kernels call, this code is never used, because each kernel is linked and optimized as a whole again; the wasted time
-grows with the depth of calls. A subkernel is therefore lowered to LLVM IR and not optimized further.
+kernels call, this code is never used, because each kernel is linked and optimized again as a whole. The wasted time
+grows with the depth of calls. A subkernel is therefore only lowered to LLVM IR, without optimization.
 
-All of this module uses internals of Numba: `JITCodeLibrary`, the pass builder and `NativeLowering`. It is imported only
-within the tested range of versions (`mbdkit.engine.jit.numba_version`).
+This module uses internals of Numba: `JITCodeLibrary`, the pass builder and `NativeLowering`. It is imported only within
+the tested range of versions (`mbdkit.engine.jit.numba_version`).
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ class _SubkernelLowering(NativeLowering):
         state.flags.no_compile = True
         super().run_pass(state)
         code.finalize()
-        # Numba finds the code of a callee by a builtin function that is unique to it; Python never calls this one.
+        # Numba registers the code of a callee under a Python function, here a bound builtin method of a new dictionary,
+        # which is unique to this subkernel and never called.
         key: Any = {}.__getitem__
         state.targetctx.insert_user_function(key, state.cr.fndesc, [code])
         state.cr = state.cr._replace(cfunc=key)
@@ -49,10 +50,10 @@ class _SubkernelLowering(NativeLowering):
 
 
 class SubkernelCompiler(CompilerBase):
-    """Numba's compiler with the lowering of subkernels."""
+    """Numba's compiler with `_SubkernelLowering` as lowering pass."""
 
     def define_pipelines(self) -> list[Any]:
-        """Return Numba's default passes with the lowering replaced."""
+        """Return Numba's default pipeline with the lowering pass replaced."""
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.passes = [(_SubkernelLowering if kind is NativeLowering else kind, why) for kind, why in passes.passes]
         passes.finalize()

@@ -1,1 +1,1 @@
-"""Compiled kernels: functions on flat arrays that evaluate, assemble, solve and observe a mechanism."""
+"""Compiled kernels: functions on flat arrays that evaluate the elements of a mechanism and solve its equations."""

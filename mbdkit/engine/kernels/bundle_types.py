@@ -1,7 +1,7 @@
 """Types of the arrays in a bundle, and example bundles made from them.
 
-A bundle is a NamedTuple whose fields are arrays of these types, or other bundles. Compiled code reads a bundle by its
-address, so it has to know the type of every array beforehand; an example bundle of empty arrays provides it.
+A bundle is a NamedTuple whose fields are arrays of these types, or other bundles. Compiled code reads a bundle from its
+address, so the type of every array must be known at compile time. An example bundle of empty arrays provides the types.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ RealMatrix = Annotated[np.ndarray, np.float64, 2]
 IntVector = Annotated[np.ndarray, np.int64, 1]
 IntMatrix = Annotated[np.ndarray, np.int64, 2]
 NumberVector = Annotated[np.ndarray, None, 1]
-"""Real or complex, the same for all such fields of a bundle."""
+"""Vector of real or complex numbers; the dtype is the same for all such fields of a bundle."""
 
 
 def example_of(bundle: type[Any], number: type = np.float64) -> Any:
@@ -24,7 +24,7 @@ def example_of(bundle: type[Any], number: type = np.float64) -> Any:
     Parameters
     ----------
     bundle
-        A NamedTuple class whose fields are annotated with the types of this file, or with other such classes.
+        A NamedTuple class whose fields are annotated with the types of this module, or with other such classes.
     number
         The dtype of `NumberVector` fields.
     """

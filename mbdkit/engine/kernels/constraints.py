@@ -1,7 +1,8 @@
-"""Constraints of a mechanism: codes of their kinds, sines and cosines, and the generated loops over all pairs.
+"""Constraints of a mechanism: codes of their kinds, sines and cosines, and the generated loops over all pairs of rows.
 
-Constraints are kept in pairs of rows: a kind with one row leaves the second row of its pair empty, and the solvers put
-a unit diagonal there. Every block of the Schur complement is therefore 2 x 2, whatever the mechanism.
+Constraints are stored in pairs of rows. A constraint with one row leaves the second row of its pair zero, and the Schur
+solver puts a unit diagonal there. All blocks of the Schur complement are therefore 2 x 2 for any mechanism, and the
+solver needs no code for other block sizes.
 """
 
 from __future__ import annotations
@@ -19,12 +20,15 @@ from mbdkit.engine.kernels.element_kernels import (
 __all__ = ["KINDS", "constraint_accelerations", "constraint_positions", "constraint_tangents", "turn_bodies"]
 
 KINDS = {name: code for code, name in enumerate(CONSTRAINT_KINDS)}
-"""Code of each kind of constraint, as ``Topology.pairs`` holds it in its first column."""
+"""Code of each kind of constraint; it is stored in the first column of ``Topology.pairs``."""
 
 
 @subkernel
 def turn_bodies(q, cs):
-    """Write cosine and sine of every body's tilt into `cs` (B + 1, 2); ground comes last and keeps (1, 0)."""
+    """Write cosine and sine of every body's angle into `cs` (B + 1, 2); ground comes last and keeps (1, 0).
+
+    They are computed once per position, because every element on a body needs them.
+    """
     for b in range(len(cs) - 1):
         theta = q[3 * b + 2]
         cs[b, 0] = cos(theta)

@@ -1,7 +1,8 @@
-"""Kernels of the equations of motion for callers in Python; each takes the address of a held `Equations` bundle.
+"""Kernels that evaluate and solve the equations of motion for callers in Python.
 
-Vectors of the caller have no entries for ground: they are (n,) with n = 3 B. Multipliers and constraint rows are (m,):
-the independent ones, in the order of the mechanism's rows.
+Each kernel takes the address of a pinned `Equations` bundle. Vectors of the caller have no entries for ground: their
+shape is (n,) with n = 3 B. Multipliers and constraint rows are (m,): only the independent rows, in the order of the
+rows of the mechanism. The kernels copy these vectors into the padded arrays (3 (B + 1),) and (P, 2) of the engine.
 """
 
 from __future__ import annotations
@@ -35,20 +36,22 @@ from mbdkit.engine.kernels.system import (
 from mbdkit.engine.kernels.vectors import BEYOND
 
 MASS, JACOBIAN, DAMPING, STIFFNESS, GAMMA_V, RESIDUAL_Q = range(6)
-"""Classes of the terms of a `Matrix`: M; Phi_q and its transpose; C; K; d gamma/dv; d(Phi_q a - gamma)/dq."""
+"""Classes of the terms of a `Matrix`: M; Phi_q and its transpose; C; K; d gamma/dv; d(Phi_q a - gamma)/dq.
+
+A `Matrix` has one coefficient for each class."""
 
 
 class Equations(NamedTuple):
-    """The bundle behind `mbdkit.engine.equations_of_motion.EquationsOfMotion`: a mechanism and room for one call."""
+    """The bundle of `mbdkit.engine.equations_of_motion.EquationsOfMotion`: a mechanism and its working arrays."""
 
     top: Topology
-    """The mechanism, with a gravity vector of its own that is set to zero while the caller supplies the right side."""
+    """The mechanism, with its own gravity vector, which is zero if the caller supplies the right-hand side."""
     gravity: RealVector
     """(2,) gravity of the mechanism."""
     w: Scratch
     solver: Solver
     q: RealVector
-    """(3 (B + 1),) positions of the caller, ground last; likewise velocities and accelerations."""
+    """(3 (B + 1),) positions of the caller, ground last; `v` and `a` hold velocities and accelerations."""
     v: RealVector
     a: RealVector
     lam: RealMatrix
@@ -56,26 +59,26 @@ class Equations(NamedTuple):
 
 
 class Matrix(NamedTuple):
-    """A factorized sparse matrix of n + m unknowns: a sum of terms, each with the coefficient of its class."""
+    """A factorized sparse matrix of n + m unknowns: the sum of all terms, each times the coefficient of its class."""
 
     pattern: Pattern
     factors: Factors
     scatter: IntMatrix
-    """(N, 3) index into ``Scratch.source``, place among the values, class."""
+    """(N, 3) index into ``Scratch.source``, index into the values of the matrix, class of the term."""
     right: NumberVector
     solution: NumberVector
     correction: NumberVector
 
 
 def new_equations(top: Topology, scratch: Scratch, solver: Solver) -> Equations:
-    """Return the bundle of a mechanism with its working arrays and the solver in use."""
+    """Return the bundle of a mechanism with its working arrays and the current solver."""
     size, lam = len(scratch.force), np.zeros((len(top.pairs), 2))
     vectors = np.zeros(size), np.zeros(size), np.zeros(size)
     return Equations(top._replace(gravity=np.zeros(2)), top.gravity, scratch, solver, *vectors, lam)
 
 
 def new_matrix(pattern: Pattern, factors: Factors, scatter: np.ndarray) -> Matrix:
-    """Return a matrix with storage for its values and for the solution of its systems."""
+    """Return a matrix with storage for its values and for the solution of linear systems with it."""
     vectors = (np.zeros(len(pattern.row_of), factors.a.dtype) for _ in range(3))
     return Matrix(pattern, factors, scatter, *vectors)
 
@@ -87,14 +90,14 @@ load_complex = bundle_loader(lambda: example_of(Matrix, np.complex128))
 
 @inlined
 def _put(x, given):
-    """Copy a vector (n,) of the caller to the beginning of `x` (3 (B + 1),)."""
+    """Copy a vector (n,) of the caller to the beginning of `x` (3 (B + 1),); the entries of ground stay unchanged."""
     for d in range(len(given)):
         x[d] = given[d]
 
 
 @inlined
 def _put_rows(eq, x, given):
-    """Copy rows (m,) of the caller to `x` (P, 2)."""
+    """Copy rows (m,) of the caller to `x` (P, 2); rows that are not solved for become zero."""
     n = len(eq.q) - 3
     for k in range(len(eq.top.pairs)):
         x[k, 0] = x[k, 1] = 0.0
@@ -128,7 +131,8 @@ def _take_rows(eq, x, out):
 def solution_of(address, t, q, v, given, force, rows, x, mu):
     """Solve ``M x + Phi_q^T mu = force``, ``Phi_q x = rows`` at a state; return a status.
 
-    If `given` is false, the right side is that of the mechanism, Q and gamma, and `force` and `rows` are ignored.
+    If `given` is false, the right-hand side is that of the mechanism, Q and gamma, and `force` and `rows` are ignored.
+    If it is true, gravity is set to zero, because the solver would otherwise add it to `force`.
     """
     eq = load_equations(address)
     top, w = eq.top, eq.w
@@ -162,6 +166,7 @@ def residual_of(address, t, q, v, a, lam, with_forces, out):
     _put_rows(eq, eq.lam, lam)
     prepare(top, w, t, eq.q)
     solved_rows(top, w, eq.q, eq.v)
+    # `eq.a` serves as the accumulator of the residual. Gravity is not part of ``w.force`` and is subtracted separately.
     for d in range(len(eq.q)):
         eq.a[d] = 0.0
     if with_forces:
@@ -182,7 +187,7 @@ def residual_of(address, t, q, v, a, lam, with_forces, out):
                 eq.a[first + i] += w.jac[k, 6 * r + i] * eq.lam[k, r]
                 eq.a[second + i] += w.jac[k, 6 * r + 3 + i] * eq.lam[k, r]
     finite = _take(eq.a, out)
-    eq.a[len(eq.a) - 3 :] = 0.0  # other kernels rely on a ground at rest
+    eq.a[len(eq.a) - 3 :] = 0.0  # remove the reactions on ground: other kernels rely on zero accelerations there
     if not finite:
         return NOT_FINITE
     return OK
@@ -212,7 +217,7 @@ def rows_of(address, t, q, v, phi, rate, gamma):
 
 @kernel
 def tangents_of(address, t, q, v, a, lam):
-    """Evaluate every term of a `Matrix` into ``w.source``; return a status."""
+    """Evaluate all terms of a `Matrix` into ``w.source``; return a status."""
     eq = load_equations(address)
     _put(eq.q, q)
     _put(eq.v, v)
@@ -231,7 +236,7 @@ def tangents_of(address, t, q, v, a, lam):
 
 @kernel
 def powers_of(address, t, q, v, lam):
-    """Return the power of loads and drivers under the multipliers `lam`, and the power dissipated [W]."""
+    """Return the power of loads, drivers and active laws, and the dissipated power [W], for multipliers `lam` (m,)."""
     eq = load_equations(address)
     _put(eq.q, q)
     _put(eq.v, v)
@@ -244,7 +249,7 @@ def powers_of(address, t, q, v, lam):
 
 @kernel
 def pair_multipliers_of(address, t, q, lam, out):
-    """Write the multipliers of all rows, redundant ones included, into `out` (P, 2)."""
+    """Write the multipliers of all rows into `out` (P, 2); redundant directions carry no force."""
     eq = load_equations(address)
     _put(eq.q, q)
     _put_rows(eq, out, lam)
@@ -254,7 +259,10 @@ def pair_multipliers_of(address, t, q, lam, out):
 
 @kernel
 def arrive_at(address, t, q, v, worst):
-    """Raise `worst` (P,) by the squared misalignments of a state; return whether the state is finite."""
+    """Update the largest squared misalignments `worst` (P,) with those of a state; return whether it is finite.
+
+    A coordinate or rate of `BEYOND` or more counts as not finite.
+    """
     eq = load_equations(address)
     finite = True
     for d in range(len(q)):
@@ -266,6 +274,7 @@ def arrive_at(address, t, q, v, worst):
 
 @inlined
 def _factorize(source, m, coefficients):
+    # Several terms contribute to the same entry, so the values are summed before the scaling that equilibrates them.
     values = m.factors.a
     values[:] = 0.0
     for e in range(len(m.scatter)):
@@ -292,13 +301,16 @@ def _solve(m, force, rows, x, mu):
 
 @kernel
 def factorize_real(source, matrix, coefficients):
-    """Factorize the sum of the terms in `source` with `coefficients` (6,); return the failed pivot or -1."""
+    """Factorize the sum of the terms in `source` with `coefficients` (6,), one per class.
+
+    Returns the position of the pivot that became too small, or -1; see `mbdkit.engine.kernels.lu.factorize`.
+    """
     return _factorize(source, load_real(matrix), coefficients)
 
 
 @kernel
 def factorize_complex(source, matrix, coefficients):
-    """Factorize as `factorize_real` does, with complex coefficients."""
+    """Factorize a matrix with complex coefficients; see `factorize_real`."""
     return _factorize(source, load_complex(matrix), coefficients)
 
 
@@ -310,5 +322,5 @@ def solve_real(matrix, force, rows, x, mu):
 
 @kernel
 def solve_complex(matrix, force, rows, x, mu):
-    """Solve as `solve_real` does, for a complex matrix."""
+    """Solve a factorized complex system; see `solve_real`."""
     return _solve(load_complex(matrix), force, rows, x, mu)

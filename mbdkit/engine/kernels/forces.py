@@ -1,7 +1,8 @@
-"""Applied forces: force elements (pathway x law), torques and point forces, with tangents, powers and potentials.
+"""Applied forces: force elements (a law on a pathway), torques and point forces; tangents, powers and potentials.
 
-A force element pulls its bodies together with the tension ``F(s, s', t)`` along its pathway of length ``s``: the
-generalized force is ``Q = -F s_q``. Gravity is a constant acceleration and is added by the solvers.
+A force element pulls its two bodies together with the tension ``F(s, s', t)`` along a pathway of length ``s``. Its
+generalized force is ``Q = -F s_q``. Gravity is not part of these forces: it is a constant acceleration, and the solvers
+add it to the free accelerations.
 """
 
 from __future__ import annotations
@@ -25,13 +26,16 @@ coordinate_x_hessian, coordinate_y_hessian = e.coordinate_x_hessian, e.coordinat
 
 @subkernel
 def pathway_lengths(top, w, q):
-    """Write the length of every pathway into ``w.s`` (S, 1) and its gradient into ``w.grad`` (S, 6)."""
+    """Write the length of every pathway into ``w.s`` (S, 1) and its gradient s_q into ``w.grad`` (S, 6).
+
+    The kind of pathway is selected by comparisons, because Numba loses inlining when it indexes a tuple of functions.
+    """
     springs, points, cs, s, grad = top.springs, top.spring_points, w.cs, w.s, w.grad
     for k in range(len(springs)):
         a, b = springs[k, 1], springs[k, 2]
         if springs[k, 0] == _TWO_POINTS:
             two_points_gradient(k, a, b, q, cs, points, s, grad)
-            if s[k, 0] == 0.0:  # coincident points define no direction: such a spring exerts no force
+            if s[k, 0] == 0.0:  # coincident points define no direction (0/0): the spring then exerts no force
                 for i in range(6):
                     grad[k, i] = 0.0
         elif springs[k, 0] == _RELATIVE_ANGLE:
@@ -44,7 +48,7 @@ def pathway_lengths(top, w, q):
 
 @subkernel
 def path_rate(k, a, b, v, grad):
-    """Return the rate s' of pathway `k` between bodies `a` and `b`."""
+    """Return the rate ``s' = s_q v`` of pathway `k` between bodies `a` and `b`."""
     rate = 0.0
     for i in range(3):
         rate += grad[k, i] * v[3 * a + i] + grad[k, 3 + i] * v[3 * b + i]
@@ -53,9 +57,11 @@ def path_rate(k, a, b, v, grad):
 
 @subkernel
 def evaluate_tension(top, w, k, rate):
-    """Write F, dF/ds, dF/ds' and the potential of force element `k` into its row of ``w.tension`` (S + 1, 4).
+    """Write F, dF/ds, dF/ds' and the potential of force element `k` into row `k` of ``w.tension`` (S + 1, 4).
 
-    If a law returns no finite force for finite arguments, its number is stored in ``w.faulty`` (1,).
+    If a law returns a force that is not finite for finite arguments, its row in ``top.laws`` is stored in ``w.faulty``
+    (1,) for the error message. If the arguments are not finite, the state has overflowed and the law is not the cause.
+    Linear springs are computed here, without a call by address.
     """
     length, law, tension = w.s[k, 0], top.springs[k, 3], w.tension
     if law < 0:
@@ -74,7 +80,8 @@ def evaluate_tension(top, w, k, rate):
 def applied_forces(top, w, q, v):
     """Write the generalized applied forces without gravity into ``w.force`` (3 (B + 1),).
 
-    Needs the motions and the cosines and sines of the position (`mbdkit.engine.kernels.system.prepare`).
+    Requires the motions and the cosines and sines of the position (`mbdkit.engine.kernels.system.prepare`). Reactions
+    on ground are accumulated in its three entries, which no solver reads.
     """
     springs, loads, grad, force, u = top.springs, top.loads, w.grad, w.force, w.u
     force[:] = 0.0
@@ -101,9 +108,9 @@ def applied_forces(top, w, q, v):
 
 @subkernel
 def point_force(top, w, k):
-    """Return force and lever arm of load `k`, (F_x, F_y, p_x, p_y), in the global frame.
+    """Return force [N] and lever arm [m] of load `k`, (F_x, F_y, p_x, p_y), in the global frame.
 
-    The arm is the vector from the centre of mass to the point of application.
+    The lever arm is the vector from the centre of mass to the point of application.
     """
     loads, points, cs, u = top.loads, top.load_points, w.cs, w.u
     body = loads[k, 1]
@@ -119,9 +126,10 @@ def point_force(top, w, k):
 def force_tangents(top, w, q, v):
     """Write K = -dQ/dq and C = -dQ/dv of every force element and load into the terms of ``w.source``.
 
-    ``w.spring_stiff`` and ``w.spring_damp`` (S, 36) receive those of the force elements. ``w.load_stiff`` (L, 3)
-    receives those of the point forces: the entries x-theta and y-theta of forces that turn with their body, and the
-    entry theta-theta of forces with a fixed direction.
+    ``w.spring_stiff`` and ``w.spring_damp`` (S, 36) receive the terms of the force elements:
+    ``K = F_s s_q^T s_q + F s_qq + F_s' s_q^T (s_q v)_q`` and ``C = F_s' s_q^T s_q``. ``w.load_stiff`` (L, 3) receives
+    the terms of the point forces: entries x-theta and y-theta of forces that turn with their body, entry theta-theta of
+    forces with a fixed direction. A torque depends on time only and has no tangent.
     """
     springs, loads, points, cs = top.springs, top.loads, top.spring_points, w.cs
     grad, hess, stiff, damp, load_stiff = w.grad, w.hess, w.spring_stiff, w.spring_damp, w.load_stiff
@@ -169,8 +177,9 @@ def force_tangents(top, w, q, v):
 def powers(top, w, v, lam):
     """Return (power of loads, drivers and active laws, dissipated power) [W].
 
-    Needs `applied_forces` and Phi_t at the same state. The part ``V_s s'`` of the power ``F s'`` of a law with a
-    potential V is stored as potential energy; the rest is dissipated if the law claims to be passive, else it is work.
+    Requires `applied_forces` and Phi_t at the same state. The bodies supply the power ``F s'`` to a force element. If
+    the law has a potential V, the part ``V_s s'`` is stored as potential energy. The rest is dissipated if the law
+    is declared passive; otherwise its negative counts as work. Drivers supply the power ``lambda^T Phi_t``.
     """
     springs, laws, loads, pairs, u, tension = top.springs, top.laws, top.loads, top.pairs, w.u, w.tension
     work = 0.0
@@ -209,8 +218,8 @@ def powers(top, w, v, lam):
 def potential_energy(springs, laws, mass, gravity, q, tension):
     """Return the potential energy [J] of gravity and of the force elements.
 
-    It is zero at the global origin and at the free length of a linear spring; a law chooses its own zero. Needs
-    `applied_forces` or `force_tangents` at the same state.
+    The potential of gravity is zero at the global origin, that of a linear spring at its free length; other laws define
+    their own zero. Requires `applied_forces` or `force_tangents` at the same state.
     """
     energy = 0.0
     for b in range(len(mass) - 1):

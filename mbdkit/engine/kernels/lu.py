@@ -1,7 +1,9 @@
-"""Sparse LU by rows with pivots chosen beforehand, for real and complex matrices of a fixed pattern.
+"""Sparse row-wise LU factorization with a fixed pivot order, for real and complex matrices of a fixed pattern.
 
-`mbdkit.engine.elimination_order` orders rows and columns once, with numerical pivoting; here the values change and the
-order stays. A pivot that has become small against its row, or a poor residual, asks for a new choice of pivots.
+`mbdkit.engine.elimination_order` chooses the order of rows and columns once, with numerical pivoting. The kernels reuse
+this order for new values, which avoids pivot searches and allocation. The order can become unsuitable as the values
+change. Two checks detect this: a pivot that has become small relative to its size when the order was chosen (`WORN`),
+and a large residual of the solution. Either makes the caller choose new pivots.
 """
 
 from __future__ import annotations
@@ -12,11 +14,14 @@ from mbdkit.engine.jit.decorators import inlined
 from mbdkit.engine.kernels.bundle_types import IntVector, NumberVector, RealVector
 
 WORN = 1e-6
-"""A pivot that has shrunk to this, relative to its size when it was chosen, asks for new pivots."""
+"""If a pivot shrinks to this fraction of its size when it was chosen, new pivots are chosen."""
 
 
 class Pattern(NamedTuple):
-    """Pattern of A with rows and columns in pivot order, and of its factors; n unknowns."""
+    """Sparsity patterns of A, L and U in compressed rows, with rows and columns in pivot order; n unknowns.
+
+    L has a unit diagonal, which is not stored; the diagonal of U is stored apart, inverted, in ``Factors.pivot``.
+    """
 
     a_start: IntVector
     a_column: IntVector
@@ -29,15 +34,15 @@ class Pattern(NamedTuple):
     column_of: IntVector
     """(n,) original unknown at each pivot position."""
     row_scale: RealVector
-    """(n,) factors that equilibrate the rows, powers of two, in original order."""
+    """(n,) factors that equilibrate the rows, in original order; powers of two, so that scaling is exact."""
     column_scale: RealVector
-    """(n,) factors that equilibrate the columns."""
+    """(n,) factors that equilibrate the columns, also powers of two."""
     weight: RealVector
-    """(nnz,) product of both for every entry of A."""
+    """(nnz,) product of row and column factor for every entry of A."""
 
 
 class Factors(NamedTuple):
-    """Values that go with a `Pattern`; all of one dtype."""
+    """Values of A, L and U in the order of a `Pattern`; all number arrays have the same dtype."""
 
     a: NumberVector
     lower: NumberVector
@@ -45,18 +50,24 @@ class Factors(NamedTuple):
     pivot: NumberVector
     """(n,) inverse pivots."""
     reference: RealVector
-    """(n,) sizes of the pivots in the first factorization after they were chosen; 0 until then."""
+    """(n,) sizes of the pivots in the first factorization after they were chosen; 0 before it."""
     work: NumberVector
+    """(n,) one row during the factorization, the intermediate solution during substitution."""
 
 
 @inlined
 def factorize(p, f):
-    """Factorize the scaled matrix whose values stand in ``f.a``; return the pivot position that wore out, or -1."""
+    """Factorize the scaled matrix with the values ``f.a``; return the position of a pivot that is too small, or -1.
+
+    Row-wise elimination (IKJ order): each row is expanded into the dense array ``f.work``, all earlier rows that it
+    depends on are subtracted, and the result is stored in the patterns of L and U. These patterns include the fill-in,
+    so the entries to be used are set to zero first. A size of a complex number is ``|re| + |im|``, which needs no root.
+    """
     a_start, a_column = p.a_start, p.a_column
     l_start, l_column, u_start, u_column = p.l_start, p.l_column, p.u_start, p.u_column
     a, lower, upper, pivot, reference, w = f.a, f.lower, f.upper, f.pivot, f.reference, f.work
     for i in range(len(pivot)):
-        for x in range(l_start[i], l_start[i + 1]):
+        for x in range(l_start[i], l_start[i + 1]):  # clear only the entries in the pattern of this row
             w[l_column[x]] = 0.0
         w[i] = 0.0
         for x in range(u_start[i], u_start[i + 1]):
@@ -71,9 +82,9 @@ def factorize(p, f):
                 w[u_column[y]] -= m * upper[y]
         d = w[i]
         size = abs(d.real) + abs(d.imag)
-        if not size > WORN * reference[i]:
+        if not size > WORN * reference[i]:  # also true for NaN
             return i
-        if reference[i] == 0.0:
+        if reference[i] == 0.0:  # first factorization with these pivots
             reference[i] = size
         pivot[i] = 1.0 / d
         for x in range(u_start[i], u_start[i + 1]):
@@ -83,7 +94,7 @@ def factorize(p, f):
 
 @inlined
 def substitute(p, f, b, x):
-    """Solve A x = b with the factors; `b` and `x` (n,) in original order."""
+    """Solve A x = b with the factors; `b` and `x` (n,) are unscaled, in original order, and may be the same array."""
     l_start, l_column, u_start, u_column = p.l_start, p.l_column, p.u_start, p.u_column
     row_of, column_of, row_scale, column_scale = p.row_of, p.column_of, p.row_scale, p.column_scale
     lower, upper, pivot, w = f.lower, f.upper, f.pivot, f.work
@@ -103,7 +114,11 @@ def substitute(p, f, b, x):
 
 @inlined
 def residual(p, f, b, x, r):
-    """Write b - A x into `r` (n,) and return the largest scaled residual, relative to the largest row of terms."""
+    """Write b - A x into `r` (n,) and return the largest residual of a row relative to the largest row sum.
+
+    The row sum is the sum of the absolute values of all terms of a row, including b; both are taken of the scaled
+    system. Returns NaN if a residual is NaN.
+    """
     worst = 0.0
     largest = 0.0
     for i in range(len(p.row_of)):
@@ -117,7 +132,7 @@ def residual(p, f, b, x, r):
             size += abs(term)
         r[row] = t / p.row_scale[row]
         largest = max(largest, size)
-        if not abs(t) <= worst:
+        if not abs(t) <= worst:  # unlike `max`, this keeps a NaN
             worst = abs(t)
     return worst / largest if worst > 0.0 else worst
 
@@ -126,7 +141,8 @@ def residual(p, f, b, x, r):
 def solve_refined(p, f, b, x, r):
     """Solve A x = b with one step of iterative refinement; return the largest relative residual, see `residual`.
 
-    `b`, `x` and the scratch array `r` are (n,), in original order.
+    The refinement compensates for pivots that are no longer optimal for the current values. `b`, `x` and the scratch
+    array `r` are (n,), in original order; `r` holds the final residual on return.
     """
     substitute(p, f, b, x)
     residual(p, f, b, x, r)

@@ -1,7 +1,7 @@
 """Misalignment of a pair of constraint rows: the Euclidean norm of its residual Phi.
 
-The largest misalignment over all steps is kept as a square. The recorder adds the squares of the pairs of a joint and
-takes the root once, at the end of a run.
+The largest misalignment over all steps is kept as a square, which saves a square root per pair and step. The recorder
+adds the squares of the pairs of a joint and takes the root at the end of a run.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from mbdkit.engine.kernels.system import evaluate_positions, prepare
 
 @subkernel
 def raise_misalignments(top, w, t, q, worst):
-    """Raise `worst` (P,) to the squared misalignment of each pair at the position `q`, where that is larger."""
+    """Update `worst` (P,), the largest squared misalignment of each pair [m^2, rad^2], with the position `q` at `t`."""
     prepare(top, w, t, q)
     evaluate_positions(top, w, q)
     for k in range(len(worst)):

@@ -1,8 +1,9 @@
-"""Motions of time: a postfix program run on truncated Taylor series, so that rate and second derivative are exact.
+"""Prescribed motions u(t): postfix programs evaluated with second-order forward-mode automatic differentiation.
 
-A table is one instruction of such a program: a piecewise cubic, whose numbers stand behind those of all programs.
-Departs from a symbolic derivative on purpose: a second-order jet needs no SymPy at run time and compiles nothing for a
-new expression. Each stack entry is (value, first, second derivative by t).
+Each stack entry is a jet: value, first and second derivative by t. The derivatives are therefore exact up to rounding
+errors. Jets are used instead of symbolic derivatives because they need no SymPy at run time, and a new expression
+requires no compilation. A table is a single instruction, a piecewise cubic, whose data follow the constants of all
+programs in `values`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ _NAMES = (
     "atan2", "exp", "log", "sqrt", "abs", "tanh", "min", "max", "table",
 )  # fmt: skip
 OPCODES = {name: code for code, name in enumerate(_NAMES)}
+"""Code of each instruction. ``pow`` has its exponent on the stack; ``powi`` has a constant exponent in `values`."""
 MAX_DEPTH = 32
+"""Number of stack entries that a program may use."""
 
 (
     _CONST, _T, _ADD, _SUB, _MUL, _DIV, _NEG, _POW, _POWI, _SIN, _COS, _TAN, _ASIN, _ACOS, _ATAN,
@@ -26,7 +29,10 @@ MAX_DEPTH = 32
 
 @subkernel
 def _power(x: float, n: float) -> tuple[float, float, float]:
-    """Return x**n and its first two derivatives by x, for a constant exponent."""
+    """Return x**n and its first two derivatives by x, for a constant exponent.
+
+    The derivatives of n = 0 and n = 1 are set explicitly, because the formula gives 0 * inf = NaN for them at x = 0.
+    """
     value = x**n
     first = 0.0 if n == 0.0 else n * x ** (n - 1.0)
     second = 0.0 if n == 0.0 or n == 1.0 else n * (n - 1.0) * x ** (n - 2.0)
@@ -35,7 +41,7 @@ def _power(x: float, n: float) -> tuple[float, float, float]:
 
 @subkernel
 def _unary(op: int, x: float) -> tuple[float, float, float]:
-    """Return a function's value and its first two derivatives by its argument."""
+    """Return the value of a function and its first two derivatives by its argument."""
     if op == _SIN:
         return sin(x), cos(x), -sin(x)
     if op == _COS:
@@ -71,7 +77,11 @@ def _unary(op: int, x: float) -> tuple[float, float, float]:
 
 @subkernel
 def _binary(op, a0, a1, a2, b0, b1, b2):
-    """Combine two jets."""
+    """Return the jet of a binary operation on the jets (a0, a1, a2) and (b0, b1, b2).
+
+    A power with a constant exponent is handled by `_power`, which allows negative bases for integers; the general
+    formula needs the logarithm of the base.
+    """
     if op == _ADD:
         return a0 + b0, a1 + b1, a2 + b2
     if op == _SUB:
@@ -97,6 +107,7 @@ def _binary(op, a0, a1, a2, b0, b1, b2):
     if b1 == 0.0 and b2 == 0.0:
         f0, d1, d2 = _power(a0, b0)
         return f0, d1 * a1, d2 * a1 * a1 + d1 * a2
+    # f = exp(g) with g = b ln a, so that f' = f g' and f'' = f (g'' + g'^2)
     f0 = a0**b0
     ln = log(a0)
     g1 = b1 * ln + b0 * a1 / a0
@@ -106,10 +117,10 @@ def _binary(op, a0, a1, a2, b0, b1, b2):
 
 @subkernel
 def _piecewise_cubic(t, values, start):
-    """Return the jet of a piecewise cubic, whose end pieces go on beyond its ends.
+    """Return the jet of a piecewise cubic; the first and last pieces extrapolate it.
 
-    From `start` on, `values` holds the number of pieces n, the n + 1 ends of the pieces, and for each piece its four
-    coefficients by rising powers of the time since its beginning.
+    Starting at index `start`, `values` holds the number of pieces n, their n + 1 end times, and for each piece four
+    coefficients in ascending powers of the time since its beginning. The piece is found by bisection.
     """
     pieces = int(values[start])
     low, high = 0, pieces
@@ -134,8 +145,8 @@ def evaluate_motions(t, ptr, ops, values, stack, u):
     t : float
         Time [s].
     ptr, ops, values
-        Program of motion i: ``ops[ptr[i]:ptr[i+1]]`` with the constants beside them; for a table the constant is
-        where its numbers begin, further on in `values`.
+        The program of motion i is ``ops[ptr[i]:ptr[i+1]]``, with one constant per instruction at the same index of
+        `values`. The constant of a table is the index in `values` at which its data begin.
     stack : (MAX_DEPTH, 3) array
         Scratch.
     u : (motions, 3) array
@@ -164,6 +175,7 @@ def evaluate_motions(t, ptr, ops, values, stack, u):
                     f, d1, d2 = _power(a[0], values[j])
                 else:
                     f, d1, d2 = _unary(op, a[0])
+                # chain rule: (f(a))' = f' a' and (f(a))'' = f'' a'^2 + f' a''
                 a[0], a[1], a[2] = f, d1 * a[1], d2 * a[1] * a[1] + d1 * a[2]
         u[i, 0], u[i, 1], u[i, 2] = stack[0, 0], stack[0, 1], stack[0, 2]
 

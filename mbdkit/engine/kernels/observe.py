@@ -26,7 +26,10 @@ from mbdkit.engine.kernels.vectors import copy
 
 @subkernel
 def reactions_of(top, w, lam, out):
-    """Write force (x, y) and torque of every pair on its second body, at the joint point there, into `out` (P, 3)."""
+    """Write force (x, y) and torque of every pair on its second body, at its joint point, into `out` (P, 3) [N, N m].
+
+    The generalized constraint force ``-Phi_q^T lam`` acts at the centre of mass; its moment is shifted to the point.
+    """
     for k in range(len(top.pairs)):
         b = top.pairs[k, 2]
         for d in range(3):
@@ -38,16 +41,16 @@ def reactions_of(top, w, lam, out):
 
 
 class Observed(NamedTuple):
-    """Values computed from T states, one array for each quantity; the pairs are those of the topology."""
+    """Quantities computed from T states; P is the number of pairs of constraint rows in the topology."""
 
     acc: np.ndarray
-    """(T, 3 (B + 1)) index-1 accelerations, ground last."""
+    """(T, 3 (B + 1)) accelerations of the index-1 system [m/s^2, rad/s^2], ground last."""
     lam: np.ndarray
-    """(T, P, 2) multipliers."""
+    """(T, P, 2) multipliers [N, N m]."""
     phi: np.ndarray
     """(T, P, 2) constraint residuals Phi."""
     phi_rate: np.ndarray
-    """(T, P, 2) their rates Phi_q v + Phi_t."""
+    """(T, P, 2) rates of the residuals, Phi_q v + Phi_t."""
     reactions: np.ndarray
     """(T, P, 3) force (x, y) and torque of the first body on the second, at the joint point of the second."""
     kinetic: np.ndarray
@@ -55,7 +58,7 @@ class Observed(NamedTuple):
     potential: np.ndarray
     """(T,) potential energy of gravity and springs [J]."""
     singularity_distance: np.ndarray
-    """(T,) see `mbdkit.engine.singularity`."""
+    """(T,) distance to singularity, see `mbdkit.engine.singularity`."""
 
     @staticmethod
     def zeros(states: int, bodies: int, pairs: int) -> Observed:
@@ -72,17 +75,17 @@ class Observed(NamedTuple):
         )
 
     def rows(self, part: slice) -> Observed:
-        """Return views of some of the states."""
+        """Return views of the states in the slice `part`."""
         return Observed(*(values[part] for values in self))
 
 
 class SelfStress(NamedTuple):
-    """For each of T states and D redundant directions, constraint forces that cause no acceleration."""
+    """Constraint forces that cause no acceleration, for T states and D redundant directions."""
 
     lam: np.ndarray
-    """(T, D, P, 2) multipliers, 1 in the redundant direction itself."""
+    """(T, D, P, 2) multipliers; 1 in the redundant direction itself."""
     reactions: np.ndarray
-    """(T, D, P, 3) their reactions, as in `Observed`."""
+    """(T, D, P, 3) reactions of these multipliers, as in `Observed`."""
 
     @staticmethod
     def zeros(states: int, directions: int, pairs: int) -> SelfStress:
@@ -90,7 +93,7 @@ class SelfStress(NamedTuple):
         return SelfStress(np.zeros((states, directions, pairs, 2)), np.zeros((states, directions, pairs, 3)))
 
     def rows(self, part: slice) -> SelfStress:
-        """Return views of some of the states."""
+        """Return views of the states in the slice `part`."""
         return SelfStress(*(values[part] for values in self))
 
 
@@ -111,12 +114,12 @@ def observe(engine, times, q, v, out, stress, near):
     stress : SelfStress
         Receives the self-stresses of a mechanism with redundant constraints.
     near : (P, 11) array
-        Vectors that `mbdkit.engine.singularity` keeps from one state to the next.
+        Vectors of the inverse iteration in `mbdkit.engine.kernels.singularity_kernels`, reused for the next state.
 
     Returns
     -------
     status : int
-        OK, or why the index-1 system could not be solved.
+        OK, or the reason why the index-1 system could not be solved.
     row : int
         Number of states evaluated; on failure, the index of the state that failed.
     """
@@ -129,7 +132,9 @@ def observe(engine, times, q, v, out, stress, near):
         status = solve_accelerations(top, w, solver, q[r], v[r], out.acc[r], lam, True)
         if status != OK:
             return status, r
+        # The order matters: the next two calculations use the factors and the Jacobian of this solution.
         out.singularity_distance[r] = singularity_distance(top, w, solver, near)
+        # Self-stress: a unit multiplier of the redundant direction minus the equivalent multipliers of all other rows.
         for i in range(len(top.spare)):
             transferred(top, w, solver, i, stress.lam[r, i])
             dx, dy = spare_direction(top, w.cs, i)
@@ -163,7 +168,7 @@ def observe(engine, times, q, v, out, stress, near):
 
 @kernel
 def tangents_at(engine, t, q, v, acc, lam):
-    """Solve for accelerations and multipliers of a state and evaluate all tangents there; return a status."""
+    """Solve for accelerations and multipliers of a state and evaluate all tangents; return a status."""
     h = load_engine(engine)
     top, w, solver = h.top, h.w, h.solver
     prepare(top, w, t, q)
@@ -185,7 +190,8 @@ def baumgarte_at(engine, t, q, v):
 def first_order_rates(engine, has_power, t, y, acc, lam, rates):
     """Write the right-hand side of the first-order form, y = (q, v, work, dissipated), into `rates`; return a status.
 
-    `y` and `rates` are (6 B + 2,); `acc` (3, 3 (B + 1)) and `lam` (P, 2) are scratch.
+    `y` and `rates` are (6 B + 2,); `acc` (3, 3 (B + 1)) and `lam` (P, 2) are scratch arrays. If `has_power` is false,
+    the rates of work and dissipation are zero.
     """
     h = load_engine(engine)
     top, w, solver = h.top, h.w, h.solver
@@ -213,14 +219,17 @@ def constraints_at(top, w, t, q, v):
 
 @kernel
 def stiffness_at(top, w, t, q, rest, lam):
-    """Evaluate d(Phi_q^T lam)/dq of every pair into ``w.stiff``; `rest` (3 (B + 1),) is a vector of zeros."""
+    """Evaluate d(Phi_q^T lam)/dq of every pair into ``w.stiff``.
+
+    `rest` (3 (B + 1),) is a vector of zeros, used for velocities and accelerations, on which this term does not depend.
+    """
     prepare(top, w, t, q)
     constraint_tangents(top.pairs, top.pair_parameters, q, rest, rest, w.cs, w.u, lam, w.stiff, w.gamma_v, w.res_q)
 
 
 @kernel
 def note_all(engine, times, q, worst):
-    """Update `worst` (P,), the largest squared norm of each pair's Phi, by the states `q` (T, 3 (B + 1)) at `times`."""
+    """Update `worst` (P,), the largest squared norm of each pair's Phi, with states `q` (T, 3 (B + 1)) at `times`."""
     h = load_engine(engine)
     top, w = h.top, h.w
     for r in range(len(times)):

@@ -1,4 +1,8 @@
-"""Projection of positions and velocities onto the constraints, by the smallest change in the mass metric."""
+"""Projection of positions and velocities onto the constraints with the smallest change in the mass metric.
+
+Both projections solve the saddle point system of the index-1 equations with other right-hand sides, so that they reuse
+its solver. The topology that they take has no gravity, which the solver would otherwise add.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +27,14 @@ FEW_ROUNDINGS = 4.0
 """Residuals below this many eps times the largest coordinate (at least 1 m or 1 rad) count as zero."""
 
 MOST_ITERATIONS = 20
+"""Largest number of Newton iterations of a projection of positions."""
 STAGNANT = 1e-9
-"""A residual that stops shrinking below this share of the largest coordinate is at the level of rounding errors."""
+"""If the residual stops shrinking below this fraction of the largest coordinate, it consists of rounding errors."""
 
 
 @subkernel
 def largest_size(q):
-    """Return the largest coordinate of a state, at least 1."""
+    """Return the largest absolute value in `q`, at least 1."""
     size = 1.0
     for d in range(len(q)):
         size = max(size, abs(q[d]))
@@ -38,7 +43,7 @@ def largest_size(q):
 
 @subkernel
 def largest_residual(top, phi):
-    """Return the largest residual of the rows that are solved for; infinite if one is not finite."""
+    """Return the largest absolute residual of the rows that are solved for; infinity if one is not finite."""
     worst = 0.0
     for k in range(len(phi)):
         for r in range(top.rows[k]):
@@ -50,7 +55,7 @@ def largest_residual(top, phi):
 
 @subkernel
 def position_rows(top, w, t, q):
-    """Evaluate Phi and Phi_t of the rows that are solved for; prepares the position."""
+    """Evaluate Phi and Phi_t of the rows that are solved for into ``w.phi`` and ``w.phi_t``; calls `prepare`."""
     prepare(top, w, t, q)
     constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
     fold_values(top, w.cs, w.phi)
@@ -67,18 +72,21 @@ def rate_rows(top, jac, phi_t, v, rate):
 
 @subkernel
 def project_positions(still, w, solver, t, q, p, rest, x, lam):
-    """Write the positions nearest to `q` in the mass metric that satisfy the constraints at `t` into `p`.
+    """Write the positions closest to `q` in the mass metric that satisfy the constraints at `t` into `p`.
 
-    Solves ``M (p - q) + Phi_q(p)^T mu = 0``, ``Phi(t, p) = 0`` to rounding errors by Newton's method. Returns a status.
+    Solves ``M (p - q) + Phi_q(p)^T mu = 0``, ``Phi(t, p) = 0`` to rounding errors; returns a status. This is Newton's
+    method without the derivative of ``Phi_q^T mu``: each iteration solves ``M x + Phi_q^T mu = M (q - p)``,
+    ``Phi_q x = -Phi`` with the current Jacobian. The iteration ends at `FEW_ROUNDINGS`, or below `STAGNANT` if the
+    residual no longer halves.
 
     Parameters
     ----------
     still
         The mechanism without gravity.
     q, p : (3 (B + 1),) arrays
-        The given positions, and the result; ground last.
+        Given positions and projected positions; ground last.
     rest, x : (3 (B + 1),) arrays
-        Zeros, and a work array.
+        Velocities, all zero, and a work array.
     lam : (P, 2) array
         Work array.
     """
@@ -97,7 +105,7 @@ def project_positions(still, w, solver, t, q, p, rest, x, lam):
         for k in range(len(w.phi)):
             for r in range(2):
                 w.gamma[k, r] = -w.phi[k, r]
-        if m > 0:
+        if m > 0:  # in the first iteration p = q, so that this right-hand side is zero
             for b in range(len(still.mass) - 1):
                 for i in range(3):
                     w.force[3 * b + i] = still.mass[b, i] * (q[3 * b + i] - p[3 * b + i])
@@ -111,9 +119,10 @@ def project_positions(still, w, solver, t, q, p, rest, x, lam):
 
 @subkernel
 def project_velocities(still, w, solver, t, q, v, x, lam):
-    """Project `v` onto ``Phi_q v + Phi_t = 0`` at `t`, `q` by the smallest change in the mass metric; return a status.
+    """Project `v` onto ``Phi_q v + Phi_t = 0`` at `t`, `q`, closest in the mass metric; return a status.
 
-    The equations are linear; they are solved again while that reduces rounding errors. `x` and `lam` are work arrays.
+    The equations are linear, so one solution suffices in exact arithmetic. It is repeated, at most three times in
+    total, until the residual is below `FEW_ROUNDINGS` or no longer halves. `x` and `lam` are work arrays.
     """
     before = np.inf
     position_rows(still, w, t, q)
@@ -138,7 +147,7 @@ def project_velocities(still, w, solver, t, q, v, x, lam):
 
 @subkernel
 def mass_norm(mass, total, x, y):
-    """Return ``sqrt((x - y)^T M (x - y) / total)`` for vectors (3 (B + 1),) and a mass matrix (B + 1, 3)."""
+    """Return ``sqrt((x - y)^T M (x - y) / total)`` for vectors (3 (B + 1),) and the diagonal `mass` (B + 1, 3) of M."""
     square = 0.0
     for b in range(len(mass) - 1):
         for i in range(3):

@@ -1,7 +1,10 @@
-"""Accelerations through the Schur complement ``S = Phi_q M^-1 Phi_q^T``: sparse LDL^T in blocks of 2 x 2.
+"""Sparse block LDL^T factorization of the Schur complement ``S = Phi_q M^-1 Phi_q^T``, with blocks of 2 x 2.
 
-The pairs of constraint rows are numbered in elimination order, so that the factor needs no permutation. Which blocks
-exist and which block an update hits is worked out once per mechanism (`mbdkit.engine.elimination_order`).
+The mass matrix is diagonal, so S has a block for every two pairs of rows that share a body, and is positive definite
+if the rows are independent. The factorization therefore needs no pivoting; `TOO_SMALL` detects a loss of accuracy. The
+pairs of constraint rows are numbered in elimination order, so that the factors need no permutation. The existing blocks
+and the target of every update are determined once per mechanism (`mbdkit.engine.elimination_order`); the kernels only
+follow this schedule.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ from mbdkit.engine.jit.decorators import inlined, subkernel
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix
 
 TOO_SMALL = 1e-10
-"""A pivot block this much smaller than before elimination has lost ten digits: time for the pivoted solver."""
+"""If elimination shrinks a pivot block to this fraction, ten digits have been lost and the pivoted solver is used."""
 
 
 class Schur(NamedTuple):
@@ -23,17 +26,19 @@ class Schur(NamedTuple):
     row: IntVector
     """(E,) block row of each block."""
     update: IntVector
-    """For each column and each two of its blocks, in order, the block that their product is subtracted from."""
+    """Targets of the updates: for each column and each two of its blocks, in order of use, the block from which their
+    product is subtracted."""
     coupling: IntMatrix
-    """(C, 6): block, row pair, its side's first column, column pair, its side's first column, shared body."""
+    """(C, 6) contributions to S off the diagonal, one for each shared body: block; pair of the block's row and first
+    column of the body in its Jacobian; pair of the block's column and the same; body."""
     diagonal: RealMatrix
-    """(P, 3) inverse diagonal blocks (xx, xy, yy)."""
+    """(P, 3) entries (xx, xy, yy) of the inverse pivot blocks."""
     whole: RealMatrix
-    """(P, 2) diagonal before elimination."""
+    """(P, 2) entries xx and yy of the diagonal blocks before elimination."""
     below: RealMatrix
-    """(E, 4) blocks of the unit lower factor."""
+    """(E, 4) blocks of the unit lower factor, row by row."""
     scaled: RealMatrix
-    """(E, 4) scratch: blocks before division by the pivot."""
+    """(E, 4) scratch array: blocks of S, later of L D, that is, before multiplication by the inverse pivot block."""
 
 
 @inlined
@@ -51,7 +56,12 @@ def diagonal_block(top, jac, k):
 
 @subkernel
 def factor(top, jac, schur):
-    """Assemble and factorize S; return the pair whose pivot block lost its digits, or -1."""
+    """Assemble and factorize S; return the pair whose pivot block became too small, or -1.
+
+    Right-looking elimination: each column of blocks is divided by its pivot block and its products are subtracted from
+    the later columns at once. Only the lower triangle is stored. The check compares the xx entry and the determinant
+    of the pivot block with the diagonal before elimination.
+    """
     start, row, update, coupling = schur.start, schur.row, schur.update, schur.coupling
     diagonal, whole, below, scaled = schur.diagonal, schur.whole, schur.below, schur.scaled
     rows, weight, n = top.rows, top.weight, len(top.pairs)
@@ -65,7 +75,7 @@ def factor(top, jac, schur):
         whole[k, 0], whole[k, 1] = d00, d11
     for e in range(len(row)):
         scaled[e, 0] = scaled[e, 1] = scaled[e, 2] = scaled[e, 3] = 0.0
-    for c in range(len(coupling)):
+    for c in range(len(coupling)):  # block J_r M^-1 J_k^T, restricted to the columns of one shared body
         e, r, i0, k, j0, body = coupling[c]
         for i in range(3):
             w = weight[body, i]
@@ -79,10 +89,10 @@ def factor(top, jac, schur):
     for k in range(n):
         d00, d01, d11 = diagonal[k, 0], diagonal[k, 1], diagonal[k, 2]
         det = d00 * d11 - d01 * d01
-        if not (d00 > TOO_SMALL * whole[k, 0] and det > TOO_SMALL * whole[k, 0] * whole[k, 1]):
+        if not (d00 > TOO_SMALL * whole[k, 0] and det > TOO_SMALL * whole[k, 0] * whole[k, 1]):  # also true for NaN
             return k
         inverse = 1.0 / det
-        p00, p01, p11 = d11 * inverse, -d01 * inverse, d00 * inverse
+        p00, p01, p11 = d11 * inverse, -d01 * inverse, d00 * inverse  # inverse of the symmetric 2 x 2 pivot block
         diagonal[k, 0], diagonal[k, 1], diagonal[k, 2] = p00, p01, p11
         for e in range(start[k], start[k + 1]):
             s00, s01, s10, s11 = scaled[e, 0], scaled[e, 1], scaled[e, 2], scaled[e, 3]
@@ -106,7 +116,7 @@ def factor(top, jac, schur):
 
 @subkernel
 def solve(schur, x):
-    """Solve S x = b in place; `x` (P, 2) holds b on entry."""
+    """Solve S x = b in place by forward and backward substitution; `x` (P, 2) holds b on entry."""
     start, row, diagonal, below = schur.start, schur.row, schur.diagonal, schur.below
     n = len(diagonal)
     for k in range(n):

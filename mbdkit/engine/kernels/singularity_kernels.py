@@ -1,8 +1,13 @@
-"""Kernels of the distance to singularity: inverse iteration with two vectors, warm from one recorded row to the next.
+"""Kernels of the distance to singularity: inverse iteration with two vectors, started from the previous recorded row.
 
-The operator is ``D Phi_q M^-1 Phi_q^T D^T`` of the rows that are solved for, where ``D^-1`` is the Cholesky factor L of
-the 2 x 2 diagonal blocks. Each iteration uses the factors of the index-1 system, and the smaller Ritz value of the two
-images is taken (Parlett, The Symmetric Eigenvalue Problem, 1998, ch. 4 and 13). See `mbdkit.engine.singularity`.
+The distance is the square root of the smallest eigenvalue of ``D Phi_q M^-1 Phi_q^T D^T`` for the rows that are solved
+for, where ``D^-1`` is the Cholesky factor L of the 2 x 2 diagonal blocks of ``Phi_q M^-1 Phi_q^T``. Each iteration
+applies the inverse of this operator to both vectors with the existing factors of the index-1 system, so that nothing is
+factorized again. The smaller Ritz value of the subspace of the two images approximates the eigenvalue (Parlett, The
+Symmetric Eigenvalue Problem, 1998, ch. 4 and 13). See `mbdkit.engine.singularity`.
+
+The vectors of one recorded row are a good start for the next, because the mechanism has moved little in between. The
+second vector makes the iteration converge when the two smallest eigenvalues are close together or change places.
 """
 
 from __future__ import annotations
@@ -17,29 +22,34 @@ from mbdkit.engine.kernels.schur import diagonal_block
 from mbdkit.engine.kernels.system import load_engine, prepare, solved_rows
 
 CLOSE = 0.03
-"""Residual of the Ritz vector, relative to its eigenvalue, at which the iteration ends; it bounds the relative error of
+"""Residual of the Ritz vector, relative to its Ritz value, at which the iteration ends. It bounds the relative error of
 the eigenvalue, which is the square of the distance."""
 
 MOST_ITERATIONS = 40
-"""Largest number of iterations; the bound reached by then is used."""
+"""Largest number of iterations. After that the current Ritz value is used, which is an upper bound."""
 
 FEWEST_AT_FIRST = 4
-"""Least number of iterations without vectors from a row before."""
+"""Smallest number of iterations if there are no vectors from a previous row."""
 
 NOISE = 0.1
-"""Weight of a fixed vector that is added to the second vector, so that no direction is missing from both."""
+"""Weight of a fixed vector that is added to the second vector. Without it, a direction that is missing from both
+vectors would never be found, however small its eigenvalue becomes."""
 
 INDEPENDENT = 1e-12
-"""Below this share of its square, the part of the second image orthogonal to the first is round-off and is ignored."""
+"""If the squared norm of the second image shrinks below this fraction when it is orthogonalized against the first, the
+remainder is rounding error, and only the first vector is used."""
 
 X, Y, X_IMAGE, Y_IMAGE, L_XX, L_YX, L_YY, COLUMNS = 0, 2, 4, 6, 8, 9, 10, 11
-"""Columns of `near` (P, 11), which is kept between recorded rows: of each pair two entries of the vectors x and y and
-of their images, the entries of its Cholesky factor L; and the number of columns."""
+"""First columns of the parts of `near` (P, 11), which is kept between recorded rows, and the number of columns. For
+each pair it holds two entries of the vectors x and y and of their images, and the entries of its Cholesky factor L."""
 
 
 @subkernel
 def _pair_factors(top, jac, near):
-    """Write the Cholesky factor of each pair's diagonal block into `near`; return the number of pairs with rows."""
+    """Write the Cholesky factor of each pair's diagonal block into `near`; return the number of pairs with rows.
+
+    Rows that are not solved for have the factor 1, which leaves their zero entries unchanged.
+    """
     rows = top.rows
     count = 0
     for k in range(len(top.pairs)):
@@ -58,7 +68,10 @@ def _pair_factors(top, jac, near):
 
 @inlined
 def _noise(n, multiplier):
-    """Return term `n` of an additive recurrence, which is equidistributed over (-0.5, 0.5)."""
+    """Return term `n` of the additive recurrence ``frac((n + 1) multiplier) - 0.5``, equidistributed over (-0.5, 0.5).
+
+    It replaces random numbers, because a repeated run must give the same bits.
+    """
     x = (n + 1) * multiplier
     return x - np.floor(x) - 0.5
 
@@ -66,6 +79,7 @@ def _noise(n, multiplier):
 @subkernel
 def _disturb(rows, near):
     """Add noise to the second vector, and fill the first if it is zero; return whether it was non-zero on entry."""
+    # The two multipliers are the reciprocals of the plastic number and of the golden ratio.
     known = 0.0
     for k in range(len(rows)):
         known += near[k, X] * near[k, X] + near[k, X + 1] * near[k, X + 1]
@@ -79,7 +93,7 @@ def _disturb(rows, near):
 
 @subkernel
 def _scale(near):
-    """Write the right sides ``D^-1 x`` and ``D^-1 y`` to the columns of the images."""
+    """Write the right-hand sides ``D^-1 x = L x`` and ``L y`` into the columns of the images."""
     for k in range(len(near)):
         l00, l10, l11 = near[k, L_XX], near[k, L_YX], near[k, L_YY]
         for c in (X, Y):
@@ -89,7 +103,10 @@ def _scale(near):
 
 @subkernel
 def _solve_both(schur, near):
-    """Solve with the Schur complement for both right sides in place; see `mbdkit.engine.kernels.schur.solve`."""
+    """Solve with the Schur complement for both right-hand sides in place; see `mbdkit.engine.kernels.schur.solve`.
+
+    Both are solved in one pass, which reads the factors once.
+    """
     start, row, diagonal, below = schur.start, schur.row, schur.diagonal, schur.below
     n = len(diagonal)
     for k in range(n):
@@ -123,7 +140,10 @@ def _solve_both(schur, near):
 
 @inlined
 def _solve_pivoted(top, w, solver, near):
-    """Solve with the pivoted system for both right sides in place."""
+    """Solve with the pivoted system for both right-hand sides in place.
+
+    With zero forces and -b in the constraint rows, the multipliers of the index-1 system are ``S^-1 b``.
+    """
     rows, row_index, right, solution = top.rows, solver.row_index, w.right, w.solution
     for c in (X_IMAGE, Y_IMAGE):
         right[:] = 0.0
@@ -138,9 +158,10 @@ def _solve_pivoted(top, w, solver, near):
 
 @subkernel
 def _products(rows, near):
-    """Scale the solutions to the images; return the Gram matrices of vectors, of images and of vectors with images.
+    """Scale the solutions by ``L^T`` to the images; return three Gram matrices, each as its entries 00, 01 and 11.
 
-    Of each symmetric matrix the entries 00, 01 and 11 are returned.
+    They are those of the vectors, of the images, and of the vectors with the images. The last one is symmetric up to
+    rounding errors and is symmetrized.
     """
     x00 = x01 = x11 = y00 = y01 = y11 = h00 = h01 = h11 = 0.0
     for k in range(len(near)):
@@ -167,7 +188,10 @@ def _products(rows, near):
 
 @subkernel
 def _turn(near, along, size0, size1, z0, z1):
-    """Orthonormalize the images, rotate them by (z0, z1) and store them as the next vectors."""
+    """Orthonormalize the images, rotate them by (z0, z1) and store them as the next vectors.
+
+    The first vector is then the Ritz vector of the smaller Ritz value.
+    """
     for k in range(len(near)):
         for r in range(2):
             e0 = near[k, X_IMAGE + r]
@@ -179,9 +203,13 @@ def _turn(near, along, size0, size1, z0, z1):
 
 @inlined
 def singularity_distance(top, w, solver, near):
-    """Return the distance to singularity at the position of the last `solve_accelerations`; 1 with less than two pairs.
+    """Return the distance to singularity at the position of the last `solve_accelerations`.
 
-    `near` (P, 11) carries the vectors from one recorded row to the next. Overwrites ``w.right`` and ``w.solution``.
+    It is 1 with fewer than two pairs and 0 if an image or a Ritz value is not finite or not positive. `near` (P, 11)
+    carries the vectors from one recorded row to the next. Overwrites ``w.right`` and ``w.solution``.
+
+    The inverse operator B maps the vectors (x, y) to the images (Bx, By). The Ritz values of the operator on the
+    subspace of the images follow from Gram matrices alone, because the operator maps the images back to the vectors.
     """
     distance = 1.0
     if _pair_factors(top, w.jac, near) > 1:
@@ -195,7 +223,7 @@ def singularity_distance(top, w, solver, near):
             x00, x01, x11, y00, y01, y11, h00, h01, h11 = _products(top.rows, near)
             smallest = off = along = size0 = size1 = z0 = z1 = 0.0
             if 0.0 < y00 < np.inf and 0.0 <= y11 < np.inf:
-                # orthogonalize the second image against the first, and change the vectors in the same way
+                # Gram-Schmidt: orthogonalize the second image against the first, and combine the vectors likewise
                 along = y01 / y00
                 rest = y11 - along * y01
                 size0 = 1.0 / sqrt(y00)
@@ -206,6 +234,7 @@ def singularity_distance(top, w, solver, near):
                 g11 = (h11 - 2.0 * along * h01 + along * along * h00) * size1 * size1
                 z0, z1, smallest = 1.0, 0.0, g00
                 if size1 > 0.0:
+                    # determinant over larger eigenvalue: the difference of mean and root would cancel
                     smallest = (g00 * g11 - g01 * g01) / (0.5 * (g00 + g11) + hypot(0.5 * (g00 - g11), g01))
                     e00, e11 = abs(g00 - smallest), abs(g11 - smallest)
                     length = hypot(max(e00, e11), g01)
@@ -213,8 +242,9 @@ def singularity_distance(top, w, solver, near):
                         z0, z1 = (e11 / length, -g01 / length) if e11 >= e00 else (-g01 / length, e00 / length)
                 c0 = z0 * size0 - along * z1 * size1
                 c1 = z1 * size1
+                # ||A z - theta z||^2 / theta^2 = ||A z||^2 / theta^2 - 1 for the unit Ritz vector z, theta = z^T A z
                 off = (c0 * c0 * x00 + 2.0 * c0 * c1 * x01 + c1 * c1 * x11) / (smallest * smallest) - 1.0
-            if not 0.0 < smallest < np.inf:  # true for NaN as well
+            if not 0.0 < smallest < np.inf:  # also true for NaN
                 near[:, :L_XX] = 0.0
                 distance = 0.0
                 break
@@ -227,7 +257,7 @@ def singularity_distance(top, w, solver, near):
 
 @kernel
 def independent_jacobian(engine, t, q, v, near):
-    """Evaluate the Jacobian of the rows that are solved for into ``w.jac``, and the factor of each pair into `near`."""
+    """Evaluate the Jacobian of the rows that are solved for into ``w.jac``, and the pairs' factors L into `near`."""
     h = load_engine(engine)
     top, w = h.top, h.w
     prepare(top, w, t, q)

@@ -1,9 +1,17 @@
-"""The index-1 system of a whole mechanism: accelerations, residuals of the stage equations, and their tangents.
+"""The index-1 system of a whole mechanism: accelerations and multipliers, and the tangents of its terms.
 
     [ M      Phi_q^T ] [ a      ]   [ Q     ]
     [ Phi_q  0       ] [ lambda ] = [ gamma ]
 
-State vectors are flat, (3 (B + 1),), ground last and at rest; multipliers are (P, 2), a row a pair of constraints.
+State vectors are flat, (3 (B + 1),), with ground last and at rest, so that elements on ground need no special case.
+Multipliers are (P, 2), one row for each pair of constraint rows.
+
+Two solvers exist. The Schur complement (`mbdkit.engine.kernels.schur`) eliminates the accelerations and is used by
+default. Sparse LU with numerical pivoting (`mbdkit.engine.kernels.lu`) solves the whole system if the Schur complement
+is too dense, badly scaled or has lost accuracy.
+
+Redundant directions are not solved for. `fold` removes them from the constraint rows, and `unfold_multipliers` restores
+the multipliers of all rows afterwards.
 """
 
 from __future__ import annotations
@@ -27,108 +35,142 @@ from mbdkit.engine.kernels.schur import factor as schur_factor
 from mbdkit.engine.kernels.schur import solve as schur_solve
 
 OK, REPIVOT, REPIVOT_STAGES, NOT_FINITE, DIVERGED = range(5)
-"""What a kernel reports: done; the index-1 system or the stage matrix needs new pivots; overflow; no convergence."""
+"""Status of a kernel: success; the index-1 system or the stage matrix needs new pivots; overflow; no convergence."""
 
 KKT_TOLERANCE = 1e-9
-"""Largest residual, relative to the largest row of terms, that a solution of the pivoted system may have."""
+"""Largest accepted residual of the pivoted system, relative to the largest row sum; above it, new pivots are chosen."""
 
 
 class Topology(NamedTuple):
-    """A compiled mechanism: what does not change while it moves. B bodies and ground, P pairs, S springs, L loads.
+    """A compiled mechanism: all data that do not change during a run.
 
-    Springs are all force elements on a pathway, whatever their law.
+    B is the number of bodies without ground, P of pairs of constraint rows, S of springs, L of loads. All force
+    elements on a pathway are called springs, whatever their law.
     """
 
     mass: RealMatrix
     """(B + 1, 3) diagonal of the mass matrix; ground has ones."""
     weight: RealMatrix
-    """(B + 1, 3) its inverse; ground has zeros."""
+    """(B + 1, 3) inverse of `mass`; ground has zeros, so that no force accelerates it."""
     gravity: RealVector
+    """(2,) gravity [m/s^2]."""
     pairs: IntMatrix
     """(P, 4) kind, first body, second body, motion (-1: none)."""
     rows: IntVector
     """(P,) number of rows that are solved for, 0, 1 or 2."""
     pair_parameters: RealMatrix
+    """(P, 6) parameters of each pair, the two points first; see `mbdkit.engine.kernels.element_kernels`."""
     spare: IntMatrix
-    """(D, 2) each redundant direction, which is not solved for: its pair, and the body whose frame it is fixed in."""
+    """(D, 2) redundant directions, which are not solved for: pair, and body in whose frame the direction is fixed."""
     spare_axes: RealMatrix
-    """(D, 2) the direction among the two rows of the pair, a unit vector in that frame; (1, 0) of a single row."""
+    """(D, 2) unit vectors of these directions in that frame, as coefficients of the pair's two rows; (1, 0) for a pair
+    with a single row."""
     springs: IntMatrix
     """(S, 4) pathway, first body, second body, row of `laws` (-1: linear)."""
     spring_points: RealMatrix
+    """Parameters of the pathways: the points in the frames of both bodies."""
     linear: RealMatrix
-    """(S, 3) stiffness, damping, free length of the linear ones."""
+    """(S, 3) stiffness, damping and free length of the linear springs."""
     laws: IntMatrix
-    """(W, 3) of the others: the law's address, where its parameters begin, what it claims."""
+    """(W, 3) laws of all other springs: address of the compiled law, index of its first parameter in `law_parameters`,
+    claims (`mbdkit.engine.jit.law_calls`)."""
     law_parameters: RealVector
-    """(N,) for each law in use the number of its parameters, and these."""
+    """(N,) for each law its number of parameters, followed by their values."""
     loads: IntMatrix
     """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
     load_points: RealMatrix
+    """Point of application of each load in the frame of its body [m]."""
     motion_start: IntVector
+    """Start of the program of each motion; see `mbdkit.engine.kernels.motions.evaluate_motions`."""
     motion_ops: IntVector
     motion_values: RealVector
     baumgarte: RealVector
-    """(2,) alpha, beta [1/s] of Baumgarte's stabilization, which takes the place of gamma; zeros for the equations
-    as they are."""
+    """(2,) alpha, beta [1/s] of Baumgarte stabilization, which modifies gamma; zeros without stabilization."""
 
 
 class Scratch(NamedTuple):
-    """Working arrays of one run. `source` holds every term of the stage matrix; the others are views or apart."""
+    """Working arrays of one run.
+
+    `source` holds all terms of the stage matrix; `jac`, `stiff` and the other arrays of terms are views of it.
+    """
 
     time: RealVector
     """(1,) time of the last `prepare` [s]."""
     cs: RealMatrix
+    """(B + 1, 2) cosine and sine of every angle."""
     u: RealMatrix
+    """(motions, 3) value, first and second time derivative of each motion."""
     stack: RealMatrix
+    """Stack of `evaluate_motions`."""
     force: RealVector
+    """(3 (B + 1),) generalized applied forces without gravity."""
     phi: RealMatrix
+    """(P, 2) constraint residuals Phi."""
     phi_t: RealMatrix
+    """(P, 2) partial derivatives of Phi by time."""
     gamma: RealMatrix
+    """(P, 2) right-hand side of ``Phi_q a = gamma``."""
     refinement: RealMatrix
+    """(P, 2) residual and correction of the iterative refinement."""
     s: RealMatrix
+    """(S, 1) lengths of the pathways."""
     grad: RealMatrix
+    """(S, 6) gradients s_q of the pathways."""
     hess: RealMatrix
+    """(S, 36) second derivatives s_qq of the pathways."""
     tension: RealMatrix
-    """(S + 1, 4) force, derivatives by length and rate, potential of each spring; the last row is to spare."""
+    """(S + 1, 4) force, derivatives by length and rate, potential of each spring; the last row is a temporary."""
     faulty: IntVector
-    """(1,) row of the last law that gave a force, or derivatives asked for, that were not finite; -1 for none."""
+    """(1,) row of the last law whose force or required derivatives were not finite; -1 for none."""
     source: RealVector
+    """All terms of the stage matrix, one after another; the constant masses are stored there once."""
     jac: RealMatrix
+    """(P, 12) Jacobian Phi_q, two rows of six columns for each pair."""
     stiff: RealMatrix
+    """(P, 36) d(Phi_q^T lam)/dq."""
     gamma_v: RealMatrix
+    """(P, 12) d gamma/dv."""
     res_q: RealMatrix
+    """(P, 12) d(Phi_q a - gamma)/dq."""
     spring_stiff: RealMatrix
+    """(S, 36) -dQ/dq of the springs."""
     spring_damp: RealMatrix
+    """(S, 36) -dQ/dv of the springs."""
     load_stiff: RealMatrix
+    """(L, 3) -dQ/dq of the loads; see `mbdkit.engine.kernels.forces.force_tangents`."""
     loose: RealMatrix
     """(D, 6) Jacobian of the redundant directions."""
     push: RealVector
-    """(3 (B + 1),) accelerations by a single multiplier."""
+    """(3 (B + 1),) accelerations caused by a single multiplier."""
     right: RealVector
-    """(n,) right side of the pivoted system."""
+    """(n,) right-hand side of the pivoted system."""
     solution: RealVector
+    """(n,) its solution."""
     correction: RealVector
+    """(n,) its correction by iterative refinement, later its residual."""
 
 
 class Scatter(NamedTuple):
-    """Where each entry of `Scratch.source` goes in the values of a sparse matrix, by its factor."""
+    """Index pairs that add the entries of `Scratch.source` to the values of a sparse matrix, grouped by factor.
+
+    The factors contain the step h and the eigenvalue mu of the stage matrix.
+    """
 
     one: IntMatrix
-    """(n1, 2) source, target: factor 1."""
+    """(n1, 2) source, target; factor 1 (masses, Jacobian)."""
     rate: IntMatrix
-    """(n2, 2) source, target: factor h mu (damping)."""
+    """(n2, 2) source, target; factor h mu (damping)."""
     minus_rate: IntMatrix
-    """(n3, 2) source, target: factor -h mu (gamma_v)."""
+    """(n3, 2) source, target; factor -h mu (gamma_v)."""
     level: IntMatrix
-    """(n4, 2) source, target: factor h^2 mu^2 (stiffness, residual_q)."""
+    """(n4, 2) source, target; factor h^2 mu^2 (stiffness, residual_q)."""
 
 
 class Solver(NamedTuple):
-    """How accelerations are solved for: by the Schur complement, or by the pivoted whole."""
+    """Solver for accelerations: the Schur complement, or pivoted LU of the whole system."""
 
     pivoted: IntVector
-    """(1,) whether the pivoted system is in use."""
+    """(1,) whether the pivoted solver is in use."""
     schur: Schur
     pattern: Pattern
     factors: Factors
@@ -140,7 +182,7 @@ class Solver(NamedTuple):
 
 
 class Engine(NamedTuple):
-    """All that it takes to solve for accelerations; kernels that Python calls take the address of a held one."""
+    """Mechanism, working arrays and solver; kernels called from Python take the address of a pinned engine."""
 
     top: Topology
     w: Scratch
@@ -152,7 +194,7 @@ load_engine = bundle_loader(lambda: example_of(Engine))
 
 @inlined
 def prepare(top, w, t, q):
-    """Evaluate what depends on time and positions alone: motions, cosines and sines."""
+    """Evaluate the quantities that all elements share at a time and position: motions, cosines and sines."""
     w.time[0] = t
     evaluate_motions(t, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
     turn_bodies(q, w.cs)
@@ -160,13 +202,16 @@ def prepare(top, w, t, q):
 
 @inlined
 def evaluate_positions(top, w, q):
-    """Evaluate Phi and Phi_t of every row into ``w.phi`` and ``w.phi_t``; needs `prepare`."""
+    """Evaluate Phi and Phi_t of every row into ``w.phi`` and ``w.phi_t``; requires `prepare`."""
     constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
 
 
 @inlined
 def evaluate_powers(top, w, q, v, lam):
-    """Return (power of loads, drivers and active laws, dissipated power) [W]; needs `prepare` and `applied_forces`."""
+    """Return (power of loads, drivers and active laws, dissipated power) [W].
+
+    Requires `prepare` and `applied_forces`.
+    """
     evaluate_positions(top, w, q)
     return powers(top, w, v, lam)
 
@@ -183,7 +228,10 @@ def constraint_rate(pairs, jac, phi_t, v, k, r):
 
 @subkernel
 def subtract_baumgarte(top, w, v):
-    """Subtract ``2 alpha (Phi_q v + Phi_t) + beta^2 Phi`` from ``w.gamma``; return the largest of these terms."""
+    """Subtract ``2 alpha (Phi_q v + Phi_t) + beta^2 Phi`` from ``w.gamma``; return the largest of these terms.
+
+    This is Baumgarte stabilization: the constraints then obey ``Phi'' + 2 alpha Phi' + beta^2 Phi = 0``.
+    """
     rate_factor, factor = 2.0 * top.baumgarte[0], top.baumgarte[1] * top.baumgarte[1]
     largest = 0.0
     for k in range(len(top.pairs)):
@@ -197,13 +245,13 @@ def subtract_baumgarte(top, w, v):
 
 @inlined
 def constraint_rows(top, w, q, v):
-    """Evaluate the Jacobian and gamma of every row, redundant ones included; needs `prepare`.
+    """Evaluate the Jacobian and gamma of every row, including redundant ones; requires `prepare`.
 
-    With Baumgarte's stabilization gamma is the stabilized right side; then ``w.phi`` and ``w.phi_t`` are evaluated as
-    well, and the largest of Baumgarte's terms is returned (otherwise 0).
+    With Baumgarte stabilization, ``w.phi`` and ``w.phi_t`` are evaluated too, gamma is the stabilized right-hand side,
+    and the largest Baumgarte term is returned (otherwise 0).
     """
     for i in range(len(top.spare)):
-        for c in range(12):  # element kernels never write entries that are identically zero, `fold` does
+        for c in range(12):  # `fold` has filled entries that element kernels never write, because they are zero
             w.jac[top.spare[i, 0], c] = 0.0
     constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
     largest = 0.0
@@ -215,9 +263,10 @@ def constraint_rows(top, w, q, v):
 
 @inlined
 def solved_rows(top, w, q, v):
-    """Evaluate the Jacobian and gamma of the rows that are solved for; needs `prepare`.
+    """Evaluate the Jacobian and gamma of the rows that are solved for; requires `prepare`.
 
-    The Jacobian of the redundant directions goes to ``w.loose``. See `constraint_rows` for Baumgarte's stabilization.
+    The Jacobian of the redundant directions is stored in ``w.loose``. For Baumgarte stabilization see
+    `constraint_rows`.
     """
     constraint_rows(top, w, q, v)
     _remove_redundant_rows(top, w)
@@ -225,7 +274,7 @@ def solved_rows(top, w, q, v):
 
 @inlined
 def spare_direction(top, cs, i):
-    """Return redundant direction `i` among the rows of its pair, (x, y)."""
+    """Return redundant direction `i` as the coefficients (x, y) of the two rows of its pair."""
     c, s = cs[top.spare[i, 1], 0], cs[top.spare[i, 1], 1]
     x, y = top.spare_axes[i, 0], top.spare_axes[i, 1]
     return c * x - s * y, s * x + c * y
@@ -233,9 +282,10 @@ def spare_direction(top, cs, i):
 
 @subkernel
 def fold(top, cs, x):
-    """Reduce the two rows of six columns of every pair, `x` (P, 12), to those that are solved for.
+    """Reduce the two rows of six columns of every pair, `x` (P, 12), to the rows that are solved for.
 
-    Of a pair with one redundant direction the row across it is left, in the first place.
+    A pair with one redundant direction keeps the combination perpendicular to it, in its first row; a pair with two
+    keeps none. Other rows become zero.
     """
     for i in range(len(top.spare)):
         k = top.spare[i, 0]
@@ -247,7 +297,7 @@ def fold(top, cs, x):
 
 @subkernel
 def fold_values(top, cs, x):
-    """Reduce the two values of every pair, `x` (P, 2), to those of the rows that are solved for, as `fold` does."""
+    """Reduce the two values of every pair, `x` (P, 2), to those of the rows that are solved for; see `fold`."""
     for i in range(len(top.spare)):
         k = top.spare[i, 0]
         dx, dy = spare_direction(top, cs, i)
@@ -257,7 +307,7 @@ def fold_values(top, cs, x):
 
 @subkernel
 def _remove_redundant_rows(top, w):
-    """Reduce the Jacobian and gamma to the rows that are solved for; move the rest of the Jacobian to ``w.loose``."""
+    """Reduce the Jacobian and gamma to the rows that are solved for; store the removed rows in ``w.loose``."""
     jac, loose = w.jac, w.loose
     for i in range(len(top.spare)):
         k = top.spare[i, 0]
@@ -270,7 +320,10 @@ def _remove_redundant_rows(top, w):
 
 @subkernel
 def unfold_multipliers(top, cs, lam):
-    """Turn the multipliers of the rows that are solved for into those of the pairs' own rows."""
+    """Convert the multipliers of the rows that are solved for to those of the original rows, in place.
+
+    This is the transpose of `fold`; the redundant directions carry no force.
+    """
     for i in range(len(top.spare)):
         k = top.spare[i, 0]
         dx, dy = spare_direction(top, cs, i)
@@ -281,7 +334,7 @@ def unfold_multipliers(top, cs, lam):
 
 @subkernel
 def free_accelerations(top, has_forces, force, acc):
-    """Write the accelerations of the unconstrained bodies into `acc`."""
+    """Write the accelerations ``M^-1 Q`` of the unconstrained bodies, gravity included, into `acc` (3 (B + 1),)."""
     gravity, weight = top.gravity, top.weight
     for b in range(len(top.mass) - 1):
         acc[3 * b] = gravity[0]
@@ -294,7 +347,7 @@ def free_accelerations(top, has_forces, force, acc):
 
 @subkernel
 def joint_right_side(top, w, acc, lam):
-    """Write ``Phi_q a_free - gamma`` into `lam`."""
+    """Write ``Phi_q a - gamma``, the right-hand side of the Schur complement, into `lam` (P, 2)."""
     pairs, rows, jac, gamma = top.pairs, top.rows, w.jac, w.gamma
     for k in range(len(pairs)):
         a, b = 3 * pairs[k, 1], 3 * pairs[k, 2]
@@ -308,7 +361,7 @@ def joint_right_side(top, w, acc, lam):
 
 @subkernel
 def apply_multipliers(top, w, lam, acc):
-    """Subtract ``M^-1 Phi_q^T lambda`` from the accelerations."""
+    """Subtract ``M^-1 Phi_q^T lambda`` from the accelerations `acc` (3 (B + 1),)."""
     pairs, jac, weight = top.pairs, w.jac, top.weight
     for k in range(len(pairs)):
         a, b = pairs[k, 1], pairs[k, 2]
@@ -320,7 +373,11 @@ def apply_multipliers(top, w, lam, acc):
 
 @inlined
 def refine_multipliers(top, w, schur, acc, lam):
-    """Solve for the remainder of ``Phi_q a = gamma`` with the factors of the Schur complement; correct `acc`, `lam`."""
+    """Do one step of iterative refinement of ``Phi_q a = gamma`` with the factors of the Schur complement.
+
+    The residual ``Phi_q a - gamma`` is the right-hand side of a correction of the multipliers; `acc` and `lam` are
+    corrected in place.
+    """
     joint_right_side(top, w, acc, w.refinement)
     schur_solve(schur, w.refinement)
     apply_multipliers(top, w, w.refinement, acc)
@@ -331,7 +388,7 @@ def refine_multipliers(top, w, schur, acc, lam):
 
 @inlined
 def gather_values(source, scatter, rate, weight, values):
-    """Fill the scaled values of a sparse matrix from the element terms; `rate` is h mu, 0 for the bare KKT matrix."""
+    """Fill the scaled values of a sparse matrix from the element terms; `rate` is h mu, or 0 for the KKT matrix."""
     values[:] = 0.0
     for e in range(len(scatter.one)):
         values[scatter.one[e, 1]] += source[scatter.one[e, 0]]
@@ -349,11 +406,15 @@ def gather_values(source, scatter, rate, weight, values):
 
 @subkernel
 def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
-    """Solve the whole index-1 system by pivoted sparse LU with one step of refinement; return a status."""
+    """Solve the whole index-1 system by pivoted sparse LU with one step of refinement; return a status.
+
+    Returns REPIVOT if no pivots have been chosen yet, a pivot has become too small, or the residual is above
+    `KKT_TOLERANCE`; `acc` and `lam` are then unchanged.
+    """
     n3 = 3 * (len(top.mass) - 1)
     pattern, factors, row_index = solver.pattern, solver.factors, solver.row_index
     right, solution, correction = w.right, w.solution, w.correction
-    if len(pattern.row_of) != len(right):  # no pivots have been chosen yet
+    if len(pattern.row_of) != len(right):  # the pattern is still empty: no pivots have been chosen yet
         return REPIVOT
     for b in range(len(top.mass) - 1):
         right[3 * b] = top.mass[b, 0] * top.gravity[0]
@@ -381,9 +442,9 @@ def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
 
 @inlined
 def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
-    """Solve for accelerations and multipliers at a prepared position; return a status.
+    """Solve for accelerations and multipliers at a position for which `prepare` was called; return a status.
 
-    With `refine`, one step of iterative refinement brings ``Phi_q a = gamma`` down to round-off.
+    With `refine`, one step of iterative refinement reduces the residual of ``Phi_q a = gamma`` to rounding errors.
     """
     has_forces = len(top.springs) + len(top.loads) > 0
     if has_forces:
@@ -396,12 +457,16 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
 
 @inlined
 def solve_system(top, w, solver, has_forces, acc, lam, refine):
-    """Solve the index-1 system for the forces, independent rows and right side that stand in `w`; return a status."""
-    for i in range(3):  # the ground stands still, even after a solution that was not finite
+    """Solve the index-1 system with ``w.force``, ``w.jac`` and ``w.gamma`` of the independent rows; return a status.
+
+    The pivoted solver refines in any case; `refine` applies to the Schur complement only.
+    """
+    for i in range(3):  # ground stays at rest, even if an earlier solution was not finite
         acc[len(acc) - 3 + i] = 0.0
     if solver.pivoted[0] != 0:
         status = pivoted_accelerations(top, w, solver, has_forces, acc, lam)
     else:
+        # a = a_free - M^-1 Phi_q^T lambda, and so S lambda = Phi_q a_free - gamma
         free_accelerations(top, has_forces, w.force, acc)
         joint_right_side(top, w, acc, lam)
         solver.failed[0] = schur_factor(top, w.jac, solver.schur)
@@ -418,9 +483,10 @@ def solve_system(top, w, solver, has_forces, acc, lam, refine):
 
 @inlined
 def transferred(top, w, solver, i, lam):
-    """Write into `lam` (P, 2) how the rows that are solved for take over a unit force of redundant direction `i`.
+    """Write the multipliers that cause the same accelerations as a unit multiplier of redundant direction `i`.
 
-    Call it right after `solve_accelerations`, whose factors it uses; ``w.gamma`` is lost.
+    Must be called right after `solve_accelerations`, because it uses its factors and ``w.loose``. `lam` (P, 2) receives
+    the multipliers. Overwrites ``w.gamma`` or the vectors of the pivoted system.
     """
     n3 = 3 * (len(top.mass) - 1)
     a, b = top.pairs[top.spare[i, 0], 1], top.pairs[top.spare[i, 0], 2]
@@ -429,7 +495,7 @@ def transferred(top, w, solver, i, lam):
         right, solution, correction = w.right, w.solution, w.correction
         right[:] = 0.0
         for d in range(3):
-            if 3 * a < n3:
+            if 3 * a < n3:  # ground has no rows in the pivoted system
                 right[3 * a + d] = w.loose[i, d]
             if 3 * b < n3:
                 right[3 * b + d] = w.loose[i, 3 + d]
@@ -443,14 +509,18 @@ def transferred(top, w, solver, i, lam):
         for d in range(3):
             w.push[3 * a + d] = top.weight[a, d] * w.loose[i, d]
             w.push[3 * b + d] = top.weight[b, d] * w.loose[i, 3 + d]
-        for _ in range(2):  # the second pass removes the round-off of the first
+        for _ in range(2):  # the second pass removes the rounding errors of the first
             refine_multipliers(top, w, solver.schur, w.push, lam)
     unfold_multipliers(top, w.cs, lam)
 
 
 @subkernel
 def stabilize_tangents(top, w):
-    """Add Baumgarte's terms to the derivatives of gamma; d(Phi_q v + Phi_t)/dq is -gamma_v / 2."""
+    """Add the Baumgarte terms to the derivatives of gamma.
+
+    Their derivatives need no further element kernels: d(Phi_q v + Phi_t)/dv is Phi_q, and d(Phi_q v + Phi_t)/dq is
+    -gamma_v / 2, because gamma is quadratic in v.
+    """
     alpha, factor = top.baumgarte[0], top.baumgarte[1] * top.baumgarte[1]
     jac, gamma_v, res_q = w.jac, w.gamma_v, w.res_q
     for k in range(len(jac)):
@@ -461,7 +531,11 @@ def stabilize_tangents(top, w):
 
 @inlined
 def evaluate_tangents(top, w, t, q, v, acc, lam):
-    """Evaluate every term of the stage matrix into ``w.source``; the masses are constant and already stored there."""
+    """Evaluate all terms of the stage matrix into ``w.source``, except for the masses, which are constant.
+
+    Multipliers `lam` (P, 2) are those of the original rows, because d(Phi_q^T lam)/dq is not folded: redundant
+    directions carry no force and contribute nothing.
+    """
     prepare(top, w, t, q)
     solved_rows(top, w, q, v)
     stabilized = top.baumgarte[0] != 0.0 or top.baumgarte[1] != 0.0

@@ -1,4 +1,4 @@
-"""Small loops over flat vectors; kernels have no use of NumPy's own, which would allocate."""
+"""Loops over flat vectors, used in kernels instead of NumPy expressions because those would allocate."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def copy(x, out):
 
 
 BEYOND = 1e75
-"""A coordinate or rate of this size counts as overflow: its energy could not be recorded as a finite number."""
+"""A coordinate or rate of this size counts as overflow, because energies computed from it may not be finite."""
 
 
 @subkernel
@@ -27,7 +27,11 @@ def stays_finite(x, increment):
 
 @subkernel
 def add_compensated(x, low, increment):
-    """Add `increment` to `x`, whose rounding errors are carried in `low`."""
+    """Add `increment` to `x` in place by compensated (Kahan) summation; `low` carries the rounding error of `x`.
+
+    The sum of `x` and `low` is accurate beyond double precision over many small steps. The order of the operations
+    matters: reassociation would make ``y - (new - x)`` vanish.
+    """
     for d in range(len(x)):
         y = increment[d] + low[d]
         new = x[d] + y
