@@ -70,7 +70,7 @@ def test_rk_gill_is_worst_only_where_it_is() -> None:
     assert ranking(published(1.0))[0].answer is YES
     gill, _, table = ranking(published(1e4))  # now two stages are at 1e-2 and 1e-1 m, RK-Gill at 1e-3 and 1e-2
     assert gill.answer is PARTLY
-    assert "Not at: 1 rod of 20 m" in gill.sentence
+    assert "Exceptions: 1 rod of 20 m" in gill.sentence
     assert [row[5] for row in table.rows] == ["partly", "partly"]
 
 
@@ -110,7 +110,7 @@ def test_a_factor_at_the_second_joint_only_is_partly() -> None:
     claim, _, _ = joints(chain(lambda number: 30.0 if number == 2 else 2.0))
     assert claim.answer is PARTLY
     assert claim.sentence.startswith(
-        "A factor of 10 to 100 is not lost for each further joint: the second costs 30 to 30"
+        "The misalignment does not grow by a factor of 10 to 100 with each further joint: the factor is 30 to 30"
     )
 
 
