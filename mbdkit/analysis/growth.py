@@ -96,9 +96,11 @@ class Growth:
         if self.law == "none":
             return "no misalignment at all"
         if self.law == "unclear":
-            return "no clear law: oscillation and growth cannot be told apart"
+            return "no clear law: growth cannot be distinguished from oscillation"
         best = self.fits[0]
-        return f"{' or '.join(self.candidates)}, the law met within a factor of {math.exp(best.scatter):.2g}"
+        return (
+            f"{' or '.join(self.candidates)}, with a scatter about this law by a factor of {math.exp(best.scatter):.2g}"
+        )
 
 
 def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Growth:

@@ -24,7 +24,7 @@ def summary(study: Study) -> str:
     """
     counts = Counter(point.status for point in study.points)
     runs = ", ".join(f"{counts[status]} {status.replace('-', ' ')}" for status in STATUSES if counts[status])
-    beside = f", and {len(study.references)} to compare with" if study.references else ""
+    beside = f"; reference runs: {len(study.references)}" if study.references else ""
     lines = [
         ("study", " ".join(study.spec.title.split())),
         ("runs", f"{len(study.points)}: {runs}{beside}"),

@@ -251,7 +251,7 @@ def joints(study: Study) -> tuple[Claim, Table, Figure]:
         Column("step", "s"),
         Column("joints"),
         Column("misalignment", "m"),
-        Column("factor over one joint less"),
+        Column("factor per added joint"),
     )
     table = Table("joints-chain", "Largest misalignment of a chain by its number of joints", columns, tuple(rows))
     lines = tuple(
