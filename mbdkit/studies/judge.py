@@ -39,7 +39,7 @@ def judge(study: Study) -> Verdict:
         found: Any = function(study)
     except (LookupError, ValueError) as error:
         wrong = (
-            f"the verdict '{name}' requires the families and axes of the packaged study '{name}', not those of this one"
+            f"the verdict '{name}' requires the families and axes of the packaged study '{name}'; this one has others"
         )
         raise study.spec.placed(SpecError(wrong, key="verdict")) from error
     except Exception as error:

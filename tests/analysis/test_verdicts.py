@@ -232,7 +232,7 @@ def test_any_study_has_a_general_verdict(tmp_path: Path) -> None:
     }
     verdict = judge(mbdkit.study(spec, out=tmp_path / "study"))
     assert verdict.sentence.startswith("4 of 4 runs are complete.")
-    assert "best with" in verdict.sentence
+    assert "smallest with time.step 0.0025" in verdict.sentence
     ((_, error, drift),) = verdict.table("order").rows
     assert error == pytest.approx(4.0, abs=0.2)
     assert drift == pytest.approx(4.0, abs=0.3)
@@ -252,7 +252,7 @@ def test_a_verdict_on_a_study_of_other_axes_is_refused(tmp_path: Path) -> None:
         "overrides": {"time": {"steps": 1}},
     }
     spec = {"mbdkit_study": 1, "families": {"published": family}, "verdict": "paper"}
-    with pytest.raises(SpecError, match="made for the families and axes of the packaged study"):
+    with pytest.raises(SpecError, match="requires the families and axes of the packaged study"):
         judge(mbdkit.study(spec, out=tmp_path / "study"))
 
 
