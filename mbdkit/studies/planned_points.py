@@ -138,7 +138,7 @@ class PlannedPoint:
         Raises
         ------
         SpecError
-            With the place in the study that brought the mistake about.
+            If the spec is invalid; the error names the place in the study that causes it.
         """
         return self._checked((*self.grid.overrides, *self.settings), f"run {self.number}")
 
@@ -149,7 +149,7 @@ class PlannedPoint:
         Raises
         ------
         SpecError
-            With the place in the study that brought the mistake about.
+            If the spec is invalid; the error names the place in the study that causes it.
         """
         if self.grid.reference is None:
             return None

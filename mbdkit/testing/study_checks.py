@@ -51,7 +51,11 @@ def spec(subject: StudyUnderTest) -> Result:
     first = {point.family: point for point in reversed(points) if not point.lacking}
     for point in first.values():
         point.spec.mechanism()
-    return passed(runs=len(points), families=len(first)) if first else failed("none of its runs can be made here")
+    return (
+        passed(runs=len(points), families=len(first))
+        if first
+        else failed("none of its runs can be built with the installed distributions")
+    )
 
 
 @check("study.verdict")
