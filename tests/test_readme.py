@@ -91,7 +91,7 @@ def test_the_study_runs_through_the_commands_that_follow_it(tmp_path: Path) -> N
             check=True,
         )
         said.append(done.stdout)
-    assert "12 complete, and 1 to compare with" in said[0]
+    assert "12 complete; reference runs: 1" in said[0]
     assert "nothing now" in said[1]
 
 

@@ -1,1 +1,1 @@
-"""What runs say: drift and how it grows, order, energy, error, cost, and verdicts on them; functions without state."""
+"""Analysis of runs: joint drift and its growth, observed order, energy, error and cost, and the verdicts on them."""

@@ -1,4 +1,4 @@
-"""A long, oscillating history cut into blocks, and how many of them count as independent."""
+"""Block maxima and means of a long, oscillating time series, and its effective number of independent values."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import itertools
 import numpy as np
 
 BLOCKS = 24
-"""Blocks that a history is cut into: enough to tell laws apart, few enough to span an oscillation each."""
+"""Default number of blocks: enough to distinguish growth laws, and few enough for each to span an oscillation."""
 
 
 def edges(time: np.ndarray, number: int = BLOCKS) -> np.ndarray:
-    """Return the borders (K + 1,) of up to `number` blocks of equal duration with several rows each, as row numbers.
+    """Return the row numbers (K + 1,) that separate up to `number` blocks of equal duration.
 
     Parameters
     ----------
     time
         (T,) increasing times [s].
     number
-        Most blocks; fewer where there are too few rows for four in each.
+        Maximum number of blocks; reduced so that each has four rows on average.
     """
     count = max(1, min(number, len(time) // 4))
     borders = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[1:-1], side="left")
@@ -26,24 +26,24 @@ def edges(time: np.ndarray, number: int = BLOCKS) -> np.ndarray:
 
 
 def block_maxima(time: np.ndarray, value: np.ndarray, number: int = BLOCKS) -> tuple[np.ndarray, np.ndarray]:
-    """Return when (K,) each block of a history is largest, and how large (K,)."""
+    """Return the times (K,) and the values (K,) of the maximum of each block."""
     borders = edges(time, number)
     at = np.array([a + int(np.argmax(value[a:b])) for a, b in itertools.pairwise(borders)])
     return time[at], value[at]
 
 
 def block_means(time: np.ndarray, value: np.ndarray, number: int = BLOCKS) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean time (K,) and the mean value (K,) of each block of a history."""
+    """Return the mean time (K,) and the mean value (K,) of each block."""
     borders = edges(time, number)
     spans = list(itertools.pairwise(borders))
     return np.array([time[a:b].mean() for a, b in spans]), np.array([value[a:b].mean() for a, b in spans])
 
 
 def independent(residual: np.ndarray) -> float:
-    """Return how many independent residuals (K,) are worth: K (1 - r) / (1 + r) for a lag-1 correlation r > 0.
+    """Return the effective sample size of residuals (K,): K (1 - r) / (1 + r) for a lag-1 correlation r > 0.
 
-    The effective sample size of a first-order autoregressive series; Bayley and Hammersley, J. R. Stat. Soc. 8 (1946)
-    184-197.
+    This is the effective sample size of a first-order autoregressive series; Bayley and Hammersley, J. R. Stat. Soc. 8
+    (1946) 184-197. r is clipped to the range 0 to 0.95.
     """
     count = len(residual)
     centred = residual - residual.mean()

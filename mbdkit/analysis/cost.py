@@ -1,4 +1,4 @@
-"""What a run cost, in counts that are the same on every machine and in time that is not; and what it bought."""
+"""Cost of a run, in machine-independent counts and in wall time, and comparison of runs at equal cost."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from mbdkit.archive.run import Run
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run cost.
+    """Cost of a run.
 
     Attributes
     ----------
     steps, evaluations, jacobians, factorizations, iterations
-        Steps taken, evaluations of the right side or of the stage equations, of their tangents, factorizations, and
-        iterations.
+        Numbers of steps, of evaluations of the right-hand side or the stage equations, of evaluations of their
+        Jacobians, of matrix factorizations, and of Newton iterations.
     wall_s
-        From the first step to the last [s].
+        Wall time from the first step to the last [s].
     """
 
     steps: int
@@ -33,7 +33,7 @@ class Cost:
 
 
 def cost(run: Run) -> Cost:
-    """Return what a run cost, by its own counters."""
+    """Return the cost of a run from the counters in its archive."""
     stats = run.stats
     return Cost(
         steps=int(stats["steps"]),
@@ -46,21 +46,21 @@ def cost(run: Run) -> Cost:
 
 
 def at_equal_work(work: Sequence[float], result: Sequence[float], wanted: float) -> float:
-    """Return the result at a cost that no run had exactly: interpolated between neighbours, both in logarithms.
+    """Return the result at a given cost by log-log interpolation between neighbouring runs.
 
     Parameters
     ----------
     work
         (K,) costs > 0, in any order.
     result
-        (K,) errors or misalignments; those that are not finite or not positive are left out.
+        (K,) errors or misalignments; values that are not finite or not positive are ignored.
     wanted
-        The cost at which the result is asked for.
+        Cost at which to interpolate.
 
     Returns
     -------
     float
-        nan where `wanted` lies outside the costs of the runs: nothing is extrapolated.
+        Interpolated result; nan if `wanted` lies outside the range of `work`, since nothing is extrapolated.
     """
     pairs = sorted((w, r) for w, r in zip(work, result, strict=True) if w > 0 and r > 0 and math.isfinite(r))
     if not pairs or not pairs[0][0] <= wanted <= pairs[-1][0]:
@@ -70,16 +70,21 @@ def at_equal_work(work: Sequence[float], result: Sequence[float], wanted: float)
 
 
 def work_for(work: Sequence[float], result: Sequence[float], wanted: float) -> float:
-    """Return the least cost at which the result is as small as `wanted` and stays so; nan where no run is that good.
+    """Return the least cost from which on the result is at most `wanted`.
 
     Parameters
     ----------
     work
         (K,) costs > 0, in any order.
     result
-        (K,) errors or misalignments; one that is not finite counts as too large.
+        (K,) errors or misalignments; a value that is not finite counts as too large.
     wanted
-        The result that is asked for.
+        Result to reach.
+
+    Returns
+    -------
+    float
+        Cost, interpolated between runs in logarithms; nan if the most expensive run exceeds `wanted`.
     """
     pairs = sorted((w, r if math.isfinite(r) else math.inf) for w, r in zip(work, result, strict=True) if w > 0)
     last_bad = max((i for i, (_, r) in enumerate(pairs) if r > wanted), default=-1)

@@ -1,4 +1,4 @@
-"""Misalignment of a run's joints: how far they came apart, when, and by which law."""
+"""Misalignment of the joints of a run over time, and its growth law."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from mbdkit.archive.run import Run
 
 @dataclass(frozen=True)
 class Drift:
-    """How far one joint came apart.
+    """Misalignment of one joint.
 
     Attributes
     ----------
     joint
-        Its name.
+        Name of the joint.
     time
         (T,) recorded times [s].
     misalignment
-        (T,) distance by which it fails to meet [m].
+        (T,) distance between the two joint points [m].
     largest
         Largest misalignment over every step, recorded or not [m].
     """
@@ -32,12 +32,12 @@ class Drift:
     largest: float
 
     def growth(self) -> Growth:
-        """Return by which law it grows; see `growth_law`."""
+        """Return the growth law of the misalignment; see `growth_law`."""
         return growth_law(self.time, self.misalignment)
 
 
 def drift(run: Run) -> dict[str, Drift]:
-    """Return the drift of every joint by name, in the order of the run."""
+    """Return the drift of every joint by name, in the order in which the run lists the joints."""
     return {
         name: Drift(name, run.time, history.misalignment, history.misalignment_max)
         for name, history in run.joints.items()
@@ -45,5 +45,5 @@ def drift(run: Run) -> dict[str, Drift]:
 
 
 def worst_history(run: Run) -> np.ndarray:
-    """Return the misalignment (T,) [m] of whichever joint is apart most at each recorded time."""
+    """Return the largest misalignment (T,) [m] of any joint at each recorded time."""
     return np.asarray(np.max(run.array("joints/misalignment"), axis=1, initial=0.0))

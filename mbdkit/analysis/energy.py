@@ -1,4 +1,4 @@
-"""Whether a run gains or loses energy that it should not, and how fast."""
+"""Trend of the energy balance of a run: the rate at which numerical error adds or removes energy."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from mbdkit.analysis.block_statistics import BLOCKS, block_means, independent
 from mbdkit.archive.run import Run
 
 SURE = 3.0
-"""Standard errors that a slope must be away from zero to count as a trend."""
+"""Minimum ratio of a slope to its standard error for the slope to count as a trend."""
 
 
 @dataclass(frozen=True)
 class Trend:
-    """A straight line through a history.
+    """A straight line fitted to a time series.
 
     Attributes
     ----------
     slope, error
-        Change per second and its standard error [unit of the history per s]; an oscillation about the line goes into
-        the error.
+        Change per second and its standard error [unit of the series per s]; the error includes oscillation about the
+        line.
     largest
-        Largest absolute value of the history.
+        Largest absolute value of the series.
     oscillation
-        Largest distance of the history from the line.
+        Largest distance of the series from the line.
     """
 
     slope: float
@@ -36,12 +36,15 @@ class Trend:
 
     @property
     def drifts(self) -> bool:
-        """Whether the slope is certainly not zero."""
+        """Whether the slope differs from zero by more than `SURE` standard errors."""
         return abs(self.slope) > SURE * self.error
 
 
 def trend(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Trend:
-    """Return the slope of a history with an error that neighbouring rows do not make too small.
+    """Fit a straight line to the block means of a time series.
+
+    The standard error is computed from the effective number of independent blocks, because the correlation of
+    neighbouring rows would make it too small.
 
     Parameters
     ----------
@@ -50,16 +53,18 @@ def trend(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Trend
     value
         (T,) values.
     blocks
-        Most blocks that means are taken over.
+        Maximum number of blocks.
 
     Raises
     ------
     ValueError
-        For fewer than 12 rows.
+        If there are fewer than 12 rows, or not as many times as values.
     """
     time, value = np.asarray(time, dtype=float), np.asarray(value, dtype=float)
     if len(time) != len(value) or len(time) < 12:
-        raise ValueError(f"a trend needs 12 rows and as many times, not {len(value)} and {len(time)}")
+        raise ValueError(
+            f"a trend needs at least 12 values and as many times, not {len(value)} values and {len(time)} times"
+        )
     t, x = block_means(time, value, blocks)
     slope, start = np.polyfit(t, x, 1)
     residual = x - (start + slope * t)
@@ -71,5 +76,5 @@ def trend(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Trend
 
 
 def energy_trend(run: Run) -> Trend:
-    """Return the trend of a run's energy balance [W], which is zero but for numerical error."""
+    """Return the trend of the energy balance [W] of a run; the exact solution has zero balance."""
     return trend(run.time, run.energy.balance)

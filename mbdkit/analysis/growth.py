@@ -1,4 +1,4 @@
-"""How misalignment grows with time: bounded, linear, quadratic or exponential, and how sure that is."""
+"""Growth law of misalignment over time (bounded, linear, quadratic or exponential) and its certainty."""
 
 from __future__ import annotations
 
@@ -15,33 +15,34 @@ from mbdkit.analysis.block_statistics import BLOCKS, block_maxima, independent
 Law = Literal["none", "bounded", "linear", "quadratic", "exponential", "unclear"]
 
 FEWEST = 6
-"""Blocks below which nothing can be told of a law."""
+"""Minimum number of blocks needed to determine a law."""
 CLEAR = 4.0
 """Difference in AICc from which a law counts as worse; Burnham and Anderson call 4 to 7 considerably less support."""
 LOOSE = math.log(2.0)
-"""Scatter of the block maxima about the best law, as a logarithm, above which no law describes them."""
+"""Scatter of the logarithms of the block maxima about the best law above which the law is unclear."""
 STEADY = 1.5
-"""Factor by which a law must rise over the history to count as growth; less is bounded, as far as was looked."""
+"""Minimum factor by which a law must rise over the series to count as growth; otherwise it counts as bounded."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """One law fitted to the block maxima of a history, in logarithms: errors count as factors.
+    """One law fitted to the logarithms of the block maxima of a time series.
 
     Attributes
     ----------
     law
-        Its name.
+        Name of the law.
     scale
-        The law's value at the end of the history [unit of the history].
+        Value of the law at the end of the series [unit of the series].
     offset
-        ``offset + slope s^p`` for the power laws: the part that does not grow, as a share of `scale`; else 0.
+        Constant part c of a power law c + a s^p as a fraction of `scale`; 0 for the other laws.
     rate
-        Growth rate of the exponential law [1/s]; else 0.
+        Growth rate of the exponential law [1/s]; 0 for the other laws.
     scatter
         Root mean square of log(maxima / law); 0.1 is about 10 percent.
     aicc
-        Akaike's criterion, corrected for small samples, over as many maxima as are independent; lower is better.
+        Akaike information criterion, corrected for small samples, for the effective number of independent maxima;
+        lower is better.
     """
 
     law: Law
@@ -52,7 +53,7 @@ class Fit:
     aicc: float
 
     def rise(self, duration: float) -> float:
-        """Return by which factor the law rises over a history of `duration` [s], from its start or first block on."""
+        """Return the factor by which the law rises over `duration` [s], at most `BLOCKS` for the power laws."""
         if self.law == "exponential":
             return math.exp(self.rate * duration)
         if self.law == "bounded":
@@ -62,18 +63,18 @@ class Fit:
 
 @dataclass(frozen=True)
 class Growth:
-    """The growth law of a history.
+    """The growth law of a time series.
 
     Attributes
     ----------
     law
-        The law with most support; ``none`` for a history of zeros, ``unclear`` where none of the four describes it.
+        The law with the most support; ``none`` if all values are zero, ``unclear`` if none of the four laws fits.
     candidates
-        All laws that the data do not tell apart from the best, the best first; one where the law is certain.
+        All laws that the data do not distinguish from the best one, best first; a single law if it is certain.
     exponent, exponent_error
-        p of the power law s^p that comes nearest to the maxima, and its standard error; nan for a history of zeros.
+        Exponent p of the power law s^p fitted to the maxima, and its standard error; nan if all values are zero.
     independent
-        How many independent maxima the decision rests on.
+        Effective number of independent maxima.
     fits
         The four fits, best first.
     """
@@ -87,7 +88,7 @@ class Growth:
 
     @property
     def certain(self) -> bool:
-        """Whether exactly one law is left."""
+        """Whether the data single out one law."""
         return len(self.candidates) == 1
 
     def describe(self) -> str:
@@ -95,19 +96,21 @@ class Growth:
         if self.law == "none":
             return "no misalignment at all"
         if self.law == "unclear":
-            return "no clear law: oscillation and growth cannot be told apart"
+            return "no clear law: growth cannot be distinguished from oscillation"
         best = self.fits[0]
-        return f"{' or '.join(self.candidates)}, the law met within a factor of {math.exp(best.scatter):.2g}"
+        return (
+            f"{' or '.join(self.candidates)}, with a scatter about this law by a factor of {math.exp(best.scatter):.2g}"
+        )
 
 
 def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Growth:
-    """Tell by which law a history grows.
+    """Determine the growth law of a time series.
 
-    The history is cut into blocks of equal duration; the largest value of each, which no oscillation within a block
-    touches, is compared with c, c + a s, c + a s^2 (c, a >= 0) and c exp(r s), s the time since the start, by least
-    squares of the logarithms. Laws are ranked by the corrected Akaike criterion, over the number of maxima that are
-    independent by the correlation of their residuals, so that a slow oscillation does not pass for evidence. Laws that
-    the data do not tell apart are all named.
+    The series is divided into blocks of equal duration. The maxima of the blocks, which oscillation within a block does
+    not affect, are fitted by least squares of their logarithms with the laws c, c + a s, c + a s^2 (c, a >= 0) and
+    c exp(r s), where s is the time since the start. The laws are ranked by the corrected Akaike criterion. Its sample
+    size is the effective number of independent maxima, from the correlation of their residuals, so that a slow
+    oscillation is not mistaken for growth. All laws that the data do not distinguish are returned as candidates.
 
     Parameters
     ----------
@@ -116,12 +119,12 @@ def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> 
     value
         (T,) values >= 0, such as a joint's misalignment [m].
     blocks
-        Most blocks.
+        Maximum number of blocks.
 
     Returns
     -------
     Growth
-        The law, its rivals, and the fits.
+        The best law, all candidates, and the four fits.
 
     Raises
     ------
@@ -162,7 +165,7 @@ def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> 
     return Growth(candidates[0], candidates, exponent, error, count, fits)
 
 
-# Residuals, the logarithm of the value at the end, the parameter of the shape, and the number of parameters.
+# Residuals, logarithm of the value at the end, shape parameter (offset or rate), and number of parameters.
 _Found = tuple[np.ndarray, float, float, int]
 
 
@@ -179,7 +182,7 @@ def _power(p: int) -> Callable[[np.ndarray, np.ndarray], _Found]:
         def spread(log_offset: float) -> float:
             return float(np.var(y - shape(log_offset)))
 
-        # The variance may have two valleys, one of them on the way to no offset: a coarse search comes first.
+        # The variance may have two local minima, one of them towards a zero offset: start from a coarse grid search.
         grid = np.linspace(-18.0, 6.0, 49)
         start = float(grid[int(np.argmin([spread(x) for x in grid]))])
         best = float(minimize_scalar(spread, bounds=(start - 0.5, start + 0.5), method="bounded").x)
@@ -209,8 +212,8 @@ _FITS: dict[Law, Callable[[np.ndarray, np.ndarray], _Found]] = {
 
 def _fit(law: Law, found: _Found, count: float, maxima: int, duration: float) -> Fit:
     residual, log_end, shape, parameters = found
-    variance = max(float(residual @ residual) / maxima, 1e-12)  # below a millionth, all laws fit equally well
-    k = parameters + 1  # and the variance
+    variance = max(float(residual @ residual) / maxima, 1e-12)  # scatter below 1e-6: all laws fit equally well
+    k = parameters + 1  # the variance is a parameter too
     correction = 2 * k * (k + 1) / max(count - k - 1, 0.5)
     power = law in ("linear", "quadratic")
     return Fit(
@@ -224,7 +227,7 @@ def _fit(law: Law, found: _Found, count: float, maxima: int, duration: float) ->
 
 
 def _exponent(s: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Return the slope of log value over log time and its standard error."""
+    """Return the least-squares slope of log value over log time, and its standard error."""
     x = np.log(np.maximum(s, 1e-12))
     (slope, start), x = np.polyfit(x, y, 1), x
     residual = y - (start + slope * x)

@@ -1,4 +1,4 @@
-"""The order that a method shows over a sequence of steps, where it shows it: below the coarse, above the rounding."""
+"""Observed order of a method, from its errors at several step sizes, within the asymptotic range."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from dataclasses import dataclass
 import numpy as np
 
 AGREE = 0.25
-"""Most by which slopes between neighbours may differ within the asymptotic window."""
+"""Maximum difference of the slopes between neighbouring steps within the asymptotic window."""
 ABOVE_FLOOR = 20.0
-"""How far above the floor of rounding an error must be to tell of the method: a twentieth shifts a slope by 0.07."""
+"""Minimum ratio of an error to the round-off floor; at this ratio, round-off shifts a slope by about 0.07."""
 SLOPE_AT_FLOOR = 0.5
-"""Slope below which the finest steps no longer reduce the error: no method has such an order."""
+"""Slope below which the error at the finest steps counts as round-off; every method has a higher order."""
 
 
 @dataclass(frozen=True)
 class ObservedOrder:
-    """An order read off errors over steps.
+    """Observed order of a method.
 
     Attributes
     ----------
     order, error
-        Slope of log error over log step by least squares inside the window, and its standard error; nan where no window
-        was found.
+        Least-squares slope of log error over log step inside the asymptotic window, and its standard error; nan if
+        there is no window.
     steps
-        The steps of the window, coarsest first; empty where there is none.
+        Step sizes in the window [s], coarsest first; empty if there is no window.
     slopes
-        Slopes between neighbours in the window.
+        Slopes between neighbouring steps in the window.
     floor
-        The floor of rounding: as given, or as seen at the finest steps; 0 where it was not reached.
+        Round-off floor of the errors, as given or as estimated from the finest steps; 0 if it was not reached.
     """
 
     order: float
@@ -40,7 +40,7 @@ class ObservedOrder:
 
     @property
     def found(self) -> bool:
-        """Whether there is a window."""
+        """Whether an asymptotic window was found."""
         return len(self.steps) > 0
 
     def describe(self) -> str:
@@ -53,29 +53,30 @@ class ObservedOrder:
 def observed_order(
     steps: np.ndarray, errors: np.ndarray, *, floor: float | None = None, fewest: int = 3, agree: float = AGREE
 ) -> ObservedOrder:
-    """Return the order in the asymptotic window, which is found from the errors themselves.
+    """Determine the asymptotic window from the errors, and return the observed order in it.
 
-    The window is the longest run of neighbouring steps whose errors fall steadily, lie well above the floor of rounding
-    and whose slopes agree with each other; of equally long ones, that of the finest steps.
+    The window is the longest sequence of neighbouring steps in which the error decreases, lies well above the round-off
+    floor, and has slopes that agree with each other. Of several such sequences of equal length, the one with the finest
+    steps is taken.
 
     Parameters
     ----------
     steps
         (K,) step sizes [s], in any order.
     errors
-        (K,) errors against a reference; those that are not finite or zero are left out.
+        (K,) errors against a reference; zeros and values that are not finite are ignored.
     floor
-        The floor of rounding, where it was measured, such as the difference of two references; by default the largest
-        error among the finest steps that no longer reduce it.
+        Round-off floor, if it was measured, for example as the difference of two references; by default, the largest
+        error among the finest steps at which the error no longer decreases.
     fewest
-        Fewest steps that make a window.
+        Minimum number of steps in a window.
     agree
-        Most by which slopes between neighbours may differ.
+        Maximum difference of the slopes between neighbouring steps.
 
     Returns
     -------
     ObservedOrder
-        With an empty window where there is none.
+        The order and its window; the order is nan and the window empty if none was found.
     """
     steps, errors = np.asarray(steps, dtype=float), np.asarray(errors, dtype=float)
     keep = np.isfinite(errors) & (errors > 0)
@@ -105,7 +106,7 @@ def observed_order(
 
 
 def _floor(slopes: np.ndarray, errors: np.ndarray) -> float:
-    """Return the largest error of the finest steps that no longer reduce it, 0 where every step still does."""
+    """Return the largest error of the finest steps at which the error no longer decreases; 0 if it always does."""
     flat = len(slopes)
     while flat > 0 and slopes[flat - 1] < SLOPE_AT_FLOOR:
         flat -= 1

@@ -1,4 +1,4 @@
-"""How far a run is from a reference, which need not have recorded the same rows."""
+"""Differences between a run and a reference run, which may have recorded other times."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ EVERY_ROW, LAST_ROW = slice(None), slice(-1, None)
 
 
 def offsets(run: Run, reference: Run, rows: slice = EVERY_ROW) -> np.ndarray:
-    """Return where the bodies of a run are, seen from where those of a reference are at the same times.
+    """Return the differences in the positions of the bodies between a run and a reference at the times of the run.
 
     Parameters
     ----------
     run, reference
-        Runs of the same bodies; the reference covers the time of the run.
+        Runs with the same bodies; the reference covers the time span of the run.
     rows
-        Which recorded rows of the run.
+        Recorded rows of the run to compare.
 
     Returns
     -------
@@ -30,7 +30,7 @@ def offsets(run: Run, reference: Run, rows: slice = EVERY_ROW) -> np.ndarray:
     Raises
     ------
     MbdkitError
-        If their bodies or their ends differ.
+        If the bodies or the end times differ.
     """
     if list(run.bodies) != list(reference.bodies):
         raise MbdkitError(
@@ -42,17 +42,17 @@ def offsets(run: Run, reference: Run, rows: slice = EVERY_ROW) -> np.ndarray:
 
 
 def common_rows(run: Run, reference: Run) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows that a run and a reference recorded at the same times, the start left out.
+    """Return the rows that a run and a reference recorded at the same times, without the start.
 
     Parameters
     ----------
     run, reference
-        Two runs over the same time.
+        Two runs over the same time span.
 
     Returns
     -------
     ndarray, ndarray
-        Row numbers of either, (K,) each; none where no times agree.
+        Row numbers in the run and in the reference, (K,) each; empty if no times agree.
     """
     mine, theirs = run.time, reference.time
     near = np.clip(np.searchsorted(theirs, mine), 1, len(theirs) - 1)
@@ -63,21 +63,21 @@ def common_rows(run: Run, reference: Run) -> tuple[np.ndarray, np.ndarray]:
 
 
 def multiplier_error(run: Run, reference: Run) -> float:
-    """Return by how much the multipliers of a run are off those of a reference, in the rows that both recorded.
+    """Return the relative error of the Lagrange multipliers of a run in the rows that both runs recorded.
 
-    Those that the method itself carries, where it does; else those of index 1 at the recorded states. The reference's
-    are those of index 1.
+    The multipliers of the run are those that its method computes, if it computes any, and otherwise the index-1
+    multipliers at the recorded states. The multipliers of the reference are the index-1 ones.
 
     Parameters
     ----------
     run, reference
-        Runs of the same mechanism that recorded its constraints.
+        Runs of the same mechanism with recorded constraints.
 
     Returns
     -------
     float
-        The largest error, each as a share of the largest multiplier of the same unit in the reference; nan where no
-        rows agree.
+        Largest error, relative to the largest multiplier of the same unit in the reference; nan if the runs have no
+        common rows.
     """
     own = carries_multipliers(run)
     mine, theirs = common_rows(run, reference)
@@ -97,22 +97,22 @@ def multiplier_error(run: Run, reference: Run) -> float:
 
 
 def carries_multipliers(run: Run) -> bool:
-    """Return whether a run recorded multipliers that its method itself carries."""
+    """Return whether a run recorded multipliers that were computed by its method."""
     return run.records("constraints/method_multiplier")
 
 
 def interpolated(run: Run, time: np.ndarray) -> np.ndarray:
-    """Return the positions of a run between its recorded rows.
+    """Return the positions of the bodies of a run, interpolated between its recorded rows.
 
-    A polynomial of degree five through position, velocity and acceleration at both ends of each interval: its error is
-    of the sixth power of the interval, and none at a recorded row.
+    The interpolant is the Hermite polynomial of degree five through the positions, velocities and accelerations at both
+    ends of each interval. Its error is of order six in the length of the interval, and zero at recorded rows.
 
     Parameters
     ----------
     run
         The run.
     time
-        Times within its span, (N,), s.
+        Times within the time span of the run, (N,), s.
 
     Returns
     -------

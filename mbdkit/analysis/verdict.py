@@ -1,7 +1,7 @@
-"""Verdicts in plain words, with the figures that they rest on: what a report prints and draws.
+"""Verdicts as sentences, with the claims, tables and figures that support them; reports print and draw these.
 
-Verdicts are about ranges and factors, with a margin in which the answer is left open, so that the last digits, which
-differ between machines, never decide.
+Answers are based on ranges and factors. Within a margin around each limit the answer is open, so that it does not
+depend on the last digits, which differ between machines.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 MARGIN = 1.05
-"""A value within this factor of a border is too near to it to decide: no two machines differ by so much."""
+"""Within this factor of a limit the answer is open; differences between machines are smaller."""
 
 
 class Answer(StrEnum):
-    """What became of a claim."""
+    """Answer to a claim."""
 
     YES = "yes"
     NO = "no"
     PARTLY = "partly"
     OPEN = "open"
-    """Not decided: runs are missing or failed, or a value lies on the border."""
+    """Not decided, because runs are missing or failed, or a value lies too close to a limit."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class Range:
     Parameters
     ----------
     low, high
-        Its borders, both included.
+        Limits of the range.
     unit
-        Such as ``mm``.
+        Unit, for example ``mm``; empty if there is none.
     """
 
     low: float
@@ -45,7 +45,7 @@ class Range:
     unit: str = ""
 
     def holds(self, value: float, *, margin: float = MARGIN) -> Answer:
-        """Return whether a value lies inside: yes, no, or open where it is missing or on a border."""
+        """Return whether a value lies inside: yes, no, or open if it is not finite or close to a limit."""
         if not math.isfinite(value):
             return Answer.OPEN
         if self.low * margin <= value <= self.high / margin:
@@ -54,7 +54,7 @@ class Range:
 
     @classmethod
     def around(cls, value: float, factor: float, unit: str = "") -> Range:
-        """Return the range within a factor of a value."""
+        """Return the range from `value` divided by `factor` to `value` times `factor`."""
         return cls(value / factor, value * factor, unit)
 
     def __str__(self) -> str:
@@ -62,7 +62,7 @@ class Range:
 
 
 def exceeds(value: float, other: float, *, margin: float = MARGIN) -> Answer:
-    """Return whether a value is larger than another: open where one is missing or they are nearly equal."""
+    """Return whether `value` is larger than `other`: open if either is not finite or they are nearly equal."""
     if not (math.isfinite(value) and math.isfinite(other)):
         return Answer.OPEN
     if value > other * margin:
@@ -71,7 +71,7 @@ def exceeds(value: float, other: float, *, margin: float = MARGIN) -> Answer:
 
 
 def together(answers: Sequence[Answer]) -> Answer:
-    """Return one answer for several: yes or no where all agree, partly where some do; open ones decide nothing."""
+    """Combine answers: the common one if all agree, open if some are open and the rest agree, else partly."""
     decided = {answer for answer in answers if answer is not Answer.OPEN}
     if not decided or (len(decided) == 1 and Answer.OPEN in answers):
         return Answer.OPEN
@@ -80,18 +80,18 @@ def together(answers: Sequence[Answer]) -> Answer:
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim and what became of it.
+    """One claim and its answer.
 
     Attributes
     ----------
     name
-        Short and unique, for links.
+        Short unique identifier, used in links.
     statement
-        What was claimed, as a sentence.
+        The claim as a sentence.
     published, computed
-        The figures side by side, as text with units.
+        Published and computed values, as text with units.
     answer
-        Whether it holds.
+        Whether the claim holds.
     sentence
         The finding as a sentence.
     """
@@ -104,17 +104,17 @@ class Claim:
     sentence: str
 
 
-UNDECIDED = "Not decided: the runs that would tell are missing or failed."
+UNDECIDED = "Not decided: the required runs are missing or failed."
 
 
 def told(claims: Sequence[Claim]) -> tuple[Claim, ...]:
-    """Return the claims as they are told: an open one says that it is not decided, whatever its figures seem to say."""
+    """Return the claims for a report: the sentence of an open claim is replaced by `UNDECIDED`."""
     return tuple(replace(claim, sentence=UNDECIDED) if claim.answer is Answer.OPEN else claim for claim in claims)
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column's heading and unit (empty for text and plain counts)."""
+    """Heading and unit of a column; the unit is empty for text and counts."""
 
     label: str
     unit: str = ""
@@ -126,9 +126,9 @@ Cell = str | int | float | bool | None
 
 @dataclass(frozen=True)
 class Table:
-    """A table: every row has a cell for each column; None is an empty cell.
+    """A table with one cell per column in every row; None is an empty cell.
 
-    A `headline` is the one that a study is made for: it is told on the terminal and in Markdown too.
+    A `headline` table is the main result of a study and is also printed on the terminal and in Markdown.
     """
 
     name: str
@@ -160,13 +160,13 @@ class Line:
     Attributes
     ----------
     label
-        For the legend.
+        Label in the legend.
     x, y
-        (K,) coordinates; nan where there is nothing to draw.
+        (K,) coordinates; nan interrupts the line.
     kind
-        A line, points, or both.
+        Whether to draw a line, points, or both.
     group
-        Lines of the same group share a colour; the method's label in most figures.
+        Lines of the same group have the same colour; in most figures the label of the method.
     """
 
     label: str
@@ -178,7 +178,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Band:
-    """A shaded range of the y axis, such as a published one."""
+    """A shaded range of the y axis, for example a published range."""
 
     label: str
     low: float
@@ -187,7 +187,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Mark:
-    """A place on the x axis that a thin line marks, such as the time of an event; without a label it has none."""
+    """A thin vertical line, for example at the time of an event; the label may be empty."""
 
     label: str
     x: float
@@ -195,18 +195,18 @@ class Mark:
 
 @dataclass(frozen=True)
 class Figure:
-    """What a figure shows; how it is drawn is the report's affair.
+    """Content of a figure; its appearance is left to the report.
 
     Attributes
     ----------
     name
-        Short and unique, for file names and links.
+        Short unique identifier, used in file names and links.
     title, caption
-        What it is, and what to see in it.
+        Title, and an explanation of what the figure shows.
     x, y
-        Its axes.
+        The axes.
     lines, bands, marks
-        What is drawn.
+        Elements of the figure.
     equal
         Whether both axes have the same scale, as for paths in the plane.
     """
@@ -224,18 +224,18 @@ class Figure:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a study says.
+    """The verdict on a study or a run.
 
     Attributes
     ----------
     name, title
-        Which verdict it is, and a heading.
+        Name of the verdict, and its heading.
     sentence
-        The whole verdict in a few plain sentences.
+        The verdict in a few sentences.
     claims, tables, figures
-        What it rests on.
+        The results that support it.
     notes
-        What a reader must know to judge it.
+        Assumptions and explanations for the reader.
     """
 
     name: str
@@ -247,19 +247,19 @@ class Verdict:
     notes: tuple[str, ...] = field(default=())
 
     def claim(self, name: str) -> Claim:
-        """Return the claim of this name; raises KeyError."""
+        """Return the claim with this name; raise KeyError if there is none."""
         return _named(self.claims, name)
 
     def table(self, name: str) -> Table:
-        """Return the table of this name; raises KeyError."""
+        """Return the table with this name; raise KeyError if there is none."""
         return _named(self.tables, name)
 
     def figure(self, name: str) -> Figure:
-        """Return the figure of this name; raises KeyError."""
+        """Return the figure with this name; raise KeyError if there is none."""
         return _named(self.figures, name)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all of it as plain values for JSON: arrays as lists, numbers that are not finite as None."""
+        """Return the verdict as values for JSON: arrays become lists, numbers that are not finite become None."""
         plain: dict[str, Any] = _plain(asdict(self))
         return plain
 

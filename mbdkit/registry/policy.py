@@ -1,4 +1,4 @@
-"""Which plugins may be loaded and how strictly: the plugin API's version, and what environment variables say."""
+"""Version of the plugin API, and the policy for loading plugins that environment variables define."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from mbdkit.errors import PluginError, SpecError
 from mbdkit.text import listed
 
 API = 1
-"""The plugin API that this mbdkit offers: hooks, what they return, and what a method, a law and a model are given.
+"""Version of the plugin API: the hooks, their return values, and the arguments of methods, laws and models.
 
-It is raised when a plugin that worked would work no longer, never for what is merely new.
+The version is increased when existing plugins would stop working, not when features are added.
 """
 
 OLDEST_API = 1
-"""The oldest plugin API that is still served."""
+"""The oldest version of the plugin API that is still supported."""
 
 API_NAME = "mbdkit_api"
-"""The name under which a plugin's module says which API it was written for."""
+"""Name of the variable with which a plugin module declares the API version that it was written for."""
 
 ALLOW, DISABLE, STRICT = "MBDKIT_PLUGINS", "MBDKIT_DISABLE_PLUGINS", "MBDKIT_STRICT_PLUGINS"
 
@@ -29,14 +29,14 @@ _YES, _NO = {"1", "true", "yes", "on"}, {"", "0", "false", "no", "off"}
 
 
 def check_api(module: object, distribution: str) -> None:
-    """Raise PluginError where a plugin was written for an API that is not served here, saying which side to upgrade.
+    """Raise PluginError if a plugin was written for an unsupported API version; the message says what to upgrade.
 
-    A module that does not say counts as written for the first one.
+    A module without a declared version counts as written for version 1.
     """
     wanted = getattr(module, API_NAME, 1)
     if isinstance(wanted, bool) or not isinstance(wanted, int):
         raise PluginError(f"its `{API_NAME}` is {wanted!r}, not a whole number such as {API}")
-    served = f"mbdkit {version('mbdkit')} serves {API if OLDEST_API == API else f'{OLDEST_API} to {API}'}"
+    served = f"mbdkit {version('mbdkit')} supports {API if OLDEST_API == API else f'{OLDEST_API} to {API}'}"
     if wanted > API:
         raise PluginError(f"it was written for plugin API {wanted} and {served}: upgrade mbdkit")
     if wanted < OLDEST_API:
@@ -45,16 +45,16 @@ def check_api(module: object, distribution: str) -> None:
 
 @dataclass(frozen=True)
 class Policy:
-    """Which distributions' plugins are loaded, and whether one that fails is an error.
+    """Distributions whose plugins are loaded, and whether a failure to load is an error.
 
     Parameters
     ----------
     allowed
-        Distributions whose plugins may be loaded, beside mbdkit itself; None: all.
+        Distributions whose plugins may be loaded, in addition to mbdkit itself; None allows all.
     disabled
-        Distributions whose plugins are not.
+        Distributions whose plugins are not loaded.
     strict
-        Whether mbdkit refuses to work where a plugin cannot be loaded, or one that is allowed is not there.
+        Whether it is an error if a plugin cannot be loaded, or if an allowed distribution has no plugin installed.
     """
 
     allowed: frozenset[str] | None = None
@@ -63,12 +63,12 @@ class Policy:
 
     @classmethod
     def of(cls, environment: Mapping[str, str] = os.environ) -> Policy:
-        """Return what the environment variables say.
+        """Return the policy that the environment variables define.
 
         Raises
         ------
         SpecError
-            If `MBDKIT_STRICT_PLUGINS` is neither yes nor no.
+            If `MBDKIT_STRICT_PLUGINS` is not a truth value such as 1 or 0.
         """
         strict = environment.get(STRICT, "").strip().lower()
         if strict not in _YES | _NO:
@@ -79,7 +79,7 @@ class Policy:
         )
 
     def reason_against(self, distribution: str) -> str | None:
-        """Return why the plugins of a distribution are left out, or None."""
+        """Return the reason why the plugins of a distribution are not loaded, or None if they are."""
         name = _normal(distribution)
         if name == "mbdkit":
             return None
@@ -90,11 +90,11 @@ class Policy:
         return None
 
     def unknown(self, distributions: set[str]) -> str | None:
-        """Return a sentence on names that are allowed or disabled and have no plugin installed, or None."""
+        """Return a message about allowed or disabled names that have no plugin installed, or None."""
         here = {_normal(name) for name in distributions}
         told = [
             f"{variable} names {listed([repr(name) for name in sorted(names - here)], 'and')}, "
-            "of which no plugin is installed"
+            "for which no plugin is installed"
             for variable, names in ((ALLOW, self.allowed or frozenset()), (DISABLE, self.disabled))
             if names - here
         ]
@@ -106,5 +106,5 @@ def _names(text: str) -> frozenset[str]:
 
 
 def _normal(name: str) -> str:
-    """Return a distribution's name as packaging compares it."""
+    """Return the name of a distribution, normalized as in PEP 503."""
     return re.sub(r"[-_.]+", "-", name).lower()

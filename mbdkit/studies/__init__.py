@@ -1,1 +1,1 @@
-"""Studies: families of runs over a base spec, expanded, executed by several processes, and collected in one index."""
+"""Parameter studies: expansion of a study spec into runs, parallel execution, and an index of the results."""

@@ -1,4 +1,4 @@
-"""Makes the index of a study out of its archives."""
+"""Build the index of a study from its archives."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def collect(
     repeats: Mapping[str, Sequence[float]],
     second: Mapping[str, Outcome],
 ) -> Index:
-    """Return the index of what is in the folder now.
+    """Return the index of the current content of the folder.
 
     Parameters
     ----------
@@ -37,11 +37,11 @@ def collect(
     points
         All of its points.
     known_runs
-        What is known of their runs; rows are taken from it where the files have not changed.
+        State of the runs; rows of unchanged archives are taken from it.
     repeats
         New serial timings by run id, s.
     second
-        What became of the runs that were made a second time now, by run id.
+        Outcomes of new second runs by run id.
     """
     compared = any(point.grid.reference for point in points)
     wanted = tuple(MEASURES) if spec.measures == "all" else spec.measures
@@ -88,13 +88,13 @@ class _Collector:
         self.repeats, self.second, self.timed = repeats, second, timed
 
     def left_out(self, distribution: str) -> Row:
-        """Return the row of a run that needs a distribution that is not installed."""
+        """Return the row of a run that is left out because a distribution is not installed."""
         columns = (*self.measures, *self.again, *COUNTERS, *TIMINGS)
         reason = f"not-installed: the distribution {distribution} is not installed."
         return Row("", "left-out", reason, values=dict.fromkeys(columns, math.nan))
 
     def row(self, run_id: str, reference_id: str) -> Row:
-        """Return the row of a run, its family and axes left out."""
+        """Return the row of a run without its family and axes."""
         path = self.known_runs.folder.archive(run_id)
         outcome = self.known_runs.outcome(run_id)
         known = self.known_runs.measured(run_id, reference_id)
@@ -111,7 +111,7 @@ class _Collector:
         return replace(row, reference_id=reference_id, values=values, repeats=seconds, second_run=second_run)
 
     def with_second_run(self, run_id: str, row: Row) -> tuple[Mapping[str, float], str]:
-        """Return the values of a row with the measures of its second run, and what became of that."""
+        """Return the values of a row with the measures of its second run, and the outcome of that run."""
         if not self.again:
             return row.values, ""
         made, before = self.second.get(run_id), self.known_runs.run_twice(run_id)
@@ -124,7 +124,7 @@ class _Collector:
         return {**row.values, **{name: values.get(name, math.nan) for name in self.again}}, note
 
     def measured(self, run_id: str, reference_id: str) -> Row:
-        """Return the row of an archive."""
+        """Return the row of a run with values computed from its archive."""
         folder = self.known_runs.folder
         with load(folder.archive(run_id)) as run:
             if reference_id and self.known_runs.outcome(reference_id).status == "complete":

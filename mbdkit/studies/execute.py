@@ -1,4 +1,4 @@
-"""Runs what is missing of a study, and writes its index."""
+"""Execution of a study: compute the missing runs, time them, and write the index."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.verdict_lookup import check_verdict
 from mbdkit.text import counted
 
-#: Called with (pieces of work done, pieces in all, runs that failed); a run is one, and so are its repeated timings.
+#: Called with (tasks done, tasks in all, failed runs). A run is one task, and so are its repeated timings.
 Progress = Callable[[int, int, int], None]
 
 
@@ -30,7 +30,8 @@ class Shard:
     Parameters
     ----------
     number, count
-        Which part, from 1, of how many: every run belongs to one of them, by its place in the list of all runs.
+        Number of the part, from 1, and number of parts. Runs are assigned to parts in turn, by their place in the list
+        of all runs.
     """
 
     number: int
@@ -38,12 +39,12 @@ class Shard:
 
     @classmethod
     def parse(cls, text: str) -> Shard:
-        """Return the part that was typed as ``2/3``.
+        """Parse a part from text such as ``2/3``.
 
         Raises
         ------
         SpecError
-            If it is none.
+            If the text does not have this form.
         """
         found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
         if not found or not 1 <= int(found[1]) <= int(found[2]):
@@ -51,31 +52,31 @@ class Shard:
         return cls(int(found[1]), int(found[2]))
 
     def has(self, place: int) -> bool:
-        """Tell whether the run at this place, from 0, belongs to the part."""
+        """Return whether the run at this place, counted from 0, belongs to the part."""
         return place % self.count == self.number - 1
 
 
 class Execution:
-    """One call for a study in a folder.
+    """One execution of a study in a folder.
 
     Parameters
     ----------
     spec
         The study.
     folder
-        Where it goes; it may hold what earlier calls have done.
+        Folder of the study; it may contain runs of earlier executions.
     shard
-        The part of the study to compute; None for all of it. Parts are not timed repeatedly: the call that completes
-        the study does that.
+        Part of the study to compute, or None for all of it. Repeated timings are made only without a shard, by the call
+        that completes the study.
     progress
-        Called after each piece of work.
+        Called after each task.
     notify
-        Told what takes long.
+        Called with a message before an operation that takes long.
 
     Raises
     ------
     SpecError
-        If a run of the study is wrong, or the folder is another study's; nothing has been done then.
+        If a run of the study is invalid, or the folder belongs to another study. Nothing is written in this case.
     """
 
     def __init__(
@@ -107,12 +108,12 @@ class Execution:
         self.second: dict[str, Outcome] = {}
 
     def run(self, workers: int) -> None:
-        """Compute what is missing, time what is to be timed, write the index; on Ctrl-C write what there is.
+        """Compute missing runs, make the timings, and write the index; after Ctrl-C, index the results so far.
 
         Parameters
         ----------
         workers
-            How many processes compute at a time; one of its own does the timing.
+            Number of processes that compute in parallel. Timings are made by a single separate process.
         """
         self.folder.prepare(self.spec)
         self.tell_left_out()
@@ -121,7 +122,7 @@ class Execution:
             missing = []
             for place, run_id in enumerate(self.runs):
                 if not known_runs.is_done(run_id):
-                    known_runs.note(run_id, None)  # its file may come from elsewhere, or just before an interrupt
+                    known_runs.note(run_id, None)  # another shard, or a worker before an interrupt, may still write it
                     missing += [run_id] if self.shard is None or self.shard.has(place) else []
             repeats = self.repeats(known_runs) if self.shard is None else {}
             again = self.to_run_again(known_runs) if self.shard is None else []
@@ -136,12 +137,12 @@ class Execution:
                     study_index.write(self.folder.index, found)
 
     def tell_left_out(self) -> None:
-        """Say which runs are left out, and what they need."""
+        """Report how many runs are left out because a distribution is not installed."""
         for name, count in Counter(point.lacking for point in self.points if point.lacking).items():
             self.notify(f"{counted(count, 'run')} left out: the distribution {name} is not installed")
 
     def repeats(self, known_runs: KnownRuns) -> dict[str, int]:
-        """Return how often each run is still to be timed."""
+        """Return the number of timings to make for each run that lacks some."""
         wanted: dict[str, int] = {}
         for point in self.points:
             count = point.grid.repeats
@@ -150,7 +151,7 @@ class Execution:
         return wanted
 
     def compute(self, missing: list[str], workers: int, total: int, known_runs: KnownRuns) -> None:
-        """Compute runs, several at a time."""
+        """Compute runs in parallel."""
         tasks = [Task(self.runs[run_id], self.folder.archive(run_id)) for run_id in missing]
         with Pool(workers, self.notify) as pool:
             for task, outcome in pool.work(tasks):
@@ -161,18 +162,18 @@ class Execution:
 
     @property
     def wanted_again(self) -> tuple[str, ...]:
-        """The measures that need a second run of each."""
+        """The requested measures that need a second run."""
         return tuple(name for name in SECOND_RUN if self.spec.measures != "all" and name in self.spec.measures)
 
     def to_run_again(self, known_runs: KnownRuns) -> list[str]:
-        """Return the runs that are still to be made a second time; references are not."""
+        """Return the runs that still need a second run; references never do."""
         if not self.wanted_again:
             return []
         wanted = dict.fromkeys(point.run_id for point in self.points if not point.lacking)
         return [run_id for run_id in wanted if known_runs.run_twice(run_id) is None]
 
     def run_again(self, again: list[str], workers: int, last: int, total: int, known_runs: KnownRuns) -> None:
-        """Take the measures that need a second run, of complete runs, several at a time."""
+        """Take the measures that need a second run from complete runs, in parallel."""
         tasks = [
             Task(self.runs[run_id], self.folder.archive(run_id), second=self.wanted_again)
             for run_id in again
@@ -184,7 +185,7 @@ class Execution:
                 self.tell(done, total)
 
     def time(self, repeats: dict[str, int], total: int, known_runs: KnownRuns) -> None:
-        """Time complete runs, one after the other."""
+        """Time complete runs, one after another."""
         tasks = [
             Task(self.runs[run_id], self.folder.archive(run_id), count)
             for run_id, count in repeats.items()

@@ -1,4 +1,4 @@
-"""The verdict on any study: which runs hold the joints together best, and what their orders are."""
+"""General verdict for studies without one of their own: extremes of misalignment, and observed orders."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def general_verdict(study: Study) -> Verdict:
-    """Return what can be said of any study: its extremes, and observed orders where steps vary.
+    """Return the general verdict: extremes of misalignment, and observed orders if the step is varied.
 
     Parameters
     ----------
@@ -30,14 +30,14 @@ def general_verdict(study: Study) -> Verdict:
     if len(ranked) > 1:
         (least, _, best), (most, _, worst) = ranked[0], ranked[-1]
         sentences.append(
-            f"The joints stay together best with {best} ({least:.1e} m) and worst with {worst} ({most:.1e} m)."
+            f"The joint misalignment is smallest with {best} ({least:.1e} m) and largest with {worst} ({most:.1e} m)."
         )
     tables = tuple(table for table in (_orders(study),) if table.rows)
     return Verdict("general", study.spec.title or "Study", " ".join(sentences), tables=tables)
 
 
 def _orders(study: Study) -> Table:
-    """Return the observed order of every line of points along the steps."""
+    """Return the observed orders of each sequence of points that differ only in the step."""
     lines: dict[str, list[StudyPoint]] = {}
     for point in study.points:
         if STEP in point.axes:
@@ -51,4 +51,4 @@ def _orders(study: Study) -> Table:
         if error.found or drift.found:
             rows.append((name, error.order, drift.order))
     columns = (Column("runs"), Column("order of the error"), Column("order of the misalignment"))
-    return Table("order", "Observed orders over the step", columns, tuple(rows))
+    return Table("order", "Observed orders", columns, tuple(rows))

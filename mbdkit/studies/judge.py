@@ -1,4 +1,4 @@
-"""Judges a study by the verdict function that its spec names."""
+"""Evaluation of a study by the verdict function that its spec names."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 
 def judge(study: Study) -> Verdict:
-    """Return the verdict on a study: by the packaged study that its spec names under `verdict`, else the general one.
+    """Return the verdict on a study: that of the packaged study that its spec names, or else the general verdict.
 
     Parameters
     ----------
     study
-        The study, complete or not; claims that depend on missing runs stay open.
+        The study. It may be incomplete; claims that depend on missing runs remain open.
 
     Raises
     ------
     SpecError
-        If there is no verdict of that name, or if it is written for a study with other families and axes.
+        If there is no verdict with that name, or if it requires other families and axes than those of the study.
     PluginError
         If the verdict function of another distribution fails or returns no Verdict.
     """
@@ -38,7 +38,9 @@ def judge(study: Study) -> Verdict:
     try:
         found: Any = function(study)
     except (LookupError, ValueError) as error:
-        wrong = f"the verdict '{name}' is made for the families and axes of the packaged study '{name}', not for these"
+        wrong = (
+            f"the verdict '{name}' requires the families and axes of the packaged study '{name}'; this one has others"
+        )
         raise study.spec.placed(SpecError(wrong, key="verdict")) from error
     except Exception as error:
         if item.origin.distribution == "mbdkit":

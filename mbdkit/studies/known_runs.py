@@ -1,4 +1,4 @@
-"""What is known of the runs of a study: by the index of an earlier call, by their files, by what the workers said."""
+"""State of the runs of a study, from the index of an earlier call, from their archives, and from the workers."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from mbdkit.studies.pool import Outcome
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Row
 
-#: Reasons that a second attempt may do away with.
+#: Reasons of failure after which a run is computed again, because a second attempt may succeed.
 PASSING = ("interrupted", "plugin-error", "worker-died", "error")
 
 MISSING = Outcome("missing", "")
 
 
 class KnownRuns:
-    """What is known of the runs in a study's folder.
+    """State of the runs in the folder of a study.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class KnownRuns:
     folder
         Its folder.
     runs
-        The specs of all its runs by id.
+        Specs of all its runs by run id.
     """
 
     def __init__(self, spec: StudySpec, folder: StudyFolder, runs: Mapping[str, RunSpec]):
@@ -42,7 +42,7 @@ class KnownRuns:
         try:
             before = study_index.read(folder.index)
         except SpecError:
-            pass  # there is none, or a damaged one: the files say it all again
+            pass  # no index, or a damaged one: read the archives instead
         else:
             if before.study_sha256 == spec.sha256() and before.version == version("mbdkit"):
                 rows = (*before.references, *before.runs)
@@ -50,48 +50,48 @@ class KnownRuns:
         self._measured: Mapping[tuple[str, str], Row] = {(row.run_id, row.reference_id): row for row in rows}
 
     def is_unchanged(self, run_id: str) -> bool:
-        """Tell whether the index knows the file of a run as it is now."""
+        """Return whether the archive of a run is unchanged since it was indexed."""
         path = self.folder.archive(run_id)
         return run_id in self._by_run and path.exists() and path.stat().st_mtime == self._by_run[run_id].modified
 
     def repeats(self, run_id: str) -> tuple[float, ...]:
-        """Return the serial timings that earlier calls made of a run [s]."""
+        """Return the serial timings of a run from earlier calls [s]."""
         return self._by_run[run_id].repeats if run_id in self._by_run else ()
 
     def run_twice(self, run_id: str) -> Row | None:
-        """Return the row of a run whose file is unchanged since it was made a second time."""
+        """Return the row of a run with a second run, if its archive is unchanged since then; else None."""
         return self._by_run[run_id] if self.is_unchanged(run_id) and self._by_run[run_id].second_run else None
 
     def measured(self, run_id: str, reference_id: str) -> Row | None:
-        """Return the row of a run if neither its file nor that of its reference has changed since it was written."""
+        """Return the indexed row of a run if its archive and that of its reference are unchanged; else None."""
         unchanged = all(self.is_unchanged(name) for name in (run_id, reference_id) if name)
         return self._measured.get((run_id, reference_id)) if unchanged else None
 
     def is_done(self, run_id: str) -> bool:
-        """Tell whether a run need not be computed: it is complete, or failed for a reason that would come again.
+        """Return whether a run is complete, or has failed for a reason that would recur.
 
         Raises
         ------
         SpecError
-            If its file holds another run.
+            If its archive contains another run.
         """
         outcome = self.outcome(run_id)
         return outcome.status == "complete" or (outcome.status == "failed" and not outcome.reason.startswith(PASSING))
 
     def outcome(self, run_id: str) -> Outcome:
-        """Return how a run ended; ``missing`` where it did not.
+        """Return the outcome of a run; ``missing`` if it has not ended.
 
         Raises
         ------
         SpecError
-            If its file holds another run.
+            If its archive contains another run.
         """
         if run_id not in self._outcomes:
             self._outcomes[run_id] = self._found(run_id)
         return self._outcomes[run_id]
 
     def note(self, run_id: str, outcome: Outcome | None) -> None:
-        """Take down how a run ended that was computed just now; None: look again."""
+        """Record the outcome of a run that was computed just now; None discards the recorded outcome."""
         if outcome is None:
             self._outcomes.pop(run_id, None)
         else:
@@ -102,12 +102,12 @@ class KnownRuns:
         if self.folder.archive(run_id).exists():
             if row is None or not self.is_unchanged(run_id):
                 return self._read(run_id)
-        elif row is None or not row.reason.startswith("wrong-input"):  # which leaves no file
+        elif row is None or not row.reason.startswith("wrong-input"):  # invalid input leaves no archive
             return MISSING
         return Outcome(row.status, row.reason)
 
     def _read(self, run_id: str) -> Outcome:
-        """Return how the run in a file ended; ``missing`` if the file is damaged, or the run was cut short."""
+        """Return the outcome from an archive; ``missing`` if the file is damaged or the run was interrupted."""
         path = self.folder.archive(run_id)
         try:
             run = load(path)
@@ -115,7 +115,9 @@ class KnownRuns:
             return MISSING
         with run:
             if run.run_id != run_id or run.spec_sha256 != self.runs[run_id].sha256():
-                raise SpecError("this archive holds another run than its name says; move it away", file=path)
+                raise SpecError(
+                    "this archive contains another run than its name says; move it to another folder", file=path
+                )
             try:
                 sound = data_sha256(run.file) == run.data_sha256
             except DAMAGE:

@@ -1,4 +1,4 @@
-"""What is taken of each run of a study: one number a measure, nan where the run does not tell it."""
+"""Measures: scalar results of each run of a study; nan if a run does not provide one."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Measure:
-    """One measure.
+    """A scalar result of a run.
 
     Parameters
     ----------
     units
         SI units.
     long_name
-        What it is, in words.
+        Description.
     take
-        Gives its value for a run and the reference of that run, or None without one.
+        Function of a run and its reference run, or None if it has no reference, that returns the value.
     """
 
     units: str
@@ -65,12 +65,14 @@ def _end_balance(run: Run, reference: Run | None) -> float:
 
 
 def _error(part: slice, rows: slice) -> Callable[[Run, Run | None], float]:
-    """Return the measure of the largest distance of any body from the reference, over `rows` of the run."""
+    """Return the measure of the largest error of any body against the reference, over `rows` of the run."""
 
     def take(run: Run, reference: Run | None) -> float:
         if reference is None or not run.status == reference.status == "complete":
             return math.nan
-        if run.status_reason or reference.status_reason:  # an event ended one of them, and not at the other's end
+        if (
+            run.status_reason or reference.status_reason
+        ):  # an event ended one of the two runs early, so their end times differ
             return math.nan
         difference = offsets(run, reference, rows)[..., part]
         return float(np.max(np.linalg.norm(difference, axis=-1), initial=0.0))
@@ -79,7 +81,7 @@ def _error(part: slice, rows: slice) -> Callable[[Run, Run | None], float]:
 
 
 def _rate_error(part: slice) -> Callable[[Run, Run | None], float]:
-    """Return the measure of the largest velocity of any body off the reference, over the rows that both recorded."""
+    """Return the measure of the largest velocity error of any body, over the rows that both runs recorded."""
 
     def take(run: Run, reference: Run | None) -> float:
         if reference is None or not run.status == reference.status == "complete":
@@ -107,7 +109,7 @@ def _own_multipliers(run: Run, reference: Run | None) -> float:
 
 
 def _trend(value: Callable[[Trend], float]) -> Callable[[Run, Run | None], float]:
-    """Return the measure of something about the trend of the energy balance; nan for few rows and runs that failed."""
+    """Return a measure based on the trend of the energy balance; nan if the run failed or has too few rows."""
 
     def take(run: Run, reference: Run | None) -> float:
         if run.status != "complete" or not run.records("energy/balance"):
@@ -149,28 +151,32 @@ MEASURES: Mapping[str, Measure] = {
     "energy_balance_end": Measure("J", "energy balance at the end", _end_balance),
     "energy_scale": Measure("J", "largest kinetic energy", _largest("energy/kinetic")),
     "end_error": Measure("m", "largest distance of a body from the reference at the end", _error(_XY, LAST_ROW)),
-    "end_angle_error": Measure("rad", "largest angle of a body off the reference at the end", _error(_THETA, LAST_ROW)),
+    "end_angle_error": Measure(
+        "rad", "largest angle error of a body against the reference at the end", _error(_THETA, LAST_ROW)
+    ),
     "trajectory_error": Measure(
         "m", "largest distance of a body from the reference in the recorded rows", _error(_XY, EVERY_ROW)
     ),
     "trajectory_angle_error": Measure(
-        "rad", "largest angle of a body off the reference in the recorded rows", _error(_THETA, EVERY_ROW)
+        "rad", "largest angle error of a body against the reference in the recorded rows", _error(_THETA, EVERY_ROW)
     ),
     "velocity_error": Measure(
-        "m/s", "largest velocity of a body off the reference in the rows that both recorded", _rate_error(_XY)
+        "m/s",
+        "largest velocity error of a body against the reference in the rows that both runs recorded",
+        _rate_error(_XY),
     ),
     "angular_velocity_error": Measure(
         "rad/s",
-        "largest angular velocity of a body off the reference in the rows that both recorded",
+        "largest angular velocity error of a body against the reference in the rows that both runs recorded",
         _rate_error(_THETA),
     ),
     "multiplier_error": Measure(
         "1",
-        "largest error of a multiplier in the rows that both recorded, as a share of the largest one of its unit: of "
-        "those that the method itself carries, else of those of index 1",
+        "largest error of a multiplier in the rows that both runs recorded, relative to the largest one of its unit; "
+        "multipliers of the method if it computes any, else index-1 multipliers",
         _multiplier_error,
     ),
-    "own_multipliers": Measure("1", "1 where the method itself carries multipliers, else 0", _own_multipliers),
+    "own_multipliers": Measure("1", "1 if the method computes multipliers itself, else 0", _own_multipliers),
     "energy_trend": Measure("W", "slope of the energy balance over time", _trend(lambda trend: trend.slope)),
     "energy_trend_error": Measure("W", "standard error of that slope", _trend(lambda trend: trend.error)),
     "energy_oscillation": Measure(
@@ -178,21 +184,24 @@ MEASURES: Mapping[str, Measure] = {
     ),
     "duration": Measure("s", "time from the first recorded row to the last", _duration),
     "mechanism_size": Measure(
-        "m", "longer side of the box around joint points and centres of mass at the start", _size
+        "m", "longer side of the bounding box of joint points and centres of mass at the start", _size
     ),
 }
-#: Those that need a second run, with their units.
+#: Measures that need a second run: units and description.
 SECOND: Mapping[str, tuple[str, str]] = {
     "reversibility_defect": (
         "m",
-        "distance from the start after the run and its reversal, each body's weighted with its share of the mass",
+        "mass-weighted distance from the start after the run and its reversal",
     ),
-    "reversibility_velocity_defect": ("m/s", "the same of the velocities"),
+    "reversibility_velocity_defect": (
+        "m/s",
+        "mass-weighted difference from the start velocities after the run and its reversal",
+    ),
     "velocity_misalignment_every_step": ("m/s", "largest velocity misalignment of any joint over every step"),
 }
 
 
 def worst_joint(run: Run) -> str:
-    """Return the name of the joint with the largest misalignment over every step; empty where none is apart."""
+    """Return the name of the joint with the largest misalignment over every step; empty if all are zero."""
     joints = sorted(run.joints.values(), key=lambda joint: -joint.misalignment_max)
     return joints[0].name if joints and joints[0].misalignment_max > 0 else ""

@@ -1,4 +1,4 @@
-"""Expands a study into its points, each of them a checked run spec."""
+"""Expand a study spec into its points, each with a validated run spec."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mbdkit.spec.study_spec import Family, StudySpec
 from mbdkit.spec.value_sets import Value, expand
 from mbdkit.text import listed
 
-#: More runs than this in one study are refused.
+#: Maximum number of runs in a study.
 LARGEST_STUDY = 10_000
 
 Label = int | float | str
@@ -27,7 +27,7 @@ Label = int | float | str
 
 @dataclass(frozen=True)
 class Setting:
-    """A key of the run spec that the study sets: to what, and where in the study that stands."""
+    """A key of the run spec that the study sets: its path, its value, and its place in the study spec."""
 
     path: Path
     value: Any
@@ -36,7 +36,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Grid:
-    """A family with all that it takes from the top of the study."""
+    """A family of a study, completed with the defaults from the top level of the study."""
 
     name: str
     base: Mapping[str, Any]
@@ -49,7 +49,7 @@ class Grid:
     repeats: int
 
     def points(self) -> Iterator[tuple[dict[str, Label], list[Setting], str]]:
-        """Yield labels, settings and the distribution that is not installed of each point; the last axis is fastest."""
+        """Yield labels, settings and missing distribution of each point; the last axis varies fastest."""
         for choice in itertools.product(*(range(len(axis[0][1])) for axis in self.axes)):
             labels: dict[str, Label] = {}
             settings: list[Setting] = []
@@ -70,12 +70,12 @@ class Grid:
 
 
 def grids(spec: StudySpec) -> tuple[Grid, ...]:
-    """Return the families of a study; one without a name where it has none.
+    """Return the families of a study; a study without families has a single one with an empty name.
 
     Parameters
     ----------
     spec
-        The study, its bases written out.
+        The study spec with its bases resolved.
     """
     if not spec.families:
         return (_grid(spec, "", Family(axes=spec.axes), ()),)
@@ -105,18 +105,18 @@ def _settings(keys: Mapping[str, Any], place: Path) -> tuple[Setting, ...]:
 
 @dataclass(frozen=True)
 class PlannedPoint:
-    """One point of a study: where it stands on every axis, and what makes its spec.
+    """One point of a study: its coordinates on the axes, and the parts from which its run spec is built.
 
     Parameters
     ----------
     number
-        From 1, over the whole study.
+        Number of the point in the study, from 1.
     axes
-        The label of its value on every axis, by dotted key.
+        Label of its value on each axis, by dotted key.
     study, grid, settings
-        What its spec is made of.
+        Study spec, family and settings from which the run spec is built.
     lacking
-        The distribution that it would need and that is not installed, so that it is left out; empty otherwise.
+        Name of a required distribution that is not installed, in which case the run is left out; empty otherwise.
     """
 
     number: int
@@ -128,28 +128,28 @@ class PlannedPoint:
 
     @property
     def family(self) -> str:
-        """The name of its family; empty in a study without families."""
+        """Name of its family; empty in a study without families."""
         return self.grid.name
 
     @cached_property
     def spec(self) -> RunSpec:
-        """What is run, with its mechanism built.
+        """The run spec; it is validated, and its mechanism is built.
 
         Raises
         ------
         SpecError
-            With the place in the study that brought the mistake about.
+            If the spec is invalid; the error names the place in the study that causes it.
         """
         return self._checked((*self.grid.overrides, *self.settings), f"run {self.number}")
 
     @cached_property
     def reference(self) -> RunSpec | None:
-        """The spec of the run that its errors are taken against; None without one.
+        """The spec of the reference run for its errors; None if it has no reference.
 
         Raises
         ------
         SpecError
-            With the place in the study that brought the mistake about.
+            If the spec is invalid; the error names the place in the study that causes it.
         """
         if self.grid.reference is None:
             return None
@@ -172,12 +172,12 @@ class PlannedPoint:
 
     @cached_property
     def run_id(self) -> str:
-        """The name of its run: equal runs have equal ones."""
+        """Identifier of its run; equal run specs have equal identifiers."""
         return self.spec.run_id()
 
     @cached_property
     def reference_id(self) -> str:
-        """The name of its reference run; empty without one."""
+        """Identifier of its reference run; empty if it has none."""
         return "" if self.reference is None else self.reference.run_id()
 
     def _checked(self, settings: tuple[Setting, ...], which: str) -> RunSpec:
@@ -199,7 +199,7 @@ class PlannedPoint:
         return spec
 
     def _placed(self, error: SpecError, place: Path) -> SpecError:
-        """Return an error with the file and line of its place in the study, or in the file of its base."""
+        """Return an error with the file and line of its place in the study, or in the file of its base spec."""
         base = self.grid.base_place
         document = self.study._bases.get(base)
         if document is not None and document.file and place[: len(base)] == base:
@@ -208,7 +208,7 @@ class PlannedPoint:
 
 
 def _origin(path: Path, settings: tuple[Setting, ...], grid: Grid) -> tuple[Path, bool]:
-    """Return where in the study the key of a run spec was set, and whether that place says which key it is."""
+    """Return the place in the study at which a run spec key is set, and whether the place identifies the key."""
     above = [setting for setting in settings if path[: len(setting.path)] == setting.path]
     if above:
         last = max(enumerate(above), key=lambda item: (len(item[1].path), item[0]))[1]
@@ -220,17 +220,17 @@ def _origin(path: Path, settings: tuple[Setting, ...], grid: Grid) -> tuple[Path
 
 
 def plan_points(spec: StudySpec) -> tuple[PlannedPoint, ...]:
-    """Return every point of a study, the specs of their runs not made yet.
+    """Return all points of a study; their run specs are built on first access.
 
     Parameters
     ----------
     spec
-        The study, its bases written out.
+        The study spec with its bases resolved.
 
     Raises
     ------
     SpecError
-        If there are too many.
+        If there are more than `LARGEST_STUDY` points.
     """
     families = grids(spec)
     total = sum(math.prod(len(axis[0][1]) for axis in grid.axes) for grid in families)
@@ -245,7 +245,7 @@ def plan_points(spec: StudySpec) -> tuple[PlannedPoint, ...]:
 
 
 def point_label(axes: Mapping[str, Label]) -> str:
-    """Return the values of a point on its axes in one line: ``gauss, stages 2; time.step 0.01``."""
+    """Return the axis labels of a point as one line, for example ``gauss, stages 2; time.step 0.01``."""
     return "; ".join(
         str(value) if key in ("model", "integrator") else f"{key} {value:g}" if isinstance(value, float) else
         f"{key} {value}" for key, value in axes.items()

@@ -1,4 +1,4 @@
-"""A few worker processes that take tasks one by one; the death of one is an outcome of its task."""
+"""A pool of worker processes; if a process dies, its task is reported as failed."""
 
 from __future__ import annotations
 
@@ -21,24 +21,25 @@ from typing import Any
 
 from mbdkit.spec import RunSpec
 
-#: Libraries that would use several threads for small matrices, and disturb each other.
+#: Thread counts of the linear algebra libraries: several threads do not pay for small matrices, and the workers would
+#: compete for the cores.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
 @dataclass(frozen=True)
 class Task:
-    """What a worker is to do.
+    """A task for a worker.
 
     Parameters
     ----------
     spec
         The run.
     path
-        Where its archive goes.
+        Path of its archive.
     repeats
-        If not 0: how often to time the run in memory instead, once more than that to warm up.
+        If not 0, no archive is written, and the run is timed this many times in memory after one warm-up run.
     second
-        If not empty: the measures to take by a second run in memory instead.
+        If not empty, no archive is written, and these measures are taken from a second run in memory.
     """
 
     spec: RunSpec
@@ -49,7 +50,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a task: status of the run, why, wall times of its repeats [s], and measures of its second run."""
+    """Result of a task: status of the run, its reason, wall times of repeats [s], and measures of a second run."""
 
     status: str
     reason: str
@@ -58,14 +59,14 @@ class Outcome:
 
 
 class Pool:
-    """Worker processes, each with one thread for linear algebra; to be used in a `with` block, which ends them.
+    """Worker processes with one linear algebra thread each, for use in a `with` block, which ends them.
 
     Parameters
     ----------
     size
-        How many at most.
+        Maximum number of processes.
     notify
-        Told once what the workers say takes long.
+        Called once with each distinct message of the workers.
     """
 
     def __init__(self, size: int, notify: Callable[[str], None]):
@@ -75,7 +76,7 @@ class Pool:
         self._said: set[str] = set()
 
     def work(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Outcome]]:
-        """Yield each task with its outcome as it is done; tasks are begun in their order."""
+        """Start the tasks in order, and yield each with its outcome when it is finished."""
         waiting = deque(tasks)
         lines: queue.SimpleQueue[tuple[_Worker, str]] = queue.SimpleQueue()
         while waiting and len(self._workers) < min(self.size, len(tasks)):
@@ -84,7 +85,7 @@ class Pool:
         while any(worker.task for worker in self._workers):
             worker, line = lines.get()
             task = worker.task
-            if task is None:  # it died without work
+            if task is None:  # it died while it was idle
                 self._workers.remove(worker)
                 worker.end()
                 continue
@@ -125,14 +126,14 @@ class Pool:
 
 
 class _Worker:
-    """One process, its task, and a thread that passes on what it says."""
+    """One process, its task, and a thread that forwards its output."""
 
     def __init__(self, lines: queue.SimpleQueue[tuple[_Worker, str]]):
         self.task: Task | None = None
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115
         environment = os.environ | dict.fromkeys(ONE_THREAD, "1")
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
-        # In a session of its own, so that Ctrl-C reaches only the one who waits for it.
+        # In a session of its own, so that Ctrl-C interrupts only the parent process, which then ends its workers.
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-m", "mbdkit.studies.worker"],
             stdin=subprocess.PIPE,
@@ -152,7 +153,7 @@ class _Worker:
         lines.put((self, ""))
 
     def give(self, task: Task) -> None:
-        """Let the process begin a task; if it is dead already, its silence will tell."""
+        """Send a task to the process; if the process is dead, the end of its output reports that."""
         self.task = task
         spec = json.loads(task.spec.canonical_json())
         place = str(task.path.absolute())
@@ -163,7 +164,7 @@ class _Worker:
             self.process.stdin.flush()
 
     def death(self) -> str:
-        """Return how the process died, in words."""
+        """Return a sentence that says how the process ended."""
         code = self.process.wait()
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit status {code}"
         self.errors.seek(0)
@@ -171,7 +172,7 @@ class _Worker:
         return f"the process that computed it {how}{': ' + said[-1].strip() if said else ''}."
 
     def end(self) -> None:
-        """End the process, whatever it is doing."""
+        """Kill the process and remove the unfinished archive of its task."""
         self.process.kill()
         self.process.wait()
         for stream in (self.process.stdin, self.errors):

@@ -1,4 +1,4 @@
-"""There and back: a run, then with its velocities reversed the same method in the same steps, and where that ends."""
+"""Reversibility test: integrate forwards, reverse the velocities, integrate back, and compare with the start."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from mbdkit.stepping.interface import Stretch, Timetable
 from mbdkit.stepping.start import start_method
 
 LOOKS = 16
-"""States along the run at which the mechanism is asked whether it tells forwards from backwards."""
+"""Number of states along the run at which the mechanism is tested for reversibility."""
 SAME = 1e-9
-"""Relative difference of accelerations, and distance of joints as a share of the largest coordinate, that is none."""
+"""Relative tolerance for equal accelerations, and for joint positions relative to the largest coordinate."""
 
 
 @dataclass(frozen=True)
 class Reversal:
-    """What a run and its reversal came to.
+    """Result of a reversibility test.
 
     Parameters
     ----------
     defect
-        Distance from the start [m]: sqrt(dq^T M dq / total mass); nan where there was nothing to compare.
+        Distance from the start position [m]: sqrt(dq^T M dq / total mass); nan if the test was not possible.
     velocity_defect
-        The same of the velocities [m/s], which should be the opposite of those at the start.
+        The same for the velocities [m/s], whose exact values are the negated velocities of the start.
     note
-        Why there was nothing to compare; empty otherwise.
+        Reason why the test was not possible; empty otherwise.
     """
 
     defect: float
@@ -43,29 +43,29 @@ class Reversal:
 
 
 def reverse(spec: RunSpec, notify: Callable[[str], None]) -> Reversal:
-    """Run a spec, reverse the velocities of its end, run it again, and compare with the start.
+    """Integrate a run, reverse its final velocities, integrate back with the same steps, and compare with the start.
 
-    The way back begins with exactly the state in which the way there ended, joints apart as they are: nothing is
-    assembled again. A method starts anew there, without what it remembers from step to step. A shorter last step is
-    left out, since the way back would have to begin with it.
+    The backward run starts from exactly the final state of the forward run, including its joint misalignment; the
+    mechanism is not assembled again. The method is restarted there, without its history of earlier steps. If the last
+    step is shorter than the others, it is omitted, since the backward run would have to begin with it.
 
     Parameters
     ----------
     spec
-        The run, in the formulation and with the stabilization that it names.
+        The run, with its formulation and stabilization.
     notify
-        Told what takes long.
+        Called with a message before an operation that takes long.
 
     Returns
     -------
     Reversal
-        Without a defect, and with a note, where a run failed, or where the mechanism itself has a direction of time:
-        dampers, drivers or forces that depend on time.
+        The defects. They are nan, and the note gives the reason, if a run failed or if the mechanism itself is not
+        reversible because of dampers, drivers or time-dependent forces.
 
     Raises
     ------
     MbdkitError
-        If the spec is wrong or a plugin fails.
+        If the spec is invalid or a plugin fails.
     """
     workspace, _ = build(spec, notify)
     table = _timetable(spec)
@@ -74,7 +74,7 @@ def reverse(spec: RunSpec, notify: Callable[[str], None]) -> Reversal:
     try:
         there = _states(spec, workspace, table)
         if _has_direction(workspace, there, table):
-            note = "not-reversible: dampers, drivers or forces of time tell forwards from backwards."
+            note = "not-reversible: the mechanism has dampers, drivers or time-dependent forces."
             return Reversal(math.nan, math.nan, note)
         turned = replace(workspace, q0=there.q[-1].copy(), v0=-there.v[-1])
         back = _states(spec, turned, table)
@@ -91,11 +91,11 @@ def reverse(spec: RunSpec, notify: Callable[[str], None]) -> Reversal:
 
 
 class _StoppedError(Exception):
-    """A run that stopped early, with its reason."""
+    """A run stopped early; the message is the reason."""
 
 
 def _timetable(spec: RunSpec) -> Timetable | None:
-    """Return the timetable of a spec without a shorter last step; None where nothing is left."""
+    """Return the timetable of a spec without a shorter last step; None if no step is left."""
     time, limits = spec.time, spec.limits
     if spec.claims.adaptive:
         return Timetable(time.start, time.final, time.step, max_steps=limits.max_steps)
@@ -110,7 +110,7 @@ def _timetable(spec: RunSpec) -> Timetable | None:
 
 
 def _states(spec: RunSpec, workspace: Workspace, table: Timetable) -> Stretch:
-    """Return some states along a run from the start of a workspace, the last of them its end; raises _StoppedError."""
+    """Integrate from the start of a workspace, and return states including the last; raise _StoppedError on failure."""
     try:
         stepper = start_method(spec.integrator_plugin.create(spec.integrator), workspace, table)
         parts = []
@@ -128,13 +128,11 @@ def _states(spec: RunSpec, workspace: Workspace, table: Timetable) -> Stretch:
 
 
 def _has_direction(workspace: Workspace, there: Stretch, table: Timetable) -> bool:
-    """Return whether accelerations or joints change when velocities are reversed or at another time.
+    """Return whether accelerations or constraints depend on the sign of the velocities or on time.
 
-    The states are compared with themselves, so that it does not matter how far the joints are apart there.
+    Only values at the same positions are compared, so that joint misalignment has no influence.
     """
-    equations = EquationsOfMotion(
-        replace(workspace, stabilization=NONE)
-    )  # Baumgarte's terms tell forwards from backwards
+    equations = EquationsOfMotion(replace(workspace, stabilization=NONE))  # Baumgarte stabilization is not reversible
     middle = table.start + 0.381966 * (table.end - table.start)
     size = float(np.max(np.abs(there.q), initial=1e-300))
     for row in np.unique(np.linspace(0, len(there.time) - 1, LOOKS).astype(int)):

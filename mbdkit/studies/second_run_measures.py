@@ -1,4 +1,4 @@
-"""Measures that the archive of a run does not hold, and that a second run of the same spec tells."""
+"""Measures that are not in the archive of a run and are computed by a second run of the same spec."""
 
 from __future__ import annotations
 
@@ -17,16 +17,22 @@ REVERSALS = ("reversibility_defect", "reversibility_velocity_defect")
 
 
 def second_run(spec: RunSpec, names: Sequence[str], notify: Callable[[str], None]) -> tuple[dict[str, float], str]:
-    """Return measures of a run that is complete, each nan where there is none, and why there is none.
+    """Compute measures by a second run.
 
     Parameters
     ----------
     spec
-        The run.
+        Spec of a run that is complete.
     names
-        The measures wanted.
+        Measures to compute.
     notify
-        Told what takes long.
+        Called with a message before an operation that takes long.
+
+    Returns
+    -------
+    dict, str
+        The measures by name, nan if they could not be computed, and the reason for that; an empty string if there is
+        none.
     """
     values: dict[str, float] = {}
     notes = []
@@ -41,16 +47,21 @@ def second_run(spec: RunSpec, names: Sequence[str], notify: Callable[[str], None
 
 
 def velocity_misalignment(spec: RunSpec, notify: Callable[[str], None]) -> tuple[float, str]:
-    """Return the largest velocity misalignment of any joint over every step [m/s], and why there is none.
+    """Return the largest velocity misalignment of any joint over every step [m/s].
 
-    The run is made once more in memory, every step of it recorded.
+    The run is repeated in memory with every step recorded.
 
     Parameters
     ----------
     spec
         The run.
     notify
-        Told what takes long.
+        Called with a message before an operation that takes long.
+
+    Returns
+    -------
+    float, str
+        The measure, nan if the run fails, and the reason for that; an empty string if there is none.
     """
     every_step = json.loads(spec.canonical_json()) | {"output": {"every": 1, "quantities": ["joints"]}}
     try:
@@ -58,5 +69,5 @@ def velocity_misalignment(spec: RunSpec, notify: Callable[[str], None]) -> tuple
             if run.status != "complete":
                 return math.nan, run.status_reason
             return float(np.max(run.array("joints/velocity_misalignment"), initial=0.0)), ""
-    except MbdkitError as error:  # too many rows for the memory
+    except MbdkitError as error:  # for example, too many rows for the memory
         return math.nan, f"error: {error}"

@@ -1,4 +1,4 @@
-"""The study as Python sees it: its spec, its points, their runs and what was measured."""
+"""The `Study` object: the spec of a study, its points, their runs and measures."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StudyPoint:
-    """One run of a study and what the index says of it.
+    """One run of a study with its entry in the index.
 
     Parameters
     ----------
     number
-        From 1, over the whole study; over the references for a reference.
+        Number from 1, counted over the points of the study, or over its references for a reference.
     row
         Its row in the index.
     planned
-        What makes its spec.
+        The planned point from which its spec is built.
     path
-        Its archive; None where there is none.
+        Path of its archive; None if it does not exist.
     axes
-        The label of its value on every axis, by dotted key; empty for a reference.
+        Label of its value on each axis, by dotted key; empty for a reference.
     is_reference
-        Whether it is a run that others are compared with, and no point of the study.
+        Whether it is a reference run, which is not itself a point of the study.
     """
 
     number: int
@@ -57,37 +57,37 @@ class StudyPoint:
 
     @property
     def family(self) -> str:
-        """The name of its family; empty in a study without families, and for a reference."""
+        """Name of its family; empty in a study without families, and for a reference."""
         return self.row.family
 
     @property
     def run_id(self) -> str:
-        """The name of its run."""
+        """Identifier of its run."""
         return self.row.run_id
 
     @property
     def reference_id(self) -> str:
-        """The name of the run that its errors are taken against; empty without one."""
+        """Identifier of the reference run for its errors; empty if it has none."""
         return self.row.reference_id
 
     @property
     def status(self) -> str:
-        """``complete``, ``failed``, ``missing``, or ``left-out`` where it needs what is not installed."""
+        """``complete``, ``failed``, ``missing``, or ``left-out`` if it needs a distribution that is not installed."""
         return self.row.status
 
     @property
     def reason(self) -> str:
-        """Why it is not complete: a code and a sentence."""
+        """Reason why it is not complete: a code and a sentence."""
         return self.row.reason
 
     @property
     def values(self) -> Mapping[str, float]:
-        """Measures, counters and timings by column; nan where there is none."""
+        """Measures, counters and timings by column; nan if not available."""
         return self.row.values
 
     @property
     def label(self) -> str:
-        """Its values on the axes in one line."""
+        """Its axis labels as one line."""
         return point_label(self.axes)
 
     @property
@@ -99,21 +99,21 @@ class StudyPoint:
 
 
 class Study:
-    """A study in its folder: what was asked, what was run, what was measured.
+    """A study in a folder: its spec, its runs and their measures.
 
     Parameters
     ----------
     folder
-        Where it lies.
+        Folder of the study.
     computed
-        How many runs the call computed that gives the study; 0 if it was only opened.
+        Number of runs that were computed before the study was opened in the same call.
     keep
-        What keeps a temporary folder alive as long as the study is.
+        Temporary folder to delete when the study is deleted.
 
     Raises
     ------
     SpecError
-        If there is no study with an index there.
+        If the folder contains no study with an index.
     """
 
     def __init__(self, folder: str | Path, *, computed: int = 0, keep: tempfile.TemporaryDirectory[str] | None = None):
@@ -121,12 +121,12 @@ class Study:
         self._files = StudyFolder(Path(folder))
         self._keep = keep
         if not self._files.spec.is_file():
-            raise SpecError("there is no study here: no study.yaml", file=folder)
+            raise SpecError("this folder contains no study: there is no study.yaml", file=folder)
         self.spec: StudySpec = load_study_spec(self._files.spec)
         index = study_index.read(self._files.index)
         planned = plan_points(self.spec)
         if index.study_sha256 != self.spec.sha256() or len(index.runs) != len(planned):
-            raise SpecError("the index is of another study than study.yaml; `mbdkit study` renews it", file=folder)
+            raise SpecError("the index does not match study.yaml; run `mbdkit study` to renew it", file=folder)
         self.points: tuple[StudyPoint, ...] = tuple(
             StudyPoint(point.number, row, point, self._archive(row), point.axes)
             for point, row in zip(planned, index.runs, strict=True)
@@ -143,14 +143,14 @@ class Study:
 
     @property
     def folder(self) -> Path:
-        """Where the study lies."""
+        """Folder of the study."""
         return self._files.path
 
     @property
     def status(self) -> str:
-        """``complete`` if every run was computed, failed ones included; ``partial`` if some are missing.
+        """``complete`` if every run was computed, including failed ones; ``partial`` if some are missing.
 
-        Runs that are left out, because they need what is not installed, are not missing.
+        Runs that are left out because a distribution is not installed do not count as missing.
         """
         rows = (*self.points, *self.references)
         return "partial" if any(point.status == "missing" for point in rows) else "complete"
@@ -162,7 +162,7 @@ class Study:
 
     @property
     def families(self) -> dict[str, str]:
-        """The titles of the families by name; one without a name where the study has none."""
+        """Titles of the families by name; a study without families has a single one with an empty name."""
         return {name: family.title for name, family in self.spec.families.items()} or {"": self.spec.title}
 
     def family(self, name: str) -> tuple[StudyPoint, ...]:
@@ -171,7 +171,7 @@ class Study:
         Raises
         ------
         MbdkitError
-            If there is none of this name.
+            If there is no family with this name.
         """
         if name not in self.families:
             hint = did_you_mean(name, self.families)
@@ -184,22 +184,22 @@ class Study:
         Parameters
         ----------
         family
-            Its name; may be left out where there is but one.
+            Name of the family; optional if the study has only one.
         """
         grid = self._one_family(family)[0].planned.grid
         return {key: [value.label for value in values] for axis in grid.axes for key, values in axis}
 
     def run(self, point: StudyPoint) -> Run | None:
-        """Open the archive of a point; None where it has none. Close it, or use it in a `with` block."""
+        """Open the archive of a point, or return None if it has none. Close the run, or use it in a `with` block."""
         return None if point.path is None else load(point.path)
 
     def reference(self, point: StudyPoint) -> Run | None:
-        """Open the archive of the run that a point's errors are taken against; None where there is none."""
+        """Open the archive of the reference run of a point, or return None if it has none."""
         path = self._files.archive(point.reference_id)
         return load(path) if point.reference_id and path.exists() else None
 
     def runs(self, family: str | None = None) -> Iterator[tuple[StudyPoint, Run | None]]:
-        """Yield each point, of one family or of all, with its archive opened."""
+        """Yield each point of one family, or of the whole study, with its open archive."""
         for point in self.points if family is None else self.family(family):
             yield point, self.run(point)
 
@@ -209,7 +209,7 @@ class Study:
         return self.family(next(iter(self.families)) if name is None else name)
 
     def _columns(self, points: Sequence[StudyPoint]) -> dict[str, list[Any]]:
-        """Return the index by column, those of the axes apart."""
+        """Return the columns of the index without those of the axes."""
         names = dict.fromkeys(name for point in points for name in point.values)
         return {
             "run_id": [point.run_id for point in points],
@@ -223,12 +223,12 @@ class Study:
         }
 
     def to_frame(self, family: str | None = None) -> pandas.DataFrame:
-        """Return one row a point: number, family, axes, run, status, measures, counters, timings.
+        """Return a table with one row per point: number, family, axes, run, status, measures, counters, timings.
 
         Parameters
         ----------
         family
-            The points of one family only.
+            Name of a family to which to restrict the table; all families by default.
 
         Raises
         ------
@@ -246,17 +246,17 @@ class Study:
         return pandas.DataFrame({**place, **axes, **self._columns(points)})
 
     def to_xarray(self, family: str | None = None) -> xarray.Dataset:
-        """Return one dimension an axis: the grid of one family.
+        """Return the grid of one family as a dataset with one dimension per axis.
 
         Parameters
         ----------
         family
-            Its name; may be left out where there is but one.
+            Name of the family; optional if the study has only one.
 
         Raises
         ------
         MbdkitError
-            If xarray is not installed, or the study has several families and none is named.
+            If xarray is not installed, or if the study has several families and `family` is None.
         """
         try:
             import xarray
@@ -288,17 +288,17 @@ class Study:
 
 
 def load_study(folder: str | Path) -> Study:
-    """Open the folder of a study; runs nothing.
+    """Open the folder of a study without computing anything.
 
     Parameters
     ----------
     folder
-        Where `study` or ``mbdkit study`` put it.
+        Folder that was written by `study` or ``mbdkit study``.
 
     Raises
     ------
     SpecError
-        If there is no study with an index there.
+        If the folder contains no study with an index.
     """
     return Study(folder)
 
@@ -312,32 +312,33 @@ def study(
     progress: Progress | None = None,
     notify: Callable[[str], None] = say,
 ) -> Study:
-    """Run a study: what is missing of it in its folder.
+    """Run a study: compute the runs that are missing in its folder.
 
     Parameters
     ----------
     source
-        The name of a packaged study, a file, a mapping or a `StudySpec`.
+        Name of a packaged study, path of a file, mapping, or `StudySpec`.
     out
-        The folder; left out, a temporary one that lives as long as the study that is returned.
+        Folder of the study; by default a temporary one that is deleted with the returned study.
     workers
-        How many processes compute at a time.
+        Number of processes that compute in parallel.
     shard
-        The part of the study to compute; left out, all of it.
+        Part of the study to compute; by default all of it.
     progress
-        Called with (pieces of work done, pieces in all, runs that failed) after each.
+        Called with (tasks done, tasks in all, failed runs) after each task.
     notify
-        Told what takes long.
+        Called with a message before an operation that takes long.
 
     Returns
     -------
     Study
-        With its index. Runs that failed are results like others.
+        The study with its index. Failed runs do not raise an error; they are part of the results.
 
     Raises
     ------
     SpecError
-        If the study or one of its runs is wrong, or the folder is another study's; nothing has been done then.
+        If the study or one of its runs is invalid, or the folder belongs to another study. Nothing is written in this
+        case.
     """
     spec = load_study_spec(source)
     keep = None

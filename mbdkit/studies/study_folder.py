@@ -1,4 +1,4 @@
-"""The folder of a study: study.yaml, runs/, index.h5; one study a folder, one call at work in it."""
+"""The folder of a study (study.yaml, runs/, index.h5), with locks against concurrent use."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mbdkit.spec.yaml_reader import write_yaml
 
 
 class StudyFolder:
-    """The names in a study's folder.
+    """Paths in the folder of a study, and its locks.
 
     Parameters
     ----------
@@ -30,16 +30,16 @@ class StudyFolder:
         self.index = path / "index.h5"
 
     def archive(self, run_id: str) -> Path:
-        """Return where the archive of a run lies, or would."""
+        """Return the path of the archive of a run, whether it exists or not."""
         return self.runs / f"{run_id}.h5"
 
     def check(self, spec: StudySpec) -> None:
-        """Check, without touching anything, that this study may work here.
+        """Check that the folder can be used for this study, without changing anything.
 
         Raises
         ------
         SpecError
-            If the folder belongs to another study or holds other things, or cannot be made.
+            If the folder belongs to another study, contains other files, or cannot be created or written to.
         """
         path = self.path
         if not os.path.lexists(path):
@@ -50,21 +50,23 @@ class StudyFolder:
                 raise SpecError(f"the folder {parent} cannot be written to", file=path)
             return
         if not os.path.isdir(path):
-            raise SpecError("this is not a folder; a study fills a folder, named with -o", file=path)
+            raise SpecError("this is not a folder; name a folder for the study with -o", file=path)
         if not os.access(path, os.W_OK | os.X_OK):
             raise SpecError("this folder cannot be written to", file=path)
         if self.spec.is_file():
             if load_study_spec(self.spec).sha256() != spec.sha256():
                 raise SpecError(
-                    "this folder belongs to another study, or to an earlier state of this one: its study.yaml differs; "
-                    "choose another folder with -o",
+                    "this folder belongs to another study, or to an earlier version of this one: its study.yaml "
+                    "differs; choose another folder with -o",
                     file=path,
                 )
         elif any(path.iterdir()):
-            raise SpecError("this folder holds other things and no study.yaml; choose another with -o", file=path)
+            raise SpecError(
+                "this folder contains other files and no study.yaml; choose another folder with -o", file=path
+            )
 
     def prepare(self, spec: StudySpec) -> None:
-        """Make what is missing of the folder, its study.yaml included."""
+        """Create the folder, its subfolder for runs, and study.yaml, unless they exist."""
         self.runs.mkdir(parents=True, exist_ok=True)
         if not self.spec.exists():
             part = self.spec.with_name("study.yaml.part")
@@ -73,7 +75,7 @@ class StudyFolder:
 
     @contextlib.contextmanager
     def indexing(self) -> Iterator[None]:
-        """Wait until no other part of the study writes the index, and keep them from it."""
+        """Hold an exclusive lock on the index, after waiting for other calls that write it."""
         if sys.platform == "win32":
             yield
             return
@@ -88,17 +90,17 @@ class StudyFolder:
 
     @contextlib.contextmanager
     def locked(self, *, shared: bool = False) -> Iterator[None]:
-        """Keep other calls out of the folder while this one works in it.
+        """Lock the folder against other calls.
 
         Parameters
         ----------
         shared
-            Let in others that share it too: those that compute other parts of the same study.
+            Share the lock with calls that compute other parts of the same study.
 
         Raises
         ------
         SpecError
-            If another call is at work here.
+            If another call holds the lock.
         """
         if sys.platform == "win32":
             yield
@@ -110,6 +112,6 @@ class StudyFolder:
                 fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise SpecError(
-                    "another `mbdkit study` is at work in this folder; wait for it", file=self.path
+                    "another `mbdkit study` is running in this folder; wait until it ends", file=self.path
                 ) from None
             yield

@@ -1,4 +1,4 @@
-"""The index of a study: one row a run, in HDF5 that netCDF-4 tools open, written in one atomic step."""
+"""The index of a study: an HDF5 file with one row per run, readable as netCDF-4 and written atomically."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ FORMAT = "mbdkit-study"
 FORMAT_VERSION = "1.1"
 STATUSES = ("complete", "failed", "missing", "left-out")
 
-#: Smallest, quartiles and median of the repeated timings.
+#: Minimum, quartiles and median of the repeated timings.
 QUARTILES = {"wall_min_s": 0.0, "wall_q1_s": 0.25, "wall_median_s": 0.5, "wall_q3_s": 0.75}
 
 _TEXTS = {
     "family": "family of the run",
-    "run_id": "name of the run, and of its file in runs/",
-    "reference_id": "run that its errors are taken against",
+    "run_id": "identifier of the run, and name of its file in runs/",
+    "reference_id": "reference run for its errors",
     "status": "complete, failed, missing or left-out",
     "status_reason": "why it is not complete",
-    "second_run": "complete if the run was made a second time for a measure, or why that tells nothing; else empty",
+    "second_run": "complete if a second run for measures was made, or the reason why it has no result; else empty",
     "worst_joint": "joint with the largest misalignment",
-    "data_sha256": "hash of what the run recorded",
+    "data_sha256": "hash of the recorded data",
 }
 
 
@@ -47,24 +47,23 @@ class Row:
     Parameters
     ----------
     run_id
-        The name of the run.
+        Identifier of the run.
     status
-        ``complete``, ``failed``, ``missing``, or ``left-out`` where it needs what is not installed.
+        ``complete``, ``failed``, ``missing``, or ``left-out`` if it needs a distribution that is not installed.
     reason
-        Why it is not complete: a code and a sentence.
+        Reason why it is not complete: a code and a sentence.
     family, axes, reference_id
-        Where it stands in the study; empty for a reference.
+        Family, axis labels and reference run; empty for a reference.
     worst_joint, data_sha256
-        What the archive says.
+        Joint with the largest misalignment, and hash of the recorded data, from the archive.
     values
         Measures, counters and timings by column.
     repeats
         Wall times of the serial timings, s.
     modified
-        When its file was last written, s since 1970; nan without a file.
+        Modification time of its file, s since 1970; nan if there is no file.
     second_run
-        ``complete`` once the run was made a second time, for measures that need it, or why that tells nothing; empty
-        before.
+        ``complete`` if a second run for measures was made, or the reason why it has no result; empty if none was made.
     """
 
     run_id: str
@@ -88,11 +87,11 @@ class Index:
     Parameters
     ----------
     study_json, study_sha256
-        The study's canonical JSON and its hash.
+        Canonical JSON of the study spec, and its hash.
     version
-        The version of mbdkit that wrote it.
+        Version of mbdkit that wrote the index.
     runs, references
-        One row a point, in the order of the study, and one a reference run.
+        One row per point, in the order of the study, and one row per reference run.
     """
 
     study_json: str
@@ -103,19 +102,19 @@ class Index:
 
 
 def quartiles(repeats: Sequence[float]) -> dict[str, float]:
-    """Return smallest value, quartiles and median of repeated timings, by column; nan of none."""
+    """Return minimum, quartiles and median of repeated timings, by column; nan if there are none."""
     if not len(repeats):
         return dict.fromkeys(QUARTILES, math.nan)
     return {name: float(np.quantile(repeats, share)) for name, share in QUARTILES.items()}
 
 
 def write(path: Path, index: Index) -> None:
-    """Write an index, replacing the one before in one step.
+    """Write an index, and replace the previous one atomically.
 
     Parameters
     ----------
     path
-        Its final name; written as ``.part`` first.
+        Final path; the file is first written with the suffix ``.part``.
     index
         The rows.
     """
@@ -160,13 +159,13 @@ def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row]) -> N
         numeric = not any(isinstance(label, str) for label in labels)
         filled = [(math.nan if numeric else "") if label is None else label for label in labels]
         values = filled if numeric else list(map(str, filled))
-        name = key.replace("/", "|")  # which HDF5 takes for a group
+        name = key.replace("/", "|")  # HDF5 would treat the slash as a group separator
         dataset = add(name, values, FLOAT if numeric else TEXT, "1", f"axis of the study: {key} of the run spec")
         set_text(dataset, "role", "axis")
     for name in dict.fromkeys(name for row in rows for name in row.values):
         units, what = described(name)
         add(name, [row.values.get(name, math.nan) for row in rows], FLOAT, units, what)
-    add("file_modified_s", [row.modified for row in rows], FLOAT, "s", "when the file was last written, since 1970")
+    add("file_modified_s", [row.modified for row in rows], FLOAT, "s", "modification time of the file, since 1970")
     count = max((len(row.repeats) for row in rows), default=0)
     if count:
         add("repeat", range(1, count + 1), INTEGER, "1", "number of the timing", ("repeat",))
@@ -175,12 +174,12 @@ def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row]) -> N
 
 
 def described(name: str) -> tuple[str, str]:
-    """Return units and meaning of a column of numbers.
+    """Return the units and the description of a numeric column.
 
     Parameters
     ----------
     name
-        A measure, a counter or a timing.
+        Name of a measure, a counter or a timing.
     """
     if name in MEASURES:
         return MEASURES[name].units, MEASURES[name].long_name
@@ -196,16 +195,16 @@ def described(name: str) -> tuple[str, str]:
 
 
 def read(path: Path) -> Index:
-    """Read an index, the places of its rows on the axes left out: the study says them.
+    """Read an index without the axis labels, which follow from the study spec.
 
     Raises
     ------
     SpecError
-        If there is none that this version can read.
+        If there is no index that this version can read.
     """
     if not path.exists():
-        raise SpecError("there is no index.h5; `mbdkit study` writes it", file=path.parent)
-    with reading("the index", path, hint="`mbdkit study` writes it anew"), h5py.File(path, "r") as file:
+        raise SpecError("there is no index.h5; run `mbdkit study` to write it", file=path.parent)
+    with reading("the index", path, hint="run `mbdkit study` to write it again"), h5py.File(path, "r") as file:
         if file.attrs.get("format") != FORMAT:
             raise SpecError("this is not the index of a study", file=path)
         version = str(file.attrs["format_version"])
@@ -222,7 +221,7 @@ def read(path: Path) -> Index:
 
 
 def _read_rows(group: h5py.Group, dim: str) -> tuple[Row, ...]:
-    empty = [""] * len(group[dim])  # what an earlier format did not have
+    empty = [""] * len(group[dim])  # for columns that earlier versions of the format lack
     texts = {name: list(group[name].asstr()[:]) if name in group else empty for name in _TEXTS}
     known = (*MEASURES, *SECOND, *COUNTERS, *TIMINGS, *QUARTILES)
     values = {name: group[name][:] for name in known if name in group}

@@ -1,4 +1,4 @@
-"""A study on a few lines of plain text, and as values that JSON can hold."""
+"""Summary of a study as plain text, and as values for JSON."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from mbdkit.studies.study_index import STATUSES
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
 
-#: So many failed runs are named.
+#: Maximum number of failed runs that the summary lists.
 FAILURES_SHOWN = 20
 
 
 def summary(study: Study) -> str:
-    """Return what became of a study: runs, failures with their reasons, folder.
+    """Return a plain text summary of a study: counts of runs, failures with their reasons, and folder.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def summary(study: Study) -> str:
     """
     counts = Counter(point.status for point in study.points)
     runs = ", ".join(f"{counts[status]} {status.replace('-', ' ')}" for status in STATUSES if counts[status])
-    beside = f", and {len(study.references)} to compare with" if study.references else ""
+    beside = f"; reference runs: {len(study.references)}" if study.references else ""
     lines = [
         ("study", " ".join(study.spec.title.split())),
         ("runs", f"{len(study.points)}: {runs}{beside}"),
@@ -47,7 +47,7 @@ def _named(point: StudyPoint) -> str:
 
 
 def outcome(study: Study) -> dict[str, Any]:
-    """Return what became of a study as plain values.
+    """Return the results of a study run as values for JSON.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Finds the verdict function that a study spec names."""
+"""Lookup of the verdict function that a study spec names."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 
 def check_verdict(spec: StudySpec) -> None:
-    """Check that the verdict exists that a study names.
+    """Check that the verdict named in a study spec exists.
 
     Parameters
     ----------
     spec
-        The study's spec; its ``verdict`` is the name of a packaged study with a verdict function, or empty.
+        The study spec; its ``verdict`` is the name of a packaged study with a verdict function, or empty.
 
     Raises
     ------
@@ -33,14 +33,14 @@ def check_verdict(spec: StudySpec) -> None:
 
 
 def find_verdict(spec: StudySpec) -> tuple[Registered, Callable[[Any], Any]]:
-    """Return the item of the verdict that a spec names, and its function."""
+    """Return the packaged study that a spec names as its verdict, and its verdict function."""
     installed = registry()
     named = {item: item.plugin.verdict for item in installed.of_kind("study") if isinstance(item.plugin, StudyPlugin)}
     judges = {item: function for item, function in named.items() if function is not None}
     if any(spec.verdict in (item.name, item.id) for item in judges):
         try:
             found = installed.get("study", spec.verdict)
-        except SpecError as error:  # several distributions use the name
+        except SpecError as error:  # the name is ambiguous: several distributions use it
             raise spec.placed(SpecError(error.message, key="verdict")) from None
         return found, judges[found]
     names = [installed.accepted(item)[0] for item in judges]

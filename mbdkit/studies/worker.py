@@ -1,6 +1,7 @@
-"""A worker process of a study: reads tasks as JSON lines, runs them, answers in JSON lines.
+"""Worker process of a study: reads tasks as JSON lines from standard input, and writes results as JSON lines.
 
-Started as ``python -m mbdkit.studies.worker``; it ends with its standard input, at once, whatever it is doing.
+Start it as ``python -m mbdkit.studies.worker``. It exits immediately when its standard input is closed, even during a
+task.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from mbdkit.text import one_line
 
 
 def main() -> None:
-    """Work until there is nothing more to read."""
+    """Process tasks until standard input is closed."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what a plugin prints is no answer
+    os.dup2(2, 1)  # keep the output of plugins apart from the results
     tasks: queue.SimpleQueue[str] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(sys.stdin, tasks), daemon=True).start()
 
@@ -39,7 +40,7 @@ def main() -> None:
 def _read(source: IO[str], tasks: queue.SimpleQueue[str]) -> None:
     for line in source:
         tasks.put(line)
-    os._exit(0)  # nobody waits for an answer any more
+    os._exit(0)  # the parent process is gone
 
 
 def _outcome(task: dict[str, Any], notify: Any) -> dict[str, Any]:
@@ -73,7 +74,7 @@ def _work(task: dict[str, Any], notify: Any) -> dict[str, Any]:
     for _ in range(task["repeats"] + 1):
         with simulate(spec, notify=notify) as run:
             seconds.append(float(run.stats["wall_s"]))
-    return {"status": "complete", "reason": "", "seconds": seconds[1:]}  # the first one warmed up
+    return {"status": "complete", "reason": "", "seconds": seconds[1:]}  # without the warm-up run
 
 
 if __name__ == "__main__":

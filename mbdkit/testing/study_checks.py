@@ -1,4 +1,4 @@
-"""Checks of a packaged study: its spec makes valid runs, and its verdict function copes with missing runs."""
+"""Checks of a packaged study: its spec expands to valid runs, and its verdict function handles missing runs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class StudyUnderTest:
     options
         Empty: studies have no options.
     installed
-        The registry; a study by name is always one of those that are installed.
+        The registry of installed plugins, in which the study is looked up by name.
     """
 
     item: Registered
@@ -40,23 +40,27 @@ class StudyUnderTest:
 
     @cached_property
     def spec(self) -> StudySpec:
-        """The spec of the study."""
+        """The spec of the packaged study."""
         return load_study_spec(self.item.id)
 
 
 @check("study.spec")
 def spec(subject: StudyUnderTest) -> Result:
-    """Its spec is valid, and so is the spec of the first run of each family that needs nothing else installed."""
+    """The study spec is valid, and so is the first run of each family that needs no further distribution."""
     points = plan_points(subject.spec)
     first = {point.family: point for point in reversed(points) if not point.lacking}
     for point in first.values():
         point.spec.mechanism()
-    return passed(runs=len(points), families=len(first)) if first else failed("none of its runs can be made here")
+    return (
+        passed(runs=len(points), families=len(first))
+        if first
+        else failed("none of its runs can be built with the installed distributions")
+    )
 
 
 @check("study.verdict")
 def verdict(subject: StudyUnderTest) -> Result:
-    """Its verdict function judges a study of which only the first run was made, and for 50 steps at most."""
+    """The verdict function handles a study in which only the first run was made, with at most 50 steps."""
     cut = subject.spec.model_dump(mode="json", exclude_unset=True)
     cut["overrides"] = {**cut.get("overrides", {}), "limits.max_steps": 50}
     cut["repeats"] = 1

@@ -106,7 +106,7 @@ def test_round_off_failures_and_what_is_not_installed_are_words_and_never_number
     assert found["noisy"].position_order == "no order"
     assert found["damped"].reversal == "not reversible"
     verdict = judge_drift(study(*broken, *absent, *few, *noisy, *damped))
-    assert verdict.notes == ("Left out, because they are not installed: absent.",)
+    assert verdict.notes == ("Left out because they are not installed: absent.",)
     assert all(len(row) == len(COLUMNS) for row in verdict.table("drift").rows)
 
 
@@ -199,7 +199,7 @@ def test_the_table_goes_to_the_terminal_and_into_json() -> None:
     verdict = judge_drift(projected())
     text = terminal_text(verdict)
     assert "rod        Gauss 2, projected " in text
-    assert "yes    Ordinary projection takes reversibility" in text
+    assert "yes    Gauss is not reversible with ordinary projection" in text
     values = json.loads(json.dumps(json_values(verdict), allow_nan=False))
     assert [table["name"] for table in values["tables"]] == ["drift"]
     assert len(values["tables"][0]["rows"]) == 3

@@ -50,11 +50,11 @@ def test_a_run_that_failed_leaves_it_open_and_is_named() -> None:
     verdict = judge_no_drift(study((1e-15, 1e-15, "complete"), (1e-15, 1e-15, "failed")))
     assert [claim.answer for claim in verdict.claims] == [Answer.OPEN] * 2
     assert verdict.claim("positions").sentence == UNDECIDED
-    assert "not known of rod, method 2" in verdict.claim("positions").computed
+    assert "unknown for rod, method 2" in verdict.claim("positions").computed
     assert verdict.table("no-drift").rows[1][2:] == ("failed",) * 5
 
 
 def test_one_run_that_drifts_is_told_though_another_failed() -> None:
     verdict = judge_no_drift(study((1e-9, 1e-15, "complete"), (math.nan, math.nan, "left-out")))
     assert verdict.claim("positions").answer is Answer.NO
-    assert "Not in: rod, method 1." in verdict.claim("positions").sentence
+    assert "Exceptions: rod, method 1." in verdict.claim("positions").sentence

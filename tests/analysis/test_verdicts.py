@@ -70,7 +70,7 @@ def test_rk_gill_is_worst_only_where_it_is() -> None:
     assert ranking(published(1.0))[0].answer is YES
     gill, _, table = ranking(published(1e4))  # now two stages are at 1e-2 and 1e-1 m, RK-Gill at 1e-3 and 1e-2
     assert gill.answer is PARTLY
-    assert "Not at: 1 rod of 20 m" in gill.sentence
+    assert "Exceptions: 1 rod of 20 m" in gill.sentence
     assert [row[5] for row in table.rows] == ["partly", "partly"]
 
 
@@ -110,7 +110,7 @@ def test_a_factor_at_the_second_joint_only_is_partly() -> None:
     claim, _, _ = joints(chain(lambda number: 30.0 if number == 2 else 2.0))
     assert claim.answer is PARTLY
     assert claim.sentence.startswith(
-        "A factor of 10 to 100 is not lost for each further joint: the second costs 30 to 30"
+        "The misalignment does not grow by a factor of 10 to 100 with each further joint: the factor is 30 to 30"
     )
 
 
@@ -232,7 +232,7 @@ def test_any_study_has_a_general_verdict(tmp_path: Path) -> None:
     }
     verdict = judge(mbdkit.study(spec, out=tmp_path / "study"))
     assert verdict.sentence.startswith("4 of 4 runs are complete.")
-    assert "best with" in verdict.sentence
+    assert "smallest with time.step 0.0025" in verdict.sentence
     ((_, error, drift),) = verdict.table("order").rows
     assert error == pytest.approx(4.0, abs=0.2)
     assert drift == pytest.approx(4.0, abs=0.3)
@@ -252,7 +252,7 @@ def test_a_verdict_on_a_study_of_other_axes_is_refused(tmp_path: Path) -> None:
         "overrides": {"time": {"steps": 1}},
     }
     spec = {"mbdkit_study": 1, "families": {"published": family}, "verdict": "paper"}
-    with pytest.raises(SpecError, match="made for the families and axes of the packaged study"):
+    with pytest.raises(SpecError, match="requires the families and axes of the packaged study"):
         judge(mbdkit.study(spec, out=tmp_path / "study"))
 
 

@@ -287,7 +287,7 @@ def test_run_says_that_a_study_is_a_study(mbdkit, in_tmp_path):
         (("spec.yaml", "--shard", "half"), "written number/count"),
         (("spec.yaml", "-o", "missing/out"), "does not exist; create it first"),
         (("spec.yaml", "-o", "file"), "this is not a folder"),
-        (("spec.yaml", "-o", "other"), "holds other things and no study.yaml"),
+        (("spec.yaml", "-o", "other"), "contains other files and no study.yaml"),
     ],
 )
 def test_wrong_arguments_are_refused_before_any_work(arguments, words, mbdkit, in_tmp_path):

@@ -31,8 +31,8 @@ def test_a_plugin_of_this_api_loads_and_so_does_one_that_does_not_say(version, e
 @pytest.mark.parametrize(
     ("version", "words"),
     [
-        (API + 1, rf"plugin API {API + 1} and mbdkit {mbdkit.__version__} serves {API}: upgrade mbdkit"),
-        (0, rf"plugin API 0 and mbdkit {mbdkit.__version__} serves {API}: upgrade acme"),
+        (API + 1, rf"plugin API {API + 1} and mbdkit {mbdkit.__version__} supports {API}: upgrade mbdkit"),
+        (0, rf"plugin API 0 and mbdkit {mbdkit.__version__} supports {API}: upgrade acme"),
         ("1", "its `mbdkit_api` is '1', not a whole number"),
         (True, "its `mbdkit_api` is True, not a whole number"),
     ],

@@ -125,7 +125,7 @@ def test_a_lost_or_damaged_index_is_written_anew_from_the_runs(lost, copied, sma
 
 def test_who_opens_a_damaged_index_is_told_how_to_get_a_new_one(copied):
     (copied / "index.h5").write_bytes((copied / "index.h5").read_bytes()[:5000])
-    with pytest.raises(SpecError, match=r"damaged, the index cannot be read .*`mbdkit study` writes it anew"):
+    with pytest.raises(SpecError, match=r"damaged, the index cannot be read .*run `mbdkit study` to write it again"):
         mbdkit.load_study(copied)
 
 
@@ -142,7 +142,7 @@ def test_a_file_that_holds_another_run_than_its_name_says_is_refused_before_any_
     third = copied / "runs" / finished.points[2].path.name
     first.write_bytes(second.read_bytes())
     third.unlink()
-    with pytest.raises(SpecError, match="holds another run") as caught:
+    with pytest.raises(SpecError, match="contains another run") as caught:
         mbdkit.study(small, out=copied)
     assert caught.value.file == str(first)
     assert not third.exists()
@@ -151,7 +151,7 @@ def test_a_file_that_holds_another_run_than_its_name_says_is_refused_before_any_
 def test_only_one_call_works_in_a_folder_at_a_time(copied, small):
     from mbdkit.studies.study_folder import StudyFolder
 
-    with StudyFolder(copied).locked(), pytest.raises(SpecError, match="at work in this folder"):
+    with StudyFolder(copied).locked(), pytest.raises(SpecError, match="running in this folder"):
         mbdkit.study(small, out=copied)
 
 

@@ -73,7 +73,7 @@ def test_with_the_plugin_what_was_left_out_is_computed_and_nothing_else(done: mb
     command = ("-m", "mbdkit", "study", str(folder / "study.yaml"), "-o", str(folder), "--workers", "1")
     made = python(*command, path=(site, PROJECT / "src"), cwd=tmp_path)
     assert made.returncode == 0, made.stderr
-    assert "4 complete, and 1 to compare with" in made.stdout
+    assert "4 complete; reference runs: 1" in made.stdout
     assert "computed   2 now" in made.stdout
     study = mbdkit.load_study(folder)  # where the plugin is not installed: what was computed is still there
     values = [point.values for point in study.points]

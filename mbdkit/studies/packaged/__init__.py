@@ -1,4 +1,4 @@
-"""The packaged studies: a folder for each, with its study.yaml and, where it has one of its own, its verdict.py."""
+"""The packaged studies: one folder each, with study.yaml and, if the study has its own verdict, verdict.py."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _packaged(name: str, summary: str, *references: str) -> StudyPlugin:
 
     def verdict(
         study: Study,
-    ) -> Verdict:  # imports the module at the call: verdicts need SciPy, loading plugins does not
+    ) -> Verdict:  # imported at the call, because verdicts need SciPy, and loading plugins should be fast
         module = importlib.import_module(f"{__name__}.{folder.name}.verdict")
         judged: Verdict = module.verdict(study)
         return judged
@@ -29,9 +29,14 @@ def _packaged(name: str, summary: str, *references: str) -> StudyPlugin:
 
 
 STUDIES = (
-    _packaged("paper", "Results, claims and predictions of the paper on RK-Gill and Gauss methods, computed again."),
+    _packaged(
+        "paper", "Results, claims and predictions of the paper on RK-Gill and Gauss methods, recomputed and tested."
+    ),
     _packaged("convergence", "Error and misalignment of the double pendulum against the step, for six methods."),
     _packaged("drift", "Order, drift, energy and cost of formulations and stabilizations."),
     _packaged("no-drift", "Misalignment over 100,000 steps with projected methods and index-reduced formulations."),
-    _packaged("textbook-four-bar", "The four-bar linkage of a textbook: its published loop residuals and ours."),
+    _packaged(
+        "textbook-four-bar",
+        "The four-bar linkage of a textbook: published loop residuals, and those of mbdkit's methods.",
+    ),
 )

@@ -1,1 +1,1 @@
-"""The packaged study `drift`: formulations and stabilizations against drift, and their cost."""
+"""The packaged study `drift`: order, drift, energy and cost of formulations and stabilizations."""

@@ -1,4 +1,4 @@
-"""What a study measured of one combination of method, formulation and stabilization on one mechanism."""
+"""Results of the study `drift` for one combination of method, formulation and stabilization on one mechanism."""
 
 from __future__ import annotations
 
@@ -18,53 +18,53 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
 
 COMBINATION = "method"
-"""The axis of combinations, by label."""
+"""Axis of the combinations."""
 LONG = "-long"
-"""What the name of the family of long runs has more than that of the short ones of the same mechanism."""
+"""Suffix of the family of long runs, after the name of the family of short runs of the same mechanism."""
 ROUND_OFF = 1e-12
-"""Errors that meet round-off before they follow a power of the step, as shares of the mechanism's size, of that per
-second, or of a multiplier: fine steps do not tell an order, nor do coarse ones alone."""
+"""Error level at which an order cannot be determined because of round-off, relative to the size of the mechanism, to
+that per second, or to the largest multiplier."""
 EPSILON = 5e-16
-"""The floor of rounding under all errors, as such a share: double precision itself."""
+"""Minimum round-off floor of all errors in the same relative units, close to double precision."""
 CLOSE = (0.1, 0.25)
-"""Most by which slopes between neighbouring steps may differ: closely agreeing ones are looked for first."""
+"""Maximum differences of slopes between neighbouring steps; the stricter one is tried first."""
 NEIGHBOURS = math.log(2.5)
-"""Most by which neighbouring steps may differ, as a logarithm: a run between them may have failed."""
+"""Maximum logarithm of the ratio of neighbouring steps; a larger ratio means that a run between them failed."""
 SPENT = 1e-12
-"""Energy lost over a run, as a share of the largest kinetic energy, that is nothing but round-off."""
+"""Change of energy over a run that counts as round-off, relative to the largest kinetic energy."""
 
 Undetermined = str
-"""Why there is no number: `failed`, `missing`, `not installed`, `round-off`, `no order`, `not reversible`."""
+"""Reason why a number is missing, for example `failed`, `not installed`, `round-off` or `not reversible`."""
 
 
 @dataclass(frozen=True)
 class Combination:
-    """What was measured of a method with its formulation and stabilization on one mechanism.
+    """Results for a method with its formulation and stabilization on one mechanism.
 
-    Every figure is a number, or says why there is none.
+    Each result is a number, or the reason why there is none.
 
     Attributes
     ----------
     mechanism, method
         Family of the study, and label on the axis `method`.
     position_order, velocity_order, multiplier_order
-        Observed orders, against the reference.
+        Observed orders of the errors against the reference.
     own
-        Whether the multipliers are those that the method itself carries; else those of index 1 at its states.
+        Whether the multipliers are computed by the method; otherwise they are the index-1 multipliers at its states.
     position_drift, velocity_drift
-        Largest misalignment over every step, and velocity misalignment in the recorded rows, of the long run, as shares
-        of the mechanism's size [1, 1/s].
+        Largest misalignment over all steps, and largest velocity misalignment in the recorded rows, of the long run,
+        relative to the size of the mechanism [1, 1/s].
     trend, trend_error
-        Slope of the energy balance of the long run and its standard error, as shares of the largest kinetic energy
-        [1/s]; `none` where it cannot be told from oscillation or from round-off.
+        Slope of the energy balance of the long run and its standard error, relative to the largest kinetic energy
+        [1/s]; `none` if the slope cannot be distinguished from oscillation or round-off.
     oscillation
-        Largest distance of the energy balance from that slope, as a share of the largest kinetic energy.
+        Largest distance of the energy balance from that line, relative to the largest kinetic energy.
     reversal
-        Distance from the start after the long run and its reversal, as a share of the mechanism's size.
+        Distance from the start after the long run and its reversal, relative to the size of the mechanism.
     evaluations, factorizations, microseconds
-        Cost of a step of the long run.
+        Cost per step of the long run.
     errors
-        Errors of positions, as shares of the mechanism's size, by step [s].
+        Errors of positions by step [s], relative to the size of the mechanism.
     """
 
     mechanism: str
@@ -86,11 +86,11 @@ class Combination:
 
     @property
     def has_trend(self) -> bool | None:
-        """Whether the energy has a trend; None where that is not known."""
+        """Whether the energy has a trend; None if that is unknown."""
         return None if isinstance(self.trend, str) and self.trend != "none" else self.trend != "none"
 
     def cells(self) -> tuple[Cell, ...]:
-        """Return its row in the table, without mechanism and method."""
+        """Return its row of the table without mechanism and method."""
         orders = [self.position_order, self.velocity_order, self.multiplier_order]
         known = not isinstance(self.multiplier_order, str)
         sure = abs(self.trend) / self.trend_error if not isinstance(self.trend, str) and self.trend_error else None
@@ -110,26 +110,26 @@ class Combination:
 
 
 def two(value: float | Undetermined | None) -> Cell:
-    """Return a number to two digits, and anything else as it is."""
+    """Return a float rounded to two significant digits, and any other value unchanged."""
     return float(f"{value:.2g}") if isinstance(value, float) else value
 
 
 def combinations(study: Study) -> list[Combination]:
-    """Return what a study measured of each combination on each mechanism, in the order of the study.
+    """Return the results for each combination on each mechanism, in the order of the study.
 
     Parameters
     ----------
     study
-        With families over the axes `method` and `time.step`, each with one of the same name and `-long` beside it.
+        A study with pairs of families: NAME over the axes `method` and `time.step`, and NAME-long over `method`.
 
     Raises
     ------
     ValueError
-        If it has no such families.
+        If there is no such pair of families.
     """
     names = [name for name in study.families if f"{name}{LONG}" in study.families]
     if not names:
-        raise ValueError(f"no family has one of the same name and {LONG!r} beside it")
+        raise ValueError(f"no family has a counterpart of the same name with the suffix {LONG!r}")
     found = []
     for name in names:
         short, long = Points(study.family(name)), Points(study.family(f"{name}{LONG}"))
@@ -176,7 +176,7 @@ def _combination(mechanism: str, method: str, short: Points, long: Points) -> Co
 
 
 def state_of(points: Iterable[StudyPoint]) -> Undetermined:
-    """Return in a word or two why points have no numbers; empty where one of them is complete."""
+    """Return the reason why points have no values; empty if one of them is complete."""
     states = {point.status for point in points}
     for status, told in (("complete", ""), ("failed", "failed"), ("left-out", "not installed")):
         if status in states:
@@ -185,13 +185,13 @@ def state_of(points: Iterable[StudyPoint]) -> Undetermined:
 
 
 def _largest(points: Points, column: str) -> float:
-    """Return the largest number of a column over the complete points; nan where there is none."""
+    """Return the largest finite value of a column over the complete points; nan if there is none."""
     numbers = [point.values.get(column, math.nan) for point in points if point.status == "complete"]
     return max((number for number in numbers if math.isfinite(number)), default=math.nan)
 
 
 def _number(points: Points, column: str) -> float | Undetermined:
-    """Return the number of the one complete point, or why there is none."""
+    """Return the value of the only point, or the reason why there is none."""
     if state := state_of(points):
         return state
     found = points.value(column)
@@ -199,7 +199,7 @@ def _number(points: Points, column: str) -> float | Undetermined:
 
 
 def _order(points: Points, column: str, scale: float) -> float | Undetermined:
-    """Return the observed order of errors over the steps, or why there is none."""
+    """Return the observed order of the errors, or the reason why there is none."""
     if state := state_of(points):
         return state
     steps, errors = points.along(STEP, column)
@@ -215,14 +215,14 @@ def _order(points: Points, column: str, scale: float) -> float | Undetermined:
 
 
 def _finest(steps: np.ndarray, errors: np.ndarray, floor: float, agree: float) -> float:
-    """Return the order over the three finest neighbouring steps whose slopes agree above the floor; nan of none.
+    """Return the order at the three finest neighbouring steps with agreeing slopes above the floor; nan if none.
 
-    Of methods whose orders differ from variable to variable the longest run of steps may lie where the error of another
-    variable still shows; the finest one is nearest to the limit.
+    `observed_order` would choose the longest window. For methods with different orders for different variables, that
+    window may lie at steps where the error of another variable dominates; the finest window is closest to the limit.
     """
     known = np.isfinite(errors)
     steps, errors = steps[known], errors[known]
-    for first in range(len(steps) - 2):  # finest first: `along` gives the steps ascending
+    for first in range(len(steps) - 2):  # finest first: `along` returns ascending steps
         window = slice(first, first + 3)
         found = observed_order(steps[window], errors[window], floor=floor, agree=agree)
         if found.found and np.all(np.diff(np.log(steps[window])) <= NEIGHBOURS):
@@ -233,7 +233,7 @@ def _finest(steps: np.ndarray, errors: np.ndarray, floor: float, agree: float) -
 def _trend(
     slope: float | Undetermined, error: float | Undetermined, scale: float, duration: float
 ) -> float | Undetermined:
-    """Return a slope of energy as a share of `scale`; `none` where it is no larger than its error or round-off is."""
+    """Return the slope of energy relative to `scale`; `none` if it is not significant, or at round-off level."""
     if isinstance(slope, str) or isinstance(error, str):
         return str(slope)
     if not scale > 0:
@@ -244,7 +244,7 @@ def _trend(
 
 
 def _why_not_reversed(points: Points) -> Undetermined:
-    """Return in a word or two why a complete run has no defect of reversal."""
+    """Return the reason why a complete run has no reversibility defect."""
     note = next((point.row.second_run for point in points), "")
     code = note.partition(":")[0]
     return {"": "not made", "not-reversible": "not reversible", "too-short": "too short"}.get(code, "failed")

@@ -1,4 +1,4 @@
-"""What the verdict on drift draws: errors over the step, and the energy of a method that is projected or not."""
+"""Figures of the verdict on drift: errors against the step, and energy with and without projection."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study
 
 DRAWN = ("RK4", "Gauss 2", "Radau IIA 3", "Generalized-alpha", "RATTLE")
-"""The methods of which errors are drawn, in all their formulations and stabilizations: more cannot be told apart."""
+"""Methods whose errors are drawn, with all formulations and stabilizations; more lines would not be legible."""
 
 
 def errors(found: Sequence[Combination]) -> tuple[Figure, ...]:
-    """Return a figure a mechanism: errors of positions over the step.
+    """Return one figure per mechanism of the errors of positions against the step.
 
     Parameters
     ----------
     found
-        What was measured.
+        Results by combination.
     """
     figures = []
     for mechanism in dict.fromkeys(one.mechanism for one in found):
@@ -37,8 +37,8 @@ def errors(found: Sequence[Combination]) -> tuple[Figure, ...]:
         figures.append(
             Figure(
                 f"error-{mechanism}",
-                f"Error over the step: {mechanism}",
-                "Largest distance of a body from the reference, as a share of the mechanism's size.",
+                f"Error against the step: {mechanism}",
+                "Largest distance of a body from the reference, relative to the mechanism's size.",
                 Axis("step", "s", log=True),
                 Axis("error of positions", log=True),
                 tuple(lines),
@@ -48,7 +48,7 @@ def errors(found: Sequence[Combination]) -> tuple[Figure, ...]:
 
 
 def energies(study: Study, methods: Collection[str]) -> tuple[Figure, ...]:
-    """Return a figure a mechanism: the energy balance of the long runs of some methods.
+    """Return one figure per mechanism of the energy balance of the long runs of some methods.
 
     Parameters
     ----------
@@ -71,8 +71,8 @@ def energies(study: Study, methods: Collection[str]) -> tuple[Figure, ...]:
             figures.append(
                 Figure(
                     f"energy-{mechanism}",
-                    f"Energy of one method, projected or not: {mechanism}",
-                    "Energy balance of the long run; a slope is a trend, the rest oscillation.",
+                    f"Energy with and without projection: {mechanism}",
+                    "Energy balance of the long run; its slope is the trend, the remainder oscillation.",
                     Axis("time", "s"),
                     Axis("energy balance", "J"),
                     tuple(lines),

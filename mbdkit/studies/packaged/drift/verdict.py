@@ -1,4 +1,4 @@
-"""The verdict on the packaged study `drift`: what each formulation and stabilization keeps, and what it costs."""
+"""Verdict on the packaged study `drift`: order, drift, energy and cost by formulation and stabilization."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study
 
 NEAR, APART = 0.2, 0.3
-"""An observed order this near to an expected one meets it; from the other distance on it does not; open between."""
+"""Differences between observed and expected order up to which they agree, and from which they disagree."""
 TENFOLD = Range.around(10.0, 3.0)
 REVERSIBLE = 1e-11
-"""Defect of reversal, as a share of the mechanism's size, that round-off of some 20,000 steps explains."""
+"""Largest reversibility defect, relative to the size, that round-off over about 20,000 steps explains."""
 NAMES = ("q", "v", "lambda")
 
-#: What the literature expects of orders: name of the claim, label, orders of q, v and lambda (None: nothing), source.
+#: Orders from the literature: name of the claim, label, orders of q, v and lambda (None if not given), source.
 EXPECTED: tuple[tuple[str, str, tuple[float | None, ...], str], ...] = (
     ("radau-index-3", "Radau IIA 3, index-3", (5, 3, 2), "Hairer, Lubich, Roche 1989"),
     ("radau-index-2", "Radau IIA 3, index-2", (5, 5, 3), "Hairer, Lubich, Roche 1989"),
@@ -47,26 +47,26 @@ COLUMNS = (
     Column("order q"),
     Column("v"),
     Column("lambda"),
-    Column("which"),
+    Column("multipliers"),
     Column("drift q"),
     Column("v", "1/s"),
     Column("energy trend", "1/s"),
-    Column("/ error"),
-    Column("swing"),
-    Column("there and back"),
+    Column("trend / error"),
+    Column("oscillation"),
+    Column("reversal"),
     Column("evaluations"),
     Column("factorizations"),
     Column("time", "us"),
 )
 NOTE = (
-    "Orders: errors against Gauss 6, from the three finest neighbouring steps that agree above the floor of rounding; "
-    "multipliers are the method's own where it carries them, else those of index 1 at its states. "
-    "Drift: largest misalignment over every step and velocity misalignment in the recorded rows of the long run, as "
-    "shares of the mechanism's size. Energy: least-squares slope of the balance, as a share of the largest kinetic "
-    "energy per second, over its standard error, in which correlated oscillation counts; 'none' within three of them "
-    "or at round-off; swing: the largest distance from the slope. There and back: distance from the start after the "
-    "long run and the same run with velocities reversed, as a share of the size. Cost: of a step of the long run on "
-    "this machine."
+    "Orders: from errors against Gauss 6 at the three finest neighbouring steps whose slopes agree above the round-off "
+    "floor; multipliers are those of the method ('own') if it computes them, else the index-1 multipliers at its "
+    "states. Drift: largest misalignment over all steps, and velocity misalignment in the recorded rows, of the long "
+    "run, relative to the mechanism's size. Energy trend: least-squares slope of the energy balance, relative to the "
+    "largest kinetic energy, and its ratio to its standard error, which includes correlated oscillation; 'none' below "
+    "three standard errors or at round-off. Oscillation: largest distance of the balance from that line. Reversal: "
+    "distance from the start after the long run and the same run with reversed velocities, relative to the size. Cost "
+    "per step of the long run on this machine."
 )
 
 
@@ -76,10 +76,10 @@ def verdict(study: Study) -> Verdict:
     Parameters
     ----------
     study
-        The study; see `combinations` for what families it needs.
+        The study; see `combinations` for the required families.
     """
     found = combinations(study)
-    table = Table("drift", "What each combination keeps", COLUMNS, tuple(_rows(found)), NOTE, headline=True)
+    table = Table("drift", "Results by combination", COLUMNS, tuple(_rows(found)), NOTE, headline=True)
     claims = [_orders(found, *expected) for expected in EXPECTED]
     claims += [_projection_keeps_the_order(found), _projection_cuts_the_error(found)]
     claims += [_reversibility(found), _energy(found)]
@@ -101,16 +101,16 @@ def _rows(found: Sequence[Combination]) -> list[tuple[str | int | float | bool |
 
 def _notes(found: Sequence[Combination]) -> tuple[str, ...]:
     absent = dict.fromkeys(one.method for one in found if one.position_order == "not installed")
-    return (f"Left out, because they are not installed: {', '.join(absent)}.",) if absent else ()
+    return (f"Left out because they are not installed: {', '.join(absent)}.",) if absent else ()
 
 
 def _by(found: Sequence[Combination], method: str) -> dict[str, Combination]:
-    """Return a method's combinations by mechanism."""
+    """Return the results for a combination by mechanism."""
     return {one.mechanism: one for one in found if one.method == method}
 
 
 def order_meets(found: float | Undetermined, expected: float) -> Answer:
-    """Return whether an observed order is the expected one: partly where it is higher, open on the border."""
+    """Return whether an observed order is the expected one: partly if it is higher, open between both limits."""
     if isinstance(found, str):
         return Answer.OPEN
     away = found - expected
@@ -122,7 +122,7 @@ def order_meets(found: float | Undetermined, expected: float) -> Answer:
 
 
 def all_of(answers: Sequence[Answer]) -> Answer:
-    """Return whether every one of several things holds: no where one does not, open where that is not known of one."""
+    """Return whether all of several conditions hold: the first of no, partly and open that occurs, else yes."""
     for answer in (Answer.NO, Answer.PARTLY, Answer.OPEN):
         if answer in answers:
             return answer
@@ -130,12 +130,12 @@ def all_of(answers: Sequence[Answer]) -> Answer:
 
 
 def _known(answers: Mapping[str, Answer]) -> Answer:
-    """Return one answer for several mechanisms: those that are open decide nothing, unless all are."""
+    """Combine the answers of several mechanisms without the open ones; open if all are open."""
     return together([answer for answer in answers.values() if answer is not Answer.OPEN])
 
 
 def _told_of(answers: Mapping[str, Answer]) -> str:
-    """Return on which mechanisms something holds, in words."""
+    """Return text that says on how many mechanisms a claim holds."""
     holding = [name for name, answer in answers.items() if answer is Answer.YES]
     undecided = [name for name, answer in answers.items() if answer is Answer.OPEN]
     text = f"on {len(holding)} of {len(answers) - len(undecided)} mechanisms"
@@ -169,7 +169,7 @@ def _orders(
 
 
 def _pairs(found: Sequence[Combination]) -> list[tuple[Combination, Combination]]:
-    """Return each method with ordinary projection beside the same without."""
+    """Return pairs of the same method without and with ordinary projection."""
     plain = {(one.mechanism, one.method): one for one in found}
     return [
         (plain[key], one)
@@ -202,9 +202,9 @@ def _projection_keeps_the_order(found: Sequence[Combination]) -> Claim:
 
 
 def gain(plain: Combination, projected: Combination) -> float:
-    """Return by which factor projection cuts the error of positions: the geometric mean over common steps; nan of none.
+    """Return the factor by which projection reduces the error of positions, as geometric mean over common steps.
 
-    Steps where either error is at round-off do not count.
+    Steps at which either error is at round-off level are ignored; nan if none is left.
     """
     ratios = [
         math.log(plain.errors[step] / projected.errors[step])
@@ -219,14 +219,14 @@ def _projection_cuts_the_error(found: Sequence[Combination]) -> Claim:
     answers = {name: TENFOLD.holds(value) for name, value in gains.items()}
     known = sorted((value, name) for name, value in gains.items() if math.isfinite(value))
     between = f"{known[0][0]:.2g} ({known[0][1]}) to {known[-1][0]:.2g} ({known[-1][1]})" if known else "unknown"
-    middle = f", {known[len(known) // 2][0]:.2g} in the middle" if known else ""
+    middle = f", median {known[len(known) // 2][0]:.2g}" if known else ""
     return Claim(
         "projection-error",
-        "Projection cuts the error about tenfold.",
+        "Projection reduces the error about tenfold.",
         f"about 10 on the unit pendulum, taken as {TENFOLD}",
         f"{between}{middle}",
         _known(answers),
-        f"Projection divides the error of positions by {between}{middle}.",
+        f"Projection reduces the error of positions by a factor of {between}{middle}.",
     )
 
 
@@ -250,11 +250,11 @@ def _reversibility(found: Sequence[Combination]) -> Claim:
         computed.append(f"{', '.join(_figure(defect, '.0e') for defect in defects)} ({mechanism})")
     return Claim(
         "projection-reversibility",
-        "Ordinary projection takes reversibility from Gauss, symmetric projection does not.",
-        "from 1e-14 to 1e-7 with ordinary projection; not with symmetric (Hairer 2000)",
-        f"without, ordinary, symmetric: {'; '.join(computed)}",
+        "Gauss is not reversible with ordinary projection, but is with symmetric projection.",
+        "defect grows from 1e-14 to 1e-7 with ordinary projection, not with symmetric (Hairer 2000)",
+        f"defect without, with ordinary and with symmetric projection: {'; '.join(computed)}",
         _known(answers),
-        f"Of Gauss 2, run there and back, ordinary projection takes reversibility and symmetric projection does not "
+        f"Gauss 2 is not reversible with ordinary projection, but is without and with symmetric projection, "
         f"{_told_of(answers)}.",
     )
 
@@ -277,7 +277,7 @@ def _energy(found: Sequence[Combination]) -> Claim:
         "projection-energy",
         "With ordinary projection the energy of Gauss has a trend, with symmetric projection it has none.",
         "a trend, and none (Hairer 2000)",
-        f"share of the kinetic energy a second, ordinary and symmetric: {'; '.join(computed)}",
+        f"trend per second, relative to the kinetic energy, ordinary and symmetric: {'; '.join(computed)}",
         _known(answers),
         "The energy of Gauss 2 has a trend with ordinary projection and none with symmetric projection "
         f"{_told_of(answers)}.",

@@ -1,4 +1,4 @@
-"""The verdict on the packaged study `no-drift`: whether joints stay together over many steps, to round-off."""
+"""Verdict on the packaged study `no-drift`: whether misalignment stays at round-off level over many steps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
 
 HELD = 1e-12
-"""Misalignment as a share of the mechanism's size, and of that per second, below which nothing drifts."""
+"""Bound on misalignment, and on velocity misalignment per second, relative to the size of the mechanism."""
 
 COLUMNS = (
     Column("mechanism"),
@@ -27,23 +27,23 @@ COLUMNS = (
     Column("projections"),
 )
 NOTE = (
-    "Largest misalignment and velocity misalignment of any joint over every step, recorded or not, as shares of "
-    "the mechanism's size. Time on this machine."
+    "Largest misalignment and velocity misalignment of any joint over all steps, recorded or not, relative to the "
+    "mechanism's size. Times are those of this machine."
 )
 
 
 @dataclass(frozen=True)
 class Held:
-    """One long run: how far its joints came apart.
+    """Misalignment of one long run.
 
     Attributes
     ----------
     mechanism, method
         Family of the study, and label on the axis `method`.
     position, velocity
-        Largest misalignments, as shares of the mechanism's size [1, 1/s]; nan where the run is not complete.
+        Largest misalignments relative to the size of the mechanism [1, 1/s]; nan if the run is not complete.
     state
-        Why there are none: `failed`, `missing` or `not installed`; empty otherwise.
+        Reason why the run is not complete: `failed`, `missing` or `not installed`; empty otherwise.
     """
 
     mechanism: str
@@ -64,7 +64,7 @@ def verdict(study: Study) -> Verdict:
     Parameters
     ----------
     study
-        A study of long runs over the axis `method`, a family for each mechanism.
+        A study of long runs with the axis `method` and one family for each mechanism.
 
     Raises
     ------
@@ -86,9 +86,9 @@ def verdict(study: Study) -> Verdict:
     ]
     claims = told(
         (
-            _holds(found, "positions", [one.position for one in found], "misalignment over every step"),
+            _holds(found, "positions", [one.position for one in found], "misalignment over all steps"),
             _holds(
-                found, "velocities", [one.velocity for one in found], "velocity misalignment over every step, a second,"
+                found, "velocities", [one.velocity for one in found], "velocity misalignment per second over all steps"
             ),
         )
     )
@@ -114,7 +114,7 @@ def _held(point: StudyPoint) -> Held:
 
 
 def _holds(found: Sequence[Held], name: str, values: Sequence[float], what: str) -> Claim:
-    """Ask whether all values lie below the bound: no where one does not, open where one is not known."""
+    """Return whether all values lie below the bound: no if any does not, open if any is unknown."""
     answers = [exceeds(HELD, each) for each in values]
     worst = max(
         ((each, one.name) for each, one in zip(values, found, strict=True) if math.isfinite(each)), default=None
@@ -123,13 +123,13 @@ def _holds(found: Sequence[Held], name: str, values: Sequence[float], what: str)
     unknown = [one.name for one, each in zip(found, values, strict=True) if not math.isfinite(each)]
     answer = Answer.NO if beyond else Answer.OPEN if Answer.OPEN in answers or not answers else Answer.YES
     computed = "no run is complete" if worst is None else f"at most {worst[0]:.1e} ({worst[1]})"
-    computed += f"; not known of {'; '.join(unknown)}" if unknown else ""
+    computed += f"; unknown for {'; '.join(unknown)}" if unknown else ""
     return Claim(
         name,
-        f"No run's {name} drift: the joints hold them to {HELD:g} of the mechanism's size.",
+        f"No run's {name} drift: their misalignment stays below {HELD:g} of the mechanism's size.",
         f"below {HELD:g}",
         computed,
         answer,
         f"The {what} stays below {HELD:g} of the mechanism's size in {sum(a is Answer.YES for a in answers)} of "
-        f"{len(answers)} runs, {computed}." + (f" Not in: {'; '.join(beyond)}." if beyond else ""),
+        f"{len(answers)} runs, {computed}." + (f" Exceptions: {'; '.join(beyond)}." if beyond else ""),
     )

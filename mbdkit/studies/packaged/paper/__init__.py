@@ -1,1 +1,1 @@
-"""The packaged study `paper`: a published comparison of integration methods, computed again and judged."""
+"""The packaged study `paper`: a published comparison of integration methods, recomputed and tested."""

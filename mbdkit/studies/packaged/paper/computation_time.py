@@ -1,4 +1,4 @@
-"""What the equations cost: time by number of bodies (the paper's Fig. 5), and numbers put into symbols."""
+"""Computation time by number of bodies (the paper's Fig. 5), and cost of substitution into symbolic matrices."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study
 
 SPEED_UP = 10_000.0
-"""What compiled elements are to gain over substitution, per evaluation at two bodies."""
+"""Claimed speed-up of one evaluation by compiled elements over substitution, for two bodies."""
 SYMBOLIC_BODIES = (1, 2, 3)
 SECONDS = "wall_min_s"
 STEEP = 2.0
-"""Power of the number of bodies from which growth is called steep: dense matrices take the third, chains the first."""
+"""Exponent of growth with the number of bodies above which growth is steep: 3 for dense matrices, 1 for chains."""
 
 
 def times(study: Study) -> tuple[Claim, Table, Figure]:
-    """Draw time for 1500 steps by number of bodies and method."""
+    """Return claim, table and figure on the time for 1500 steps by number of bodies and method."""
     points = family(study, "bodies")
     curves = {method: points.at({METHOD: method}).along("model.n", SECONDS) for method in METHODS}
     numbers = curves[GILL][0]
@@ -39,9 +39,9 @@ def times(study: Study) -> tuple[Claim, Table, Figure]:
         "steep growth with bodies and with the method's stages, 1500 steps",
         ", ".join(f"like n^{exponent:.1f} ({method})" for method, exponent in growth.items()),
         steep,
-        f"Compiled, the time for 1500 steps grows at most like n^{most:.1f} with the number n of bodies"
+        f"With compiled elements, the time for 1500 steps grows at most like n^{most:.1f} with the number n of bodies"
         + (
-            ", hardly more than in proportion: the steep growth was that of whole-system symbolic matrices."
+            ", little more than linearly: the steep growth in the paper is due to symbolic whole-system matrices."
             if steep is Answer.NO
             else "."
         ),
@@ -54,12 +54,12 @@ def times(study: Study) -> tuple[Claim, Table, Figure]:
         "Time for 1500 steps",
         (Column("bodies"), *(Column(method, "ms") for method in METHODS)),
         tuple(rows),
-        "The least of five runs on this machine, from the first step to the last.",
+        "The shortest of five runs on this machine, from the first step to the last.",
     )
     figure = Figure(
         "time-bodies",
         "Time for 1500 steps by number of bodies",
-        "The paper's Fig. 5, compiled.",
+        "The paper's Fig. 5 with compiled elements.",
         Axis("bodies"),
         Axis("time", "ms"),
         tuple(Line(method, number, 1e3 * seconds, "both", method) for method, (number, seconds) in curves.items()),
@@ -68,9 +68,10 @@ def times(study: Study) -> tuple[Claim, Table, Figure]:
 
 
 def _exponent(numbers: np.ndarray, seconds: np.ndarray) -> float:
-    """Return the power of the number of bodies that time grows with, over the upper two thirds of the numbers.
+    """Return the exponent with which time grows with the number of bodies, over the upper two thirds of the numbers.
 
-    The median of the slopes between any two of them (Theil and Sen): a run that a busy machine held up does not count.
+    It is the median of the slopes between all pairs (Theil-Sen estimator), which is robust against single runs that a
+    busy machine has slowed down.
     """
     upper = (numbers >= np.max(numbers, initial=0.0) / 3) & np.isfinite(seconds)
     if upper.sum() < 2:
@@ -79,7 +80,7 @@ def _exponent(numbers: np.ndarray, seconds: np.ndarray) -> float:
 
 
 def substitution(study: Study) -> tuple[Claim, Table, Figure]:
-    """Compare one evaluation by substitution into SymPy's matrices, as in the paper, with a compiled one."""
+    """Compare an evaluation by substitution into SymPy matrices, as in the paper, with a compiled evaluation."""
     points = {int(point.axes["model.n"]): point for point in family(study, "bodies").at({METHOD: GILL})}
     chosen = [number for number in SYMBOLIC_BODIES if number in points]
     symbolic = measured(study.folder, [points[number].spec for number in chosen])
@@ -96,14 +97,14 @@ def substitution(study: Study) -> tuple[Claim, Table, Figure]:
     enough = exceeds(gain, SPEED_UP)
     claim = Claim(
         "substitution",
-        f"Compiled elements evaluate two bodies at least {SPEED_UP:,.0f} times faster than substitution into symbols.",
-        "substitution named as the bottleneck, and a better one as the mission ahead",
+        f"Compiled elements evaluate two bodies at least {SPEED_UP:,.0f} times faster than symbolic substitution.",
+        "substitution named as the bottleneck, a faster one as future work",
         ", ".join(f"{factor:,.0f} times ({number} bodies)" for number, factor in gains.items()).replace(
             "(1 bodies", "(1 body"
         ),
         enough,
-        f"One evaluation of two bodies is {two_digits(gain)} times faster compiled than by substitution into SymPy's "
-        "matrices, measured on this machine.",
+        f"For two bodies, one compiled evaluation is {two_digits(gain)} times faster than one by substitution into "
+        "SymPy matrices, measured on this machine.",
     )
     columns = (
         Column("bodies"),
@@ -117,9 +118,10 @@ def substitution(study: Study) -> tuple[Claim, Table, Figure]:
         "One evaluation of the equations of motion",
         columns,
         tuple(rows),
-        "Substitution: masses and lengths as numbers already, time, positions and velocities put in by SymPy's subs, "
-        "the system solved by LAPACK; the least processor time of several. Compiled: RK-Gill's time from first to last "
-        "step, all included, by its evaluations. The last column is reckoned from the first.",
+        "Substitution: matrices with numeric masses and lengths, into which SymPy's subs inserts time, positions and "
+        "velocities; the system is solved by LAPACK; shortest processor time of several evaluations. Compiled: total "
+        "time of RK-Gill from the first to the last step, divided by its evaluations. The last column is calculated "
+        "from the column on substitution.",
     )
     return claim, table, _figure(symbolic, chosen, compiled)
 
@@ -129,7 +131,7 @@ def _figure(symbolic: tuple[Substitution, ...], bodies: list[int], compiled: lis
     return Figure(
         "substitution",
         "Time of one evaluation",
-        "What the paper calls its bottleneck, beside the same equations compiled element by element.",
+        "Symbolic substitution, the bottleneck of the paper, and the same equations compiled element by element.",
         Axis("bodies"),
         Axis("time", "s", log=True),
         (

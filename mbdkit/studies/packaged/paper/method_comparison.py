@@ -1,4 +1,4 @@
-"""What the paper could not show: orders, growth laws, adaptive steps, more stages, work, precision and drift."""
+"""Comparisons beyond the paper: orders, growth laws, adaptive steps, more stages, work, precision and drift."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EVALUATIONS, ERROR, DRIFT = "rhs_evaluations", "end_error", "misalignment_max"
 
 
 def orders(study: Study) -> tuple[Claim, Table]:
-    """Compare the observed orders with those of theory."""
+    """Compare the observed orders with the theoretical ones."""
     rows: list[tuple[Cell, ...]] = []
     answers, found = [], []
     for model, name in (("single", "steps"), ("double", "precision")):
@@ -48,27 +48,27 @@ def orders(study: Study) -> tuple[Claim, Table]:
         "4, 4 and 6",
         ", ".join(found),
         together(answers),
-        f"In their asymptotic windows and above rounding, {sum(answer is Answer.YES for answer in answers)} of "
-        f"{len(answers)} observed orders lie within {TOLERANCE} of the theory.",
+        f"In the asymptotic range of steps, {sum(answer is Answer.YES for answer in answers)} of {len(answers)} "
+        f"observed orders lie within {TOLERANCE} of the theoretical ones.",
     )
     columns = (
         Column("pendulum"),
         Column("method"),
-        Column("order in theory"),
+        Column("theoretical order"),
         Column("observed order"),
         Column("standard error"),
         Column("window of steps"),
-        Column("floor of rounding", "m"),
+        Column("round-off floor", "m"),
         Column("order of the misalignment"),
     )
     note = (
-        "Error of the positions at 15 s against Gauss with six stages. Empty: no window, the error falls to rounding "
+        "Error of the positions at 15 s against six-stage Gauss. Empty: no window, because the error reaches round-off "
     )
     return claim, Table("order", "Observed orders", columns, tuple(rows), note + "within two halvings of the step.")
 
 
 def growth(study: Study) -> tuple[Claim, Table]:
-    """Tell by which laws misalignment grows: over the first tenth of a long run, and over all of it."""
+    """Determine the growth laws of misalignment over the first tenth of a long run, and over all of it."""
     rows: list[tuple[Cell, ...]] = []
     laws: dict[tuple[str, str, int], str] = {}
     for point in family(study, "long"):
@@ -94,16 +94,17 @@ def growth(study: Study) -> tuple[Claim, Table]:
     radau = " and ".join(dict.fromkeys(law for (_, method, _), law in laws.items() if method == RADAU3)) or "unknown"
     claim = Claim(
         "growth",
-        "RK-Gill drifts away, the Gauss methods do not.",
-        "Fig. 4 over 150 steps: RK-Gill rises, Gauss stays",
+        "The misalignment grows with RK-Gill, but not with the Gauss methods.",
+        "Fig. 4 over 150 steps: increases with RK-Gill, does not with Gauss",
         f"RK-Gill {' and '.join(dict.fromkeys(gill)) or 'unknown'}, single pendulum with Gauss 2 and 3 "
         f"{' and '.join(dict.fromkeys(single)) or 'unknown'} over twenty swings and {late} over two hundred",
         (Answer.PARTLY if late == "quadratic" and together(answers) is Answer.YES else together(answers))
         if laws
         else Answer.OPEN,
-        "RK-Gill's misalignment grows with the square of time from the start. That of the Gauss methods swings about a "
-        f"constant for the first twenty swings of the single pendulum; over two hundred it is {late} too, from a far "
-        f"smaller start: at the acceleration level nothing pulls a joint together again. Radau IIA: {radau}.",
+        "The misalignment grows with the square of time with RK-Gill. With the Gauss methods it oscillates about a "
+        "constant for the first twenty swings of the single pendulum. Over two hundred swings the growth is "
+        f"{late}, but from a much smaller value: constraints at acceleration level do not close the gap of a joint. "
+        f"Radau IIA: {radau}.",
     )
     columns = (
         Column("pendulum"),
@@ -113,12 +114,12 @@ def growth(study: Study) -> tuple[Claim, Table]:
         Column("exponent of t"),
         Column("largest misalignment", "m"),
     )
-    note = "Laws that the run does not tell apart are all named; unclear: oscillation and growth cannot be told apart."
+    note = "All laws that the data do not distinguish are listed; unclear: no law can be separated from oscillation."
     return claim, Table("growth", "How misalignment grows, h = 0.1 s", columns, tuple(rows), note)
 
 
 def work(study: Study) -> tuple[tuple[Claim, ...], Table, tuple[Figure, ...]]:
-    """Draw work against precision and drift, and ask whether adaptive steps and more stages pay."""
+    """Return claims on adaptive steps and more stages, and figures of precision and drift against work."""
     precision, adaptive = family(study, "precision"), family(study, "adaptive")
     lines = {str(method): precision.at({METHOD: method}) for method in precision.labels(METHOD)}
     if len(adaptive):
@@ -146,14 +147,14 @@ def work(study: Study) -> tuple[tuple[Claim, ...], Table, tuple[Figure, ...]]:
             (
                 "work-precision",
                 "Work and precision, double pendulum over 15 s",
-                "Lower and further left is better. Below 1e-13 m rounding decides.",
+                "Lower left is better. Errors below 1e-13 m are dominated by round-off.",
                 "error at the end",
                 ERROR,
             ),
             (
                 "work-drift",
                 "Work and drift, double pendulum over 15 s",
-                "How far the joints come apart for the same work.",
+                "Misalignment of the joints against work.",
                 "largest misalignment",
                 DRIFT,
             ),
@@ -175,7 +176,7 @@ def _curve(points: Points) -> tuple[list[float], list[float]]:
     return [value(point, EVALUATIONS) for point in points], [value(point, DRIFT) for point in points]
 
 
-#: Misalignments [m] for which the work of two methods is compared: the paper's with three stages, and finer.
+#: Misalignments [m] at which the work of two methods is compared.
 TARGETS = (1e-6, 1e-8, 1e-10)
 
 
@@ -194,16 +195,16 @@ def _adaptive_claim(lines: dict[str, Points]) -> Claim:
         for method, found in ratios.items()
     )
     answer = together(answers)
-    start = {Answer.NO: "Not on this problem: for", Answer.YES: "Yes: for"}.get(answer, "For")
+    start = {Answer.NO: "No, not on this problem: for", Answer.YES: "Yes: for"}.get(answer, "For")
     return Claim(
         "adaptive",
         "Refining the step adaptively makes the implicit method better.",
         "recommended, not tried",
-        f"evaluations of SciPy's adaptive Radau by those of fixed steps with {told or 'unknown'}",
+        f"ratio of the evaluations of SciPy's adaptive Radau to those with fixed steps of {told or 'unknown'}",
         answer,
-        f"{start} the same misalignment SciPy's adaptive Radau takes {least_most(ratios.get(RADAU3, []))} times the "
-        f"evaluations of the same method in fixed steps, and {least_most(ratios.get(GAUSS3, []))} times those of Gauss "
-        "with three stages.",
+        f"{start} the same misalignment, SciPy's adaptive Radau needs {least_most(ratios.get(RADAU3, []))} times the "
+        f"evaluations of the same method with fixed steps, and {least_most(ratios.get(GAUSS3, []))} times those of "
+        "three-stage Gauss.",
     )
 
 
@@ -219,15 +220,17 @@ def _stages_claim(lines: dict[str, Points]) -> Claim:
     answers = [exceeds(gain, 1.0) for gain in gains]
     told = ", ".join(f"{gain:.2f} times for {target:.0e} m" for gain, target in zip(gains, TARGETS, strict=False))
     extra = (
-        f" At equal work six stages come apart {drift:.0f} times less." if math.isfinite(drift) and drift > 1 else ""
+        f" At equal work, the misalignment is {drift:.0f} times smaller with six stages."
+        if math.isfinite(drift) and drift > 1
+        else ""
     )
     return Claim(
         "stages",
-        "More than three stages keep the joints together at less work.",
+        "With more than three stages, the same misalignment needs less work.",
         "not tried",
-        f"evaluations of Gauss 3 by those of Gauss 6: {told}",
+        f"ratio of the evaluations of Gauss 3 to those of Gauss 6: {told}",
         together(answers),
-        f"For the same misalignment six stages need {least_most([1 / gain for gain in gains])} times the evaluations "
+        f"For the same misalignment, six stages need {least_most([1 / gain for gain in gains])} times the evaluations "
         f"of three.{extra}",
     )
 

@@ -1,4 +1,4 @@
-"""What the paper only predicts: the knee linkage with four joints, and a factor lost for each further joint."""
+"""Predictions of the paper: misalignment of the knee linkage with four joints, and growth with each joint."""
 
 from __future__ import annotations
 
@@ -34,22 +34,22 @@ SPRING, FREE = "support spring", "no spring"
 
 
 def steps_within(steps: np.ndarray, values: np.ndarray, wanted: Range) -> tuple[float, float]:
-    """Return the least and the largest step (interpolated in logarithms) between which all values lie in a range.
+    """Return the longest interval of steps in which all values lie in a range, interpolated in logarithms.
 
     Parameters
     ----------
     steps
         (K,) ascending steps [s].
     values
-        (K,) misalignments; those that are not finite lie outside.
+        (K,) misalignments; values that are not finite count as outside.
     wanted
         The range.
 
     Returns
     -------
     float, float
-        The longest such span; the border of the steps where the values do not leave the range within them; nan where no
-        value lies in the range.
+        Lower and upper end of the interval; it ends at the first or last step if the values do not leave the range
+        before; nan if no value lies in the range.
     """
     inside = np.isfinite(values) & (values >= wanted.low) & (values <= wanted.high)
     best = range(0)
@@ -69,7 +69,7 @@ def steps_within(steps: np.ndarray, values: np.ndarray, wanted: Range) -> tuple[
 
 
 def _crossing(steps: np.ndarray, values: np.ndarray, inner: int, outer: int, wanted: Range) -> float:
-    """Return where the values leave a range between a step inside and its neighbour outside."""
+    """Return the step at which the values leave a range, between a step inside and its neighbour outside."""
     if not 0 <= outer < len(steps) or not math.isfinite(values[outer]) or values[outer] <= 0:
         return float(steps[inner])
     border = wanted.low if values[outer] < wanted.low else wanted.high
@@ -78,7 +78,7 @@ def _crossing(steps: np.ndarray, values: np.ndarray, inner: int, outer: int, wan
 
 
 def knee(study: Study) -> tuple[tuple[Claim, ...], Table, Figure]:
-    """Test the prediction for the knee linkage over steps."""
+    """Test the predictions for the knee linkage over a range of steps."""
     points = family(study, "knee")
     rows: list[tuple[Cell, ...]] = []
     spans: dict[tuple[str, str], tuple[float, float]] = {}
@@ -115,7 +115,7 @@ def knee(study: Study) -> tuple[tuple[Claim, ...], Table, Figure]:
     figure = Figure(
         "knee-prediction",
         "Misalignment of the knee over steps",
-        "Shaded: what the paper predicts for two and for three stages. Whether it holds is a matter of the step.",
+        "Shaded: the paper's predictions for two and for three stages. Whether they hold depends on the step.",
         Axis("step", "s", log=True),
         Axis("misalignment", "mm", log=True),
         lines,
@@ -138,24 +138,24 @@ def _knee_claim(
     answer = Answer.OPEN if not len(steps) or np.all(np.isnan(values)) else Answer.PARTLY
     if answer is Answer.PARTLY and math.isnan(low):
         answer = Answer.NO
-    at_paper = {Answer.YES: "inside the range", Answer.NO: "outside it"}.get(there, "on its border")
+    at_paper = {Answer.YES: "inside the range", Answer.NO: "outside it"}.get(there, "at its limit")
     resolved = ""
     if math.isfinite(period):
         fine = period / PER_SWING
         expected = _interpolated(steps, values, fine)
         resolved = (
-            f" Resolved like the paper's pendulum, with {PER_SWING} steps a swing (h = {fine:.2g} s), the knee stays "
-            f"within {expected:.0e} mm."
+            f" With {PER_SWING} steps per swing (h = {fine:.2g} s), as for the paper's pendulum, the misalignment of "
+            f"the knee is {expected:.0e} mm."
         )
     free = spans[FREE, method]
     return Claim(
         "knee-" + method.lower().replace(" ", ""),
-        f"The knee linkage with four revolute joints comes apart by {wanted} with {method}.",
+        f"The misalignment of the knee linkage with four revolute joints is {wanted} with {method}.",
         str(wanted),
         f"{at:.1e} mm at h = 0.1 s; in the range for steps of {_span(low, high)}",
         answer,
-        f"It holds for steps of {_span(low, high)} ({_span(*free)} without the spring); at the paper's own step of "
-        f"0.1 s the knee comes apart by {at:.1e} mm, {at_paper}.{resolved}",
+        f"The prediction for {method} holds for steps of {_span(low, high)} ({_span(*free)} without the spring); at "
+        f"the paper's step of 0.1 s the misalignment of the knee is {at:.1e} mm, {at_paper}.{resolved}",
     )
 
 
@@ -173,10 +173,10 @@ def _both_claim(spans: dict[tuple[str, str], tuple[float, float]]) -> Claim:
         "0.001 to 1 mm and 1e-7 to 1e-4 mm",
         f"both for steps of {_span(*common[0])}" if found else "at no step",
         (Answer.PARTLY if found else Answer.NO) if known else Answer.OPEN,
-        "The knee linkage comes apart as predicted, by 0.001 to 1 mm with two stages and 1e-7 to 1e-4 mm with three, "
-        f"for steps of {_span(*common[0])} only ({_span(*common[1])} without its spring)."
+        "The misalignment of the knee linkage is as predicted, 0.001 to 1 mm with two stages and 1e-7 to 1e-4 mm with "
+        f"three, only for steps of {_span(*common[0])} ({_span(*common[1])} without its spring)."
         if found
-        else "At no step does the knee linkage come apart as predicted with both methods.",
+        else "At no step is the misalignment of the knee linkage as predicted with both methods.",
     )
 
 
@@ -192,11 +192,11 @@ def _interpolated(steps: np.ndarray, values: np.ndarray, step: float) -> float:
 
 
 PER_SWING = 75
-"""Steps of 0.1 s in one swing of the paper's single pendulum by our reading: 7.5 s."""
+"""Steps of 0.1 s per swing of the paper's single pendulum, which takes 7.5 s with the assumed parameters."""
 
 
 def swing(study: Study) -> float:
-    """Return how long the knee without a spring takes for one swing to and fro [s]; nan without a run that shows it."""
+    """Return the period of the knee without a spring [s]; nan if the required run is missing."""
     for point in family(study, "knee").at({METHOD: GAUSS3, "model.springs": FREE, STEP: 0.025}):
         run = study.run(point)
         if run is not None:
@@ -216,7 +216,7 @@ def _period(run: Run) -> float:
 
 
 def joints(study: Study) -> tuple[Claim, Table, Figure]:
-    """Test "a factor of 10 to 100 is lost for each further revolute joint" on chains."""
+    """Test on chains the claim that misalignment grows by a factor of 10 to 100 with each further joint."""
     points = family(study, "joints")
     steps = [float(step) for step in points.labels(STEP)]
     curves = {
@@ -236,22 +236,22 @@ def joints(study: Study) -> tuple[Claim, Table, Figure]:
             rows.append((method, step, int(number), float(values[k]), factor))
     beyond = sum(answer is Answer.YES for key, found in claimed.items() for answer in map(PER_JOINT.holds, found[1:]))
     answer = together(answers)
-    cost = f"the second costs {least_most(first)}, and the {len(later)} factors for the third to the tenth joint, "
+    cost = f"the factor is {least_most(first)} for the second joint; of the {len(later)} factors for later joints, "
     claim = Claim(
         "per-joint",
-        "A factor of 10 to 100 is lost for each further revolute joint.",
+        "The misalignment grows by a factor of 10 to 100 with each further revolute joint.",
         "10 to 100 per joint",
         f"{least_most(first)} for the second joint, {least_most(later)} for each from the third to the tenth",
         answer,
-        f"A factor of 10 to 100 is {'' if answer is Answer.YES else 'not '}lost for each further joint: {cost}"
-        f"{least_most(later)}, are that large in {beyond or 'no'} case{'' if beyond == 1 else 's'}.",
+        f"The misalignment {'grows' if answer is Answer.YES else 'does not grow'} by a factor of 10 to 100 with each "
+        f"further joint: {cost}{least_most(later)}, {beyond or 'none'} {'is' if beyond == 1 else 'are'} in this range.",
     )
     columns = (
         Column("method"),
         Column("step", "s"),
         Column("joints"),
         Column("misalignment", "m"),
-        Column("factor over one joint less"),
+        Column("factor per added joint"),
     )
     table = Table("joints-chain", "Largest misalignment of a chain by its number of joints", columns, tuple(rows))
     lines = tuple(
@@ -261,7 +261,7 @@ def joints(study: Study) -> tuple[Claim, Table, Figure]:
     figure = Figure(
         "joints-chain",
         "Misalignment by number of joints",
-        "Chains of rods of 20 m over 15 s. A factor of 10 per joint would be a straight line through nine decades.",
+        "Chains of rods of 20 m over 15 s. A factor of 10 per joint would be a straight line over nine decades.",
         Axis("revolute joints"),
         Axis("misalignment", "m", log=True),
         lines,

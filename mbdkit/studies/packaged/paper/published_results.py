@@ -1,4 +1,4 @@
-"""What the paper shows: paths of the end point (its Fig. 3) and misalignment over the steps (its Fig. 4)."""
+"""Published results of the paper: paths of the end point (Fig. 3) and misalignment over the steps (Fig. 4)."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 GILL, GAUSS2, GAUSS3 = "RK-Gill", "Gauss 2", "Gauss 3"
 METHODS = (GILL, GAUSS2, GAUSS3)
 
-#: Misalignment that the paper states [m], by model and method.
+#: Misalignment stated in the paper [m], by model and method.
 PUBLISHED = {("single", GAUSS2): 1e-6, ("double", GAUSS2): 1e-5, ("single", GAUSS3): 1e-10, ("double", GAUSS3): 1e-8}
 FACTOR = 3.0
 PAPER_STEP = 0.1
 
 VISIBLE = 0.01
-"""Distance between two paths, as a share of the pendulum's length, from which a figure shows it."""
+"""Distance between two paths, relative to the length of the pendulum, above which it is visible in a figure."""
 
 
 def magnitudes(study: Study) -> tuple[Claim, Table]:
@@ -52,13 +52,13 @@ def magnitudes(study: Study) -> tuple[Claim, Table]:
     number = sum(one is Answer.YES for one in answers)
     claim = Claim(
         "magnitudes",
-        "Gauss with two and three stages keeps the joints of the single and the double pendulum together to the "
+        "With two-stage and three-stage Gauss, the misalignment of the single and the double pendulum has the "
         "published magnitudes.",
         "1e-6 and 1e-5 m with two stages, 1e-10 and 1e-8 m with three (single and double)",
         ", ".join(computed),
         answer,
-        f"{number} of the 4 published misalignments are met within a factor of {FACTOR:.0f}, with masses, lengths and "
-        "start by our reading, which the paper does not state.",
+        f"{number} of the 4 published misalignments are reproduced within a factor of {FACTOR:.0f}. The paper does not "
+        "state masses, lengths and initial angles; we assume values.",
     )
     columns = (
         Column("model"),
@@ -72,7 +72,7 @@ def magnitudes(study: Study) -> tuple[Claim, Table]:
 
 
 def ranking(study: Study) -> tuple[Claim, Claim, Table]:
-    """Ask of every model and step whether RK-Gill is the worst of the paper's methods, and Gauss 3 the best."""
+    """Test for every model and step whether RK-Gill is the worst method, and Gauss 3 better than Gauss 2."""
     groups: dict[tuple[str, float], dict[str, StudyPoint]] = {}
     for name in ("published", "joints", "knee", "steps", "precision", "one-metre"):
         for point in family(study, name):
@@ -93,7 +93,9 @@ def ranking(study: Study) -> tuple[Claim, Claim, Table]:
             worst.append(is_worst)
             best.append(exceeds(two, three))
             if is_worst in (Answer.NO, Answer.PARTLY):
-                exceptions.append(f"{model}, step {step:g} s, where even the best is off by {min(values):.1g} m")
+                exceptions.append(
+                    f"{model}, step {step:g} s, with a misalignment of at least {min(values):.1g} m with all methods"
+                )
             rows.append((model, step, *values, str(is_worst), str(best[-1])))
     columns = (Column("model"), Column("step", "s"), *(Column(method, "m") for method in METHODS))
     columns += (Column("RK-Gill worst"), Column("Gauss 3 better than Gauss 2"))
@@ -102,40 +104,40 @@ def ranking(study: Study) -> tuple[Claim, Claim, Table]:
         "Largest misalignment of the paper's three methods, every model and step",
         columns,
         tuple(rows),
-        "Empty: the run failed, by overflow or because its stage equations had no solution that Newton found; a method "
-        "that overflows where another does not is the worse one. Open: both failed, or both are at rounding.",
+        "Empty: the run failed by overflow, or because Newton's method found no solution of the stage equations. A "
+        "method that overflows counts as worse than one that does not. Open: both failed, or both are at round-off.",
     )
-    but = f" Not at: {'; '.join(exceptions)}." if exceptions else ""
+    but = f" Exceptions: {'; '.join(exceptions)}." if exceptions else ""
     yes, decided = worst.count(Answer.YES), len(worst) - worst.count(Answer.OPEN)
-    undecided = f" ({len(worst) - decided} more stay open, where runs failed)" if decided < len(worst) else ""
+    undecided = f" ({len(worst) - decided} more are open because runs failed)" if decided < len(worst) else ""
     gill_claim = Claim(
         "gill-worst",
         "RK-Gill is by far the worst of the three methods.",
         "worst for single and double pendulum at h = 0.1 s",
         f"worst in {yes} of {decided} pairs of model and step{undecided}",
         together([answer for answer in worst if answer is not Answer.OPEN]),
-        f"RK-Gill lets the joints come apart most in {yes} of {decided} pairs of model and step.{but}",
+        f"The misalignment is largest with RK-Gill in {yes} of {decided} pairs of model and step.{but}",
     )
     yes, decided = best.count(Answer.YES), len(best) - best.count(Answer.OPEN)
-    undecided = f" ({len(best) - decided} more stay open, where runs failed)" if decided < len(best) else ""
+    undecided = f" ({len(best) - decided} more are open because runs failed)" if decided < len(best) else ""
     gauss_claim = Claim(
         "gauss3-better",
-        "Three stages keep the joints together better than two.",
+        "Three-stage Gauss gives a smaller misalignment than two-stage Gauss.",
         "better for single and double pendulum at h = 0.1 s",
         f"better in {yes} of {decided} pairs of model and step{undecided}",
         together([answer for answer in best if answer is not Answer.OPEN]),
-        f"Three stages do better than two in {yes} of {decided} pairs of model and step.",
+        f"Three-stage Gauss is better than two-stage Gauss in {yes} of {decided} pairs of model and step.",
     )
     return gill_claim, gauss_claim, table
 
 
 def method_overflowed(point: StudyPoint | None) -> bool:
-    """Return whether a point's run ended because its numbers overflowed."""
+    """Return whether the run of a point failed by floating-point overflow."""
     return point is not None and point.status == "failed" and point.reason.startswith("not-finite")
 
 
 def _model(point: StudyPoint) -> str:
-    """Return what a point's model is called in the table."""
+    """Return the name of the model of a point in the table."""
     if "model.n" in point.axes:
         rods = int(point.axes["model.n"])
         return f"{rods} rods of 20 m" if rods > 1 else "1 rod of 20 m"
@@ -147,7 +149,7 @@ def _model(point: StudyPoint) -> str:
 
 
 def end_point(run: Run) -> np.ndarray:
-    """Return the path (T, 2) [m] of the free end of a chain's last rod."""
+    """Return the path (T, 2) [m] of the free end of the last rod of a chain."""
     model = run.spec["model"]
     length = model["length"] if "length" in model else model["lengths"][-1]
     rod = run[list(run.bodies)[-1]]
@@ -156,7 +158,7 @@ def end_point(run: Run) -> np.ndarray:
 
 
 def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure, ...]]:
-    """Draw the end points' paths and the joints' misalignments, and ask whether the paths depend on the method."""
+    """Return figures of the paths and misalignments, and the claim that the paths depend on the method."""
     paths, drifts = [], []
     apart: dict[str, float] = {}
     for name, model in (("published", "single"), ("published", "double"), ("one-metre", "double")):
@@ -184,18 +186,18 @@ def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure,
         "paths",
         "The path of the double pendulum depends on the method.",
         "visibly different paths at h = 0.1 s",
-        f"at most {double:.1e} of the pendulum's length between the methods with rods of 20 m, {metre:.1e} with rods "
-        f"of 1 m let go from the horizontal (single pendulum of 20 m: {single:.1e})",
+        f"methods differ by at most {double:.1e} of the pendulum's length with rods of 20 m, {metre:.1e} with rods "
+        f"of 1 m released from the horizontal (single pendulum of 20 m: {single:.1e})",
         together(answers),
-        "With the lengths that give the published misalignments, the three paths of the double pendulum cannot be told "
-        "apart in a figure; with rods of 1 m let go from the horizontal they part within seconds. No reading that we "
-        "found of the paper's parameters gives both its Fig. 3 and its Fig. 4.",
+        "With the lengths that reproduce the published misalignments, the three paths of the double pendulum cannot be "
+        "distinguished in a figure; with rods of 1 m released from the horizontal they diverge within seconds. We "
+        "found no parameters that reproduce both Fig. 3 and Fig. 4 of the paper.",
     )
     return claim, tuple(paths), tuple(drifts)
 
 
 def _apart(path: dict[str, np.ndarray]) -> float:
-    """Return the largest distance between two methods' paths at equal rows; of a failed run, as far as it went."""
+    """Return the largest distance between the paths of two methods at equal rows, up to the end of a failed run."""
     paths = list(path.values())
     distances = [0.0]
     for i, one in enumerate(paths):
@@ -209,10 +211,14 @@ def _apart(path: dict[str, np.ndarray]) -> float:
 def _path_figure(label: str, path: dict[str, np.ndarray], size: float) -> Figure:
     lines = []
     for method, points in path.items():
-        shown = np.where(np.abs(points) <= 1.5 * size, points, np.nan)  # what has come apart is not drawn
+        shown = np.where(
+            np.abs(points) <= 1.5 * size, points, np.nan
+        )  # points outside the reach of the pendulum are not drawn
         lines.append(Line(method, shown[:, 0], shown[:, 1], "line", method))
     model = label.removesuffix("-one-metre")
-    what = "rods of 1 m, let go from the horizontal" if label != model else "rods of 20 m, let go 40 degrees below it"
+    what = (
+        "rods of 1 m, released from the horizontal" if label != model else "rods of 20 m, released 40 degrees below it"
+    )
     return Figure(
         f"trajectory-{label}",
         f"Path of the end point, {model} pendulum, h = 0.1 s",
@@ -233,7 +239,7 @@ def _drift_figure(model: str, histories: dict[str, dict[str, np.ndarray]]) -> Fi
     return Figure(
         f"drift-{model}",
         f"Misalignment over the steps, {model} pendulum, h = 0.1 s",
-        "The paper's Fig. 4: RK-Gill drifts away, Gauss with two and three stages stays near its first swing.",
+        "The paper's Fig. 4: misalignment grows with RK-Gill, and stays near that of the first swing with Gauss.",
         Axis("step"),
         Axis("misalignment", "m", log=True),
         tuple(lines),
@@ -241,5 +247,5 @@ def _drift_figure(model: str, histories: dict[str, dict[str, np.ndarray]]) -> Fi
 
 
 def _positive(values: np.ndarray) -> np.ndarray:
-    """Return values for an axis in logarithms: nan for zeros."""
+    """Return values for a logarithmic axis, with nan for zeros."""
     return np.where(values > 0, values, np.nan)

@@ -1,7 +1,7 @@
-"""The paper's way to evaluate its equations: numbers put into symbolic matrices, every time; and what that costs.
+"""Timing of the paper's evaluation method, which substitutes numbers into symbolic matrices at every evaluation.
 
-The whole system of a chain of rods stands as SymPy matrices whose masses and lengths are numbers already; each
-evaluation substitutes time, positions and velocities by ``subs`` and solves the numeric system by LAPACK.
+The equations of motion of a chain of rods are SymPy matrices with numeric masses and lengths. Each evaluation
+substitutes time, positions and velocities with ``subs``, and solves the numeric system with LAPACK.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ import numpy as np
 from mbdkit.spec import RunSpec
 
 EVALUATIONS = 24
-"""How many evaluations are timed: the least of so many is steady on a busy machine too."""
+"""Number of timed evaluations: the minimum of this many is reproducible even on a busy machine."""
 FILE = "substitution.json"
 
 
 @dataclass(frozen=True)
 class Substitution:
-    """What one evaluation by substitution takes.
+    """Time of one evaluation by substitution.
 
     Attributes
     ----------
     bodies
         Number of bodies.
     least_s, median_s
-        Least and median processor time of an evaluation [s]: a busy machine does not make it longer.
+        Minimum and median processor time of an evaluation [s]; unlike wall time, it does not include waiting.
     evaluations
-        How many were timed.
+        Number of timed evaluations.
     """
 
     bodies: int
@@ -49,9 +49,9 @@ def measure(spec: RunSpec, evaluations: int = EVALUATIONS) -> Substitution:
     Parameters
     ----------
     spec
-        The run whose mechanism is evaluated, at states near its start.
+        The run; its mechanism is evaluated at states near its start.
     evaluations
-        How many evaluations, one more to warm up.
+        Number of timed evaluations, after one warm-up evaluation.
     """
     mechanism = spec.mechanism()
     system = mechanism.to_sympy()
@@ -61,7 +61,7 @@ def measure(spec: RunSpec, evaluations: int = EVALUATIONS) -> Substitution:
     symbols = [*system.q, *system.v]
     taken = []
     for k in range(evaluations + 1):
-        state = start + 0.1 * math.sin(k + 1)  # never a zero that SymPy could drop
+        state = start + 0.1 * math.sin(k + 1)  # no zeros, for which SymPy would drop terms
         numbers = [*state[:, :3].ravel().tolist(), *state[:, 3:].ravel().tolist()]
         begin = time.process_time()
         values = dict(zip(symbols, numbers, strict=True)) | {system.t: 0.1 * k}
@@ -73,14 +73,14 @@ def measure(spec: RunSpec, evaluations: int = EVALUATIONS) -> Substitution:
 
 
 def measured(folder: Path, specs: Sequence[RunSpec]) -> tuple[Substitution, ...]:
-    """Return the times by substitution for some specs, from the study's folder where they were measured before.
+    """Return the times of evaluation by substitution, measured now or read from an earlier call.
 
     Parameters
     ----------
     folder
-        The study's folder; the times are kept in ``measured/substitution.json``.
+        The folder of the study; the times are stored in its ``measured/substitution.json``.
     specs
-        Runs of different numbers of bodies.
+        Runs with different numbers of bodies.
     """
     path = folder / "measured" / FILE
     names = [spec.sha256() for spec in specs]
@@ -95,7 +95,7 @@ def _read(path: Path) -> dict[str, Substitution]:
     try:
         found = json.loads(path.read_text("utf-8"))
         return {str(name): Substitution(**entry) for name, entry in found.items()}
-    except (OSError, ValueError, TypeError, AttributeError):  # not measured yet, or not by this version
+    except (OSError, ValueError, TypeError, AttributeError):  # not measured yet, or written by another version
         return {}
 
 
@@ -106,5 +106,5 @@ def _write(path: Path, times: dict[str, Substitution]) -> None:
         part = path.with_suffix(".json.part")
         part.write_text(text + "\n", "utf-8")
         os.replace(part, path)
-    except OSError:  # a folder that can only be read: measured again next time
+    except OSError:  # the folder is read-only: measure again next time
         return

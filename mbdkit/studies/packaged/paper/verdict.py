@@ -1,4 +1,4 @@
-"""The verdict on the paper: what holds of what it shows, claims and predicts, and what it could not show."""
+"""Verdict on the paper: tests of its results, claims and predictions, and results beyond its scope."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 NOTES = (
     (
-        "The paper states the step, h = 0.1 s, but no masses, lengths, gravity or initial angles. Uniform rods of 20 m "
-        "and 1 kg, let go 40 degrees below the horizontal, are our reading: it gives the published misalignments."
+        "The paper states the step, h = 0.1 s, but no masses, lengths, gravity or initial angles. We assume uniform "
+        "rods of 20 m and 1 kg, released 40 degrees below the horizontal, which reproduce the published misalignments."
     ),
-    "With rods of 1 m let go from the horizontal the same methods at the same step are off by centimetres to metres.",
-    "Misalignment is in metres or millimetres as the paper has it; it scales with the size of the mechanism.",
+    "With rods of 1 m released from the horizontal, the same methods and step give misalignments of cm to metres.",
+    "Misalignment is given in metres or millimetres as in the paper; it scales with the size of the mechanism.",
     (
-        "Verdicts on misalignment rest on ranges, factors and counts, and are the same on every machine; times are "
+        "Verdicts on misalignment are based on ranges, factors and counts, and do not depend on the machine; times are "
         "those of this machine."
     ),
 )
@@ -33,7 +33,7 @@ def verdict(study: Study) -> Verdict:
     Parameters
     ----------
     study
-        The study. The time of substitution into SymPy's matrices is measured once and kept in its folder.
+        The study. The time of substitution into SymPy matrices is measured once and stored in its folder.
     """
     size, size_table = magnitudes(study)
     gill, gauss, rank_table = ranking(study)

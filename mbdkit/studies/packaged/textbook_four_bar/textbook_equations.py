@@ -1,8 +1,9 @@
-"""The textbook's own equations of its four-bar linkage: three link angles, the loop closed at velocity level only.
+"""The textbook's equations of motion of its four-bar linkage in three link angles.
 
-Two particles of one mass ride on the far ends of the first and the second of three massless links. The state is the
-links' relative angles q1, q2, q3 and the rate u1 of the first; the two other rates follow from the loop's velocity.
-The loop's position is nowhere enforced, so that it opens by integration error: the residual that the textbook plots.
+Two particles of equal mass are fixed to the far ends of the first and the second of three massless links. The state
+consists of the relative link angles q1, q2, q3 and the rate u1 of the first. The two other rates follow from the loop
+constraint at velocity level. The loop constraint is not enforced at position level, so that integration error opens the
+loop; this gap is the residual that the textbook plots.
 """
 
 from __future__ import annotations
@@ -17,23 +18,23 @@ from scipy.integrate import solve_ivp
 LENGTHS = np.array([0.8, 2.0, 1.0])  # m, first to third link
 GROUND = 2.0  # m, between the supports
 GRAVITY = 9.81  # m/s^2
-START = math.radians(10.0)  # rad, first link
+START = math.radians(10.0)  # rad, initial angle of the first link
 END = 30.0  # s
-FRAMES = 600  # rows of the book's figures, 20 a second
+FRAMES = 600  # rows of the figures in the book, 20 per second
 
 
 @dataclass(frozen=True)
 class LoopRun:
-    """A run of the textbook's equations.
+    """Result of an integration of the textbook's equations.
 
     Attributes
     ----------
     residual
-        Largest component of the loop's gap over the rows of the figure [m].
+        Largest component of the gap of the loop over the rows of the figure [m].
     evaluations
-        Evaluations of the right side.
+        Number of evaluations of the right-hand side.
     seconds
-        Time it took [s].
+        Wall time [s].
     """
 
     residual: float
@@ -42,14 +43,14 @@ class LoopRun:
 
 
 def gap(angles: np.ndarray) -> np.ndarray:
-    """Return the loop's gap (x, y) [m] for relative link angles (..., 3) [rad]."""
+    """Return the gap (..., 2) of the loop [m] for relative link angles (..., 3) [rad]."""
     total = np.cumsum(angles, axis=-1)
     ends = np.stack([np.cos(total), np.sin(total)], axis=-1) * LENGTHS[:, None]
     return np.asarray(ends.sum(axis=-2) - (GROUND, 0.0))
 
 
 def start() -> np.ndarray:
-    """Return (q1, q2, q3, u1) at rest with the first link at 10 degrees and the third joint above the supports."""
+    """Return the start (q1, q2, q3, u1): at rest, first link at 10 degrees, third joint above the supports."""
     joint = LENGTHS[0] * np.array([math.cos(START), math.sin(START)])
     across = np.array([GROUND, 0.0]) - joint
     distance = float(np.hypot(*across))
@@ -62,12 +63,13 @@ def start() -> np.ndarray:
 
 
 def rates(t: float, state: np.ndarray) -> np.ndarray:
-    """Return the derivative of the state (q1, q2, q3, u1), the masses being equal and of no matter."""
+    """Return the time derivative of the state (q1, q2, q3, u1); it does not depend on the mass, as both are equal."""
     total = np.cumsum(state[:3])
-    along = np.stack([np.cos(total), np.sin(total)]) * LENGTHS  # (2, 3), one column a link
+    along = np.stack([np.cos(total), np.sin(total)]) * LENGTHS  # (2, 3), one column per link
     across = np.stack([-along[1], along[0]])
     spin = np.array([state[3], *np.linalg.solve(across[:, 1:], -across[:, 0] * state[3])])
-    # The loop's gap must not accelerate, and no virtual turn that keeps it closed does work against inertia and weight.
+    # The gap has zero acceleration. By d'Alembert's principle, inertia forces and weight do no work in the virtual
+    # rotation that keeps the loop closed.
     turns = np.array([1.0, *np.linalg.solve(across[:, 1:], -across[:, 0])])
     first, second = across * [1, 0, 0], across * [1, 1, 0]
     back = along * spin**2
@@ -81,14 +83,14 @@ def rates(t: float, state: np.ndarray) -> np.ndarray:
 
 
 def integrate(rtol: float, atol: float, shift: float = 0.0) -> LoopRun:
-    """Run the textbook's equations by SciPy's default solver (Dormand and Prince, order 5), as the textbook does.
+    """Integrate the textbook's equations with SciPy's default solver (Dormand-Prince, order 5), as the textbook does.
 
     Parameters
     ----------
     rtol, atol
-        Tolerances; 1e-3 and 1e-6 are the solver's own and the book's.
+        Tolerances; the book uses the defaults of the solver, 1e-3 and 1e-6.
     shift
-        Added to the second angle of the start [rad], to see what rounding does.
+        Perturbation of the second initial angle [rad], to measure the sensitivity to round-off.
     """
     begin = time.perf_counter()
     state = start() + np.array([0.0, shift, 0.0, 0.0])

@@ -1,8 +1,9 @@
-"""The verdict on the closed four-bar of a public textbook: its published residuals, and what our methods give.
+"""Verdict on the four-bar linkage of a public textbook: published residuals, and residuals with mbdkit's methods.
 
 J. K. Moore, *Learn Multibody Dynamics*, 2022, CC BY 4.0, chapter "Equations of Motion with Holonomic Constraints",
-https://moorepants.github.io/learn-multibody-dynamics/holonomic-eom.html: residuals of up to 8 cm with a standard solver
-at its own tolerances, under 8 mm with the DAE solver IDA at the same ones, and below 5e-10 m with IDA at 1e-10.
+https://moorepants.github.io/learn-multibody-dynamics/holonomic-eom.html, reports residuals of up to 8 cm with a
+standard ODE solver at its default tolerances, below 8 mm with the DAE solver IDA at the same tolerances, and below
+5e-10 m with IDA at tolerances of 1e-10.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ NAMES = {
 
 
 def loop_residual(run: Run) -> np.ndarray:
-    """Return the loop's gap (T, 2) [m] as the textbook has it: the links at their own lengths, in their directions."""
+    """Return the gap (T, 2) of the loop [m] as in the textbook, for links of exact length in computed directions."""
     second, third = run["P2"].position, run["P3"].position
     links = (second, third - second, np.array([GROUND, 0.0]) - third)
     total = np.zeros_like(second)
@@ -65,7 +66,7 @@ def verdict(study: Study) -> Verdict:
     Parameters
     ----------
     study
-        The study. The textbook's own equations are integrated anew, in well under a second.
+        The study. The textbook's own equations are integrated each time, which takes well under a second.
     """
     book, fine = integrate(1e-3, 1e-6), integrate(1e-10, 1e-10)
     shifted = [integrate(1e-3, 1e-6, shift) for shift in (1e-15, 1e-13, 1e-11)]
@@ -106,12 +107,12 @@ def verdict(study: Study) -> Verdict:
         (
             f"Parameters and published residuals: J. K. Moore, {BOOK}, 2022 (CC BY 4.0), on holonomic constraints.",
             (
-                "The residual is the textbook's: the largest component of the gap by which three links of their own "
-                "lengths, in their computed directions, miss the second support."
+                "The residual is defined as in the textbook: three links of exact length are placed in their computed "
+                "directions, and the residual is the largest component of the gap to the second support."
             ),
             (
-                "Nothing is stabilized here: no method closes the loop again. The textbook's DAE solver closes it in "
-                "every step; its number of evaluations is not published."
+                "No stabilization is used here, so that no method corrects the gap of the loop. The textbook's DAE "
+                "solver corrects it in every step; its number of evaluations is not published."
             ),
         ),
     )
@@ -122,19 +123,19 @@ def _repeated(book: LoopRun, fine: LoopRun, shifted: list[LoopRun]) -> Claim:
     answer = together([Range.around(STANDARD, 1.5).holds(residual / 100) for residual in residuals])
     return Claim(
         "standard-solver",
-        "A standard ODE solver at its own tolerances lets the loop open by about 8 cm in 30 s.",
+        "With a standard ODE solver at its default tolerances, the loop opens by about 8 cm in 30 s.",
         "as large as 8 cm, at rtol 1e-3 and atol 1e-6",
-        f"{least_most(residuals)} cm, by the last digits of the start; {fine.residual:.0e} m at 1e-10",
+        f"{least_most(residuals)} cm, depending on round-off of the start; {fine.residual:.0e} m at 1e-10",
         answer,
-        "The textbook's own equations with its own solver open the loop as far as published, give or take the half "
-        "centimetre that rounding of the start makes."
+        "With the textbook's own equations and solver, the loop opens as far as published, within the half centimetre "
+        "by which round-off of the start changes the result."
         if answer is Answer.YES
-        else f"Here the textbook's own equations with its own solver open the loop by {100 * book.residual:.1f} cm.",
+        else f"With the textbook's own equations and solver, the loop opens by {100 * book.residual:.1f} cm here.",
     )
 
 
 def _same_cost(book: LoopRun, curves: dict[str, list[tuple[float, float, float]]]) -> Claim:
-    """Ask what our methods give at the evaluations of the book's solver, and of twice and ten times as many."""
+    """Compare the residuals at 1, 2.5 and 10 times the number of evaluations of the book's solver."""
     told = []
     best: dict[int, float] = {}
     for times in (1, 2.5, 10):
@@ -146,21 +147,21 @@ def _same_cost(book: LoopRun, curves: dict[str, list[tuple[float, float, float]]
         known = {method: residual for method, residual in found.items() if math.isfinite(residual)}
         name = min(known, key=lambda method: known[method]) if known else ""
         best[int(times)] = known[name] if name else math.nan
-        told.append(f"{work:.0f} evaluations: " + (f"{known[name]:.1e} m ({name})" if name else "no run is that cheap"))
+        told.append(f"{work:.0f} evaluations: " + (f"{known[name]:.1e} m ({name})" if name else "no run with so few"))
     answer = exceeds(STANDARD, best[1])
     if math.isnan(best[1]) and curves:
         answer = Answer.NO
     return Claim(
         "same-cost",
-        "At the same number of evaluations our methods hold the loop better than the book's solver.",
-        f"8 cm, {book.evaluations} evaluations by our count",
+        "At the same number of evaluations, mbdkit's methods give a smaller residual than the book's solver.",
+        f"8 cm; {book.evaluations} evaluations, counted here",
         "; ".join(told),
         answer,
-        f"With the {two_digits(book.evaluations)} evaluations of the textbook's solver no method of ours gets through: "
-        "its three angles have the links' lengths built in, absolute coordinates have not. With ten times as many the "
-        f"loop opens by {best[10]:.0e} m."
+        f"With the {two_digits(book.evaluations)} evaluations of the textbook's solver, no method of mbdkit reaches a "
+        "smaller residual: with three angles as coordinates the links keep their lengths, with absolute coordinates "
+        f"they do not. With ten times as many evaluations the loop opens by {best[10]:.0e} m."
         if answer is Answer.NO
-        else f"At the {book.evaluations} evaluations of the textbook's solver the loop opens by {best[1]:.0e} m.",
+        else f"With the {book.evaluations} evaluations of the textbook's solver, the loop opens by {best[1]:.0e} m.",
     )
 
 
@@ -173,12 +174,11 @@ def _reached(target: float, curves: dict[str, list[tuple[float, float, float]]])
     least = f"{known[0][1]} ({two_digits(known[0][0])} evaluations)" if known else "none"
     return Claim(
         "dae-solver" if target == DAE else "dae-solver-fine",
-        f"The loop can be held to {text}.",
+        f"The gap of the loop can be kept below {text}.",
         f"under {text} with the DAE solver IDA",
         ", ".join(f"{method} from {two_digits(work)} evaluations" for work, method in known),
         Answer.YES if known else Answer.OPEN if not curves else Answer.NO,
-        f"Without any stabilization {len(known)} of {len(curves)} methods hold the loop to {text}, at least work "
-        f"{least}.",
+        f"Without stabilization, {len(known)} of {len(curves)} methods keep the gap below {text}; least work: {least}.",
     )
 
 
@@ -199,7 +199,7 @@ def _residuals(rows: list[tuple[Cell, ...]], book: LoopRun, fine: LoopRun) -> Ta
         (first, "tolerance", 1e-3, book.evaluations, book.residual, 1e3 * book.seconds),
         (first, "tolerance", 1e-10, fine.evaluations, fine.residual, 1e3 * fine.seconds),
     ]
-    return Table("residuals", "How far the loop opens in 30 s", columns, (*published, *rows))
+    return Table("residuals", "Gap of the loop over 30 s", columns, (*published, *rows))
 
 
 def _needed(curves: dict[str, list[tuple[float, float, float]]]) -> Table:
@@ -209,17 +209,19 @@ def _needed(curves: dict[str, list[tuple[float, float, float]]]) -> Table:
         rows.append((method, *(work if math.isfinite(work) else None for work in works)))
     columns = (Column("method"), *(Column(f"evaluations for {name}") for name in NAMES.values()))
     note = (
-        "Between runs, interpolated in logarithms, and not below the cheapest run that got through; empty where no run "
-        "is that good."
+        "Interpolated between runs in logarithms, and at least the evaluations of the cheapest complete run; empty if "
+        "no run is that accurate."
     )
-    return Table("same-cost", "Work that holds the loop as well as the textbook's solvers", columns, tuple(rows), note)
+    return Table(
+        "same-cost", "Evaluations to reach the residuals of the textbook's solvers", columns, tuple(rows), note
+    )
 
 
 def _drift_figure(lines: list[Line]) -> Figure:
     return Figure(
         "drift",
         f"Gap of the loop over time, h = {DRAWN_STEP:g} s",
-        "The textbook's third panel, in logarithms and without stabilization.",
+        "The third panel of the textbook's figure, on a logarithmic axis and without stabilization.",
         Axis("time", "s"),
         Axis("gap of the loop", "m", log=True),
         tuple(lines),
@@ -235,8 +237,8 @@ def _work_figure(curves: dict[str, list[tuple[float, float, float]]], book: Loop
     lines.append(Line("textbook's equations, RK45", x, y, "both", "textbook"))
     return Figure(
         "work-drift",
-        "Work and gap of the loop",
-        "Lower and further left is better; shaded: up to the textbook's DAE solver at 1e-3 and at 1e-10.",
+        "Gap of the loop against work",
+        "Lower left is better. Shaded: residuals of the textbook's DAE solver at tolerances from 1e-10 to 1e-3.",
         Axis("evaluations", log=True),
         Axis("loop residual", "m", log=True),
         tuple(lines),
