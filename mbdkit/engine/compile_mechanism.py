@@ -10,8 +10,8 @@ import numpy as np
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, Row
 from mbdkit.engine.elimination_order import minimum_degree, neighbours
 from mbdkit.engine.jit.law_compiler import CompiledLaw, bind_law
+from mbdkit.engine.kernels.applied_forces import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQUE
 from mbdkit.engine.kernels.constraints import KINDS
-from mbdkit.engine.kernels.forces import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQUE
 from mbdkit.engine.kernels.motions import OPCODES
 from mbdkit.engine.kernels.system import Topology
 from mbdkit.errors import SpecError

@@ -16,8 +16,8 @@ import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels import element_kernels as e
+from mbdkit.engine.kernels.applied_forces import BODY_FORCE, PATHWAYS, POINT_FORCE
 from mbdkit.engine.kernels.constraints import KINDS
-from mbdkit.engine.kernels.forces import BODY_FORCE, PATHWAYS, POINT_FORCE
 
 CONSTANT, RATE, MINUS_RATE, RATE_SQUARED = range(4)
 """Classes of factors: 1, h mu, -h mu and (h mu)^2."""

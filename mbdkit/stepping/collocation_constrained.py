@@ -35,8 +35,8 @@ import numpy as np
 
 from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
 from mbdkit.engine.jit.decorators import entry, inlined, subkernel
+from mbdkit.engine.kernels.applied_forces import applied_forces
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, STIFFNESS
-from mbdkit.engine.kernels.forces import applied_forces
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
     OK,

@@ -359,7 +359,9 @@ class CompiledStepper:
             index, column = int(workspace.solver.failed[0]), workspace.solver.pattern.column_of
             name = workspace.mechanism.unknown_name(int(column[index]) if 0 <= index < len(column) else -1)
         if self.family.carries_stages and distance > REGULAR:
-            what = f"{where}: the stage iteration reached a state in which the system of equations is singular at {name}"
+            what = (
+                f"{where}: the stage iteration reached a state in which the system of equations is singular at {name}"
+            )
             return Failure("newton-failed", f"{what}; {hint}.")
         return Failure("singular", f"the system of equations is singular at {name} {where}; {hint}.")
 

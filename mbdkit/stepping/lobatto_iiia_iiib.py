@@ -24,7 +24,7 @@ import numpy as np
 
 from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.jit.decorators import entry, subkernel
-from mbdkit.engine.kernels.forces import applied_forces
+from mbdkit.engine.kernels.applied_forces import applied_forces
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
     DIVERGED,

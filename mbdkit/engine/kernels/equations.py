@@ -13,8 +13,8 @@ import numpy as np
 
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import inlined, kernel
+from mbdkit.engine.kernels.applied_forces import applied_forces
 from mbdkit.engine.kernels.bundle_types import IntMatrix, NumberVector, RealMatrix, RealVector, example_of
-from mbdkit.engine.kernels.forces import applied_forces
 from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, solve_refined
 from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.system import (

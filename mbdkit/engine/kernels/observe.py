@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.jit.decorators import kernel, subkernel
+from mbdkit.engine.kernels.applied_forces import potential_energy
 from mbdkit.engine.kernels.constraints import constraint_positions, constraint_tangents
-from mbdkit.engine.kernels.forces import potential_energy
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.system import (
     OK,

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import inlined, subkernel
+from mbdkit.engine.kernels.applied_forces import applied_forces, force_tangents, powers
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix, RealVector, example_of
 from mbdkit.engine.kernels.constraints import (
     constraint_accelerations,
@@ -27,7 +28,6 @@ from mbdkit.engine.kernels.constraints import (
     constraint_tangents,
     turn_bodies,
 )
-from mbdkit.engine.kernels.forces import applied_forces, force_tangents, powers
 from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, solve_refined
 from mbdkit.engine.kernels.motions import evaluate_motions
 from mbdkit.engine.kernels.schur import Schur
@@ -137,7 +137,7 @@ class Scratch(NamedTuple):
     spring_damp: RealMatrix
     """(S, 36) -dQ/dv of the springs."""
     load_stiff: RealMatrix
-    """(L, 3) -dQ/dq of the loads; see `mbdkit.engine.kernels.forces.force_tangents`."""
+    """(L, 3) -dQ/dq of the loads; see `mbdkit.engine.kernels.applied_forces.force_tangents`."""
     loose: RealMatrix
     """(D, 6) Jacobian of the redundant directions."""
     push: RealVector
