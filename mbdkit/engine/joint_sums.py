@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.kernels.misalignment import squared_misalignment
 
 
 def joint_of_pairs(mechanism: CompiledMechanism) -> np.ndarray:
@@ -39,7 +40,7 @@ class JointSums:
 
         From the time derivatives of the residuals, the result is the velocity misalignment [m/s].
         """
-        return self.misalignment_of_squares(residual[..., 0] ** 2 + residual[..., 1] ** 2)
+        return self.misalignment_of_squares(squared_misalignment(residual[..., 0], residual[..., 1]))
 
     def misalignment_of_squares(self, squares: np.ndarray) -> np.ndarray:
         """Return the misalignment of joints, (..., J), from the squared norms (..., P) of the residuals of pairs."""

@@ -6,8 +6,16 @@ adds the squares of the pairs of a joint and takes the root at the end of a run.
 
 from __future__ import annotations
 
-from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.decorators import inlined, subkernel
 from mbdkit.engine.kernels.system import evaluate_positions, prepare
+
+
+def squared_misalignment(x, y):
+    """Return the squared misalignment of pairs from the residuals of their two rows: numbers, or arrays of one shape."""
+    return x * x + y * y
+
+
+_squared = inlined(squared_misalignment)
 
 
 @subkernel
@@ -16,6 +24,6 @@ def raise_misalignments(top, w, t, q, worst):
     prepare(top, w, t, q)
     evaluate_positions(top, w, q)
     for k in range(len(worst)):
-        square = w.phi[k, 0] * w.phi[k, 0] + w.phi[k, 1] * w.phi[k, 1]
+        square = _squared(w.phi[k, 0], w.phi[k, 1])
         if square > worst[k]:
             worst[k] = square
