@@ -138,7 +138,7 @@ def test_a_force_in_the_frame_of_a_point_mass_is_refused() -> None:
         ({"law": "one-sidde"}, "law", "did you mean 'one-sided'?"),
         ({"stifness": 2.0}, "stifness", "did you mean 'stiffness'?"),
         ({"stiffness": -2.0}, "stiffness", "greater than or equal to 0"),
-        ({"along": "x"}, "", "from_ and to belong to a line"),
+        ({"along": "x"}, "", "from_ and to can be given only with along="),
         ({"points": ((0, 0), (0, 0, 0)), "from_": None, "to": None}, "pathway.points[1]", "two numbers"),
     ],
 )
@@ -168,12 +168,12 @@ def with_law(law: str, **options: Any) -> Mechanism:
         ("not-numbers", {}, "its function returns other things, not the four numbers"),
         ("not-smooth", {}, "SymPy cannot take the derivatives of its force f(length)"),
         ("bessel", {}, "its force besselj(0, length) has functions that cannot be compiled"),
-        ("named-length", {}, "its parameter 'length' has the name of what every law is a function of"),
+        ("named-length", {}, "its parameter 'length' has the name of an argument of the law"),
         ("not-an-expression", {}, "an object of type str is no SymPy expression"),
         ("unknown-symbol", {"stiffness": 1.0}, "the symbol 'stifness' of its force is none of"),
         ("wrong-potential", {"stiffness": 1.0}, "of its potential is not its force at rate zero"),
         ("timed-potential", {"stiffness": 1.0}, "has no potential: leave it out"),
-        ("no-parameters", {}, "failed to make its parameters: ZeroDivisionError: no parameters today"),
+        ("no-parameters", {}, "failed to compute its parameters: ZeroDivisionError: no parameters today"),
     ],
 )
 def test_a_law_that_fails_to_be_built_is_the_plugins_fault(law: str, options: Any, words: str) -> None:
