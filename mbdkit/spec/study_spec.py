@@ -137,8 +137,8 @@ class Family(Section):
     overrides: Overrides = Field(default_factory=dict)
     """Dotted keys to set in the base, applied after those at the top level of the study."""
     axes: Axes = ()
-    """Parameters that vary. Each axis maps dotted keys to value sets; the runs are all combinations of the axes, and the
-    keys of one axis vary together."""
+    """Parameters that vary. Each axis maps dotted keys to value sets; the keys of one axis vary together, and the runs
+    are all combinations of the axes."""
     reference: Reference | None = None
     """Dotted keys to set in the spec of a run to obtain its reference run; `none` for no reference."""
     repeats: Repeats | None = None
@@ -165,8 +165,8 @@ class StudySpec(StrictSpec):
     overrides: Overrides = Field(default_factory=dict)
     """Dotted keys to set in the base, such as `time.end: 5.0`."""
     axes: Axes = ()
-    """Parameters that vary. Each axis maps dotted keys to value sets; the runs are all combinations of the axes, and the
-    keys of one axis vary together."""
+    """Parameters that vary. Each axis maps dotted keys to value sets; the keys of one axis vary together, and the runs
+    are all combinations of the axes."""
     families: dict[str, Family] = Field(default_factory=dict)
     """Several grids of runs by name, instead of `axes`."""
     reference: Reference = "none"
