@@ -20,7 +20,8 @@ def chain(
 ) -> Mechanism:
     """Return a chain of rods `rod1` to `rodn` with revolute joints `J1` to `Jn`, numbered from the ground outwards.
 
-    Joint `J1` is at the origin. The frame of each rod has its origin at the midpoint of the rod and its x axis along the rod, away from the ground.
+    Joint `J1` is at the origin. The frame of each rod has its origin at the midpoint of the rod, and its x axis points
+    along the rod, away from the ground.
 
     Parameters
     ----------
