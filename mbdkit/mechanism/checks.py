@@ -88,14 +88,14 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
 
 
 def check_name(name: object, key: str) -> None:
-    """Raise a SpecError unless `name` can name a body, a joint or a force in spec and archive."""
+    """Raise a SpecError unless `name` is a valid name of a body, joint, force or event in specs and archives."""
     if not isinstance(name, str):
-        raise SpecError(f"a name is text; got {name!r}", key=key)
+        raise SpecError(f"should be text, not {name!r}", key=key)
     if name == GROUND:
-        raise SpecError("the name 'ground' is the global frame's own; choose another", key=key)
+        raise SpecError("the name 'ground' is reserved for the global frame; choose another name", key=key)
     if not name or name != name.strip() or any(letter in "/." or not letter.isprintable() for letter in name):
         raise SpecError(
-            f"a name is printable text without '/' or '.', not empty and without spaces around it; got {name!r}",
+            f"should be non-empty printable text without '/', '.' and surrounding spaces, not {name!r}",
             key=key,
         )
 
@@ -137,7 +137,7 @@ def _check_element(key: str, element: Joint | Force, bodies: Iterable[str], poin
         where, body = places[1]
         raise SpecError(f"the two bodies must differ; both are '{body}'", key=f"{key}.{where}")
     if isinstance(element, Torque | PointForce) and element.body == GROUND:
-        raise SpecError(f"a {element.type} on the ground does nothing; name a body", key=f"{key}.body")
+        raise SpecError(f"a {element.type} on the ground has no effect; name a body", key=f"{key}.body")
     for place, body in element.angles():
         if body in point_masses:
             raise SpecError(
@@ -147,5 +147,5 @@ def _check_element(key: str, element: Joint | Force, bodies: Iterable[str], poin
     for place, body, point in element.attachments():
         if body in point_masses and point != (0.0, 0.0):
             raise SpecError(
-                f"'{body}' is a point mass (it has no inertia), so it can be held only at [0, 0]", key=f"{key}.{place}"
+                f"'{body}' is a point mass (it has no inertia), so its only point is [0, 0]", key=f"{key}.{place}"
             )

@@ -74,7 +74,7 @@ class Coordinate(Between):
     @classmethod
     def _no_angle(cls, data: Any) -> Any:
         if isinstance(data, Mapping) and data.get("coordinate") == "angle":
-            raise SpecError("the pathway along an angle is written {type: relative-angle, ...}", key="coordinate")
+            raise SpecError("for an angle, use the pathway {type: relative-angle, ...}", key="coordinate")
         return data
 
     @model_validator(mode="after")

@@ -226,7 +226,7 @@ class Compiler:
         """Return the program of any other operand; subclasses may add operands, this class rejects them all."""
         if isinstance(node, ast.Name):
             name = self.segment(node)
-            hint = TIME.get(name) or did_you_mean(name, ["t", "pi", *FUNCTIONS]) or "; known are t, pi and functions"
+            hint = TIME.get(name) or did_you_mean(name, ["t", "pi", *FUNCTIONS]) or "; known: t, pi and functions"
             self.refuse(f"unknown name '{name}'{hint}", node)
         self.refuse(
             f"'{self.segment(node)}' is not part of {self.wanted}, + - * / **, "

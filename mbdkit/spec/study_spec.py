@@ -186,7 +186,9 @@ class StudySpec(StrictSpec):
         if self.axes and self.families:
             raise SpecError("cannot be combined with `families`; give each family its own axes", key="axes")
         if not self.axes and not self.families:
-            raise PydanticCustomError("mbdkit", "needs `axes` (what varies) or `families` (several grids of runs)")
+            raise PydanticCustomError(
+                "mbdkit", "needs `axes` (parameters that vary) or `families` (several grids of runs)"
+            )
         for name, family in self.families.items():
             if not name.strip() or "/" in name:
                 raise SpecError(

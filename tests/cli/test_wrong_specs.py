@@ -270,7 +270,7 @@ WRONG = {
         "model.forces.m.value",
         "__import__",
     ),
-    "an expression of x": (free("0.1*cos(t)", "0.1*cos(x)"), 13, "model.forces.m.value", "'x'; known are t, pi"),
+    "an expression of x": (free("0.1*cos(t)", "0.1*cos(x)"), 13, "model.forces.m.value", "'x'; known: t, pi"),
     "a key of forces": (
         free("body: crank, value", "bdoy: crank, value"),
         13,

@@ -251,7 +251,7 @@ CHANGES = {
     "force on a point mass": ("forces.f.body", "bob", "model.forces.f.point", "held only at [0, 0]"),
     "force on the ground": ("forces.f.body", "ground", "model.forces.f.body", "does nothing"),
     "name with a dot": ("bodies.a/b", {"mass": 1}, "model.bodies.a/b", "without '/' or '.'"),
-    "name of the ground": ("bodies.ground", {"mass": 1}, "model.bodies.ground", "global frame's own"),
+    "name of the ground": ("bodies.ground", {"mass": 1}, "model.bodies.ground", "reserved for the global frame"),
     "empty name": ("joints.", SPEC["joints"]["A"], "model.joints.", "not empty"),
     "control character": ("joints.a\tb", SPEC["joints"]["A"], "model.joints.a\tb", "printable"),
     "no mapping": ("bodies.rod", 3, "model.bodies.rod", "Body"),
