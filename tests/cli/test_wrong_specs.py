@@ -148,7 +148,7 @@ WRONG = {
         SMALL + "stabilization: {name: projection, symmetric: true, bound: 1e-9}\n",
         9,
         "stabilization.bound",
-        "no place beside `symmetric: true`",
+        "cannot be combined with `symmetric: true`",
     ),
     "projection of a solver of SciPy": (
         small("{name: gauss, stages: 2}", "{name: scipy-lsoda}") + "stabilization: projection\n",
@@ -157,7 +157,7 @@ WRONG = {
         "does not support the stabilization 'projection'",
     ),
     "duplicate key": (SMALL + "title: a\ntitle: b\n", 10, "title", "twice"),
-    "recursive alias": (SMALL + "title: &a [*a]\n", 9, "title[0]", "contains it"),
+    "recursive alias": (SMALL + "title: &a [*a]\n", 9, "title[0]", "contains the alias"),
     "a Python object": (SMALL + "title: !!python/object/apply:os.system [id]\n", 9, "title", "plain data"),
     "a tab": (small("  end: 1.0", "\tend: 1.0"), 7, "", "tab"),
     "bad YAML": (SMALL + "title: [a\n", None, "", "not valid YAML"),

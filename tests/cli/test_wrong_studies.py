@@ -204,7 +204,7 @@ WRONG = {
         "should be the name of a distribution, such as mbdkit-generalized-alpha, not 3",
     ),
     "a mistyped reversal": (STUDY + "measures: [reversibility_defct]\n", 14, "measures[0]", "'reversibility_defect'?"),
-    "axes beside families": (STUDY + "families: {a: {}}\n", 7, "axes", "each family has axes of its own"),
+    "axes beside families": (STUDY + "families: {a: {}}\n", 7, "axes", "give each family its own axes"),
     "a family with a mistyped key": (
         "mbdkit_study: 1\nbase: pendulum\nfamilies:\n  a:\n    axs: []\n",
         5,

@@ -294,9 +294,9 @@ def test_the_builder_answers_at_once():
         m.body("bob", mass=0)
     with pytest.raises(SpecError, match="did you mean 'rod'"):
         m.revolute("A", m.ground, "rodd", at=(0, 0))
-    with pytest.raises(SpecError, match=r"either by points= .* or by at "):
+    with pytest.raises(SpecError, match=r"either as points= .* or as at "):
         m.revolute("A", m.ground, rod)
-    with pytest.raises(SpecError, match=r"either by points= .* or by from_ and to "):
+    with pytest.raises(SpecError, match=r"either as points= .* or as from_ and to "):
         m.spring_damper("s", m.ground, rod, from_=(0, 0), stiffness=1)
     with pytest.raises(SpecError, match="'length' is missing"):
         m.distance("D", m.ground, rod, points=[(0, 0), (0, 0)])

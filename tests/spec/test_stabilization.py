@@ -104,7 +104,7 @@ def test_baumgarte_goes_with_index_one_alone() -> None:
 
 def test_symmetric_projection_needs_fixed_steps() -> None:
     spec = spec_type(offering(RungeKutta(), adaptive=True))
-    with pytest.raises(SpecError, match="needs fixed steps") as caught:
+    with pytest.raises(SpecError, match="needs a fixed step") as caught:
         spec(
             mbdkit=1, model={"name": "single-pendulum"}, integrator={"name": "mine"}, time={"end": 0.1},
             stabilization={"name": "projection", "symmetric": True},
