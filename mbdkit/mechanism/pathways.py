@@ -54,13 +54,13 @@ class TwoPoints(LinePathway):
 
 
 class RelativeAngle(AnglePathway):
-    """The relative angle ``angle_b - angle_a`` [rad]; a positive torque decreases it."""
+    """The relative angle ``angle_b - angle_a`` [rad]; a positive torque acts to decrease it."""
 
     type: Literal["relative-angle"]
 
 
 class Coordinate(Between):
-    """Coordinate ``x`` or ``y`` of b's point in a's frame [m]; a positive force decreases it."""
+    """Coordinate ``x`` or ``y`` of b's point in a's frame [m]; a positive force acts to decrease it."""
 
     type: Literal["coordinate"]
     coordinate: Literal["x", "y"]
