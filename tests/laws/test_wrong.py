@@ -70,7 +70,12 @@ WRONG = {
     "pathway without type": (spec("        type: two-points\n", ""), 13, "pathway.type", "is missing"),
     "unknown body": (spec("[ground, arm]", "[ground, amr]"), 15, "pathway.bodies[1]", "(did you mean 'arm'?)"),
     "one body": (spec("[ground, arm]", "[arm, arm]"), 15, "pathway.bodies[1]", "differ"),
-    "point off a point mass": (spec("[ground, arm]", "[ground, ball]"), 16, "pathway.points[1]", "only at [0, 0]"),
+    "point off a point mass": (
+        spec("[ground, arm]", "[ground, ball]"),
+        16,
+        "pathway.points[1]",
+        "only point is [0, 0]",
+    ),
     "a point of three": (spec("[[0, 0], [0.5, 0]]", "[[0, 0, 0], [0.5, 0]]"), 16, "pathway.points[0]", "x, y"),
     "angle of a point mass": (
         ANGLE.replace("[ground, arm]", "[arm, ball]"),

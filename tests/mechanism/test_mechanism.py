@@ -257,7 +257,7 @@ CHANGES = {
     "force on the ground": ("forces.f.body", "ground", "model.forces.f.body", "has no effect"),
     "name with a dot": ("bodies.a/b", {"mass": 1}, "model.bodies.a/b", "without '/', '.'"),
     "name of the ground": ("bodies.ground", {"mass": 1}, "model.bodies.ground", "reserved for the global frame"),
-    "empty name": ("joints.", SPEC["joints"]["A"], "model.joints.", "not empty"),
+    "empty name": ("joints.", SPEC["joints"]["A"], "model.joints.", "non-empty"),
     "control character": ("joints.a\tb", SPEC["joints"]["A"], "model.joints.a\tb", "printable"),
     "no mapping": ("bodies.rod", 3, "model.bodies.rod", "Body"),
     "no bodies": ("bodies", {}, "model.bodies", "at least one body"),
