@@ -1,14 +1,14 @@
-"""The base of everything that a user may write: pydantic models without coercion, unknown keys or mutation."""
+"""Base class of all user input: strict, frozen pydantic models that reject unknown keys."""
 
 from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict
 
 STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-"""No unknown keys, no assignment, no coercion of text or booleans to numbers, no infinities and no NaN."""
+"""Reject unknown keys, infinities and NaN; do not allow assignment; do not convert text or booleans to numbers."""
 
 
 class StrictModel(BaseModel):
-    """Base of elements, options and sections of a spec; docstrings of attributes become descriptions in the schema."""
+    """Base class of elements, options and sections of a spec; attribute docstrings are descriptions in the schema."""
 
     model_config = ConfigDict(**STRICT, use_attribute_docstrings=True)

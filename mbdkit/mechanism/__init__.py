@@ -1,1 +1,1 @@
-"""What a model author writes: bodies, joints, drivers, force elements and their initial state, as plain data."""
+"""Description of a mechanism as plain data: bodies, joints, drivers, force elements and their initial state."""

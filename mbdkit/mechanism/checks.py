@@ -1,4 +1,4 @@
-"""Checks across the elements of a mechanism: names, bodies of elements, springs without effect, spans of tables."""
+"""Checks that involve several elements of a mechanism: names, referenced bodies, ineffective springs, table ranges."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from mbdkit.mechanism.values import Table
 from mbdkit.text import did_you_mean, listed
 
 ROUNDING = 1e-9
-"""Share of its length by which a run may leave a table: the end of a run is a sum of rounded steps."""
+"""Relative tolerance for a run that extends beyond a table; the end of a run is a sum of rounded steps."""
 
 COINCIDENT = 1e-12
-"""Distance of two points [m], relative to coordinates above 1 m, that counts as round-off."""
+"""Two points closer than this [m] coincide; for coordinates above 1 m, relative to the largest coordinate."""
 
 
 def check_mechanism(
     bodies: Mapping[str, Body], joints: Mapping[str, Joint], forces: Mapping[str, Force], assembly: Assembly
 ) -> None:
-    """Raise a SpecError with the key path of the first thing that is wrong."""
+    """Raise a SpecError with the key path of the first error."""
     if not bodies:
         raise SpecError("a mechanism needs at least one body", key="model.bodies")
     for kind, names in (("bodies", bodies), ("joints", joints), ("forces", forces)):
@@ -38,7 +38,7 @@ def check_mechanism(
         _check_element(f"model.forces.{name}", force, bodies, points)
         if (line := _line(force)) is not None and (pin := pins.get(_ends(line))) is not None:
             raise SpecError(
-                f"joint '{pin}' holds these two points together, so that a spring between them has no effect",
+                f"joint '{pin}' holds these two points together, so a spring between them has no effect",
                 key=f"model.forces.{name}.{line.pathway_key}points",
             )
     for index, name in enumerate(assembly.fix):
@@ -62,14 +62,14 @@ def check_tables(joints: Mapping[str, Joint], forces: Mapping[str, Force], start
 
 
 def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) -> None:
-    """Raise a SpecError for the first spring whose two ends coincide at the start, so that it has no direction.
+    """Raise a SpecError for the first spring whose ends coincide at the start, which leaves its direction undefined.
 
     Parameters
     ----------
     forces
         The force elements by name.
     placed
-        Returns the body of a name, with the position of the assembled start.
+        Returns the body with a given name, at its position after assembly.
     """
     for name, force in forces.items():
         line = _line(force)
@@ -81,21 +81,21 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
         )
         if math.dist(a, b) <= COINCIDENT * max(1.0, *map(abs, (*a, *b))):
             raise SpecError(
-                f"the two ends are in one place at the start, ({a[0]:.6g}, {a[1]:.6g}), so that the spring has no "
-                "direction to push in; move a point apart, or take a spring-damper with the free_length 0",
+                f"the two ends coincide at the start, at ({a[0]:.6g}, {a[1]:.6g}), so the direction of the force is "
+                "undefined; move one of the points, or use a spring-damper with free_length 0",
                 key=f"model.forces.{name}.{line.pathway_key}points",
             )
 
 
 def check_name(name: object, key: str) -> None:
-    """Raise a SpecError unless `name` can name a body, a joint or a force in spec and archive."""
+    """Raise a SpecError unless `name` is a valid name of a body, joint, force or event in specs and archives."""
     if not isinstance(name, str):
-        raise SpecError(f"a name is text; got {name!r}", key=key)
+        raise SpecError(f"should be text, not {name!r}", key=key)
     if name == GROUND:
-        raise SpecError("the name 'ground' is the global frame's own; choose another", key=key)
+        raise SpecError("the name 'ground' is reserved for the global frame; choose another name", key=key)
     if not name or name != name.strip() or any(letter in "/." or not letter.isprintable() for letter in name):
         raise SpecError(
-            f"a name is printable text without '/' or '.', not empty and without spaces around it; got {name!r}",
+            f"should be non-empty printable text without '/', '.' and surrounding spaces, not {name!r}",
             key=key,
         )
 
@@ -103,7 +103,7 @@ def check_name(name: object, key: str) -> None:
 def check_known(name: object, bodies: Iterable[str], key: str) -> None:
     """Raise a SpecError unless `name` is the ground or one of the `bodies`."""
     if not isinstance(name, str):
-        raise SpecError(f"a body's name is wanted; got {name!r}", key=key)
+        raise SpecError(f"should be the name of a body, not {name!r}", key=key)
     if name != GROUND and name not in bodies:
         known = [GROUND, *bodies]
         hint = did_you_mean(name, known) or f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}"
@@ -137,7 +137,7 @@ def _check_element(key: str, element: Joint | Force, bodies: Iterable[str], poin
         where, body = places[1]
         raise SpecError(f"the two bodies must differ; both are '{body}'", key=f"{key}.{where}")
     if isinstance(element, Torque | PointForce) and element.body == GROUND:
-        raise SpecError(f"a {element.type} on the ground does nothing; name a body", key=f"{key}.body")
+        raise SpecError(f"a {element.type} on the ground has no effect; name a body", key=f"{key}.body")
     for place, body in element.angles():
         if body in point_masses:
             raise SpecError(
@@ -147,5 +147,5 @@ def _check_element(key: str, element: Joint | Force, bodies: Iterable[str], poin
     for place, body, point in element.attachments():
         if body in point_masses and point != (0.0, 0.0):
             raise SpecError(
-                f"'{body}' is a point mass (it has no inertia), so it can be held only at [0, 0]", key=f"{key}.{place}"
+                f"'{body}' is a point mass (it has no inertia), so its only point is [0, 0]", key=f"{key}.{place}"
             )

@@ -1,4 +1,4 @@
-"""Translate a pydantic error about an element into one SpecError with a key path and a suggestion."""
+"""Conversion of pydantic errors about an element to a SpecError with a key path and a suggestion."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mbdkit.text import did_you_mean, listed
 
 
 def _members(union: Any) -> dict[str, type[BaseModel]]:
-    """Return the models of an annotated union by the value of their `type`."""
+    """Return the models in an annotated union, keyed by the value of their `type`."""
     models = [get_args(one)[0] if get_origin(one) is Annotated else one for one in get_args(get_args(union)[0])]
     return {get_args(model.model_fields["type"].annotation)[0]: model for model in models}
 
@@ -27,9 +27,9 @@ _PATHWAYS = _members(Pathway)
 
 
 def spec_error(error: ValidationError, prefix: str, root: type[BaseModel]) -> SpecError:
-    """Return the first entry of `error`, from the validation of a `root` at key path `prefix`, as a SpecError."""
+    """Return the first entry of `error` as a SpecError; `root` is the validated model, `prefix` its key path."""
     entries = error.errors(include_url=False)
-    # pydantic lists missing keys first, but a mistyped key is often the reason why one is missing.
+    # pydantic lists missing keys first, but a key is often missing because it was mistyped.
     first = next((one for one in entries if one["type"] == "extra_forbidden"), entries[0])
     owner, location = _owner(root, list(first["loc"]))
     if first["type"].startswith("union_tag"):
@@ -52,14 +52,14 @@ def spec_error(error: ValidationError, prefix: str, root: type[BaseModel]) -> Sp
             given, known = str(context["tag"]), [tag.strip("' ") for tag in context["expected_tags"].split(",")]
             message = f"there is no type '{given}'{did_you_mean(given, known)}; known: {listed(known)}"
         case "union_tag_not_found":
-            message = "'type' is missing, which says what this is"
+            message = "'type' is missing"
         case _:
             message = f"{message[:1].lower()}{message[1:]}, not {first['input']!r}"
     return SpecError(message, key=key)
 
 
 def _owner(root: type[BaseModel], location: list[int | str]) -> tuple[type[BaseModel], list[int | str]]:
-    """Return the model that the end of `location` belongs to, and the location without pydantic's union tag."""
+    """Return the model with the last key of `location` as a field, and the location without pydantic's union tag."""
     if root is MechanismData and len(location) > 2:
         kind, _, part = location[:3]
         if kind in ("joints", "forces") and part in _BY_TYPE:

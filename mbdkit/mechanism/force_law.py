@@ -1,9 +1,9 @@
-"""Force laws as their authors write them: the tension of a force element as a function of length, rate and time.
+"""Definitions of force laws: the tension of a force element as a function of length, rate and time.
 
-A law is the scalar force ``F(s, s', t)`` along a pathway of length ``s``: positive pulls the two bodies together. It
-comes with ``dF/ds``, ``dF/ds'`` and, where it has one, its potential ``V(s)``, whose slope is the force at rate zero.
-Of the power ``F s'`` that the bodies give to the element, ``V_s s'`` is stored; the rest is dissipated where the law is
-passive, and otherwise counts as (negative) work of the element.
+A law gives the scalar force ``F(s, s', t)`` along a pathway of length ``s``; a positive force pulls the two bodies
+together. It also gives ``dF/ds``, ``dF/ds'`` and, optionally, a potential ``V(s)`` with ``dV/ds = F(s, 0)``. The bodies
+supply the power ``F s'`` to the element, which stores ``V_s s'``. If the law is passive, the remainder is dissipated;
+otherwise it counts as negative work of the element.
 """
 
 from __future__ import annotations
@@ -16,27 +16,28 @@ if TYPE_CHECKING:
     import sympy
 
 ARGUMENTS = ("length", "rate", "time")
-"""Arguments of every law: s [m or rad], its rate s' [m/s or rad/s] and time [s]."""
+"""Arguments of every law: length s [m or rad], rate s' [m/s or rad/s] and time t [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class ExpressionLaw:
-    """A force law written in SymPy; its derivatives are taken by SymPy.
+    """A force law as a SymPy expression, which SymPy differentiates.
 
     Parameters
     ----------
     force
-        F as an expression in symbols named ``length``, ``rate``, ``time`` and like the law's options, or a function
-        without arguments that returns it and is called only to compile or show the law. The expression must consist
-        of SymPy functions, and of ``Piecewise``, ``Min``, ``Max`` or ``Abs`` where it has corners or jumps.
+        F as an expression in the symbols ``length``, ``rate``, ``time`` and one symbol for each parameter, or a
+        function without arguments that returns this expression and is called only to compile or display the law. The
+        expression may contain SymPy functions; use ``Piecewise``, ``Min``, ``Max`` or ``Abs`` for corners and jumps.
     potential
-        V, likewise, in ``length`` and options; its derivative by length is checked to be the force at rate zero, on
-        which time must have no influence. Left out, the law has none.
+        V as an expression, or a function that returns it, in ``length`` and the parameters; None if the law has no
+        potential. Its derivative with respect to length must equal the force at rate zero, which must not depend on
+        time; this is checked.
     passive
         Whether all power that is not stored is dissipated.
     parameters
-        Turns an instance of the law's options into a number for each other symbol, by name; left out, these are the
-        options themselves.
+        Function from an instance of the law's options to the values of the parameters by name; by default, the
+        parameters are the numeric options themselves.
     """
 
     force: sympy.Expr | Callable[[], sympy.Expr]
@@ -47,22 +48,22 @@ class ExpressionLaw:
 
 @dataclass(frozen=True, eq=False)
 class FunctionLaw:
-    """A force law written as a function that Numba can compile.
+    """A force law as a function that Numba can compile.
 
     Parameters
     ----------
     function
-        Takes length, rate, time and an array of parameters; returns four numbers: force, its derivative by length, its
-        derivative by rate, and the potential (0.0 where there is none). Of other functions it may call those of its
-        own package.
+        Takes length, rate, time and an array of parameters. Returns four numbers: the force, its derivatives with
+        respect to length and to rate, and the potential (0.0 if there is none). It may call other functions only from
+        its own package.
     potential
-        Whether the fourth number is a potential: its derivative by length is the force at rate zero, on which time has
-        no influence.
+        Whether the fourth number is a potential. The derivative of a potential with respect to length equals the force
+        at rate zero, which must not depend on time.
     passive
         Whether all power that is not stored is dissipated.
     parameters
-        Turns an instance of the law's options into the numbers that the function is given, any number of them; left
-        out, these are the options in the order in which they are defined.
+        Function from an instance of the law's options to the array of parameters, of any length; by default, the
+        parameters are the options in the order of their definition.
     """
 
     function: Callable[..., tuple[float, float, float, float]]

@@ -1,4 +1,4 @@
-"""Force elements: springs, which are a pathway with the linear law, elements of any other law, and loads."""
+"""Force elements: linear springs, elements with any other force law, and applied loads."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mbdkit.mechanism.values import Motion, MotionPair, NotNegative, Number, Poi
 
 
 class LinearForce(NamedTuple):
-    """A linear spring and damper on a pathway: tension ``stiffness * (s - free) + damping * ds/dt``."""
+    """Parameters of a linear spring and damper on a pathway: tension ``stiffness * (s - free) + damping * ds/dt``."""
 
     stiffness: float
     damping: float
@@ -29,9 +29,9 @@ class AppliedLoad(NamedTuple):
     Attributes
     ----------
     kind
-        A torque, or a force on a point, in the global frame or in that of the body.
+        Torque, point force in the global frame, or point force in the frame of the body.
     body, reaction_body
-        The loaded body, and the one that takes the opposite load.
+        The loaded body, and the body that the opposite load acts on.
     values
         The torque [N m], or the two components of the force [N].
     point
@@ -48,7 +48,7 @@ class AppliedLoad(NamedTuple):
 class SpringDamper(LinePathway):
     """A linear spring and damper along the line between two points.
 
-    Tension ``stiffness * (l - free_length) + damping * dl/dt`` pulls the points together, l being their distance.
+    Tension ``stiffness * (l - free_length) + damping * dl/dt`` pulls the points together, where l is their distance.
     """
 
     type: Literal["spring-damper"] = "spring-damper"
@@ -57,25 +57,25 @@ class SpringDamper(LinePathway):
     damping: NotNegative = 0.0
     """Damping [N s/m]."""
     free_length: NotNegative = 0.0
-    """Length without force [m]."""
+    """Length at which the spring exerts no force [m]."""
     pathway_key: ClassVar[str] = ""
 
     @property
     def pathway(self) -> SpringDamper:
-        """The pathway of the force, which is the element itself."""
+        """The pathway along which the force acts, which is the element itself."""
         return self
 
     @property
     def linear(self) -> LinearForce:
-        """The law of the force."""
+        """The parameters of the linear force law."""
         return LinearForce(self.stiffness, self.damping, self.free_length)
 
 
 class TorsionSpring(AnglePathway):
     """A linear torsion spring and damper on ``angle_b - angle_a``.
 
-    The torque on b is ``-stiffness * (angle_b - angle_a - free_angle) - damping * (rate_b - rate_a)``, and its opposite
-    acts on a.
+    The torque on b is ``-stiffness * (angle_b - angle_a - free_angle) - damping * (rate_b - rate_a)``; the opposite
+    torque acts on a.
     """
 
     type: Literal["torsion-spring"] = "torsion-spring"
@@ -84,38 +84,38 @@ class TorsionSpring(AnglePathway):
     damping: NotNegative = 0.0
     """Damping [N m s/rad]."""
     free_angle: Number = 0.0
-    """Relative angle without torque [rad]."""
+    """Relative angle at which the spring exerts no torque [rad]."""
     pathway_key: ClassVar[str] = ""
 
     @property
     def pathway(self) -> TorsionSpring:
-        """The pathway of the force, which is the element itself."""
+        """The pathway along which the force acts, which is the element itself."""
         return self
 
     @property
     def linear(self) -> LinearForce:
-        """The law of the force."""
+        """The parameters of the linear force law."""
         return LinearForce(self.stiffness, self.damping, self.free_angle)
 
 
 class Torque(Element):
-    """A torque on a body, with its opposite on `reaction_body` if one is named."""
+    """A torque on a body, and the opposite torque on `reaction_body` if one is given."""
 
     type: Literal["torque"] = "torque"
     body: str
-    """The body that the torque turns."""
+    """Name of the body that the torque acts on."""
     value: Motion
     """Torque [N m]: number, expression of t, or table."""
     reaction_body: str | None = None
-    """The body that takes the opposite torque; none by default."""
+    """Name of the body that the opposite torque acts on; none by default."""
 
     def places(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body that the element names."""
+        """Return (key, body name) of each body that the element refers to."""
         named = [("body", self.body)]
         return named if self.reaction_body is None else [*named, ("reaction_body", self.reaction_body)]
 
     def angles(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body whose angle the element uses, and which is therefore no point mass."""
+        """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
         return self.places()
 
     def motions(self) -> list[tuple[str, Motion]]:
@@ -129,28 +129,28 @@ class Torque(Element):
 
 
 class PointForce(Element):
-    """A force on a point of a body, given in the global frame or in the body's own, with which it turns."""
+    """A force on a point of a body, with components in the global frame or in the body's frame."""
 
     type: Literal["force"] = "force"
     body: str
-    """The body that the force acts on."""
+    """Name of the body that the force acts on."""
     point: Point = (0.0, 0.0)
-    """Where it acts, in the body's frame [m]."""
+    """Point of application in the body's frame [m]."""
     value: MotionPair
     """Force (x, y) [N]: numbers, expressions of t, or tables."""
     frame: Literal["global", "body"] = "global"
-    """The frame that x and y of the force belong to: `global`, or that of the `body`."""
+    """Frame of the components of the force: `global`, or `body`, in which case the force turns with the body."""
 
     def places(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body that the element names."""
+        """Return (key, body name) of each body that the element refers to."""
         return [("body", self.body)]
 
     def attachments(self) -> list[Attachment]:
-        """Return (key, body name, point in its frame) of each body-fixed point of the element."""
+        """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""
         return [("point", self.body, self.point)]
 
     def angles(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body whose angle the element uses, and which is therefore no point mass."""
+        """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
         return self.places() if self.frame == "body" else []
 
     def motions(self) -> list[tuple[str, Motion]]:
@@ -164,6 +164,6 @@ class PointForce(Element):
         return AppliedLoad(kind, self.body, GROUND, self.value, self.point)
 
 
-# The options of a law are fields of a class that its law makes; SerializeAsAny dumps them as well.
+# Each law has its own subclass of `Law` with the options as fields; SerializeAsAny includes these fields in dumps.
 Force = Annotated[SpringDamper | TorsionSpring | Torque | PointForce | SerializeAsAny[Law], Field(discriminator="type")]
-"""A force element, by its `type`."""
+"""A force element; `type` selects its class."""

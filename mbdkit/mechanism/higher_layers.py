@@ -1,7 +1,7 @@
-"""Two functions of higher layers that mechanisms call; ``mbdkit/__init__.py`` sets them.
+"""Two functions of higher layers that mechanisms call; ``mbdkit/__init__.py`` assigns them.
 
-A mechanism imports neither the registry of plugins nor the symbolic definitions, because both import mechanisms. It
-needs the registry to look up a force law by name, and the definitions for `Mechanism.to_sympy`.
+This package cannot import the plugin registry or the symbolic definitions, because both import it. It needs the
+registry to look up a force law by name, and the definitions for `Mechanism.to_sympy`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 find_installed_law: Callable[[str], Any]
-"""Returns the element class of an installed force law by its name; raises SpecError with the key ``law``."""
+"""Returns the element class of an installed force law, given its name; raises SpecError with the key ``law``."""
 
 symbolic_system: Callable[[Any, bool], Any]
-"""Returns the `SymbolicSystem` of a mechanism; the flag tells whether numbers stand for its parameters."""
+"""Returns the `SymbolicSystem` of a mechanism; the flag selects numbers instead of symbols for its parameters."""

@@ -1,7 +1,7 @@
-"""Joints and drivers: each type is one class with its fields, constraints, row names, gap and mark in pictures.
+"""Joints and drivers: each type is a class with its fields, constraints, row names, gap and plot symbol.
 
-To add a joint made of known constraints, write its class here and name it in `Joint`. A new kind of constraint is one
-definition in ``mbdkit/symbolic/definitions.py``.
+To add a joint made of existing constraints, write its class here and add it to `Joint`. To add a new kind of
+constraint, define it in ``mbdkit/symbolic/definitions.py``.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ if TYPE_CHECKING:
     import numpy as np
 
 Mark = Literal["pin", "slide", "weld", "bar", "none"]
-"""How pictures show a joint: at its point, with a guide along its axis, as a line between its points, or not at all."""
+"""Plot symbol of a joint: a pin at its point, a guide along its axis, a weld, a bar between its points, or nothing."""
 
 
 @dataclass(frozen=True)
 class Constraint:
-    """One kinematic constraint of a joint, of one or two rows of the same unit.
+    """One kinematic constraint of a joint, with one or two rows of the same unit.
 
     Attributes
     ----------
     kind
-        Name of its definition, such as ``revolute`` or ``fixed_angle``.
+        Name of its symbolic definition, such as ``revolute`` or ``fixed_angle``.
     first_row
-        Place of its first row among the rows of the joint.
+        Index of its first row among the rows of the joint.
     rows
-        Number of its rows.
+        Number of rows.
     points
-        Point in the frame of the first body and in that of the second, (x_a, y_a, x_b, y_b) [m].
+        Point on each body, in the frame of that body, (x_a, y_a, x_b, y_b) [m].
     constants
-        The two further parameters of the kind; zero where it has fewer.
+        Up to two further parameters of the constraint; unused ones are zero.
     motion
-        The function of time that drives it; None if there is none.
+        Prescribed function of time; None if there is none.
     """
 
     kind: str
@@ -52,7 +52,7 @@ class Constraint:
 
 
 class JointBase(Between):
-    """Base of joints: the knowledge that the engine, the checks and the pictures need of a joint type."""
+    """Base class of joints: the properties of a joint type that the engine, the checks and the plots use."""
 
     mark: ClassVar[Mark] = "pin"
     is_driver: ClassVar[bool] = False
@@ -60,7 +60,7 @@ class JointBase(Between):
     joins_points: ClassVar[bool] = False
     """Whether the joint makes its two points coincide."""
     point_moves_on_first: ClassVar[bool] = False
-    """Whether the point of the second body moves in the frame of the first, and exerts the reaction there."""
+    """Whether the second body's point moves in the first body's frame; the reaction then acts at the moving point."""
 
     def constraints(self, initial_angle: float) -> list[Constraint]:
         """Return the constraints of the joint.
@@ -68,17 +68,17 @@ class JointBase(Between):
         Parameters
         ----------
         initial_angle
-            ``angle_b - angle_a`` [rad] of the initial positions as given, for joints that keep it.
+            ``angle_b - angle_a`` [rad] at the initial positions as given, for joints that hold this angle.
         """
         raise NotImplementedError
 
     def gap(self, separation: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        """Return the vector by which the joint is open, (F, 2) [m].
+        """Return the misalignment of the joint as a vector, (F, 2) [m].
 
         Parameters
         ----------
         separation
-            (F, 2) vector from the point of the first body to the point of the second, in the global frame [m].
+            (F, 2) vector from the first body's point to the second body's point, in the global frame [m]; F instants.
         angle
             (F,) angle of the first body [rad].
         """
@@ -86,7 +86,7 @@ class JointBase(Between):
 
 
 class PointJoint(JointBase, BetweenPoints):
-    """Base of joints that hold a point of one body against a point of another."""
+    """Base class of joints that constrain a point of one body relative to a point of another."""
 
     @property
     def flat_points(self) -> tuple[float, float, float, float]:
@@ -108,9 +108,9 @@ class Revolute(PointJoint):
 
 
 def _not_zero(value: Any) -> Any:
-    """Refuse a length of zero with a hint; all other checks come later."""
+    """Reject a length of zero with a hint; the type of the field checks everything else."""
     if not isinstance(value, bool) and value == 0:
-        raise SpecError("two points at a distance of 0 have no direction between them: use a revolute joint")
+        raise SpecError("a distance of 0 leaves the direction between the points undefined: use a revolute joint")
     return value
 
 
@@ -119,7 +119,7 @@ class Distance(PointJoint):
 
     type: Literal["distance"] = "distance"
     length: Annotated[Positive, BeforeValidator(_not_zero)]
-    """Distance of the two points [m]; use a revolute joint for a distance of zero."""
+    """Distance between the two points [m]; use a revolute joint for a distance of zero."""
     rows: ClassVar[tuple[str, ...]] = ("length",)
     units: ClassVar[tuple[str, ...]] = ("m",)
     mark: ClassVar[Mark] = "bar"
@@ -129,7 +129,7 @@ class Distance(PointJoint):
         return [Constraint("distance", 0, 1, self.flat_points, (self.length, 0.0))]
 
     def gap(self, separation: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        """Return the vector by which the joint is open, (F, 2) [m]."""
+        """Return the misalignment of the joint as a vector, (F, 2) [m]."""
         import numpy as np
 
         apart = np.hypot(separation[:, 0], separation[:, 1])[:, None]
@@ -138,34 +138,34 @@ class Distance(PointJoint):
 
 
 class SlidingJoint(PointJoint):
-    """Base of joints that hold b's point on the line through a's point along `axis`; pictures show the line."""
+    """Base class of joints that hold b's point on the line through a's point along `axis`; plots show the line."""
 
     axis: Point
-    """Direction of the line in a's frame; its length does not matter."""
+    """Direction of the line in a's frame; only the direction of this vector is used."""
     mark: ClassVar[Mark] = "slide"
     point_moves_on_first: ClassVar[bool] = True
 
     @model_validator(mode="after")
     def _axis_has_a_direction(self) -> SlidingJoint:
         if self.axis == (0.0, 0.0):
-            raise SpecError("the axis [0, 0] has no direction; [1, 0] is a's own x axis", key="axis")
+            raise SpecError("the axis [0, 0] has no direction; use [1, 0] for the x axis of the first body", key="axis")
         return self
 
     @property
     def direction(self) -> tuple[float, float]:
         """The axis as a unit vector in a's frame."""
-        # Scaling by the larger component keeps the squares from overflow and underflow.
+        # Scaling by the larger component avoids overflow and underflow of the squares.
         largest = max(abs(self.axis[0]), abs(self.axis[1]))
         x, y = self.axis[0] / largest, self.axis[1] / largest
         length = math.hypot(x, y)
         return x / length, y / length
 
     def on_line(self) -> Constraint:
-        """Return the constraint of the point, which is the first row of the joint."""
+        """Return the constraint that holds the point on the line, the first row of the joint."""
         return Constraint("point_on_line", 0, 1, self.flat_points, self.direction)
 
     def gap(self, separation: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        """Return the vector by which the joint is open, (F, 2) [m]."""
+        """Return the misalignment of the joint as a vector, (F, 2) [m]."""
         import numpy as np
 
         x, y = self.direction
@@ -175,16 +175,16 @@ class SlidingJoint(PointJoint):
 
 
 class Prismatic(SlidingJoint):
-    """A slide: b's point stays on the line through a's point along `axis`, and b does not turn against a."""
+    """A slide: b's point stays on the line through a's point along `axis`, and b does not rotate relative to a."""
 
     type: Literal["prismatic"] = "prismatic"
     angle: Number | None = None
-    """``angle_b - angle_a`` [rad]; left out, the difference of the initial angles as given."""
+    """``angle_b - angle_a`` [rad]; by default, the difference of the initial angles as given."""
     rows: ClassVar[tuple[str, ...]] = ("normal", "angle")
     units: ClassVar[tuple[str, ...]] = ("m", "rad")
 
     def angles(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body whose angle the element uses, and which is therefore no point mass."""
+        """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
         return self.places()
 
     def constraints(self, initial_angle: float) -> list[Constraint]:
@@ -194,18 +194,18 @@ class Prismatic(SlidingJoint):
 
 
 class Weld(PointJoint):
-    """A rigid connection: both points coincide, and b does not turn against a."""
+    """A rigid connection: both points coincide, and b does not rotate relative to a."""
 
     type: Literal["weld"] = "weld"
     angle: Number | None = None
-    """``angle_b - angle_a`` [rad]; left out, the difference of the initial angles as given."""
+    """``angle_b - angle_a`` [rad]; by default, the difference of the initial angles as given."""
     rows: ClassVar[tuple[str, ...]] = ("x", "y", "angle")
     units: ClassVar[tuple[str, ...]] = ("m", "m", "rad")
     mark: ClassVar[Mark] = "weld"
     joins_points: ClassVar[bool] = True
 
     def angles(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body whose angle the element uses, and which is therefore no point mass."""
+        """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
         return self.places()
 
     def constraints(self, initial_angle: float) -> list[Constraint]:
@@ -220,17 +220,17 @@ class Weld(PointJoint):
 class Driver(JointBase):
     """A prescribed motion of b relative to a: ``coordinate - motion(t) = 0``.
 
-    `angle` drives ``angle_b - angle_a`` (absolute, not relative to the start); `x` and `y` drive that coordinate of b's
-    point in a's frame, measured from a's origin.
+    `angle` drives ``angle_b - angle_a`` (absolute, not relative to the start); `x` and `y` drive this coordinate of
+    b's point in a's frame, measured from a's origin.
     """
 
     type: Literal["driver"] = "driver"
     coordinate: Literal["angle", "x", "y"]
     """The driven coordinate: `angle` [rad], `x` [m] or `y` [m]."""
     motion: Motion
-    """Number, expression of t, or table."""
+    """Prescribed value as a function of time [rad or m]: number, expression of t, or table."""
     points: Points | None = None
-    """For x and y: ``[[0, 0], b's point]``; left out, b's origin is driven."""
+    """For `x` and `y`: ``[[0, 0], b's point in b's frame]`` [m]; by default, b's origin is driven."""
     mark: ClassVar[Mark] = "none"
     is_driver: ClassVar[bool] = True
     point_moves_on_first: ClassVar[bool] = True
@@ -261,11 +261,11 @@ class Driver(JointBase):
         return (0.0, 0.0) if self.points is None else self.points[1]
 
     def attachments(self) -> list[Attachment]:
-        """Return (key, body name, point in its frame) of each body-fixed point of the element."""
+        """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""
         return [] if self.coordinate == "angle" else [("points[1]", self.bodies[1], self.point)]
 
     def angles(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body whose angle the element uses, and which is therefore no point mass."""
+        """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
         return self.places() if self.coordinate == "angle" else self.places()[:1]
 
     def motions(self) -> list[tuple[str, Motion]]:
@@ -278,4 +278,4 @@ class Driver(JointBase):
 
 
 Joint = Annotated[Revolute | Prismatic | Weld | Distance | Driver, Field(discriminator="type")]
-"""A joint or driver, by its `type`."""
+"""A joint or driver; `type` selects its class."""

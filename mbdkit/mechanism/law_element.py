@@ -24,29 +24,29 @@ OptionsClass = type[BaseModel]
 
 
 class Law(Element):
-    """A force along a pathway by a force law, whose own options stand beside its name.
+    """A force along a pathway given by a force law; the law's options are further keys of the element.
 
-    The law gives the tension, from the pathway's length, its rate and the time. ``mbdkit plugins list`` names the laws
-    that are installed.
+    The law computes the tension from the length of the pathway, its rate and the time. ``mbdkit plugins list`` shows
+    the installed laws.
     """
 
-    # The options of a law are fields of a subclass made by `mbdkit.registry.item_options.law_element`, which is strict.
+    # The options of a law are fields of a subclass created by `mbdkit.spec.law_options.law_element`, which is strict.
     model_config = ConfigDict(extra="ignore")
 
     type: Literal["law"] = "law"
     law: str
     """Name of the force law, such as one-sided or table."""
     pathway: Pathway
-    """What the length is, and between which bodies."""
+    """The pathway: which length, angle or coordinate the law acts along, and between which bodies."""
     pathway_key: ClassVar[str] = "pathway."
-    """Prefix of the keys of the pathway."""
+    """Prefix of the keys of the pathway in key paths."""
 
     force_law: ClassVar[ForceLaw]
-    """The law itself."""
+    """The force law."""
     law_id: ClassVar[str]
-    """Its long name."""
+    """Long name of the law."""
     law_options: ClassVar[OptionsClass]
-    """Its options."""
+    """Model of the law's options."""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -65,36 +65,37 @@ class Law(Element):
         return self.pathway.bodies
 
     def places(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body that the element names."""
+        """Return (key, body name) of each body that the element refers to."""
         return [(f"pathway.{key}", name) for key, name in self.pathway.places()]
 
     def attachments(self) -> list[Attachment]:
-        """Return (key, body name, point in its frame) of each body-fixed point of the element."""
+        """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""
         return [(f"pathway.{key}", name, point) for key, name, point in self.pathway.attachments()]
 
     def angles(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body whose angle the element uses, and which is therefore no point mass."""
+        """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
         return [(f"pathway.{key}", name) for key, name in self.pathway.angles()]
 
 
 FindLaw = Callable[[str], type[Law]]
-"""Returns the element of a law by its name, or raises SpecError with the key ``law``."""
+"""Returns the element class of a law, given its name, or raises SpecError with the key ``law``."""
 
 
 def find_law(name: str, context: Any = None) -> type[Law]:
-    """Return the element class of the law of this name.
+    """Return the element class of the law with this name.
 
     Parameters
     ----------
     name
-        Short or long name.
+        Short or long name of the law.
     context
-        Context of a validation, whose ``find_law`` is a `FindLaw`; without it, the installed laws are searched.
+        Pydantic validation context, a mapping whose ``find_law`` is a `FindLaw`; by default, the installed laws are
+        searched.
 
     Raises
     ------
     SpecError
-        If there is none, with the key ``law``.
+        If there is no such law, with the key ``law``.
     """
     given: FindLaw | None = context.get("find_law") if isinstance(context, Mapping) else None
     element: type[Law] = (given or higher_layers.find_installed_law)(name)
@@ -102,7 +103,7 @@ def find_law(name: str, context: Any = None) -> type[Law]:
 
 
 def _below(error: ValidationError, law_id: str) -> ValidationError:
-    """Return the same errors with the law's name before their locations, as pydantic puts the tag of a union."""
+    """Return the same errors with `law_id` at the front of their locations, where pydantic puts the tag of a union."""
     lines: list[InitErrorDetails] = []
     for details in error.errors(include_url=False):
         context = details.get("ctx", {})

@@ -1,4 +1,4 @@
-"""The parameters of a force law: numbers made from the options of an element of type ``law``."""
+"""The parameters of a force law: numbers computed from the options of an element of type ``law``."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from mbdkit.text import one_line
 
 
 def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, ...], list[float]]:
-    """Return the names of a law's parameters (none for a function) and their values.
+    """Return the names and values of a law's parameters; those of a `FunctionLaw` have no names.
 
     Parameters
     ----------
     law
-        The law.
+        The force law.
     options
         Instance of the law's options.
     name
-        Name of the law in messages.
+        Name of the law for error messages.
 
     Raises
     ------
     PluginError
-        If the law fails to make its parameters, or makes unusable ones.
+        If the law fails to compute its parameters, or if they are not usable.
     """
     try:
         names, values = _parameters(law, options)
     except MbdkitError:
         raise
     except Exception as error:
-        raise PluginError(f"force law {name} failed to make its parameters: {one_line(error)}") from error
+        raise PluginError(f"force law {name} failed to compute its parameters: {one_line(error)}") from error
     if clash := sorted(set(names) & set(ARGUMENTS)):
         raise PluginError(
-            f"force law {name}: its parameter '{clash[0]}' has the name of what every law is a function of"
+            f"force law {name}: its parameter '{clash[0]}' has the name of an argument of the law; rename it"
         )
     if not all(isfinite(value) for value in values):
-        raise PluginError(f"force law {name} made parameters that are not finite")
+        raise PluginError(f"force law {name} computed parameters that are not finite")
     return names, values
 
 
@@ -58,6 +58,6 @@ def _parameters(law: ForceLaw, options: Any) -> tuple[tuple[str, ...], list[floa
 
 
 def law_options(options: Any) -> list[str]:
-    """Return the names of a law's own options, in the order of their definition, from an element that has them."""
+    """Return the names of the law's own options of an element, in the order of their definition."""
     own: list[str] = list(type(options).law_options.model_fields)
     return own

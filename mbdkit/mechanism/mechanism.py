@@ -1,4 +1,4 @@
-"""The mechanism: bodies, joints and forces by name, with a builder, checks, and conversion to and from a spec."""
+"""The mechanism: named bodies, joints and forces, with a builder, checks, and conversion to and from a spec."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ _POINT: TypeAdapter[tuple[float, float]] = TypeAdapter(Point)
 class Mechanism:
     """A planar multibody system as data.
 
-    Built by its methods or by :meth:`from_spec`. Bodies are referred to by name: :meth:`body` returns the name, and
-    `ground` is the global frame. A point is given either in the bodies' own frames (`points`) or in
-    the global frame at the initial positions (`at`, `from_`, `to`); add a body before the joints on it.
+    Build it with its methods or with :meth:`from_spec`. Bodies are referred to by name: :meth:`body` returns the name,
+    and `ground` is the fixed global frame. Points are given either in the frames of the bodies (`points`) or in the
+    global frame at the initial positions (`at`, `from_`, `to`). Add a body before the elements that refer to it.
 
     Parameters
     ----------
     gravity
         Gravitational acceleration (x, y) [m/s^2].
     name
-        Name of the model that makes it.
+        Name of the model.
 
     Attributes
     ----------
     bodies, joints, forces : dict
-        The elements by name, in the order in which they were written.
+        The elements by name, in the order in which they were added.
     assembly : Assembly
-        How the start is made consistent.
+        Settings for making the initial state consistent.
 
     Examples
     --------
@@ -71,7 +71,7 @@ class Mechanism:
 
     @property
     def ground(self) -> str:
-        """The global frame, as a body argument."""
+        """Name of the fixed global frame, for use as a body argument."""
         return GROUND
 
     # ---- builder -------------------------------------------------------------------------------------------------
@@ -87,18 +87,18 @@ class Mechanism:
         velocity: Pair = (0.0, 0.0),
         angular_velocity: float = 0.0,
     ) -> str:
-        """Add a rigid body, or a point mass where `inertia` is left out, and return its name.
+        """Add a rigid body, or a point mass if `inertia` is omitted, and return its name.
 
         Parameters
         ----------
         name
-            Its name.
+            Name of the body.
         mass
             Mass [kg].
         inertia
-            Moment of inertia about the centre of mass [kg m^2].
+            Moment of inertia about the centre of mass [kg m^2]; None for a point mass.
         position, angle
-            Initial centre of mass (x, y) [m] and tilt from the +x axis [rad].
+            Initial position of the centre of mass (x, y) [m] and angle from the +x axis [rad].
         velocity, angular_velocity
             Initial velocity (x, y) [m/s] and angular velocity [rad/s].
         """
@@ -118,18 +118,18 @@ class Mechanism:
     def revolute(
         self, name: str, a: str, b: str, *, at: Pair | None = None, points: Sequence[Pair] | None = None
     ) -> None:
-        """Pin bodies `a` and `b` together.
+        """Connect bodies `a` and `b` by a revolute joint.
 
         Parameters
         ----------
         name
-            Its name.
+            Name of the joint.
         a, b
             The two bodies.
         at
-            The pin (x, y) [m] in the global frame at the initial positions.
+            Position of the joint (x, y) [m] in the global frame at the initial positions.
         points
-            Instead of `at`: the pin in a's and in b's own frame, ((x, y), (x, y)) [m].
+            Alternative to `at`: position of the joint in the frames of a and of b, ((x, y), (x, y)) [m].
         """
         key = self._new(name, self.joints, "joints")
         held = self._points(key, a, b, points, at, at, "at")
@@ -146,22 +146,23 @@ class Mechanism:
         axis: Pair,
         angle: float | None = None,
     ) -> None:
-        """Let a point of `b` slide along a line of `a`, without turning against it.
+        """Connect bodies `a` and `b` by a prismatic joint: `b` slides along a line of `a` without relative rotation.
 
         Parameters
         ----------
         name
-            Its name.
+            Name of the joint.
         a, b
-            The two bodies; the line belongs to a.
+            The two bodies; the line is fixed to a.
         at
-            A point of the line, and the sliding point (x, y) [m], in the global frame at the initial positions.
+            Point (x, y) [m] in the global frame at the initial positions: both the sliding point of b and a point of
+            the line.
         points
-            Instead of `at`: a point of the line in a's frame and the sliding point in b's, ((x, y), (x, y)) [m].
+            Alternative to `at`: a point of the line in a's frame and the sliding point in b's, ((x, y), (x, y)) [m].
         axis
-            Direction of the line (x, y) in a's frame; its length does not matter.
+            Direction of the line (x, y) in a's frame; any length.
         angle
-            angle_b - angle_a [rad]; left out, the difference of the initial angles as given.
+            angle_b - angle_a [rad]; by default, the difference of the initial angles as given.
         """
         key = self._new(name, self.joints, "joints")
         held = self._points(key, a, b, points, at, at, "at")
@@ -177,20 +178,20 @@ class Mechanism:
         points: Sequence[Pair] | None = None,
         angle: float | None = None,
     ) -> None:
-        """Join bodies `a` and `b` rigidly.
+        """Connect bodies `a` and `b` rigidly.
 
         Parameters
         ----------
         name
-            Its name.
+            Name of the joint.
         a, b
             The two bodies.
         at
-            The joint (x, y) [m] in the global frame at the initial positions.
+            Position of the joint (x, y) [m] in the global frame at the initial positions.
         points
-            Instead of `at`: the joint in a's and in b's own frame, ((x, y), (x, y)) [m].
+            Alternative to `at`: position of the joint in the frames of a and of b, ((x, y), (x, y)) [m].
         angle
-            angle_b - angle_a [rad]; left out, the difference of the initial angles as given.
+            angle_b - angle_a [rad]; by default, the difference of the initial angles as given.
         """
         key = self._new(name, self.joints, "joints")
         held = self._points(key, a, b, points, at, at, "at")
@@ -207,26 +208,26 @@ class Mechanism:
         points: Sequence[Pair] | None = None,
         length: float | None = None,
     ) -> None:
-        """Hold a point of `a` and a point of `b` at a distance.
+        """Hold a point of `a` and a point of `b` at a constant distance.
 
         Parameters
         ----------
         name
-            Its name.
+            Name of the joint.
         a, b
             The two bodies.
         from_, to
             The point of a and the point of b (x, y) [m] in the global frame at the initial positions.
         points
-            Instead of `from_` and `to`: the points in a's and in b's own frame, ((x, y), (x, y)) [m].
+            Alternative to `from_` and `to`: the points in the frames of a and of b, ((x, y), (x, y)) [m].
         length
-            The distance [m]; left out, the one between `from_` and `to`.
+            Distance [m]; by default, the distance between `from_` and `to`.
         """
         key = self._new(name, self.joints, "joints")
         held = self._points(key, a, b, points, from_, to, "from_ and to")
         if length is None:
             if from_ is None or to is None:
-                raise SpecError("'length' is missing; it can be left out only with from_ and to", key=f"{key}.length")
+                raise SpecError("'length' is missing; it can be omitted only with from_ and to", key=f"{key}.length")
             (x1, y1), (x2, y2) = _point(from_, f"{key}.from_"), _point(to, f"{key}.to")
             length = ((x2 - x1) ** 2 + (y2 - y1) ** 2) ** 0.5
         self.joints[name] = _make(Distance, key, bodies=(a, b), points=held, length=length)
@@ -246,15 +247,15 @@ class Mechanism:
         Parameters
         ----------
         name
-            Its name.
+            Name of the driver.
         a, b
             The two bodies.
         coordinate
-            ``angle`` (angle_b - angle_a), or the ``x`` or ``y`` of b's point in a's frame, from a's origin.
+            ``angle`` (angle_b - angle_a), or the coordinate ``x`` or ``y`` of b's point in a's frame.
         motion
-            Number, expression of t, or table [rad or m].
+            Prescribed value of the coordinate [rad or m]: number, expression of t, or table.
         points
-            For x and y: ((0, 0), b's point in its own frame) [m]; left out, b's origin.
+            For `x` and `y`: ((0, 0), b's point in b's frame) [m]; by default, b's origin.
         """
         key = self._new(name, self.joints, "joints")
         self._known(a, f"{key}.bodies[0]")
@@ -274,20 +275,20 @@ class Mechanism:
         damping: float = 0.0,
         free_length: float = 0.0,
     ) -> None:
-        """Stretch a linear spring and damper between a point of `a` and a point of `b`.
+        """Add a linear spring and damper between a point of `a` and a point of `b`.
 
         Parameters
         ----------
         name
-            Its name.
+            Name of the force element.
         a, b
             The two bodies.
         from_, to
             The point of a and the point of b (x, y) [m] in the global frame at the initial positions.
         points
-            Instead of `from_` and `to`: the points in a's and in b's own frame, ((x, y), (x, y)) [m].
+            Alternative to `from_` and `to`: the points in the frames of a and of b, ((x, y), (x, y)) [m].
         stiffness, damping, free_length
-            [N/m], [N s/m] and [m].
+            Stiffness [N/m], damping [N s/m], and length at which the spring exerts no force [m].
         """
         key = self._new(name, self.forces, "forces")
         self.forces[name] = _make(
@@ -303,16 +304,16 @@ class Mechanism:
     def torsion_spring(
         self, name: str, a: str, b: str, *, stiffness: float = 0.0, damping: float = 0.0, free_angle: float = 0.0
     ) -> None:
-        """Put a linear torsion spring and damper on angle_b - angle_a.
+        """Add a linear torsion spring and damper between `a` and `b`, acting on angle_b - angle_a.
 
         Parameters
         ----------
         name
-            Its name.
+            Name of the force element.
         a, b
             The two bodies.
         stiffness, damping, free_angle
-            [N m/rad], [N m s/rad] and [rad].
+            Stiffness [N m/rad], damping [N m s/rad], and relative angle at which the spring exerts no torque [rad].
         """
         key = self._new(name, self.forces, "forces")
         self._known(a, f"{key}.bodies[0]")
@@ -334,26 +335,26 @@ class Mechanism:
         points: Sequence[Pair] | None = None,
         **options: Any,
     ) -> None:
-        """Put a force law on a pathway between `a` and `b`.
+        """Add a force given by a force law along a pathway between `a` and `b`.
 
         Parameters
         ----------
         name
-            Its name.
+            Name of the force element.
         a, b
             The two bodies.
         law
-            Name of the force law: ``one-sided``, ``table``, ``linear``, or one of a plugin.
+            Name of the force law: ``one-sided``, ``table``, ``linear``, or a law from a plugin.
         along
-            What the law's length is: the length of the ``line`` between two points [m], the ``angle``
-            angle_b - angle_a [rad], or ``x`` or ``y`` of b's point in a's frame, from a's origin [m].
+            The length of the pathway: ``line``, the distance between two points [m]; ``angle``, angle_b - angle_a
+            [rad]; or ``x`` or ``y``, a coordinate of b's point in a's frame [m].
         from_, to
             For a line: the point of a and the point of b (x, y) [m] in the global frame at the initial positions.
         points
-            For a line, instead of `from_` and `to`: the points in a's and in b's own frame, ((x, y), (x, y)) [m]. For x
-            and y: ((0, 0), b's point in its own frame); left out, b's origin.
+            For a line, alternative to `from_` and `to`: the points in the frames of a and of b, ((x, y), (x, y)) [m].
+            For `x` and `y`: ((0, 0), b's point in b's frame) [m]; by default, b's origin.
         **options
-            The law's own options; ``mbdkit plugins show LAW`` lists them.
+            Options of the force law; ``mbdkit plugins show LAW`` lists them.
         """
         key = self._new(name, self.forces, "forces")
         pathway: dict[str, Any] = {"bodies": (a, b)}
@@ -364,7 +365,7 @@ class Mechanism:
             self._known(a, f"{key}.pathway.bodies[0]")
             self._known(b, f"{key}.pathway.bodies[1]")
             if from_ is not None or to is not None:
-                raise SpecError(f"from_ and to belong to a line, not to along='{along}'", key=key)
+                raise SpecError(f"from_ and to can be given only with along='line', not with along='{along}'", key=key)
             pathway |= {"type": "relative-angle"} if along == "angle" else {"type": "coordinate", "coordinate": along}
             if points is not None:
                 pathway["points"] = points
@@ -376,13 +377,13 @@ class Mechanism:
         Parameters
         ----------
         name
-            Its name.
+            Name of the force element.
         body
-            The body that is turned.
+            Name of the body that the torque acts on.
         value
             Torque [N m]: number, expression of t, or table.
         reaction_body
-            The body that takes the opposite torque, if any.
+            Name of the body that the opposite torque acts on, if any.
         """
         key = self._new(name, self.forces, "forces")
         self._known(body, f"{key}.body")
@@ -405,17 +406,17 @@ class Mechanism:
         Parameters
         ----------
         name
-            Its name.
+            Name of the force element.
         body
-            The body that the force acts on.
+            Name of the body that the force acts on.
         value
             Force (x, y) [N]: numbers, expressions of t, or tables.
         at
-            Where it acts (x, y) [m], in the global frame at the initial position.
+            Point of application (x, y) [m] in the global frame at the initial position.
         point
-            Instead of `at`: where it acts, in the body's own frame [m]; the centre of mass by default.
+            Alternative to `at`: point of application in the body's frame (x, y) [m]; the centre of mass by default.
         frame
-            The frame that x and y of the force belong to: ``global``, or the ``body``'s own, with which it turns.
+            Frame of the components of `value`: ``global``, or ``body``, in which case the force turns with the body.
         """
         key = self._new(name, self.forces, "forces")
         self._known(body, f"{key}.body")
@@ -427,27 +428,27 @@ class Mechanism:
         self.forces[name] = _make(PointForce, key, body=body, point=place, value=value, frame=frame)
 
     def hold(self, *bodies: str, tolerance: float = 1e-12) -> None:
-        """Choose the bodies that keep their positions while the start is made consistent, and the residual allowed.
+        """Set the bodies that assembly does not move, and the tolerance of assembly.
 
         Parameters
         ----------
         bodies
-            Names of the bodies to hold; they replace the ones named before.
+            Names of the bodies to hold; they replace those of an earlier call.
         tolerance
-            Largest residual of a start that counts as consistent [m, rad].
+            Largest constraint residual of a consistent initial state [m, rad].
         """
         for index, name in enumerate(bodies):
             self._known(name, f"model.assembly.fix[{index}]")
         self.assembly = _make(Assembly, "model.assembly", fix=bodies, tolerance=tolerance)
 
-    # ---- questions -----------------------------------------------------------------------------------------------
+    # ---- queries -------------------------------------------------------------------------------------------------
 
     def to_local(self, body: str, point: Pair) -> tuple[float, float]:
-        """Return a global `point` (x, y) [m] in the frame of `body` at its initial position."""
+        """Return the coordinates of a global `point` (x, y) [m] in the frame of `body`, at its initial position."""
         return (point[0], point[1]) if body == GROUND else self.bodies[body].to_local((point[0], point[1]))
 
     def to_global(self, body: str, point: Pair) -> tuple[float, float]:
-        """Return the global coordinates of a `point` (x, y) [m] of the frame of `body` at the initial position."""
+        """Return the global coordinates of a `point` (x, y) [m] in the frame of `body`, at its initial position."""
         return (point[0], point[1]) if body == GROUND else self.bodies[body].to_global((point[0], point[1]))
 
     def relative_angle(self, a: str, b: str) -> float:
@@ -456,7 +457,7 @@ class Mechanism:
         return angle_b - angle_a
 
     def constraint_rows(self) -> list[tuple[str, str]]:
-        """Return (name, unit) of every constraint row, such as ``("A.x", "m")``, in the order of the joints."""
+        """Return (name, unit) of each constraint row, such as ``("A.x", "m")``, in the order of the joints."""
         return [
             (f"{name}.{row}", unit)
             for name, joint in self.joints.items()
@@ -464,7 +465,7 @@ class Mechanism:
         ]
 
     def description(self) -> str:
-        """Return the numbers of elements and of constraint rows in one line."""
+        """Return a line of text with the numbers of elements and of constraint rows."""
         drivers = sum(joint.is_driver for joint in self.joints.values())
         rows = sum(len(joint.rows) for joint in self.joints.values())
         return (
@@ -473,12 +474,12 @@ class Mechanism:
         )
 
     def validate(self) -> None:
-        """Check that names are valid and known, and that each element suits the bodies that it names.
+        """Check that names are valid, that references exist, and that each element is compatible with its bodies.
 
         Raises
         ------
         SpecError
-            With the key path of the first thing that is wrong.
+            With the key path of the first error.
         """
         check_mechanism(self.bodies, self.joints, self.forces, self.assembly)
 
@@ -488,14 +489,14 @@ class Mechanism:
         Raises
         ------
         SpecError
-            With the key path of the first table that does not.
+            With the key path of the first table that does not cover them.
         """
         check_tables(self.joints, self.forces, start, end)
 
     # ---- to and from a spec --------------------------------------------------------------------------------------
 
     def to_spec(self) -> dict[str, Any]:
-        """Return the `model` mapping of a spec: the free-form model `mechanism`, plain values, defaults left out."""
+        """Return the mechanism as the `model` mapping of a spec: plain data of the model `mechanism`, no defaults."""
         spec: dict[str, Any] = {"name": "mechanism"}
         if self.gravity != MechanismData.model_fields["gravity"].default:
             spec["gravity"] = list(self.gravity)
@@ -509,20 +510,21 @@ class Mechanism:
 
     @classmethod
     def from_spec(cls, spec: Mapping[str, Any]) -> Mechanism:
-        """Return the mechanism of a `model` mapping as :meth:`to_spec` writes it.
+        """Return the mechanism described by a `model` mapping, the format of :meth:`to_spec`.
 
         Parameters
         ----------
         spec
-            ``gravity``, ``bodies``, ``joints``, ``forces``, ``assembly``, and ``name: mechanism`` or no name.
+            Mapping with the keys ``gravity``, ``bodies``, ``joints``, ``forces`` and ``assembly``; ``name`` is optional
+            and must be ``mechanism``.
 
         Raises
         ------
         SpecError
-            With the key path of the first thing that is wrong.
+            With the key path of the first error.
         """
         if not isinstance(spec, Mapping):
-            raise SpecError(f"a mapping is wanted; got {type(spec).__name__}", key="model")
+            raise SpecError(f"should be a mapping, not {type(spec).__name__}", key="model")
         values = dict(spec)
         name = values.pop("name", "mechanism")
         if name != "mechanism":
@@ -531,7 +533,7 @@ class Mechanism:
 
     @classmethod
     def from_data(cls, data: MechanismData) -> Mechanism:
-        """Return the mechanism of validated `data`, cross-checked."""
+        """Return the mechanism described by validated `data`, after checks across its elements."""
         mechanism = cls(data.gravity)
         mechanism.bodies = dict(data.bodies)
         mechanism.joints = dict(data.joints)
@@ -540,21 +542,21 @@ class Mechanism:
         mechanism.validate()
         return mechanism
 
-    # ---- its equations -------------------------------------------------------------------------------------------
+    # ---- equations of motion -------------------------------------------------------------------------------------
 
     def to_sympy(self, *, numbers: bool = True) -> SymbolicSystem:
-        """Return the index-1 equations of motion as SymPy matrices, which print as LaTeX and evaluate to numbers.
+        """Return the index-1 equations of motion as SymPy matrices, for LaTeX output and numerical evaluation.
 
         Parameters
         ----------
         numbers
-            Whether masses, lengths, stiffnesses and other parameters are inserted as numbers; otherwise they stay
-            symbols, with their values in ``parameters``. Expressions of t stay as they were written.
+            If True, insert the values of masses, lengths, stiffnesses and other parameters. If False, keep them as
+            symbols and give their values in ``parameters``. Expressions of t are inserted as written in both cases.
 
         Raises
         ------
         SpecError
-            With the key path of the first thing that is wrong, or of a force that has no symbolic form.
+            With the key path of the first error, or of a force that has no symbolic form.
         """
         system: SymbolicSystem = higher_layers.symbolic_system(self, numbers)
         return system
@@ -565,7 +567,7 @@ class Mechanism:
         key = f"model.{kind}.{name}"
         check_name(name, key)
         if name in taken:
-            raise SpecError(f"the name '{name}' is taken by an earlier one", key=key)
+            raise SpecError(f"the name '{name}' is already in use", key=key)
         return key
 
     def _known(self, name: str, key: str) -> None:
@@ -587,7 +589,7 @@ class Mechanism:
             return points
         if points is not None or at_a is None or at_b is None:
             raise SpecError(
-                f"say where it is, either by points= (in the bodies' frames) or by {alternative} (in the global frame)",
+                f"give the position either as points= (in the frames of the bodies) or as {alternative} (global frame)",
                 key=key,
             )
         return self.to_local(a, _point(at_a, key)), self.to_local(b, _point(at_b, key))

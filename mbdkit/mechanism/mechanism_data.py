@@ -1,4 +1,4 @@
-"""The free-form model ``mechanism`` as a spec holds it: gravity, bodies, joints, forces and assembly."""
+"""Data of the free-form model ``mechanism`` in a spec: gravity, bodies, joints, forces and assembly."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from mbdkit.strict_model import StrictModel
 
 
 class Assembly(StrictModel):
-    """How the initial state is made consistent with the joints."""
+    """Settings for making the initial state consistent with the joints."""
 
     fix: Annotated[tuple[str, ...], BeforeValidator(sequence)] = ()
-    """Bodies that are held where they are while the others move."""
+    """Names of the bodies that assembly does not move."""
     tolerance: Positive = 1.0e-12
-    """Largest residual of a start that counts as consistent [m, rad, m/s, rad/s]; such a start is left untouched."""
+    """Largest constraint residual of a consistent initial state [m, rad, m/s, rad/s]; assembly keeps such a state."""
 
 
 class MechanismData(StrictModel):
-    """The `mechanism` model as it stands in a spec: everything about a mechanism, by name."""
+    """Data of the model `mechanism`: gravity, named bodies, joints and forces, and assembly."""
 
     gravity: Point = (0.0, -9.81)
     """Gravitational acceleration (x, y) [m/s^2]."""
     bodies: dict[str, Body]
-    """The bodies by name; `ground` exists without being listed."""
+    """Bodies by name; `ground` is predefined."""
     joints: dict[str, Joint] = Field(default_factory=dict)
     """Joints and drivers by name."""
     forces: dict[str, Force] = Field(default_factory=dict)
     """Force elements by name."""
     assembly: Assembly = Assembly()
-    """How the start is made consistent."""
+    """Settings for making the initial state consistent."""

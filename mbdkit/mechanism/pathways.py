@@ -1,4 +1,4 @@
-"""Pathways: the generalised lengths along which force laws act."""
+"""Pathways: the distances, angles and coordinates along which force laws act."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from mbdkit.mechanism.values import Points
 
 
 class LinePathway(BetweenPoints):
-    """Base of pathways whose length is the distance of two points [m]."""
+    """Base class of pathways whose length is the distance between two points [m]."""
 
     is_line: ClassVar[bool] = True
-    """Whether the pathway is a line between two points, which has no direction where they coincide."""
+    """Whether the pathway is the line between two points; its direction is undefined if they coincide."""
     length_unit: ClassVar[str] = "m"
 
     @property
     def kind(self) -> str:
-        """Name of the pathway's definition."""
+        """Name of the symbolic definition of the pathway."""
         return "two_points"
 
     @property
@@ -31,7 +31,7 @@ class LinePathway(BetweenPoints):
 
 
 class AnglePathway(Between):
-    """Base of pathways whose length is ``angle_b - angle_a`` [rad]."""
+    """Base class of pathways whose length is ``angle_b - angle_a`` [rad]."""
 
     is_line: ClassVar[bool] = False
     length_unit: ClassVar[str] = "rad"
@@ -39,34 +39,34 @@ class AnglePathway(Between):
 
     @property
     def kind(self) -> str:
-        """Name of the pathway's definition."""
+        """Name of the symbolic definition of the pathway."""
         return "relative_angle"
 
     def angles(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body whose angle the element uses, and which is therefore no point mass."""
+        """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
         return self.places()
 
 
 class TwoPoints(LinePathway):
-    """The distance of two points [m]; a positive force pulls them together."""
+    """The distance between two points [m]; a positive force pulls them together."""
 
     type: Literal["two-points"]
 
 
 class RelativeAngle(AnglePathway):
-    """``angle_b - angle_a`` [rad]; a positive torque turns b back towards a."""
+    """The relative angle ``angle_b - angle_a`` [rad]; a positive torque acts to decrease it."""
 
     type: Literal["relative-angle"]
 
 
 class Coordinate(Between):
-    """``x`` or ``y`` of b's point in a's frame, from a's origin [m]; a positive force makes it smaller."""
+    """Coordinate ``x`` or ``y`` of b's point in a's frame [m]; a positive force acts to decrease it."""
 
     type: Literal["coordinate"]
     coordinate: Literal["x", "y"]
-    """Which coordinate is the length."""
+    """The coordinate that is the length of the pathway."""
     points: Points | None = None
-    """``[[0, 0], b's point]``; left out, b's origin."""
+    """``[[0, 0], b's point in b's frame]`` [m]; by default, b's origin."""
     is_line: ClassVar[bool] = False
     length_unit: ClassVar[str] = "m"
 
@@ -74,7 +74,7 @@ class Coordinate(Between):
     @classmethod
     def _no_angle(cls, data: Any) -> Any:
         if isinstance(data, Mapping) and data.get("coordinate") == "angle":
-            raise SpecError("the pathway along an angle is written {type: relative-angle, ...}", key="coordinate")
+            raise SpecError("for an angle, use the pathway {type: relative-angle, ...}", key="coordinate")
         return data
 
     @model_validator(mode="after")
@@ -87,27 +87,27 @@ class Coordinate(Between):
 
     @property
     def kind(self) -> str:
-        """Name of the pathway's definition."""
+        """Name of the symbolic definition of the pathway."""
         return f"coordinate_{self.coordinate}"
 
     @property
     def point(self) -> tuple[float, float]:
-        """B's point in b's frame [m]."""
+        """The point of the second body, in its frame (x, y) [m]."""
         return (0.0, 0.0) if self.points is None else self.points[1]
 
     @property
     def flat_points(self) -> tuple[float, float, float, float]:
-        """The origin of a's frame and b's point (x_a, y_a, x_b, y_b) [m]."""
+        """The origin of a's frame and b's point in b's frame (x_a, y_a, x_b, y_b) [m]."""
         return (0.0, 0.0, *self.point)
 
     def attachments(self) -> list[Attachment]:
-        """Return (key, body name, point in its frame) of each body-fixed point of the element."""
+        """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""
         return [("points[1]", self.bodies[1], self.point)]
 
     def angles(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body whose angle the element uses, and which is therefore no point mass."""
+        """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
         return self.places()[:1]
 
 
 Pathway = Annotated[TwoPoints | RelativeAngle | Coordinate, Field(discriminator="type")]
-"""A pathway of an element of type ``law``, by its `type`."""
+"""A pathway of an element of type ``law``; `type` selects its class."""

@@ -1,4 +1,4 @@
-"""Size of a mechanism: the length with which its misalignments are compared."""
+"""Size of a mechanism: the reference length for its misalignments."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def mechanism_size(mechanism: Mechanism, position: np.ndarray) -> float:
     mechanism
         The mechanism.
     position
-        (B, 3) centre of mass [m] and angle [rad] of each body, in the order of the mechanism.
+        (B, 3) array: centre of mass x, y [m] and angle [rad] of each of the B bodies, in the order of the mechanism.
     """
     pose = dict(zip(mechanism.bodies, np.asarray(position, dtype=float), strict=True))
     points = [row[:2] for row in pose.values()]

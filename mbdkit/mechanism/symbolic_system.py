@@ -1,4 +1,4 @@
-"""The index-1 system of a whole mechanism in SymPy: its matrices, a print in LaTeX, and its numbers at a state."""
+"""The index-1 equations of motion of a mechanism in SymPy: matrices, LaTeX output and numerical evaluation."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _ARRAYS = ("mass_matrix", "constraints", "constraint_jacobian", "gamma", "forces
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SymbolicSystem:
-    """The equations of motion of a mechanism, ready for a paper, a lecture or a formula of one's own.
+    """The symbolic index-1 equations of motion of a mechanism.
 
     ::
 
         [ M      Phi_q^T ] [ q''    ]   [ Q     ]       gamma = -(Phi_q v)_q v - 2 Phi_qt v - Phi_tt
         [ Phi_q  0       ] [ lambda ] = [ gamma ]
 
-    Bodies and joints come in the order of the mechanism, n = 3 B coordinates and m constraint rows. A point mass has a
-    tilt of its own like every body, with inertia 1, on which nothing depends.
+    Bodies and joints are in the order of the mechanism. B bodies have n = 3 B coordinates; the joints have m constraint
+    rows. A point mass also has an angle, with inertia 1, which does not affect the other equations.
 
     Attributes
     ----------
@@ -45,9 +45,9 @@ class SymbolicSystem:
     forces : (n, 1) matrix
         Q(q, v, t), the applied forces, gravity included.
     parameters : dict of symbol to float
-        What the symbols for masses, lengths, stiffnesses and the like stand for; empty where numbers were put in.
+        Values of the symbols for masses, lengths, stiffnesses and other parameters; empty if numbers were inserted.
     names : dict of symbol to str
-        Each symbol in LaTeX.
+        LaTeX name of each symbol.
     """
 
     t: sp.Symbol
@@ -76,9 +76,10 @@ class SymbolicSystem:
         return sp.ImmutableMatrix(upper.col_join(lower)), sp.ImmutableMatrix(self.forces.col_join(self.gamma))
 
     def latex(self) -> str:
-        r"""Return the system as LaTeX for an equation environment, its blocks parted by lines; needs amsmath.
+        r"""Return the system as LaTeX for an equation environment, with lines between the blocks; requires amsmath.
 
-        A body or joint whose name has letters beyond Latin and Greek needs XeLaTeX or LuaLaTeX with a font for them.
+        Names of bodies and joints with letters other than Latin and Greek require XeLaTeX or LuaLaTeX and a suitable
+        font.
         """
         matrix, right = self.kkt()
         unknowns = self.accelerations.col_join(self.multipliers)
@@ -88,7 +89,7 @@ class SymbolicSystem:
         return rf"$\displaystyle {self.latex()}$"
 
     def _array(self, matrix: sp.ImmutableMatrix) -> str:
-        """Return a matrix of n + m rows in brackets, with a line below row n, and right of column n if it is square."""
+        """Return LaTeX of a matrix with n + m rows: a line below row n, and after column n if the matrix is square."""
         n, (rows, columns) = len(self.q), matrix.shape
         split = 0 < n < rows
         layout = "c" * n + "|" + "c" * (columns - n) if split and columns == rows else "c" * columns
@@ -99,26 +100,26 @@ class SymbolicSystem:
         return f"\\left[\\begin{{array}}{{{layout}}}\n{body}\n\\end{{array}}\\right]"
 
     def evaluate(self, t: float, q: npt.ArrayLike, v: npt.ArrayLike) -> dict[str, np.ndarray]:
-        """Return the numbers of the system at a state, and its solution.
+        """Evaluate the system at a state and solve it.
 
         Parameters
         ----------
         t
             Time [s].
         q, v
-            (B, 3) or (3 B,) coordinates and velocities [m, rad, m/s, rad/s].
+            (B, 3) or (3 B,) coordinates [m, rad] and velocities [m/s, rad/s].
 
         Returns
         -------
         dict of str to ndarray
             ``mass_matrix`` (n, n), ``constraints`` (m,), ``constraint_jacobian`` (m, n), ``gamma`` (m,), ``forces``
-            (n,), ``accelerations`` (n,) and ``multipliers`` (m,); where joints are redundant at this state, the
-            multipliers of least norm.
+            (n,), ``accelerations`` (n,) and ``multipliers`` (m,); if constraints are redundant at this state,
+            the multipliers of minimum norm.
 
         Raises
         ------
         ValueError
-            For arrays of another size, and where the system is not finite at this state.
+            If an array has the wrong size, or if the system is not finite at this state.
         """
         n, m = len(self.q), len(self.multipliers)
         state = [np.asarray(x, dtype=float).ravel() for x in (q, v)]
@@ -138,7 +139,7 @@ class SymbolicSystem:
 
     @cached_property
     def _function(self) -> Callable[..., list[list[float]]]:
-        """The entries of all matrices, in the order of `_ARRAYS`, as a function of t, q, v and the parameters."""
+        """Function of t, q, v and the parameters; it returns the entries of all matrices in the order of `_ARRAYS`."""
         arguments = [self.t, list(self.q), list(self.v), list(self.parameters)]
         entries = [list(getattr(self, name)) for name in _ARRAYS]
         function: Callable[..., list[list[float]]] = sp.lambdify(arguments, entries, modules="math", cse=True)
@@ -148,7 +149,7 @@ class SymbolicSystem:
 def _solved(
     mass_matrix: np.ndarray, constraint_jacobian: np.ndarray, gamma: np.ndarray, forces: np.ndarray, **_: Any
 ) -> dict[str, np.ndarray]:
-    """Return accelerations and multipliers, from the system scaled to a mass matrix of ones."""
+    """Return accelerations and multipliers, solved with coordinates scaled to an identity mass matrix."""
     n, m = len(forces), len(gamma)
     root = np.sqrt(np.diag(mass_matrix))
     jacobian = constraint_jacobian / root

@@ -1,8 +1,8 @@
-"""Expressions of time: parsed by a whitelist over Python's `ast`, kept as a postfix program, never evaluated by Python.
+"""Expressions of time, parsed with `ast` against a whitelist into a postfix program; no Python code is evaluated.
 
-The grammar is ``+ - * / **``, parentheses, numbers, ``t``, ``pi`` and the functions of :data:`FUNCTIONS`. The program
-is a list of stack instructions, which the engine runs on truncated Taylor series to obtain value, rate and
-acceleration.
+Expressions consist of ``+ - * / **``, parentheses, numbers, ``t``, ``pi`` and the functions of :data:`FUNCTIONS`. The
+program is a list of stack instructions; the engine runs it on truncated Taylor series to obtain the value and its first
+and second derivatives.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ FUNCTIONS: dict[str, Callable[..., float]] = {
     "min": min,
     "max": max,
 }
-"""The functions by name; `atan2` takes two arguments, `min` and `max` two or more, the others one."""
+"""Functions by name; `atan2` takes two arguments, `min` and `max` take two or more, the others take one."""
 
 _OPERATORS: dict[type[ast.operator], str] = {
     ast.Add: "add",
@@ -64,7 +64,7 @@ _BINARY = {"add", "sub", "mul", "div", "pow", "atan2", "min", "max"}
 
 
 TIME = dict.fromkeys(("time", "T"), " (the time is t)")
-"""Hints for names under which other programs know the time."""
+"""Hints for names of the time in other programs."""
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,11 @@ class Expression:
     Attributes
     ----------
     text
-        As the user wrote it.
+        Text of the expression as the user wrote it.
     program
-        Postfix instructions (operation, number). ``const`` pushes its number and ``t`` the time; ``add sub mul div pow
-        atan2 min max`` take two operands off the stack; ``neg`` and the other functions take one, and so does ``powi``,
-        whose number is the integer exponent. Elsewhere the number is 0.
+        Postfix instructions (operation, number). ``const`` pushes its number and ``t`` pushes the time; ``add sub mul
+        div pow atan2 min max`` pop two operands; ``neg``, ``powi`` and the other functions pop one. The number of
+        ``powi`` is the integer exponent; instructions other than ``const`` and ``powi`` have the number 0.
     depth
         Largest number of operands on the stack, at most 32.
     """
@@ -89,17 +89,17 @@ class Expression:
 
     @staticmethod
     def parse(text: str) -> Expression:
-        """Return the expression of a text.
+        """Parse a text.
 
         Raises
         ------
         SpecError
-            With the position in the text of the first part that is not a valid expression.
+            With the position in the text of the first error.
         """
         return _parse(text)
 
     def to_sympy(self) -> sympy.Expr:
-        """Return it as a SymPy expression of the real symbol ``t``."""
+        """Return the expression in SymPy, with the real symbol ``t``."""
         import sympy as sp
 
         functions: dict[str, Callable[..., Any]] = {
@@ -138,28 +138,28 @@ def _parse(text: str) -> Expression:
         depth = max(depth, height)
     if depth > MAX_DEPTH:
         raise SpecError(
-            f"the expression keeps {depth} intermediate values at once, more than {MAX_DEPTH}; write it less nested"
+            f"the expression needs {depth} intermediate values at once, more than {MAX_DEPTH}; use less nesting"
         )
     return Expression(text, program, depth)
 
 
 class Compiler:
-    """Walks the syntax tree of one text; every node that is not on the whitelist is an error with its position.
+    """Compiler from the syntax tree of an expression to a postfix program; rejects nodes that are not on the whitelist.
 
     Parameters
     ----------
     text
-        The expression as the user wrote it.
+        Text of the expression as the user wrote it.
 
     Attributes
     ----------
     wanted
-        The operands that an expression may hold, for messages.
+        Description of an expression and its operands, for error messages.
     hint
-        Addition to the message about a syntax error.
+        Text appended to the message of a syntax error.
     """
 
-    wanted = "an expression of t, which has numbers, t, pi"
+    wanted = "an expression of t, which consists of numbers, t, pi"
     hint = ""
 
     def __init__(self, text: str):
@@ -169,38 +169,38 @@ class Compiler:
         self.shift = len(self.source) - len(self.source.lstrip())
         self.source = self.source.lstrip()
         if not self.source:
-            raise SpecError(f"the expression is empty; {self.wanted.partition(',')[0]} is wanted")
+            raise SpecError(f"the expression is empty; it should be {self.wanted.partition(',')[0]}")
         for place, letter in enumerate(self.unquoted()):
             if not letter.isascii() or not letter.isprintable() or letter in "#\\;":
                 self.refuse(f"the character {letter!r} is not part of an expression", place)
 
     def unquoted(self) -> str:
-        """Return the text with quoted parts blanked, of the same length; only subclasses know quotes."""
+        """Return the text with quoted parts replaced by blanks; this class has no quotes, but subclasses may."""
         return self.source
 
     def program(self) -> list[tuple[str, float]]:
-        """Return the postfix program of the text; raises SpecError."""
+        """Return the postfix program of the text; raises SpecError with the position of the first error."""
         try:
             tree = ast.parse(self.source, mode="eval")
         except SyntaxError as error:
             place = min(max((error.offset or 1) - 1, 0), len(self.source) - 1)
-            self.refuse(f"the expression cannot be read ({error.msg}){self.hint}", place)
+            self.refuse(f"the expression cannot be parsed ({error.msg}){self.hint}", place)
         except (RecursionError, MemoryError, ValueError):
-            raise SpecError("the expression is too deeply nested to be read") from None
+            raise SpecError("the expression is too deeply nested") from None
         return self.compile(tree.body, 0)
 
     def refuse(self, message: str, place: ast.AST | int) -> NoReturn:
-        """Raise SpecError with the place in the text."""
+        """Raise SpecError with the message and the position in the text."""
         column = place if isinstance(place, int) else getattr(place, "col_offset", 0)
         shown = self.source if len(self.source) <= 60 else self.source[max(column - 30, 0) :][:60] + "..."
         raise SpecError(f"{message} (position {column + self.shift + 1} of '{shown}')")
 
     def segment(self, node: ast.expr) -> str:
-        """Return the text of a node, or the beginning of it."""
+        """Return the text of a node, at most 40 characters."""
         return (ast.get_source_segment(self.source, node) or self.source)[:40]
 
     def compile(self, node: ast.expr, nesting: int) -> list[tuple[str, float]]:
-        """Return the program of a node."""
+        """Return the postfix program of a node."""
         if nesting > MAX_NESTING:
             self.refuse("the expression is too deeply nested", node)
         match node:
@@ -223,10 +223,10 @@ class Compiler:
         return self.operand(node)
 
     def operand(self, node: ast.expr) -> list[tuple[str, float]]:
-        """Return the program of an operand other than a number; this class refuses all of them."""
+        """Return the program of any other operand; subclasses may add operands, this class rejects them all."""
         if isinstance(node, ast.Name):
             name = self.segment(node)
-            hint = TIME.get(name) or did_you_mean(name, ["t", "pi", *FUNCTIONS]) or "; known are t, pi and functions"
+            hint = TIME.get(name) or did_you_mean(name, ["t", "pi", *FUNCTIONS]) or "; known: t, pi and functions"
             self.refuse(f"unknown name '{name}'{hint}", node)
         self.refuse(
             f"'{self.segment(node)}' is not part of {self.wanted}, + - * / **, "
@@ -235,7 +235,7 @@ class Compiler:
         )
 
     def chain(self, node: ast.BinOp, nesting: int) -> list[tuple[str, float]]:
-        """Compile a run of left-associative operators without recursion, so that a long sum is not deep nesting."""
+        """Compile a chain of left-associative operators without recursion, so a long sum does not count as nesting."""
         links = [node]
         while isinstance(links[-1].left, ast.BinOp):
             links.append(links[-1].left)
@@ -249,7 +249,7 @@ class Compiler:
         return program
 
     def call(self, node: ast.Call, nesting: int) -> list[tuple[str, float]]:
-        """Compile the call of a function."""
+        """Compile a function call."""
         if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS:
             name = self.segment(node.func)
             self.refuse(f"'{name}' is not a function that can be used{did_you_mean(name, FUNCTIONS)}", node)
@@ -268,7 +268,7 @@ class Compiler:
         return program
 
     def apply(self, operation: str, operands: list[list[tuple[str, float]]], node: ast.expr) -> list[tuple[str, float]]:
-        """Append `operation` to its operands' programs, or compute it where all of them are constants."""
+        """Append `operation` to the programs of its operands, or evaluate it if all of them are constants."""
         if all(len(operand) == 1 and operand[0][0] == "const" for operand in operands):
             function = _ARITHMETIC.get(operation) or FUNCTIONS[operation]
             return self.constant(lambda: function(*(operand[0][1] for operand in operands)), node)
@@ -286,7 +286,7 @@ class Compiler:
         return program
 
     def constant(self, compute: Callable[[], float], node: ast.expr) -> list[tuple[str, float]]:
-        """Return the program of a number that is written in the text or computed from constants in it."""
+        """Return the program of a constant: a number in the text, or the result of an operation on constants."""
         try:
             value = compute()
         except (ArithmeticError, ValueError):

@@ -1,4 +1,4 @@
-"""Types of the values of elements: numbers, points, motions in time and tables, with their checks."""
+"""Types of the values of elements, with validation: numbers, points, functions of time and tables."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from mbdkit.strict_model import StrictModel
 
 
 def _shown(value: Any) -> str:
-    """Return a value as an error message shows it, cut to at most 60 characters."""
+    """Return a value as text for an error message, cut to at most 60 characters."""
     text = "nothing" if value is None else repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def pair(wanted: str) -> Callable[[Any], Any]:
-    """Return a validator for a list, tuple or array of two items; its error says that `wanted` should be given."""
+    """Return a validator for a list, tuple or array of two items; `wanted` describes the pair in error messages."""
 
     def check(value: Any) -> Any:
         plain = value.tolist() if hasattr(value, "tolist") else value
@@ -69,18 +69,18 @@ def columns_of(value: Any, key: str = "", *, at: str = "times", of: str = "value
     Parameters
     ----------
     value
-        Two columns of equal length, two rows or more; the first column strictly increasing.
+        Two columns of equal length, with at least two rows; the first column must be strictly increasing.
     key
-        Key of the table, for messages.
+        Key of the table, for error messages.
     at, of
-        Names of the contents of the first and the second column, in the plural, for messages.
+        Plural nouns for the contents of the first and second columns, for error messages.
     shown
-        Names of one entry of each column, for messages.
+        Names of one entry of each column, for error messages.
 
     Raises
     ------
     SpecError
-        If no spline passes through the points.
+        If `value` is not such a table.
     """
     first, second = shown.split(", ")
     try:
@@ -107,7 +107,7 @@ def columns_of(value: Any, key: str = "", *, at: str = "times", of: str = "value
     return times, values
 
 
-# Bounds are stated here as well as in `StrictModel`, for validators of these types outside of a model.
+# `StrictModel` sets allow_inf_nan too; it is repeated here because these types are also validated outside of models.
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -118,14 +118,15 @@ Columns = Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidat
 
 
 class Table(StrictModel):
-    """A function of time by points: the cubic spline through them, with the not-a-knot condition at both ends.
+    """A function of time given by points and interpolated by a cubic spline with not-a-knot end conditions.
 
-    Three points give a parabola and two a line. The first and second derivatives are continuous. The third jumps at
-    the points, so a method of high order keeps its order only if its steps end there. A run must lie within the table.
+    Three points give a parabola, and two points give a line. The first and second derivatives are continuous. The third
+    derivative jumps at the points, so a high-order method keeps its order only if its steps end there. The table must
+    cover the time span of the run.
     """
 
     table: Columns
-    """Times [s], strictly increasing, and the values at them: ``[[t, ...], [value, ...]]``."""
+    """Strictly increasing times [s] and the value at each time: ``[[t, ...], [value, ...]]``."""
 
     @property
     def span(self) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""The built-in models: each file turns a few parameters into a mechanism."""
+"""The built-in models; each module builds a mechanism from a few parameters."""
 
 from mbdkit.models import double_pendulum, four_bar_knee, free_form, n_four_bar, n_pendulum, single_pendulum
 from mbdkit.registry.items import ModelPlugin
@@ -27,4 +27,4 @@ MODELS = (
     ),
     ModelPlugin("mechanism", free_form.SUMMARY, free_form.MechanismOptions, free_form.build),
 )
-"""The models that mbdkit ships, in the order in which `mbdkit plugins list` names them."""
+"""The built-in models, in the order in which `mbdkit plugins list` shows them."""

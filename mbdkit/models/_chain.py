@@ -1,4 +1,4 @@
-"""A chain of rods that hangs from the ground, whose initial positions meet the joints to round-off."""
+"""A chain of rods attached to the ground, whose initial positions satisfy the joints to round-off."""
 
 from __future__ import annotations
 
@@ -18,26 +18,28 @@ def chain(
     rates: Sequence[float],
     inertias: Sequence[float] | None,
 ) -> Mechanism:
-    """Return rods `rod1` to `rodn` in a chain from the origin, pinned by `J1` to `Jn` from the ground outwards.
+    """Return a chain of rods `rod1` to `rodn` with revolute joints `J1` to `Jn`, numbered from the ground outwards.
 
-    Each rod's frame has its origin in the rod's middle and its x axis along the rod, away from the ground.
+    Joint `J1` is at the origin. The frame of each rod has its origin at the midpoint of the rod, and its x axis points
+    along the rod, away from the ground.
 
     Parameters
     ----------
     name
         Name of the model.
     gravity
-        (x, y) [m/s^2].
+        Gravitational acceleration (x, y) [m/s^2].
     lengths, masses, angles, rates
-        One for each rod: [m], [kg], absolute tilt from the +x axis [rad], absolute angular velocity [rad/s].
+        One value for each rod: length [m], mass [kg], absolute angle from the +x axis [rad], absolute angular velocity
+        [rad/s].
     inertias
-        About each rod's middle [kg m^2]; None for uniform rods, m L^2 / 12.
+        Moment of inertia of each rod about its midpoint [kg m^2]; None for uniform rods, m L^2 / 12.
 
     Returns
     -------
     Mechanism
-        Positions and velocities are sums along the chain, compensated (Neumaier), so that every joint meets to the
-        last bits of its coordinates; the assembly tolerance grows with the chain's reach where those exceed 1e-12.
+        Positions and velocities are compensated sums along the chain (Neumaier), so the joints are satisfied to
+        round-off. If round-off exceeds 1e-12, the assembly tolerance grows with the length and speed of the chain.
     """
     mechanism = Mechanism(gravity, name=name)
     x, y, u, v = (_Sum() for _ in range(4))
@@ -65,7 +67,7 @@ def chain(
 
 
 class _Sum:
-    """A running sum with the rounding errors of its terms (Neumaier 1974)."""
+    """A compensated running sum (Neumaier 1974)."""
 
     def __init__(self) -> None:
         self.value = 0.0

@@ -1,4 +1,4 @@
-"""The crossed four-bar linkage of a knee: its pose, its rates and its range, in closed form.
+"""The crossed four-bar linkage of a knee: pose, angular velocities and range of flexion.
 
 Points are complex numbers x + i y [m], and angles are in radians.
 """
@@ -17,7 +17,7 @@ _SCAN = math.radians(1.0)
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the joints are in the tibia's frame: origin A, x forward and y up when the leg is straight."""
+    """Positions of the joints in the tibia's frame: origin at A, x forward and y up when the leg is straight."""
 
     A: complex
     B: complex
@@ -26,32 +26,32 @@ class Pose:
 
     @property
     def crossed(self) -> bool:
-        """Whether the rods B-C and D-A cross between their ends."""
+        """Whether the rods B-C and D-A intersect between their ends."""
         a, b, c, d = self.A, self.B, self.C, self.D
         return _turn(b, c, d) * _turn(b, c, a) < 0 and _turn(d, a, b) * _turn(d, a, c) < 0
 
     @property
     def instant_centre(self) -> complex:
-        """The point of the tibia that is at rest relative to the femur: where the rods cross."""
+        """The instantaneous centre of the tibia relative to the femur: the intersection of the rods."""
         rod, other = self.C - self.B, self.A - self.D
         return self.B + rod * _cross(self.D - self.B, other) / _cross(rod, other)
 
 
 @dataclass(frozen=True)
 class CrossedFourBar:
-    """Two rods B-C and D-A that cross between a tibial link A-B and a femoral link C-D, posterior ends A and C.
+    """Linkage of a tibial link A-B and a femoral link C-D, joined by crossed rods B-C and D-A; A and C are posterior.
 
     Parameters
     ----------
     tibial, femoral, acl, pcl
         Lengths of A-B, C-D, B-C and D-A [m].
     tibial_pitch, femoral_pitch
-        How far A-B and C-D point below the forward horizontal when the leg is straight [rad].
+        Angles of A-B and C-D below the forward horizontal when the leg is straight [rad].
 
     Raises
     ------
     SpecError
-        If the straight leg cannot be put together with crossed rods.
+        If the linkage of the straight leg cannot be assembled with crossed rods.
     """
 
     tibial: float
@@ -65,18 +65,18 @@ class CrossedFourBar:
         if self._branch == 0:
             lengths = f"tibial {self.tibial:g}, femoral {self.femoral:g}, acl {self.acl:g}, pcl {self.pcl:g}"
             raise SpecError(
-                f"the straight leg cannot be put together with crossed rods from links of these lengths ({lengths} m) "
-                "and these pitches",
+                f"the straight leg cannot be assembled with crossed rods from links with these lengths ({lengths} m) "
+                "and pitches",
                 key="links",
             )
 
     def pose(self, flexion: float) -> Pose:
-        """Return the pose at a `flexion` [rad], on the branch that the straight leg is on.
+        """Return the pose at a `flexion` [rad], on the branch of the straight leg.
 
         Raises
         ------
         SpecError
-            If the rods do not stay crossed between the straight leg and there.
+            If the rods do not stay crossed between the straight leg and this flexion.
         """
         low, high = self.range
         pose = self._solve(flexion, self._branch) if low < flexion < high else None
@@ -89,9 +89,10 @@ class CrossedFourBar:
         return pose
 
     def rod_rates(self, pose: Pose, rate: float) -> tuple[float, float]:
-        """Return the angular velocities of the rods B-C and D-A against the femur when the tibia turns at `rate`.
+        """Return the angular velocities [rad/s] of the rods B-C and D-A if the tibia has the angular velocity `rate`.
 
-        The velocity of B against A, once through the rods and once through the tibia, gives two equations for them.
+        All are relative to the femur. The velocity of B relative to A, expressed through the rods and through the
+        tibia, gives two equations for the two unknowns.
         """
         acl, pcl, link = pose.B - pose.C, pose.A - pose.D, pose.B - pose.A
         determinant = _cross(acl, pcl)
@@ -99,12 +100,12 @@ class CrossedFourBar:
 
     @cached_property
     def range(self) -> tuple[float, float]:
-        """The flexions [rad] between which the rods stay crossed, starting from the straight leg."""
+        """The interval of flexions [rad] around the straight leg in which the rods stay crossed."""
         return -self._limit(-1.0), self._limit(1.0)
 
     @cached_property
     def _branch(self) -> int:
-        """Which of the two ways to close the linkage is the crossed one with the femur on top; 0 if neither is."""
+        """The closure of the linkage, 1 or -1, with crossed rods and the femur on top; 0 if there is none."""
         for branch in (1, -1):
             pose = self._solve(0.0, branch)
             if pose is not None and pose.crossed and (pose.C + pose.D - pose.A - pose.B).imag > 0:
@@ -112,7 +113,7 @@ class CrossedFourBar:
         return 0
 
     def _limit(self, sign: float) -> float:
-        """Return how far the leg can turn in one direction: a scan by one degree, then bisection."""
+        """Return the largest flexion in one direction, found by a scan in steps of one degree and bisection."""
 
         def fits(angle: float) -> bool:
             pose = self._solve(sign * angle, self._branch)
@@ -125,7 +126,7 @@ class CrossedFourBar:
         return inside
 
     def _solve(self, flexion: float, branch: int) -> Pose | None:
-        """Return the pose: C lies on a circle about B, and on another about the end of D-C drawn backwards from A."""
+        """Return the pose: C is an intersection of circles about B (radius acl) and A - (D - C) (radius pcl)."""
         b = cmath.rect(self.tibial, -self.tibial_pitch)
         femur = cmath.rect(self.femoral, flexion - self.femoral_pitch)
         line = -femur - b

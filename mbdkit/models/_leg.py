@@ -1,4 +1,4 @@
-"""Mass, centre and inertia of the lower leg from body mass and height, by Winter's segment fractions."""
+"""Mass, centre of mass and inertia of the lower leg from body mass and height, with Winter's segment fractions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ GAIT2D = """@misc{gait2d,
 SHANK_MASS, FOOT_MASS = 0.0465, 0.0145  # of body mass
 SHANK_LENGTH, FOOT_LENGTH, FOOT_HEIGHT = 0.246, 0.152, 0.039  # of body height
 SHANK_CENTRE, FOOT_CENTRE = 0.433, 0.5  # of segment length, from the knee and from the heel
-SHANK_GYRATION, FOOT_GYRATION = 0.302, 0.475  # of segment length, about the segment's own centre
+SHANK_GYRATION, FOOT_GYRATION = (
+    0.302,
+    0.475,
+)  # radii of gyration as fractions of segment length, about the centre of mass
 HEEL_BEHIND_ANKLE = 0.06 / 1.8  # of body height
 
 
@@ -42,7 +45,7 @@ class Segment:
     inertia: float
 
     def __add__(self, other: Segment) -> Segment:
-        """Return both as one rigid segment (parallel axis theorem)."""
+        """Return both segments joined rigidly, as one segment (parallel axis theorem)."""
         mass = self.mass + other.mass
         centre = (self.mass * self.centre + other.mass * other.centre) / mass
         reduced = self.mass * other.mass / mass
@@ -51,16 +54,16 @@ class Segment:
 
 
 def shank(body_mass: float, height: float) -> Segment:
-    """Return the shank of a person of `body_mass` [kg] and `height` [m]; origin at the knee, y up along the shank."""
+    """Return the shank of a person with `body_mass` [kg] and `height` [m]; origin at the knee, y up along the shank."""
     length = SHANK_LENGTH * height
     mass = SHANK_MASS * body_mass
     return Segment(mass, complex(0.0, -SHANK_CENTRE * length), mass * (SHANK_GYRATION * length) ** 2)
 
 
 def foot(body_mass: float, height: float) -> Segment:
-    """Return the foot at a right angle to the shank, in the frame of :func:`shank`.
+    """Return the foot, at a right angle to the shank, in the frame of :func:`shank`.
 
-    Its centre of mass is half a foot's length in front of the heel and half the ankle's height below the ankle.
+    Its centre of mass is half the foot length in front of the heel and half the ankle height below the ankle.
     """
     length = FOOT_LENGTH * height
     mass = FOOT_MASS * body_mass

@@ -1,4 +1,4 @@
-"""The double pendulum: a rod on a pin, and another rod on its end."""
+"""The double pendulum: two rods in a chain, attached to the ground."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ NumberPair = Annotated[tuple[Number, Number], _two]
 
 
 class DoublePendulumOptions(StrictModel):
-    """Parameters of `double-pendulum`, two of each, from the ground outwards."""
+    """Parameters of `double-pendulum`; each pair starts with the rod at the ground."""
 
     lengths: PositivePair = (1.0, 1.0)
     """Lengths of the rods [m]."""
     masses: PositivePair = (1.0, 1.0)
     """Masses of the rods [kg]."""
     inertias: PositivePair | None = None
-    """Moments of inertia about the rods' middles [kg m^2]; left out, those of uniform rods."""
+    """Moments of inertia about the midpoints of the rods [kg m^2]; by default, those of uniform rods."""
     angles: NumberPair = (0.0, 0.0)
-    """Initial tilts of the rods from the +x axis, both absolute [rad]; -pi/2 hangs straight down."""
+    """Initial absolute angles of the rods from the +x axis [rad]; -pi/2 is straight down."""
     rates: NumberPair = (0.0, 0.0)
-    """Initial angular velocities, both absolute [rad/s]."""
+    """Initial absolute angular velocities [rad/s]."""
     gravity: Point = (0.0, -9.81)
     """Gravitational acceleration (x, y) [m/s^2]."""
 
 
 def build(options: DoublePendulumOptions) -> Mechanism:
-    """Return bodies `rod1`, `rod2` on joints `J1`, `J2`."""
+    """Return a mechanism with bodies `rod1` and `rod2` and joints `J1` and `J2`."""
     o = options
     return chain("double-pendulum", o.gravity, o.lengths, o.masses, o.angles, o.rates, o.inertias)

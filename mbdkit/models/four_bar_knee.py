@@ -1,10 +1,11 @@
-r"""The knee as a crossed four-bar linkage: a seated or standing person's lower leg on two rods that cross.
+r"""The knee as a crossed four-bar linkage: the lower leg of a seated or standing person on two crossed rods.
 
-The thigh is held at `thigh_angle`, so its joint points C and D are points of the ground. Two rods, `acl` (B-C) and
-`pcl` (D-A), carry the `shank` with the foot. Four revolute joints, one degree of freedom. The straight leg, facing +x::
+The thigh is fixed at `thigh_angle`, so its joint points C and D are points of the ground. Two rods, `acl` (B-C) and
+`pcl` (D-A), carry the `shank` with the foot. The mechanism has four revolute joints and one degree of freedom. The
+straight leg, facing +x::
 
                    y
-              C    |   thigh (held)          A  tibial link, posterior     pcl - shank
+              C    |   thigh (fixed)         A  tibial link, posterior     pcl - shank
                \   |                         B  tibial link, anterior      acl - shank
                 \  |                         C  femoral link, posterior    ground - acl
                  \ |          ___... D       D  femoral link, anterior     ground - pcl
@@ -16,24 +17,24 @@ The thigh is held at `thigh_angle`, so its joint points C and D are points of th
                    |   shank and foot
 
 Frames
-    The *thigh's frame* has its origin in O; y points along the thigh from the knee to the hip, and x forward. The
-    *shank's frame* coincides with it when the leg is straight and is carried by the shank: y points from the ankle
-    to the knee, x to the toes' side. Points of springs are given in these two frames. O is the origin of the global
-    frame.
+    The *thigh frame* has its origin at O; y points along the thigh from the knee to the hip, and x points forward.
+    The *shank frame* moves with the shank and coincides with the thigh frame when the leg is straight: y points from
+    the ankle to the knee, and x points to the side of the toes. Points of springs are given in these two frames. O is
+    the origin of the global frame.
 Angles
-    `thigh_angle` is the absolute tilt of the thigh's long axis, from hip to knee, from the +x axis: 0 for a seated
-    person with a level thigh, -pi/2 for a standing one. `flexion` is 0 for the straight leg and positive in
-    flexion, clockwise: body `shank` has the angle ``thigh_angle + pi/2 - flexion``.
+    `thigh_angle` is the absolute angle of the direction from hip to knee, from the +x axis: 0 for a seated person with
+    a horizontal thigh, -pi/2 for a standing person. `flexion` is 0 for the straight leg and positive (clockwise) in
+    flexion: body `shank` has the angle ``thigh_angle + pi/2 - flexion``.
 Linkage
-    Lengths and pitches of a lower-limb exoskeleton's knee for a height of 1.78 m, scaled with `height`. Its source
-    puts the middle of the tibial link on the shank's axis, 9 mm below O, and names 9 mm above O for the femoral
-    link as well. The closed linkage contradicts the latter (its middles are 24 mm apart in height, not 18 mm), and
-    the source does not use it: here the tibial link is mounted as said, and the femoral link follows from the
-    closure, 15 mm above O and 8 mm in front.
+    Lengths and pitches are those of the knee of a lower-limb exoskeleton for a height of 1.78 m; lengths scale with
+    `height`. The source places the midpoint of the tibial link on the axis of the shank, 9 mm below O, and states
+    9 mm above O for the femoral link. The closed linkage contradicts the latter (the midpoints differ in height by
+    24 mm, not 18 mm), and the source does not use it. Here the tibial link is mounted as in the source, and closure
+    determines the femoral link: its midpoint is 15 mm above O and 8 mm in front of it.
 Masses
-    Shank and foot by Winter's fractions of body mass and height, the foot at a right angle to the shank, as one
-    body; rods uniform. Body frames have their origins in the centres of mass: the rods' x axes point from the
-    femoral to the tibial joint, the shank's are parallel to those of the shank's frame.
+    Shank and foot form one body, with Winter's fractions of body mass and height and the foot at a right angle to the
+    shank. The rods are uniform. Body frames have their origins at the centres of mass. The x axis of each rod points
+    from the femoral to the tibial joint; the axes of body `shank` are parallel to those of the shank frame.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ from mbdkit.models._crossed_four_bar import CrossedFourBar
 from mbdkit.models._leg import FRACTIONS, GAIT2D, WINTER, foot, shank
 from mbdkit.strict_model import StrictModel
 
-SUMMARY = "The lower leg on a crossed four-bar linkage, the thigh held, with springs and dampers."
+SUMMARY = "A lower leg on a crossed four-bar linkage at a fixed thigh, with springs and dampers."
 
 EXOSKELETON = """@misc{group3exoskeleton,
   author       = {{emelieseguin}},
@@ -60,14 +61,14 @@ EXOSKELETON = """@misc{group3exoskeleton,
 }"""
 REFERENCES = (EXOSKELETON, WINTER, FRACTIONS, GAIT2D)
 
-REFERENCE_HEIGHT = 1.78  # m, of the person whom the linkage fits
+REFERENCE_HEIGHT = 1.78  # m, body height for which the linkage was designed
 LINKS = {"tibial": 0.0445, "femoral": 0.0409, "acl": 0.0516, "pcl": 0.0472}  # m, at that height
-MOUNTING = 0.009  # m, of the tibial link's middle below the knee joint, at that height
+MOUNTING = 0.009  # m, midpoint of the tibial link below O, at that height
 DAMPER = "knee-damping"
 
 
 class KneeLinks(StrictModel):
-    """Lengths of the links [m]; what is left out is scaled with the height."""
+    """Lengths of the links [m]; the default lengths scale with `height`."""
 
     tibial: Positive | None = None
     """Tibial link, from joint A to joint B [m]."""
@@ -80,7 +81,7 @@ class KneeLinks(StrictModel):
 
 
 class KneePitches(StrictModel):
-    """How far the links point below the forward horizontal when the leg is straight [rad]."""
+    """Angles of the links below the forward horizontal when the leg is straight [rad]."""
 
     femoral: Number = math.radians(27.5)
     """Femoral link, from joint C to joint D [rad]."""
@@ -92,29 +93,29 @@ class KneeSpring(StrictModel):
     """A linear spring and damper between a point of the thigh and a point of the shank."""
 
     points: Points
-    """The points in the thigh's and in the shank's frame, ``[[x, y], [x, y]]`` [m]: origin at the knee joint, x
-    forward, y up along the thigh and along the shank."""
+    """Points in the thigh frame and in the shank frame, ``[[x, y], [x, y]]`` [m]: origin at the knee joint, x forward,
+    y up along the thigh and along the shank."""
     stiffness: NotNegative = 0.0
     """Stiffness [N/m]."""
     damping: NotNegative = 0.0
     """Damping [N s/m]."""
     free_length: NotNegative = 0.0
-    """Length without force [m]."""
+    """Length at which the spring exerts no force [m]."""
 
 
 class FourBarKneeOptions(StrictModel):
     """Parameters of `four-bar-knee`."""
 
     height: Positive = 1.78
-    """Height of the person [m]; scales linkage and segments."""
+    """Body height [m]; scales the linkage and the segments."""
     body_mass: Positive = 75.0
-    """Mass of the person [kg]."""
+    """Body mass [kg]."""
     thigh_angle: Number = 0.0
-    """Tilt of the thigh's long axis, from hip to knee, from the +x axis [rad]: 0 is seated, -pi/2 is standing."""
+    """Angle of the direction from hip to knee, from the +x axis [rad]: 0 is seated, -pi/2 is standing."""
     flexion: Number = 0.0
-    """Initial flexion of the knee [rad]: 0 is the straight leg, positive in flexion."""
+    """Initial flexion of the knee [rad]; 0 for the straight leg."""
     flexion_rate: Number = 0.0
-    """Initial rate of flexion [rad/s]."""
+    """Initial flexion rate [rad/s]."""
     links: KneeLinks = KneeLinks()
     """Lengths of the links [m]."""
     pitches: KneePitches = KneePitches()
@@ -122,7 +123,7 @@ class FourBarKneeOptions(StrictModel):
     rod_mass: Positive = 0.05
     """Mass of each of the two rods [kg]."""
     damping: NotNegative = 0.0
-    """Damping of the knee, between thigh and shank [N m s/rad]."""
+    """Rotational damping between thigh and shank [N m s/rad]."""
     springs: dict[str, KneeSpring] = Field(default_factory=dict)
     """Springs and dampers between thigh and shank, by name."""
     gravity: Point = (0.0, -9.81)
@@ -138,18 +139,18 @@ def linkage(options: FourBarKneeOptions) -> CrossedFourBar:
 
 
 def build(options: FourBarKneeOptions) -> Mechanism:
-    """Return bodies `acl`, `pcl` and `shank` on joints `A`, `B`, `C`, `D`, at the given flexion.
+    """Return a mechanism with bodies `acl`, `pcl`, `shank` and joints `A`, `B`, `C`, `D`, at the given flexion.
 
     Raises
     ------
     SpecError
-        If the links do not fit together, or not at this flexion, or if a spring's name cannot be used.
+        If the linkage cannot be assembled at this flexion, or if the name of a spring is not valid.
     """
     four_bar = linkage(options)
     straight, pose = four_bar.pose(0.0), four_bar.pose(options.flexion)
     knee = 0.5 * (straight.A + straight.B) + 1j * MOUNTING * options.height / REFERENCE_HEIGHT  # O in the tibia's frame
 
-    # The shank's frame in the global one: the thigh's, turned back by the flexion, with C where the thigh has it.
+    # The shank frame is the thigh frame rotated clockwise by the flexion; C is fixed to the thigh.
     thigh = cmath.rect(1.0, options.thigh_angle + 0.5 * math.pi)
     turn = thigh * cmath.rect(1.0, -options.flexion)
     c = thigh * (straight.C - knee)

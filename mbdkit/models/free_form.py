@@ -1,17 +1,17 @@
-"""The free-form model: a mechanism written out in the spec."""
+"""The free-form model: a mechanism whose elements are listed in the spec."""
 
 from __future__ import annotations
 
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import MechanismData
 
-SUMMARY = "Any mechanism of bodies, joints, drivers and forces, written out by name."
+SUMMARY = "Any mechanism of named bodies, joints, drivers and forces."
 
 
 class MechanismOptions(MechanismData):
-    """Parameters of `mechanism`: its bodies, joints and forces."""
+    """Parameters of `mechanism`: bodies, joints and forces by name."""
 
 
 def build(options: MechanismOptions) -> Mechanism:
-    """Return the mechanism as written, cross-checked."""
+    """Return the mechanism described by the options, after checks across its elements."""
     return Mechanism.from_data(options)

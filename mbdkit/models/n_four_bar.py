@@ -1,4 +1,4 @@
-"""The N-four-bar mechanism: windows in a row that fold flat twice a turn, where their freedoms multiply."""
+"""The N-four-bar mechanism: a row of four-bar windows with two singular positions per turn of the cranks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.memory import available_memory, in_gib
 from mbdkit.strict_model import StrictModel
 
-SUMMARY = "N four-bar windows in a row, which pass two singular positions a turn (IFToMM benchmark A02)."
+SUMMARY = "N four-bar windows in a row, with two singular positions per turn (IFToMM benchmark A02)."
 
 BENCHMARK = """@article{gonzalez2006benchmarking,
   author  = {Gonz{\\'a}lez, M. and Dopico, D. and Lugr{\\'i}s, U. and Cuadrado, J.},
@@ -37,7 +37,7 @@ WINDOWS = """@article{bayo1994singularity,
 REFERENCES = (BENCHMARK, WINDOWS)
 
 BYTES_PER_WINDOW = 40_000
-"""Memory that a window of two rods and three joints takes while its mechanism is compiled [bytes]."""
+"""Memory needed per window (two rods and three joints) to compile the mechanism [bytes]."""
 
 
 class NFourBarOptions(StrictModel):
@@ -50,17 +50,17 @@ class NFourBarOptions(StrictModel):
     mass: Positive = 1.0
     """Mass of every rod [kg]."""
     inertia: Positive | None = None
-    """Moment of inertia of every rod about its middle [kg m^2]; left out, that of a uniform rod."""
+    """Moment of inertia of every rod about its midpoint [kg m^2]; by default, that of a uniform rod."""
     angle: Number = math.pi / 2
-    """Initial tilt of the cranks from the +x axis [rad]; upright by default."""
+    """Initial angle of the cranks from the +x axis [rad]; upright by default."""
     speed: Number = 1.0
-    """Initial speed of the cranks' free ends [m/s], clockwise: to the right where the cranks stand upright."""
+    """Initial speed of the moving ends of the cranks [m/s], clockwise: to the right if the cranks are upright."""
     gravity: Point = (0.0, -9.81)
     """Gravitational acceleration (x, y) [m/s^2]."""
 
 
 def build(options: NFourBarOptions) -> Mechanism:
-    """Return N + 1 cranks, `crank0` to `crankN`, on the ground at A_i = (i L, 0), whose ends B_i N couplers connect.
+    """Return a mechanism of N + 1 cranks on the ground at A_i = (i L, 0), with N couplers between their ends B_i.
 
     ::
 
@@ -69,24 +69,25 @@ def build(options: NFourBarOptions) -> Mechanism:
         crank0        crank1          crank2        C1 .. CN-1: crank i and the coupler to its right, pinned like Bi
         A0              A1              A2
 
-    All rods are equal, so that cranks that are parallel at the start stay so, and the mechanism has one degree of
-    freedom; but where they lie flat, at 0 and at pi, each window might fold either way, and there it has N + 1.
+    All rods are equal and the cranks start parallel, so they stay parallel, with one degree of freedom. At crank angles
+    0 and pi, where all rods are collinear, each window can fold in either direction: these positions are singular, with
+    N + 1 instantaneous degrees of freedom.
 
     Problem A02 of the IFToMM benchmark library (Gonzalez, Dopico, Lugris and Cuadrado, A benchmarking system for MBS
-    simulation software, Multibody System Dynamics 16 (2006) 179-190, http://lim.ii.udc.es/mbsbenchmark), whose rods,
-    gravity and start are the defaults here; an extension of the two windows of Bayo and Avello (1994).
+    simulation software, Multibody System Dynamics 16 (2006) 179-190, http://lim.ii.udc.es/mbsbenchmark). The default
+    parameters are those of the benchmark, which extends the two windows of Bayo and Avello (1994).
 
     Raises
     ------
     SpecError
-        If the memory of this machine cannot hold so many.
+        If the available memory is not sufficient for this many windows.
     """
     o = options
     needed, available = o.n * BYTES_PER_WINDOW, available_memory()
     if available is not None and needed > available:
         raise SpecError(
             f"{o.n:,} windows need about {in_gib(needed)} of memory, but only {in_gib(available)} are available: "
-            f"make it {available // BYTES_PER_WINDOW:,} at most",
+            f"use at most {available // BYTES_PER_WINDOW:,}",
             key="n",
         )
     length, half = o.length, 0.5 * o.length

@@ -1,4 +1,4 @@
-"""The n-pendulum: a chain of any number of rods."""
+"""The n-pendulum: a chain of n rods."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from mbdkit.memory import available_memory, in_gib
 from mbdkit.models._chain import chain
 from mbdkit.strict_model import StrictModel
 
-SUMMARY = "A chain of n rods, equal or each with its own parameters."
+SUMMARY = "A chain of n rods, with equal or individual parameters."
 
 BYTES_PER_ROD = 10_000
-"""Memory that a rod takes while its mechanism is compiled [bytes]: 9,200 of 40,000 rods, more each of fewer ones."""
+"""Memory needed per rod to compile the mechanism [bytes]; measured: 9,200 with 40,000 rods, more with fewer rods."""
 
 _QUANTITIES = {"length": "lengths", "mass": "masses", "inertia": "inertias", "angle": "angles", "rate": "rates"}
 
@@ -29,8 +29,8 @@ NumberList = Annotated[tuple[Number, ...], _list, Field(min_length=1)]
 class NPendulumOptions(StrictModel):
     """Parameters of `n-pendulum`.
 
-    Each quantity is either one number for all rods or, under its plural name, a list with one number for each rod from
-    the ground outwards. `n` can be left out where there is a list.
+    Each quantity is either one number for all rods or, under its plural name, a list with one number for each rod,
+    starting at the ground. `n` can be omitted if there is a list.
     """
 
     n: Annotated[int, Field(ge=1)] | None = None
@@ -40,21 +40,21 @@ class NPendulumOptions(StrictModel):
     mass: Positive | None = None
     """Mass of every rod [kg]; 1 by default."""
     inertia: Positive | None = None
-    """Moment of inertia of every rod about its middle [kg m^2]; left out, that of a uniform rod."""
+    """Moment of inertia of every rod about its midpoint [kg m^2]; by default, that of a uniform rod."""
     angle: Number | None = None
-    """Initial tilt of every rod from the +x axis [rad]; 0 by default, -pi/2 hangs straight down."""
+    """Initial angle of every rod from the +x axis [rad]; 0 by default, -pi/2 is straight down."""
     rate: Number | None = None
-    """Initial angular velocity of every rod, absolute [rad/s]; 0 by default."""
+    """Initial absolute angular velocity of every rod [rad/s]; 0 by default."""
     lengths: PositiveList | None = None
     """Lengths of the rods [m]."""
     masses: PositiveList | None = None
     """Masses of the rods [kg]."""
     inertias: PositiveList | None = None
-    """Moments of inertia about the rods' middles [kg m^2]."""
+    """Moments of inertia about the midpoints of the rods [kg m^2]."""
     angles: NumberList | None = None
-    """Initial tilts of the rods from the +x axis, absolute [rad]."""
+    """Initial absolute angles of the rods from the +x axis [rad]."""
     rates: NumberList | None = None
-    """Initial angular velocities, absolute [rad/s]."""
+    """Initial absolute angular velocities of the rods [rad/s]."""
     gravity: Point = (0.0, -9.81)
     """Gravitational acceleration (x, y) [m/s^2]."""
 
@@ -75,7 +75,7 @@ class NPendulumOptions(StrictModel):
         return self
 
     def each(self, one: str, default: float) -> tuple[float, ...]:
-        """Return the quantity `one` of every rod."""
+        """Return the quantity with the singular name `one` for each rod."""
         values = getattr(self, _QUANTITIES[one])
         if values is not None:
             return tuple(values)
@@ -91,19 +91,19 @@ class NPendulumOptions(StrictModel):
 
 
 def build(options: NPendulumOptions) -> Mechanism:
-    """Return bodies `rod1` to `rodn` on joints `J1` to `Jn`.
+    """Return a mechanism with bodies `rod1` to `rodn` and joints `J1` to `Jn`.
 
     Raises
     ------
     SpecError
-        If the memory of this machine cannot hold so many.
+        If the available memory is not sufficient for this many rods.
     """
     o = options
     needed, available = o.count * BYTES_PER_ROD, available_memory()
     if available is not None and needed > available:
         raise SpecError(
             f"{o.count:,} rods need about {in_gib(needed)} of memory, but only {in_gib(available)} are available: "
-            f"make it {available // BYTES_PER_ROD:,} at most",
+            f"use at most {available // BYTES_PER_ROD:,}",
             key="n",
         )
     uniform = o.inertia is None and o.inertias is None

@@ -1,4 +1,4 @@
-"""The single pendulum: one rod on a pin."""
+"""The single pendulum: one rod attached to the ground by a revolute joint."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.models._chain import chain
 from mbdkit.strict_model import StrictModel
 
-SUMMARY = "One rod on a pin."
+SUMMARY = "One rod attached to the ground by a revolute joint."
 
 
 class SinglePendulumOptions(StrictModel):
@@ -18,9 +18,9 @@ class SinglePendulumOptions(StrictModel):
     mass: Positive = 1.0
     """Mass of the rod [kg]."""
     inertia: Positive | None = None
-    """Moment of inertia about the rod's middle [kg m^2]; left out, that of a uniform rod."""
+    """Moment of inertia about the midpoint of the rod [kg m^2]; by default, that of a uniform rod."""
     angle: Number = 0.0
-    """Initial tilt of the rod from the +x axis [rad]; -pi/2 hangs straight down."""
+    """Initial angle of the rod from the +x axis [rad]; -pi/2 is straight down."""
     rate: Number = 0.0
     """Initial angular velocity [rad/s]."""
     gravity: Point = (0.0, -9.81)
@@ -28,7 +28,7 @@ class SinglePendulumOptions(StrictModel):
 
 
 def build(options: SinglePendulumOptions) -> Mechanism:
-    """Return body `rod1` on joint `J1`."""
+    """Return a mechanism with body `rod1` and joint `J1`."""
     o = options
     inertias = None if o.inertia is None else [o.inertia]
     return chain("single-pendulum", o.gravity, [o.length], [o.mass], [o.angle], [o.rate], inertias)

@@ -1,4 +1,4 @@
-"""What a run or a study is told: its spec, from YAML, TOML, JSON, a dict or a Mechanism, checked to the last key."""
+"""Specs of runs and studies: reading from YAML, TOML, JSON, a dict or a Mechanism, and strict validation."""
 
 from mbdkit.spec.loading import example_names, example_text, load_spec
 from mbdkit.spec.run_spec import RunSpec

@@ -1,4 +1,4 @@
-"""The choice of a model or an integrator by `name`: a discriminated union over the options of the installed plugins."""
+"""Selection of a model or an integrator by `name`: a discriminated union of the options of the installed plugins."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from mbdkit.registry.manager import registry
 
 @dataclass(frozen=True)
 class Choice:
-    """Annotation that makes a field the union of all options of one kind of plugin, told apart by `name`.
+    """Annotation that turns a field into the union of the options of all plugins of one kind, discriminated by `name`.
 
     Parameters
     ----------
     kind
         ``"model"`` or ``"integrator"``.
     installed
-        The registry to choose from; None for what is installed.
+        The registry to choose from; None for all installed plugins.
     """
 
     kind: Kind
@@ -41,19 +41,19 @@ class Choice:
         return core_schema.tagged_union_schema(choices, self._tag)
 
     def _tag(self, data: Any) -> str | None:
-        if isinstance(data, BaseModel):  # on the way out
+        if isinstance(data, BaseModel):  # during serialization
             return item_of(data).id
         name = data.get("name") if isinstance(data, dict) else None
         return self.registry.get(self.kind, name).id if isinstance(name, str) else None
 
 
 def choice_of(root: type[BaseModel], kind: Kind) -> Choice:
-    """Return the choice that the field `kind` of a spec offers."""
+    """Return the `Choice` annotation of the field `kind` of a spec."""
     return next(extra for extra in root.model_fields[kind].metadata if isinstance(extra, Choice))
 
 
 def registry_of(root: type[BaseModel]) -> Registry:
-    """Return the registry that a spec chooses from; what is installed, where it chooses nothing itself."""
+    """Return the registry in the `Choice` annotations of a spec; without any, the registry of installed plugins."""
     for field in root.model_fields.values():
         for extra in field.metadata:
             if isinstance(extra, Choice):

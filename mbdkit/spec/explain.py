@@ -1,4 +1,4 @@
-"""What pydantic says about a spec, turned into one sentence for the person who wrote it."""
+"""Conversion of pydantic validation errors to readable error messages about a spec."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ WANTED = {
     "dict_type": "a mapping (`key: value`)",
     "list_type": "a list",
     "tuple_type": "a list",
-    "none_required": "left out",
+    "none_required": "omitted",
 }
 BOUNDS = {
     "greater_than": "greater than {:g}",
@@ -46,28 +46,28 @@ PYDANTIC_KINDS = frozenset(get_args(ErrorType))
 
 
 def explain(error: ValidationError, root: type[BaseModel]) -> SpecError:
-    """Return the complaints of pydantic as one SpecError.
+    """Convert a pydantic validation error to a SpecError.
 
     Parameters
     ----------
     error
-        What pydantic raised.
+        The validation error.
     root
         The model that was validated.
 
     Returns
     -------
     SpecError
-        The first complaint, with the others after it, one a line.
+        Error with the key path of the first problem; its message lists the other problems, one per line.
     """
     complaints: dict[Path, list[str]] = {}
     for details in error.errors(include_url=False):
         path, sentence = _complaint(details, root)
         if sentence not in complaints.setdefault(path, []):
             complaints[path].append(sentence)
-    # What is wrong inside a value tells more than that no member of a union takes it.
+    # An error inside a value is more specific than the error that no member of a union accepts the value.
     paths = [path for path in complaints if not any(other[: len(path)] == path != other for other in complaints)]
-    # A mistyped key explains why another one is missing.
+    # Unknown keys come first: a mistyped key explains why another key is missing.
     paths.sort(key=lambda path: not complaints[path][0].startswith("unknown key"))
     first, *others = [(path, complaints[path]) for path in paths]
     message = _either(first[1])
@@ -116,7 +116,7 @@ def _complaint(details: ErrorDetails, root: type[BaseModel]) -> tuple[Path, str]
 
 
 def _inner_path(path: Path, key: Path) -> Path:
-    """Return the path of an error raised inside a validator; its key may count from there or from the top."""
+    """Return the path of an error raised inside a validator; its key may be relative to `path` or to the whole spec."""
     return key if path and key[: len(path)] == path else path + key
 
 
@@ -151,7 +151,7 @@ def _purpose(owner: type[BaseModel] | None, key: str) -> str:
 
 def _without_tag(path: Path, given: Any, root: type[BaseModel]) -> tuple[Path, str]:
     if path not in (("model",), ("integrator",)):
-        return (*path, "type"), "is missing: it says which kind of element this is"
+        return (*path, "type"), "is missing: it selects the kind of element"
     choice = choice_of(root, "model" if path == ("model",) else "integrator")
     names = listed(choice.registry.names(choice.kind))
     if not isinstance(given, Mapping):
@@ -159,7 +159,7 @@ def _without_tag(path: Path, given: Any, root: type[BaseModel]) -> tuple[Path, s
         return path, f"should be a mapping such as `{{name: {example}}}`, not {found(given)}; installed: {names}"
     if "name" in given:
         return (*path, "name"), f"should be text, not {found(given['name'])}; installed: {names}"
-    return (*path, "name"), f"is missing: it says which {choice.kind}; installed: {names}"
+    return (*path, "name"), f"is missing: the name of the {choice.kind}; installed: {names}"
 
 
 def _hint(kind: str, given: Any) -> str:
@@ -174,12 +174,12 @@ def _hint(kind: str, given: Any) -> str:
     except SpecError:
         return ""
     if len(program) == 1 and program[0][0] == "const":
-        return f" (only motions and values may be expressions: write {program[0][1]!r})"
+        return f" (expressions are allowed only in motions and values: write {program[0][1]!r})"
     return ""
 
 
 def _either(sentences: list[str]) -> str:
-    """Join what the members of a union want: "should be a or b, not c"."""
+    """Join the messages of the members of a union into one: "should be a or b, not c"."""
     parts = [re.fullmatch(r"should be (.*?)(, not .*)", sentence, re.S) for sentence in sentences]
     if len(parts) < 2 or not all(parts):
         return " or ".join(sentences)

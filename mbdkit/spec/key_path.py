@@ -1,4 +1,4 @@
-"""From pydantic's location of an error to the key path that the user wrote."""
+"""Conversion of the location of a pydantic error to a key path in the spec."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Model = type[BaseModel]
 
 
 def walk(location: Sequence[str | int], root: Model) -> tuple[Path, Model | None]:
-    """Return the key path of a location, without the tags of unions in it, and the model that its last key is in.
+    """Return the key path of a location, without union tags, and the model that contains its last key.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def _walk(
 
 
 def _member(members: list[Any], label: str | int, below: Path, metadata: tuple[Any, ...]) -> Any:
-    """Return the member of a union that pydantic's label means: by tag, by class name, or by what comes below."""
+    """Return the member of a union that pydantic's label denotes: by tag, by class name, or by the keys below it."""
     tag = next(
         (extra.discriminator for extra in metadata if isinstance(extra, FieldInfo) and extra.discriminator), None
     )

@@ -1,4 +1,4 @@
-"""The element class of each installed force law: an element of type ``law`` with the options of the law."""
+"""The element class of each installed force law: an element of type ``law`` with the law's options as fields."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @functools.cache
 def law_element(item: Registered) -> type[Law]:
-    """Return the element of type ``law`` of one force law: its options beside its name, strict and frozen."""
+    """Return the strict, frozen class of elements of type ``law`` for one force law, with its options as fields."""
     plugin: ForceLawPlugin = item.plugin  # type: ignore[assignment]
     namespace = {
         "__module__": __name__,
@@ -39,5 +39,5 @@ def law_element(item: Registered) -> type[Law]:
 
 
 def find_installed_law(name: str) -> type[Law]:
-    """Return the element class of an installed force law; raises SpecError where there is none."""
+    """Return the element class of an installed force law; raises SpecError if there is no such law."""
     return law_element(registry().get("force-law", name))

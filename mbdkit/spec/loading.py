@@ -1,4 +1,4 @@
-"""From whatever a user names as a spec to a checked RunSpec."""
+"""Loading of run specs from files, examples, mappings and mechanisms."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ VERSION = 1
 
 
 def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> RunSpec:
-    """Return the checked spec that `source` names, with its mechanism built.
+    """Load and validate a run spec, and build its mechanism.
 
     Parameters
     ----------
     source
-        A file (YAML, TOML, JSON), ``"-"`` for the standard input, the name of a packaged example, a mapping, a
+        A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged example, a mapping, a
         `Mechanism`, or a `RunSpec`.
     overrides
-        Assignments such as ``"time.step=0.005"``, their values in YAML.
+        Assignments such as ``"time.step=0.005"``, with values in YAML.
     sections
-        Top-level keys of the spec, such as ``time={"end": 5, "step": 0.01}``, that take the place of those in `source`.
+        Top-level keys of the spec, such as ``time={"end": 5, "step": 0.01}``, which replace those in `source`.
 
     Returns
     -------
     RunSpec
-        Strict and frozen.
+        The validated spec, which is immutable.
 
     Raises
     ------
     SpecError
-        If anything is wrong, with file, line and key path where there are any.
+        If the spec is not valid, with the file, line and key path if known.
     """
     if isinstance(source, RunSpec) and not sections and not tuple(overrides):
         source.mechanism()
@@ -62,22 +62,22 @@ def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> Ru
 
 
 def example_names() -> list[str]:
-    """Return the names of the packaged examples, which stand for their specs."""
+    """Return the names of the packaged examples; `load_spec` accepts each name as a source."""
     return sorted(path.name.removesuffix(".yaml") for path in _examples().iterdir() if path.name.endswith(".yaml"))
 
 
 def example_text(name: str) -> str:
-    """Return the spec of a packaged example as it was written, comments included.
+    """Return the text of the spec of a packaged example, including comments.
 
     Parameters
     ----------
     name
-        Its name.
+        Name of the example.
 
     Raises
     ------
     SpecError
-        If there is none of this name.
+        If there is no example with this name.
     """
     names = example_names()
     if name not in names:
@@ -91,7 +91,7 @@ def _examples() -> Any:
 
 
 def read_source(source: Any) -> Document:
-    """Return what `source` names as a document, unchecked; see `load_spec`."""
+    """Read `source` into a document without validation; see `load_spec` for the kinds of source."""
     if isinstance(source, RunSpec):
         return Document({name: getattr(source, name) for name in type(source).model_fields})
     if isinstance(source, Mapping):
@@ -114,7 +114,7 @@ def _named(source: str | FilePath) -> Document:
         return read_text(example_text(str(source)), f"{source} (packaged example)")
     if not exists(path):
         raise SpecError(
-            f"there is no such file, and no packaged example of this name{did_you_mean(str(source), names)}; "
+            f"there is no such file, and no packaged example with this name{did_you_mean(str(source), names)}; "
             f"examples: {listed(names)}",
             file=str(source)[:200],
         )
@@ -122,11 +122,11 @@ def _named(source: str | FilePath) -> Document:
 
 
 def exists(path: FilePath) -> bool:
-    """Return whether there is anything at `path`, readable or not."""
+    """Return whether a file or folder exists at `path`, readable or not."""
     try:
         path.stat()
     except PermissionError:
         return True
-    except (OSError, ValueError):  # there is none, its name is too long, or has a null character in it
+    except (OSError, ValueError):  # it does not exist, or its name is too long or contains a null character
         return False
     return True

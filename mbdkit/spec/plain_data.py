@@ -1,4 +1,4 @@
-"""Plain data in and out: what a spec may consist of, and its one canonical form."""
+"""Plain data of a spec: conversion of Python objects, canonical form, key paths, and values in error messages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Path = tuple[str | int, ...]
 
 
 def path_text(path: Path) -> str:
-    """Return a key path such as ``model.joints.A.bodies[1]``."""
+    """Return a key path as text, such as ``model.joints.A.bodies[1]``."""
     text = ""
     for part in path:
         text += f"[{part}]" if isinstance(part, int) else f"{'.' if text else ''}{part}"
@@ -35,12 +35,12 @@ def parse_path(text: str) -> Path:
 
 
 def plain(value: Any, path: Path = ()) -> Any:
-    """Return `value` made of dicts, lists, text, numbers, booleans and None alone.
+    """Convert `value` to plain data: dicts, lists, text, numbers, booleans and None.
 
     Raises
     ------
     SpecError
-        For a number that is not finite, a key that is not text, or anything that a spec cannot hold.
+        For a number that is not finite, a key that is not text, or an object that a spec cannot contain.
     """
     match value:
         case None | bool() | str():
@@ -61,13 +61,13 @@ def plain(value: Any, path: Path = ()) -> Any:
             return os.fspath(value)
     if hasattr(value, "tolist"):  # a NumPy array or number
         return plain(value.tolist(), path)
-    raise SpecError(f"a spec cannot hold an object of type {type(value).__name__}", key=path_text(path))
+    raise SpecError(f"a spec cannot contain an object of type {type(value).__name__}", key=path_text(path))
 
 
 def canonical(value: Any) -> Any:
-    """Return models as dicts with sorted keys, in which mappings from the user's own names keep their order.
+    """Convert models to dicts with sorted keys; mappings whose keys are names given by the user keep their order.
 
-    Keys that a model names in ``ABSENT_BY_DEFAULT`` are left out while they hold nothing.
+    Keys listed in the model's ``ABSENT_BY_DEFAULT`` are omitted if they are empty.
     """
     match value:
         case BaseModel():
@@ -88,7 +88,7 @@ def canonical(value: Any) -> Any:
 
 
 def found(value: Any) -> str:
-    """Return what was given, as an error message shows it: short, and naming its type where that may surprise."""
+    """Return a short description of a value for an error message, including its type unless it is obvious."""
     match value:
         case None:
             return "nothing"
@@ -110,5 +110,5 @@ def found(value: Any) -> str:
 
 def _key(key: Any, path: Path) -> str:
     if not isinstance(key, str):
-        raise SpecError(f"the key {key!r} is not text; write it in quotes if you mean it", key=path_text(path))
+        raise SpecError(f"the key {key!r} is not text; put it in quotes", key=path_text(path))
     return key

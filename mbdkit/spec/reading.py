@@ -1,4 +1,4 @@
-"""Reading a spec file: YAML, JSON or TOML by its suffix, every mistake one sentence."""
+"""Reading of spec files in YAML, JSON or TOML, and of assignments on the command line."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ STDIN = "<stdin>"
 
 
 def read_file(path: FilePath) -> Document:
-    """Return the document in a file; the suffix ``.json`` or ``.toml`` says so, everything else is YAML.
+    """Read a file: JSON or TOML if its suffix is ``.json`` or ``.toml``, otherwise YAML.
 
     Raises
     ------
     SpecError
-        With the file, and with the line where there is one.
+        If the file is not a spec, with the file name and, if known, the line.
     """
     file = str(path)
     if os.path.isdir(path):
@@ -40,21 +40,21 @@ def read_file(path: FilePath) -> Document:
 
 
 def read_stdin() -> Document:
-    """Return the document on the standard input, YAML or JSON."""
+    """Read a document in YAML or JSON from standard input."""
     return read_text(_decoded(sys.stdin.buffer.read(LARGEST_FILE + 1), STDIN), STDIN)
 
 
 def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
-    """Return the document in a text.
+    """Parse the text of a document.
 
     Parameters
     ----------
     text
-        What was read.
+        The text.
     file
-        Where from, for messages.
+        Where the text comes from, for error messages.
     suffix
-        ``.json``, ``.toml``, or anything else for YAML.
+        ``.json`` or ``.toml``; any other suffix means YAML.
     """
     try:
         match suffix:
@@ -70,26 +70,30 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
     if data is None:
         raise SpecError("this file is empty; a spec begins with `mbdkit: 1`", file=file)
     if not isinstance(data, Mapping):
-        raise SpecError(f"a spec is a mapping (`key: value`) from the top, not {found(data)}", file=file, line=1)
+        raise SpecError(
+            f"a spec should be a mapping (`key: value`) at the top level, not {found(data)}", file=file, line=1
+        )
     document.data = dict(data)
     return document
 
 
 def read_value(text: str) -> Any:
-    """Return the value of a ``--set key=value``, which is YAML."""
+    """Parse the value of ``--set key=value``, which is written in YAML."""
     return read_yaml(text)[0]
 
 
 def _decoded(raw: bytes, file: str) -> str:
     if raw.startswith(b"\x89HDF"):
-        raise SpecError("this is an HDF5 file, not a spec; `mbdkit rerun` runs the spec in an archive again", file=file)
+        raise SpecError(
+            "this is an HDF5 file, not a spec; use `mbdkit rerun` to run the spec in an archive again", file=file
+        )
     if len(raw) > LARGEST_FILE:
-        raise SpecError(f"this file is larger than {LARGEST_FILE >> 20} MiB, which is no spec", file=file)
+        raise SpecError(f"this file is larger than {LARGEST_FILE >> 20} MiB, the limit for a spec", file=file)
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
-        raise SpecError("this is not text in UTF-8", file=file, line=line) from None
+        raise SpecError("this file is not valid UTF-8 text", file=file, line=line) from None
     control = re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]", text)
     if control:
         line = text[: control.start()].count("\n") + 1
@@ -105,7 +109,7 @@ def _json(text: str) -> Any:
         result: dict[str, Any] = {}
         for key, value in pairs:
             if key in result:
-                raise SpecError(f"the key '{key}' stands twice in one object")
+                raise SpecError(f"the key '{key}' occurs twice in one object")
             result[key] = value
         return result
 
@@ -134,12 +138,12 @@ def _toml(text: str) -> Any:
         raise SpecError(message, line=int(where[1]) if where else None) from None
     except RecursionError:
         raise SpecError("this TOML is nested too deeply") from None
-    except ValueError as error:  # an integer of thousands of digits, say
+    except ValueError as error:  # such as an integer with thousands of digits
         raise SpecError(f"this is not valid TOML: {error}") from None
 
 
 def _toml_lines(text: str) -> dict[Path, int]:
-    """Return the line of each key that a line begins with; keys inside inline tables are on their table's line."""
+    """Return the line number of each key at the start of a line; keys inside inline tables have none of their own."""
     lines: dict[Path, int] = {}
     table: Path = ()
     for number, line in enumerate(text.splitlines(), start=1):
@@ -159,18 +163,18 @@ def _toml_key(text: str) -> Path:
 
 
 def set_value(document: Document, assignment: str) -> None:
-    """Set one key of the document from a ``key.path=value`` typed on the command line.
+    """Set one key of the document according to an assignment ``key.path=value`` from the command line.
 
     Raises
     ------
     SpecError
-        If this is no assignment, if its value is no YAML, or if its path leads through something that has no keys.
+        If the text is not an assignment, if the value is not YAML, or if the key path does not fit the document.
     """
     where = f"--set {assignment}"
     key, equals, text = assignment.partition("=")
     path = parse_key(key.strip())
     if not equals or not path:
-        raise SpecError("this should be of the form KEY=VALUE, such as time.step=0.005", file=where)
+        raise SpecError("should have the form KEY=VALUE, such as time.step=0.005", file=where)
     try:
         value = read_value(text)
     except SpecError as error:
@@ -183,7 +187,7 @@ def set_value(document: Document, assignment: str) -> None:
 
 
 def read_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """Return the plain data that assignments ``key.path=value`` from the command line make by themselves."""
+    """Return the plain data that assignments ``key.path=value`` from the command line define."""
     document = Document({})
     for assignment in assignments:
         set_value(document, assignment)
@@ -191,12 +195,12 @@ def read_assignments(assignments: Iterable[str]) -> dict[str, Any]:
 
 
 def put(data: dict[str, Any], path: Path, value: Any) -> None:
-    """Set the key at `path` of plain data; mappings that are missing on the way are made.
+    """Set the value at `path` in plain data; missing mappings along the path are created.
 
     Raises
     ------
     SpecError
-        If the path leads through something that has no such keys.
+        If a value along the path is not a mapping or list with the next key.
     """
     place: Any = data
     for index, part in enumerate(path):
@@ -217,5 +221,5 @@ def put(data: dict[str, Any], path: Path, value: Any) -> None:
 
 
 def parse_key(key: str) -> Path:
-    """Return the parts of a dotted key that somebody typed; none if it is not one."""
+    """Return the parts of a dotted key; an empty tuple if it is not a valid dotted key."""
     return () if not key or ".." in f".{key}." else parse_path(key)

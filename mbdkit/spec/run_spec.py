@@ -1,4 +1,4 @@
-"""The run spec as one strict, frozen pydantic model; models, integrators and force laws come from the registry."""
+"""The run spec, a strict, frozen pydantic model; models, integrators and force laws come from the registry."""
 
 from __future__ import annotations
 
@@ -36,44 +36,45 @@ if TYPE_CHECKING:
 
 
 _CHOSEN: tuple[Kind, ...] = ("model", "integrator")
-"""What a spec chooses by name."""
+"""Kinds of plugin that a run spec selects by name."""
 
 
 class RunSpec(StrictSpec):
-    """All that a run is told; equal specs give equal runs.
+    """The complete input of a run; equal specs give equal runs.
 
-    Models and integrators are those of the installed plugins, told apart by `name`, with their own options beside it.
+    `name` selects one of the installed models and integrators; its options are further keys of the same mapping.
 
     Raises
     ------
     SpecError
-        If anything is wrong, with the key path.
+        If the spec is not valid, with the key path.
     """
 
     model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("events",)
-    """Keys that the canonical form leaves out while they are empty: specs from before them keep hash and run id."""
+    """Keys that the canonical form omits if empty, so that specs written before they existed keep hash and run id."""
 
     mbdkit: Literal[1]
-    """Version of the spec."""
+    """Version of the spec format."""
     title: str = ""
-    """Free text."""
+    """Title of the run, free text."""
     model: Annotated[BaseModel, Choice("model")]
-    """What moves: the name of a model and its parameters."""
+    """The model: its name and its parameters."""
     formulation: Literal["index-1", "index-2", "index-3", "ggl"] = "index-1"
-    """Formulation of the equations of motion: the constraints of accelerations, velocities, positions, or both last."""
+    """Equations of motion with constraints on accelerations (index-1), velocities (index-2), positions (index-3), or on
+    positions and velocities (ggl)."""
     stabilization: StabilizationChoice = UNSTABILIZED
-    """What is done against the drift of constraints: a name, or a name and its options."""
+    """Method against constraint drift: a name, or a name and its options."""
     integrator: Annotated[BaseModel, Choice("integrator")]
-    """How it is integrated: the name of a method and its options."""
+    """The integrator: its name and its options."""
     time: Time
-    """Start, end and step."""
+    """Start time, end time and step."""
     output: Output = Field(default_factory=lambda: Output(every=1))
-    """What is recorded, and how often."""
+    """Recorded quantities and the recording interval."""
     events: Annotated[dict[str, Event], AfterValidator(named_events)] = Field(default_factory=dict)
-    """What to watch for, by name: expressions over the run that cross zero, to be noted, or to stop it."""
+    """Events by name: zero crossings of expressions in the state of the run, which are recorded or stop the run."""
     limits: Limits = Limits()
-    """What stops the run early."""
+    """Limits that stop the run early."""
 
     _mechanism: Any = PrivateAttr(default=None)
     _watched: Any = PrivateAttr(default=None)
@@ -83,7 +84,7 @@ class RunSpec(StrictSpec):
         item, claims = self.integrator_item, self.claims
         if self.formulation not in claims.formulations:
             raise SpecError(
-                f"integrator '{item.name}' cannot serve the formulation '{self.formulation}', "
+                f"integrator '{item.name}' does not support the formulation '{self.formulation}', "
                 f"only {listed(claims.formulations, 'and')}; "
                 f"{self._able(lambda other: self.formulation in other.formulations)}",
                 key="formulation",
@@ -108,96 +109,98 @@ class RunSpec(StrictSpec):
         return self
 
     def _check_stabilization(self, item: Registered, claims: Claims) -> None:
-        """Raise SpecError where the stabilization does not go with the formulation or the method."""
+        """Raise SpecError if the stabilization is incompatible with the formulation or the integrator."""
         chosen = self.stabilized
         if chosen.kind == "baumgarte" and self.formulation != "index-1":
             raise SpecError(
-                f"Baumgarte's terms act on the constraints of accelerations, which the formulation "
+                f"Baumgarte stabilization modifies the acceleration constraints, which the formulation "
                 f"'{self.formulation}' does not have; use index-1, or another stabilization",
                 key="stabilization",
             )
         if chosen.name not in claims.stabilizations:
             served = listed((f"'{name}'" for name in claims.stabilizations), "and")
             raise SpecError(
-                f"integrator '{item.name}' cannot serve the stabilization '{chosen.name}', only {served}; "
+                f"integrator '{item.name}' does not support the stabilization '{chosen.name}', only {served}; "
                 f"{self._able(lambda other: chosen.name in other.stabilizations)}",
                 key="stabilization",
             )
         if chosen.symmetric and claims.adaptive:
             raise SpecError(
-                f"symmetric projection needs fixed steps, but '{item.name}' chooses its own with these options: "
-                "a run back would not take the same ones; leave out `symmetric`",
+                f"symmetric projection needs a fixed step, but '{item.name}' adapts its step with these options, so "
+                "a run backward in time would use different steps; omit `symmetric`",
                 key="stabilization.symmetric",
             )
 
     @property
     def stabilized(self) -> Stabilization:
-        """What is done against the drift of constraints, as the engine takes it."""
+        """The stabilization, in the form that the engine uses."""
         return stabilization_of(self.stabilization)
 
     def _able(self, can: Callable[[Claims], bool]) -> str:
-        """Return in words which of the installed integrators can do what is asked for, by their claims."""
+        """Return a phrase that lists the installed integrators whose claims satisfy `can`."""
         able = []
         for item in choice_of(type(self), "integrator").registry.of_kind("integrator"):
-            with suppress(Exception):  # options without defaults, or a plugin that fails in any way
+            with suppress(Exception):  # options without defaults, or a plugin that raises any exception
                 plugin = item.plugin
                 assert isinstance(plugin, IntegratorPlugin)
                 if can(plugin.claims(plugin.options())):
                     able.append(item.name)
-        return f"integrators that can: {listed(able)}" if able else "no installed integrator can"
+        return f"integrators that support it: {listed(able)}" if able else "no installed integrator supports it"
 
     @property
     def model_item(self) -> Registered:
-        """The model in the registry, with where it came from."""
+        """The registry entry of the model, including its origin."""
         return item_of(self.model)
 
     @property
     def integrator_item(self) -> Registered:
-        """The integrator in the registry, with where it came from."""
+        """The registry entry of the integrator, including its origin."""
         return item_of(self.integrator)
 
     @property
     def model_plugin(self) -> ModelPlugin:
-        """The model as its plugin registered it."""
+        """The model plugin."""
         plugin = self.model_item.plugin
         assert isinstance(plugin, ModelPlugin)
         return plugin
 
     @property
     def integrator_plugin(self) -> IntegratorPlugin:
-        """The integrator as its plugin registered it."""
+        """The integrator plugin."""
         plugin = self.integrator_item.plugin
         assert isinstance(plugin, IntegratorPlugin)
         return plugin
 
     @property
     def force_law_items(self) -> list[Registered]:
-        """The force laws that the mechanism uses, in the registry, each once, by name."""
+        """The registry entries of the force laws that the mechanism uses, without duplicates, sorted by long name."""
         laws = {item_of(force) for force in self.mechanism().forces.values() if isinstance(force, Law)}
         return sorted(laws, key=lambda item: item.id)
 
     @property
     def claims(self) -> Claims:
-        """What the integrator claims of itself with these options."""
+        """The capabilities that the integrator claims with these options."""
         try:
             claims = self.integrator_plugin.claims(self.integrator)
         except SpecError:
             raise
         except Exception as error:
-            raise PluginError(f"{self.integrator_item.id} failed to state its claims: {one_line(error)}") from error
+            raise PluginError(f"{self.integrator_item.id} failed to return its claims: {one_line(error)}") from error
         if not isinstance(claims, Claims):
-            raise PluginError(f"{self.integrator_item.id} stated its claims as {type(claims).__name__}, not as Claims")
+            raise PluginError(
+                f"{self.integrator_item.id} returned its claims as {type(claims).__name__}, not as Claims"
+            )
         return claims
 
     def mechanism(self) -> Mechanism:
-        """Return the mechanism that the model builds from its parameters; built once.
+        """Return the mechanism that the model builds from its parameters; it is built once and cached.
 
         Raises
         ------
         SpecError
-            If the parameters make no mechanism, or the events name what it does not have.
+            If the parameters do not define a valid mechanism, or if an event refers to an unknown quantity.
         PluginError
-            If the model of a plugin fails.
+            If the model plugin fails.
         """
         if self._mechanism is None:
             mechanism = self._build()
@@ -207,7 +210,7 @@ class RunSpec(StrictSpec):
         return built
 
     def watched(self) -> dict[str, RunExpression]:
-        """Return what the events look for in the mechanism, by their names; raises as `mechanism` does."""
+        """Return the parsed expressions of the events by name; raises the errors of `mechanism`."""
         self.mechanism()
         watched: dict[str, RunExpression] = self._watched
         return watched
@@ -241,14 +244,14 @@ class RunSpec(StrictSpec):
         return mechanism
 
     def run_id(self) -> str:
-        """Return 16 hexadecimal digits that name this spec run with these versions of its plugins."""
+        """Return 16 hexadecimal digits that identify this spec and the versions of the plugins it uses."""
         items = [self.model_item, self.integrator_item, *self.force_law_items]
         used = [f"{item.id}=={item.origin.version}" for item in items]
         return hashlib.sha256("\n".join([self.canonical_json(), *used]).encode()).hexdigest()[:16]
 
 
 def spec_type(installed: Registry) -> type[RunSpec]:
-    """Return the RunSpec whose choices are those of the given registry, not of what is installed."""
+    """Return a RunSpec class that selects from the given registry instead of the installed plugins."""
     fields: dict[str, Any] = {
         kind: (Annotated[BaseModel, Choice(kind, installed)], Field(description=RunSpec.model_fields[kind].description))
         for kind in _CHOSEN

@@ -1,4 +1,4 @@
-"""The JSON schemas of the specs, for editors and other tools."""
+"""JSON schemas of the run and study specs, for editors and other tools."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def run_schema(installed: Registry | None = None) -> dict[str, Any]:
     Parameters
     ----------
     installed
-        The models, integrators and force laws to put in; by default all that are installed.
+        Registry of the models, integrators and force laws to include; by default, all that are installed.
     """
     chosen = installed if installed is not None else registry()
     laws = [law_element(item) for item in chosen.of_kind("force-law")]
@@ -36,19 +36,19 @@ def run_schema(installed: Registry | None = None) -> dict[str, Any]:
     definitions = whole["$defs"]
     names = [references[model, "validation"]["$ref"].rpartition("/")[2] for model in models]
     schema = definitions.pop(names[0])
-    if laws:  # an element of type law is one of those that are installed
+    if laws:  # an element of type law must use one of the installed laws
         definitions[names[1]] = {"oneOf": [{"$ref": f"#/$defs/{name}"} for name in names[2:]]}
     schema = {"$defs": definitions, **schema}
     return {"$schema": DRAFT, **_described(schema)}
 
 
 def study_schema(installed: Registry | None = None) -> dict[str, Any]:
-    """Return the JSON schema (draft 2020-12) of the study spec, in whose bases every key of a run spec is known.
+    """Return the JSON schema (draft 2020-12) of the study spec; its bases include the schema of the run spec.
 
     Parameters
     ----------
     installed
-        The models, integrators and force laws to put in; by default all that are installed.
+        Registry of the models, integrators and force laws to include; by default, all that are installed.
     """
     schema, run = _described(StudySpec.model_json_schema()), run_schema(installed)
     base = {"type": "object", "properties": run["properties"], "additionalProperties": False}
@@ -66,7 +66,7 @@ SCHEMAS: dict[str, Callable[[Registry], dict[str, Any]]] = {"run": run_schema, "
 
 
 def builtin_schema_text(kind: str) -> str:
-    """Return the text of ``schemas/KIND.schema.json``: the schema with the plugins of mbdkit alone.
+    """Return the text of ``schemas/KIND.schema.json``: the schema with only the built-in plugins.
 
     Parameters
     ----------

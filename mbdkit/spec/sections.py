@@ -1,4 +1,4 @@
-"""The sections of a run spec that are the same for every model and method: time, output, limits."""
+"""Sections of a run spec that do not depend on the model or integrator: time, output, events and limits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ QUANTITIES = ("constraints", "energy", "joints")
 
 
 def _whole(value: Any) -> Any:
-    """Take 1e6 for 1000000: people write large counts so."""
+    """Convert a float with an integer value to int, because large counts are often written as 1e6."""
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
@@ -25,20 +25,20 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 class Section(StrictModel):
-    """Base of the sections of a spec."""
+    """Base class of the sections of a spec."""
 
 
 class Time(Section):
-    """When the run starts and ends, and its step; exactly one of `end` and `steps`."""
+    """Start time, end time and step of the run; give exactly one of `end` and `steps`."""
 
     start: float = 0.0
     """Start time [s]."""
     end: float | None = None
-    """End time [s]; the run ends there exactly."""
+    """End time [s]; the last step ends exactly here."""
     steps: Count | None = None
     """Number of steps of length `step`, instead of `end`."""
     step: Positive | None = None
-    """Step [s]; an adaptive method takes it as its first step and can do without."""
+    """Step [s]; for an adaptive method, the first step (optional)."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Time:
@@ -47,14 +47,16 @@ class Time(Section):
         if self.end is None and self.steps is None:
             raise PydanticCustomError("mbdkit", "needs `end` (a time in seconds) or `steps` (a number of steps)")
         if self.steps is not None and self.step is None:
-            raise PydanticCustomError("mbdkit", "`steps` needs `step` (the length of one step in seconds) beside it")
+            raise PydanticCustomError("mbdkit", "`steps` also needs `step` (the length of one step in seconds)")
         if self.end is not None and self.end <= self.start:
             raise SpecError(f"must be later than the start at {self.start!r}, not {self.end!r}", key="end")
         if not math.isfinite(self.final - self.start):
-            raise PydanticCustomError("mbdkit", "is too long to be held in double precision")
+            raise PydanticCustomError("mbdkit", "is too long for double precision")
         largest = max(abs(self.start), abs(self.final))
         if self.step is not None and largest + self.step / 2 == largest:
-            raise SpecError(f"{self.step!r} is too small: the time would not move in double precision", key="step")
+            raise SpecError(
+                f"{self.step!r} is too small: adding it to the time has no effect in double precision", key="step"
+            )
         return self
 
     @property
@@ -77,14 +79,14 @@ class Time(Section):
 
 
 class Output(Section):
-    """What is recorded, and how often; the start and the end always are."""
+    """Recorded quantities and the recording interval; the start and the end of the run are always recorded."""
 
     every: Count | None = None
-    """Record every so many steps; 1 unless `interval` is given."""
+    """Number of steps between records; 1 unless `interval` is given."""
     interval: Positive | None = None
-    """Record at this interval [s] instead; needs a method with dense output."""
+    """Time between records [s], instead of `every`; requires a method with dense output."""
     quantities: Literal["all"] | tuple[Literal["constraints", "energy", "joints"], ...] = "all"
-    """Groups recorded beside trajectory, steps and stats."""
+    """Groups of quantities recorded in addition to trajectory, steps and stats."""
 
     @model_validator(mode="before")
     @classmethod
@@ -108,38 +110,38 @@ class Output(Section):
 
     @property
     def recorded(self) -> frozenset[str]:
-        """The groups recorded beside trajectory, steps and stats."""
+        """Groups of quantities recorded in addition to trajectory, steps and stats."""
         return frozenset(QUANTITIES if self.quantities == "all" else self.quantities)
 
 
 class Event(Section):
-    """What to watch for while the run goes on: an expression that crosses zero.
+    """An event: a zero crossing of an expression during the run.
 
-    Expressions are of t and of NAME.x, .y, .angle, .vx, .vy, .angular_velocity, .ax, .ay, .angular_acceleration of
-    bodies, NAME.force, .force_x, .force_y, .torque, .misalignment, .angle of joints, and energy.kinetic, .potential,
-    .total. What a body and a joint are both called is told apart as bodies.NAME and joints.NAME; names with other
-    characters stand in quotes, as in joints["J 1"].force.
+    Expressions may contain t; NAME.x, .y, .angle, .vx, .vy, .angular_velocity, .ax, .ay and .angular_acceleration of a
+    body; NAME.force, .force_x, .force_y, .torque, .misalignment and .angle of a joint; and energy.kinetic, .potential
+    and .total. If a body and a joint have the same name, write bodies.NAME or joints.NAME. Names with characters other
+    than letters, digits and underscores must be quoted, as in joints["J 1"].force.
     """
 
     when: str
-    """What crosses zero: an expression over the run, such as "knee.angle - 1.2"."""
+    """Expression whose zero crossings are the event, such as "knee.angle - 1.2"."""
     direction: Literal["any", "rising", "falling"] = "any"
-    """Which crossings count: those from below, from above, or both."""
+    """Crossings to detect: `rising` (negative to positive), `falling` (positive to negative), or `any`."""
     action: Literal["note", "stop"] = "note"
-    """Whether the crossing is noted, or ends the run as well, which is complete then."""
+    """`note` records the crossing; `stop` also ends the run, which then counts as complete."""
 
 
 def named_events(events: dict[str, Event]) -> dict[str, Event]:
-    """Return the events if their names are sane; raises SpecError."""
+    """Return the events unchanged if their names are valid; otherwise raise SpecError."""
     for name in events:
         check_name(name, name)
     return events
 
 
 class Limits(Section):
-    """What stops a run early."""
+    """Limits that stop a run early."""
 
     wall_time: Positive | None = None
-    """Longest time that the run may take [s]; none by default."""
+    """Largest elapsed real time of the run [s]; unlimited by default."""
     max_steps: Count = 10_000_000
     """Largest number of steps."""

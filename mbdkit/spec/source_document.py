@@ -1,4 +1,4 @@
-"""A spec as it was written: plain data, and on which line each key stands."""
+"""The source of a spec: plain data, and the line number of each key."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from mbdkit.spec.plain_data import Path, parse_path
 
 @dataclass
 class Document:
-    """Plain data with its origin.
+    """Plain data and its origin.
 
     Parameters
     ----------
     data
         The top-level mapping.
     file
-        Where it was read from; empty for data from Python.
+        Name of the file it was read from; empty for data from Python.
     lines
-        Finds the line of a key path, as far as it can; called only when there is an error to place.
+        Function that returns the line numbers of key paths; called only if there is an error to locate.
     overridden
-        Key paths set on the command line, with what was typed.
+        Key paths set on the command line, with the text of each assignment.
     keywords
-        Top-level sections that a Python keyword replaced.
+        Top-level sections replaced by Python keyword arguments.
     """
 
     data: dict[str, Any]
@@ -35,7 +35,7 @@ class Document:
     keywords: frozenset[str] = frozenset()
 
     def place(self, error: SpecError) -> SpecError:
-        """Return the error with the file and line of its key, or with the override that set it."""
+        """Return the error with the file and line of its key, or with the command-line assignment that set the key."""
         if error.file is not None:
             return error
         path = parse_path(error.key)

@@ -1,4 +1,4 @@
-"""What a spec says under `stabilization`: a name alone, or a name and its options."""
+"""The key `stabilization` of a run spec: a name, or a mapping with a name and options."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from mbdkit.spec.sections import Count, Positive, Section
 from mbdkit.text import did_you_mean, listed
 
 ALPHA = 5.0
-"""Baumgarte's alpha [1/s] where a spec names none."""
+"""Default value of Baumgarte's alpha [1/s]."""
 
 
 class NoStabilization(Section):
-    """Nothing is done, and the drift of the method shows."""
+    """No stabilization: constraint drift is not corrected."""
 
     name: Literal["none"]
 
 
 class Baumgarte(Section):
-    """Constraints are pulled back at acceleration level: Phi'' + 2 alpha Phi' + beta^2 Phi = 0."""
+    """Baumgarte stabilization of the acceleration constraints: Phi'' + 2 alpha Phi' + beta^2 Phi = 0."""
 
     name: Literal["baumgarte"]
     alpha: Positive = ALPHA
     """Damping of the constraints [1/s]."""
     beta: Annotated[float, Field(ge=0)] = ALPHA
-    """Natural frequency of the constraints [rad/s]; left out: equal to `alpha`, critical damping."""
+    """Natural frequency of the constraints [rad/s]; by default equal to `alpha`, which is critical damping."""
 
     @model_validator(mode="before")
     @classmethod
@@ -43,40 +43,40 @@ class Baumgarte(Section):
         return {**data, "beta": alpha if isinstance(alpha, int | float) and alpha > 0 else ALPHA}
 
     def chosen(self) -> Stabilization:
-        """Return it as the equations take it."""
+        """Return the stabilization in the form that the equations of motion use."""
         return Stabilization("baumgarte", alpha=self.alpha, beta=self.beta)
 
 
 class Projection(Section):
-    """Positions and velocities are moved onto the constraints after a step, by the least change in the mass metric."""
+    """Projection of positions and velocities onto the constraints after a step, closest in the mass norm."""
 
     name: Literal["projection"]
     every: Count = 1
-    """Project after every so many steps."""
+    """Number of steps between projections."""
     bound: Positive | None = None
-    """Project only where a constraint misses by more than this [m, rad], or by more than this in a second."""
+    """Project only if a position residual [m, rad] or a velocity residual [m/s, rad/s] exceeds this value."""
     symmetric: bool = False
-    """Move off the constraints before each step as far as back onto them after it (Hairer 2000), which keeps a
-    symmetric method reversible."""
+    """Symmetric projection (Hairer 2000): perturb the state before each step by the same amount as it is projected
+    after the step, which keeps a symmetric method reversible."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Projection:
         if self.symmetric and self.every != 1:
             raise SpecError(
-                f"should be 1 with `symmetric: true`, not {self.every}: a step in between that is not projected "
-                "would not be undone by a step back",
+                f"should be 1 with `symmetric: true`, not {self.every}: without a projection in every step, the "
+                "method is not reversible",
                 key="every",
             )
         if self.symmetric and self.bound is not None:
             raise SpecError(
-                "has no place beside `symmetric: true`: steps that are projected and steps that are not would "
-                "not undo each other",
+                "cannot be combined with `symmetric: true`: without a projection in every step, the method is "
+                "not reversible",
                 key="bound",
             )
         return self
 
     def chosen(self) -> Stabilization:
-        """Return it as the steppers take it."""
+        """Return the stabilization in the form that the steppers use."""
         return Stabilization("projection", every=self.every, bound=self.bound, symmetric=self.symmetric)
 
 
@@ -84,19 +84,19 @@ NAMES = ("none", "baumgarte", "projection")
 
 
 class _OrName:
-    """Tells in the JSON schema that a name may stand alone."""
+    """Adds the name without options to the JSON schema."""
 
     def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         return {"anyOf": [{"enum": list(NAMES), "type": "string"}, handler(core)]}
 
 
 def _named(given: Any) -> Any:
-    """Return a name that stands alone as a mapping; raises SpecError for anything that names no stabilization."""
+    """Convert a name to a mapping with this name; raise SpecError if the value does not name a stabilization."""
     name = given.get("name") if isinstance(given, Mapping) else given
     if isinstance(name, str) and name in NAMES:
         return {"name": name} if given is name else given
     if isinstance(given, Mapping) and "name" not in given:
-        raise SpecError(f"is missing: it says which stabilization; known: {listed(NAMES)}", key="name")
+        raise SpecError(f"is missing: the name of the stabilization; known: {listed(NAMES)}", key="name")
     hint = did_you_mean(name, NAMES) if isinstance(name, str) else ""
     raise SpecError(
         f"should be {listed((repr(known) for known in NAMES), 'or')}, not {found(name)}{hint}",
@@ -105,7 +105,7 @@ def _named(given: Any) -> Any:
 
 
 def _plainly(chosen: Any) -> Any:
-    """Return ``none`` as the word that it is."""
+    """Replace `NoStabilization` by the string ``none``."""
     return "none" if isinstance(chosen, NoStabilization) else chosen
 
 
@@ -117,13 +117,13 @@ Choice = Annotated[
     PlainSerializer(canonical),
     _OrName(),
 ]
-"""The type of the key `stabilization` of a spec; its value is the word ``none``, or a model with options."""
+"""Type of the key `stabilization` of a spec; its value is the string ``none``, or a model with options."""
 
 
 UNSTABILIZED: Any = "none"
-"""What a spec that says nothing chooses."""
+"""Default value of the key `stabilization`."""
 
 
 def stabilization_of(choice: Any) -> Stabilization:
-    """Return a checked choice as the engine takes it."""
+    """Return a validated choice in the form that the engine uses."""
     return choice.chosen() if isinstance(choice, Baumgarte | Projection) else NONE

@@ -1,4 +1,4 @@
-"""A whole spec as a strict, frozen pydantic model: checked as JSON data, with complaints in words, and hashed."""
+"""Base class of specs: strict, frozen pydantic models with readable validation errors, canonical JSON and a hash."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from mbdkit.spec.source_document import Document
 
 
 class StrictSpec(Section):
-    """Base of run and study specs.
+    """Base class of run and study specs.
 
     Raises
     ------
     SpecError
-        If anything is wrong, with the key path.
+        If the spec is not valid, with the key path.
     """
 
     _document: Document | None = PrivateAttr(default=None)
 
     def __init__(self, **data: Any):
-        # A spec is JSON data whatever it was written in, so it is validated as such.
+        # Every source is validated as JSON: only then does pydantic's strict mode accept a list for a tuple.
         try:
             text = json.dumps(plain(data), allow_nan=False)
             self.__pydantic_validator__.validate_json(text, self_instance=self, context={"find_law": self._find_law})
@@ -44,16 +44,16 @@ class StrictSpec(Section):
         return law_element(registry_of(cls).get("force-law", name))
 
     def placed(self, error: SpecError) -> SpecError:
-        """Return an error about this spec with the file and line where its key was written, if it came from a file."""
+        """Return an error about this spec with the file and line of its key, if the spec was read from a file."""
         return error if self._document is None else self._document.place(error)
 
     def canonical_json(self) -> str:
-        """Return the spec as canonical JSON: defaults filled in, keys of options sorted, numbers at their shortest.
+        """Return the spec as canonical JSON: with defaults, sorted option keys and the shortest form of each number.
 
-        Names that the user gave (bodies, joints, forces) keep their order, which is that of the arrays in the archive.
+        Names given by the user (bodies, joints, forces) keep their order, which is the order of the archive's arrays.
         """
         return json.dumps(canonical(self), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
     def sha256(self) -> str:
-        """Return the SHA-256 of the canonical JSON in UTF-8, as hexadecimal digits."""
+        """Return the SHA-256 digest of the canonical JSON in UTF-8, in hexadecimal."""
         return hashlib.sha256(self.canonical_json().encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""From whatever a user names as a study to a checked StudySpec with its bases written out."""
+"""Loading of study specs from files, packaged studies and mappings, including their base specs."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from mbdkit.text import did_you_mean, listed
 
 
 def load_study_spec(source: Any) -> StudySpec:
-    """Return the checked study spec that `source` names, every base written out as a mapping.
+    """Load and validate a study spec; each base becomes a mapping.
 
     Parameters
     ----------
     source
-        A file (YAML, TOML, JSON), ``"-"`` for the standard input, the name of a packaged study, a mapping, or a
-        `StudySpec`. A base that is a file is looked for beside the study's own file.
+        A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged study, a mapping, or a
+        `StudySpec`. The file name of a base is relative to the folder of the study file.
 
     Returns
     -------
     StudySpec
-        Strict and frozen; its runs are not checked yet.
+        The validated spec, which is immutable; the specs of its runs are not validated yet.
 
     Raises
     ------
     SpecError
-        If anything is wrong, with file, line and key path where there are any.
+        If the spec is not valid, with the file, line and key path if known.
     """
     if isinstance(source, StudySpec):
         if source._document is not None:
@@ -59,19 +59,19 @@ def load_study_spec(source: Any) -> StudySpec:
 
 
 def study_names() -> list[str]:
-    """Return the names of the packaged studies, those of plugins included, which stand for their specs."""
+    """Return the names of the packaged studies, including those of plugins, as accepted by `load_study_spec`."""
     return sorted(registry().names("study"))
 
 
 def _packaged(name: str) -> Registered | None:
-    """Return the packaged study of this short or long name; None if there is none, SpecError if there are several."""
+    """Return the packaged study with this short or long name, or None; raise SpecError if the name is ambiguous."""
     installed = registry()
     known = any(name in (item.name, item.id) for item in installed.of_kind("study"))
     return installed.get("study", name) if known else None
 
 
 def _document(source: Any) -> tuple[Document, FilePath]:
-    """Return the document of a study, and the folder that file names in it are relative to."""
+    """Return the document of a study, and the folder to which file names in it are relative."""
     if isinstance(source, Mapping):
         return Document(copy.copy(dict(source))), FilePath()
     if not isinstance(source, str | FilePath):
@@ -86,7 +86,7 @@ def _document(source: Any) -> tuple[Document, FilePath]:
     if not exists(path):
         names = study_names()
         raise SpecError(
-            f"there is no such file, and no packaged study of this name{did_you_mean(str(source), names)}; "
+            f"there is no such file, and no packaged study with this name{did_you_mean(str(source), names)}; "
             f"studies: {listed(names)}{registry().advice(str(source))}",
             file=str(source)[:200],
         )
@@ -94,7 +94,7 @@ def _document(source: Any) -> tuple[Document, FilePath]:
 
 
 def _document_of(item: Registered) -> tuple[Document, FilePath]:
-    """Return the document of a packaged study, which its own verdict judges unless it names another, and its folder."""
+    """Return the document of a packaged study and its folder; its own verdict is used unless the spec names one."""
     assert isinstance(item.plugin, StudyPlugin)
     path = item.plugin.spec
     text = path.read_text("utf-8")
@@ -105,14 +105,14 @@ def _document_of(item: Registered) -> tuple[Document, FilePath]:
 
 
 def _by_text(document: Document) -> Document:
-    """Let the lines of keys with dots in them be found by the text of their path."""
+    """Convert the paths in `lines` as `parse_path` would, so that keys with dots in them are found."""
     lines = document.lines
     document.lines = lambda: {parse_path(path_text(path)): line for path, line in lines().items()}
     return document
 
 
 def _write_out_bases(data: dict[str, Any], folder: FilePath) -> dict[Path, Document]:
-    """Replace every base that is a name or a Python object by its data; return the documents of those, by key path."""
+    """Replace each base that is a name or a Python object by its data; return their documents by key path."""
     documents: dict[Path, Document] = {}
     holders: dict[Path, dict[str, Any]] = {(): data}
     families = data.get("families")
@@ -133,13 +133,13 @@ def _write_out_bases(data: dict[str, Any], folder: FilePath) -> dict[Path, Docum
 
 
 def _named(base: str, folder: FilePath, key: str) -> str | FilePath:
-    """Return a base as `read_source` takes it: a file beside the study, or the name of an example."""
+    """Return a source for `read_source`: the path of a file in the study's folder, or the name of an example."""
     path = folder / base
     names = example_names()
     if os.path.isfile(path) or base not in names:
         if base == "-" or not exists(path):
             raise SpecError(
-                f"there is no file '{base}' beside the study, and no packaged example of this "
+                f"there is no file '{base}' in the folder of the study, and no packaged example with this "
                 f"name{did_you_mean(base, names)}; examples: {listed(names)}",
                 key=key,
             )

@@ -1,4 +1,4 @@
-"""The study spec: families of runs over a base spec, as one strict, frozen pydantic model."""
+"""The study spec, a strict, frozen pydantic model: a base run spec and the parameters that vary."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Measure = Literal[
     "reversibility_velocity_defect",
     "velocity_misalignment_every_step",
 ]
-#: The measures that are taken against the reference run.
+#: Measures that compare a run with its reference run.
 ERRORS = (
     "end_error",
     "end_angle_error",
@@ -50,7 +50,7 @@ ERRORS = (
     "angular_velocity_error",
     "multiplier_error",
 )
-#: The measures that need a second run of each; only where they are named.
+#: Measures that need a second run of each spec; taken only if listed by name.
 SECOND_RUN = ("reversibility_defect", "reversibility_velocity_defect", "velocity_misalignment_every_step")
 
 
@@ -77,7 +77,7 @@ def _check_axis(axis: dict[str, Any]) -> dict[str, Any]:
             if not value.together:
                 continue
             if not all(other.together for other in expanded):
-                message = "`set` stands beside values without it; an axis sets either its own key or several by name"
+                message = "cannot mix values with and without `set` in one axis"
                 raise SpecError(message, key=path_text((key, value.place[0])))
             for inner in value.value:
                 if not parse_key(inner):
@@ -87,7 +87,7 @@ def _check_axis(axis: dict[str, Any]) -> dict[str, Any]:
         raise SpecError("needs at least one key of a run spec, such as `time.step: [0.1, 0.01]`")
     if len(set(sizes.values())) > 1:
         told = listed([f"'{key}' has {size}" for key, size in sizes.items()], "and")
-        raise SpecError(f"the keys of one axis go together, so they have equally many values; here {told}")
+        raise SpecError(f"the keys of one axis vary together and must have the same number of values; here {told}")
     return axis
 
 
@@ -97,21 +97,21 @@ def _check_axes(axes: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
     for number, axis in enumerate(axes):
         for name, values in axis.items():
             if name in names:
-                raise SpecError(f"stands in axes[{names[name]}] already, as '{name}'", key=path_text((number, name)))
+                raise SpecError(f"is already in axes[{names[name]}], as '{name}'", key=path_text((number, name)))
             names[name] = number
             keys = _keys_set(name, values)
             for key in keys:
                 path = parse_key(key)
                 for other, where in taken.items():
                     if parse_key(other)[: len(path)] == path:
-                        how = "stands" if other == key else "would replace what is set"
-                        raise SpecError(f"{how} in axes[{where}] already, as '{other}'", key=path_text((number, name)))
+                        how = "is already" if other == key else "would replace a key that is set"
+                        raise SpecError(f"{how} in axes[{where}], as '{other}'", key=path_text((number, name)))
             taken |= dict.fromkeys(keys, number)
     return axes
 
 
 def _keys_set(name: str, values: Any) -> list[str]:
-    """Return the dotted keys that the values of an axis set: its own one, or those that each value names."""
+    """Return the dotted keys that an axis sets: its own key, or the keys in the `set` of its values."""
     expanded = expand(values)
     inner = dict.fromkeys(key for value in expanded if value.together for key in value.value)
     return list(inner) if expanded[0].together else [name]
@@ -128,78 +128,82 @@ Repeats = Annotated[int, Field(ge=1, le=1000)]
 
 
 class Family(Section):
-    """One grid of runs among several; what it leaves out is taken from the top of the study."""
+    """One of several grids of runs; omitted keys default to those at the top level of the study."""
 
     title: str = ""
-    """Free text."""
+    """Title, free text."""
     base: Base | None = None
-    """A run spec: the name of a packaged example, a file, or a mapping."""
+    """The base run spec: the name of a packaged example, a file, or a mapping."""
     overrides: Overrides = Field(default_factory=dict)
-    """Dotted keys set in the base, after those at the top of the study."""
+    """Dotted keys to set in the base, applied after those at the top level of the study."""
     axes: Axes = ()
-    """What varies: each axis maps dotted keys to value sets; axes multiply, the keys of one axis go together."""
+    """Parameters that vary. Each axis maps dotted keys to value sets; the keys of one axis vary together, and the runs
+    are all combinations of the axes."""
     reference: Reference | None = None
-    """What makes the reference run of a point out of its spec, as dotted keys; `none` for no reference."""
+    """Dotted keys to set in the spec of a run to obtain its reference run; `none` for no reference."""
     repeats: Repeats | None = None
-    """How often each run is timed; more than once means serially, after all runs."""
+    """Number of timings of each run; if more than one, timing is serial, after all runs."""
 
 
 class StudySpec(StrictSpec):
-    """All that a study is told: a base spec, what varies over it, and what is measured.
+    """The complete input of a study: a base run spec, the parameters that vary, and the measures to take.
 
     Raises
     ------
     SpecError
-        If anything is wrong, with the key path.
+        If the spec is not valid, with the key path.
     """
 
     model_config = ConfigDict(title="mbdkit study spec", defer_build=True)
 
     mbdkit_study: Literal[1]
-    """Version of the spec."""
+    """Version of the spec format."""
     title: str = ""
-    """Free text."""
+    """Title, free text."""
     base: Base | None = None
-    """A run spec: the name of a packaged example, a file, or a mapping, less what the axes bring."""
+    """The base run spec: the name of a packaged example, a file, or a mapping; keys set by the axes may be omitted."""
     overrides: Overrides = Field(default_factory=dict)
-    """Dotted keys set in the base, such as `time.end: 5.0`."""
+    """Dotted keys to set in the base, such as `time.end: 5.0`."""
     axes: Axes = ()
-    """What varies: each axis maps dotted keys to value sets; axes multiply, the keys of one axis go together."""
+    """Parameters that vary. Each axis maps dotted keys to value sets; the keys of one axis vary together, and the runs
+    are all combinations of the axes."""
     families: dict[str, Family] = Field(default_factory=dict)
-    """Several grids in one study, by name, instead of `axes`."""
+    """Several grids of runs by name, instead of `axes`."""
     reference: Reference = "none"
-    """What makes the reference run of a point out of its spec, as dotted keys; `none` for no reference."""
+    """Dotted keys to set in the spec of a run to obtain its reference run; `none` for no reference."""
     repeats: Repeats = 1
-    """How often each run is timed; more than once means serially, after all runs."""
+    """Number of timings of each run; if more than one, timing is serial, after all runs."""
     measures: Literal["all"] | tuple[Measure, ...] = "all"
-    """What is taken of each run, beside its counters and times; `all` is what its archive tells, without reversibility
-    defects and velocity misalignment over every step, which need a second run of each."""
+    """Measures to take of each run, in addition to counters and times; `all` takes those computed from the archive, not
+    the reversibility defects and the velocity misalignment over every step, which need a second run."""
     verdict: str = ""
-    """The name of the function that judges the study in the report; empty for none."""
+    """Name of the function that evaluates the results in the report; empty for none."""
 
     _bases: dict[Path, Document] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="after")
     def _consistent(self) -> StudySpec:
         if self.axes and self.families:
-            raise SpecError("stands beside `families`; each family has axes of its own", key="axes")
+            raise SpecError("cannot be combined with `families`; give each family its own axes", key="axes")
         if not self.axes and not self.families:
-            raise PydanticCustomError("mbdkit", "needs `axes` (what varies) or `families` (several grids of runs)")
+            raise PydanticCustomError(
+                "mbdkit", "needs `axes` (parameters that vary) or `families` (several grids of runs)"
+            )
         for name, family in self.families.items():
             if not name.strip() or "/" in name:
-                raise SpecError(f"'{name}' should be a name without '/'", key="families")
+                raise SpecError(
+                    f"'{name}' is not a valid name: it should be non-empty and contain no '/'", key="families"
+                )
             if self.base is None and family.base is None:
                 raise SpecError(
-                    "is missing, here and at the top of the study: it is the run spec to vary",
+                    "is missing, here and at the top level of the study: the run spec to vary",
                     key=path_text(("families", name, "base")),
                 )
         if not self.families and self.base is None:
-            raise SpecError(
-                "is missing: it is the run spec to vary, a packaged example, a file or a mapping", key="base"
-            )
+            raise SpecError("is missing: the run spec to vary (a packaged example, a file or a mapping)", key="base")
         references = [self.reference, *(family.reference for family in self.families.values())]
         if self.measures != "all" and all(reference in ("none", None) for reference in references):
             for index, measure in enumerate(self.measures):
                 if measure in ERRORS:
-                    raise SpecError(f"'{measure}' needs a `reference` to be taken against", key=f"measures[{index}]")
+                    raise SpecError(f"'{measure}' needs a `reference` to compare with", key=f"measures[{index}]")
         return self

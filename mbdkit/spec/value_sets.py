@@ -1,6 +1,6 @@
-"""The values that an axis of a study takes: a list, or numbers spaced between two ends; objects may carry labels.
+"""The values of an axis of a study: a list, or equally or geometrically spaced numbers; values may have labels.
 
-A value may also be several keys that are set together, and may depend on a distribution that need not be installed.
+A value may also set several keys together, and may be skipped if a distribution is not installed.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from mbdkit.errors import SpecError
 from mbdkit.spec.plain_data import found
 from mbdkit.text import did_you_mean, listed
 
-#: More values than this in one set are a slip of the pen.
+#: Larger sets are assumed to be mistakes.
 LARGEST_SET = 10_000
 
 SPACED = ("geomspace", "linspace")
 LABELLED = ("label", "value", "set", "if_installed")
-"""What a value with a label consists of: one of `value` and `set` beside the label."""
+"""Keys of a value with a label; either `value` or `set` is required."""
 FORMS = "a list of values, {geomspace: [first, last, number]} or {linspace: [first, last, number]}"
 
-#: Digits to which spaced numbers are rounded, so that every machine gets the same ones.
+#: Significant digits of spaced numbers; rounding makes them identical on all machines.
 DIGITS = 12
 _DISTRIBUTION = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._-]*[A-Za-z0-9])?")
 LONGEST_LABEL = 60
@@ -39,15 +39,15 @@ class Value:
     Parameters
     ----------
     value
-        What the key is set to, as plain data; or the dotted keys that are set together, with their values.
+        Plain data that the key is set to, or a mapping of the dotted keys that are set together.
     label
-        What stands for it in tables and figures: the value itself if it is a number or a text.
+        Label in tables and figures: the value itself if it is a number or text.
     place
-        Where it stands in its set: indices and keys.
+        Indices and keys of the value in its set.
     together
-        Whether `value` is several dotted keys, and the axis has a name of its own instead of a key.
+        Whether `value` is a mapping of several dotted keys; the axis then has a name instead of a key.
     if_installed
-        The distribution without which the value is left out; empty where it needs none.
+        The value is skipped if this distribution is not installed; empty if it needs none.
     """
 
     value: Any
@@ -58,12 +58,12 @@ class Value:
 
 
 def check_values(given: Any) -> Any:
-    """Return a value set as it was given, once it is known to be one.
+    """Check a value set and return it unchanged.
 
     Raises
     ------
     SpecError
-        With the key within the set.
+        If it is not a value set, with the key within it.
     """
     match given:
         case list():
@@ -74,7 +74,7 @@ def check_values(given: Any) -> Any:
         case {"geomspace": limits, **others} | {"linspace": limits, **others}:
             kind = next(name for name in SPACED if name in given)
             if others:
-                raise SpecError(f"stands alone: '{next(iter(others))}' has no place beside '{kind}'", key=kind)
+                raise SpecError(f"stands alone: '{next(iter(others))}' cannot be combined with '{kind}'", key=kind)
             _check_limits(kind, limits)
         case Mapping() if len(given) == 1:
             word = str(next(iter(given)))
@@ -87,7 +87,7 @@ def check_values(given: Any) -> Any:
 
 
 def _check_labelled(entry: Any, key: str) -> None:
-    """Check an entry that is a value with a label; all others are left to the run spec that they become part of."""
+    """Check an entry that is a value with a label; other entries are checked when the run spec is validated."""
     if not is_labelled(entry):
         return
     for word in entry:
@@ -108,7 +108,7 @@ def _check_labelled(entry: Any, key: str) -> None:
 
 
 def is_labelled(entry: Any) -> bool:
-    """Return whether an entry of a list is a value with a label: `label` beside `value` or `set`."""
+    """Return whether an entry of a list is a value with a label: it has the key `label`, and `value` or `set`."""
     return isinstance(entry, Mapping) and "label" in entry and ("value" in entry or "set" in entry)
 
 
@@ -119,11 +119,11 @@ def _check_limits(kind: str, limits: Any) -> None:
     if count != int(count) or not 1 <= count <= LARGEST_SET:
         raise SpecError(f"should be a whole number of values from 1 to {LARGEST_SET}, not {count!r}", key=f"{kind}[2]")
     if count == 1 and first != last:
-        raise SpecError(f"one value cannot be both {first!r} and {last!r}", key=f"{kind}[2]")
+        raise SpecError(f"a single value cannot be both {first!r} and {last!r}", key=f"{kind}[2]")
     if kind == "geomspace" and not first * last > 0:
         place = 0 if first == 0 else 1
         raise SpecError(
-            "both ends should be other than 0 and of one sign: their ratio is divided", key=f"{kind}[{place}]"
+            "both limits should be non-zero and have the same sign: the spacing is geometric", key=f"{kind}[{place}]"
         )
 
 
@@ -132,7 +132,7 @@ def _is_number(value: Any) -> bool:
 
 
 def expand(values: Any) -> tuple[Value, ...]:
-    """Return the values of a checked set.
+    """Return the values of a set that has been checked.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def _spaced(kind: str, first: float, last: float, count: int) -> list[int | floa
 
 
 def label_of(value: Any) -> int | float | str:
-    """Return what stands for a value: a number or text itself, an object by its name and its short options."""
+    """Return the label of a value: the value itself if it is a number or text; for a mapping, its name and options."""
     match value:
         case bool() | None:
             return json.dumps(value)
@@ -189,7 +189,7 @@ def _short(value: Any) -> str:
 
 
 def _told_apart(entries: Sequence[Value]) -> tuple[Value, ...]:
-    """Number the labels of different values that would read the same."""
+    """Append a number to labels shared by different values, so that labels are unique."""
     seen: dict[int | float | str, list[Any]] = {}
     result = []
     for entry in entries:
@@ -210,15 +210,15 @@ _LIMITS = {
     "description": "First value, last value, number of values.",
 }
 
-#: The values of one key of an axis, as they were written.
+#: The values of one key of an axis, as written in the spec.
 ValueSet = Annotated[
     Any,
     BeforeValidator(check_values),
     WithJsonSchema(
         {
-            "description": f"The values that the key takes: {FORMS}. A value may carry a label: {{label, value}}. "
-            "Several keys are set together by {label, set: {KEY: VALUE, ...}}; the axis then has a name of its own "
-            "instead of a key. With `if_installed: DISTRIBUTION` a labelled value is left out where that is missing.",
+            "description": f"The values of the key: {FORMS}. A value may have a label: {{label, value}}. "
+            "{label, set: {KEY: VALUE, ...}} sets several keys together; the axis then has a name instead of a key. "
+            "A labelled value with `if_installed: DISTRIBUTION` is skipped if this distribution is not installed.",
             "anyOf": [
                 {"type": "array", "minItems": 1},
                 *(

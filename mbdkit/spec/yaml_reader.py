@@ -1,4 +1,4 @@
-"""YAML 1.2 to plain data with line numbers: no objects are made, no key is taken twice, no alias can explode."""
+"""Reading of YAML 1.2 as plain data with line numbers; rejects object tags, duplicate keys and alias bombs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ruamel.yaml.representer import SafeRepresenter
 from mbdkit.errors import SpecError
 from mbdkit.spec.plain_data import Path, path_text
 
-LARGEST = 1_000_000  # values, aliases expanded
+LARGEST = 1_000_000  # values, after expansion of aliases
 
 CORE = "tag:yaml.org,2002:"
 IMPLICIT = ("null", "bool", "int", "float", "timestamp", "merge", "value")
@@ -35,17 +35,17 @@ HINTS = {
 
 
 def read_yaml(text: str) -> tuple[Any, dict[Path, int]]:
-    """Return the plain data in a YAML text, and the line (from 1) of each key path.
+    """Parse YAML; return the plain data and the line number of each key path, counted from 1.
 
     Parameters
     ----------
     text
-        One YAML document; an empty one gives None.
+        One YAML document; None is returned for an empty document.
 
     Raises
     ------
     SpecError
-        With the line, for anything that is not YAML or not plain data.
+        If the text is not YAML, or not plain data, with the line number.
     """
     try:
         node = YAML(typ="safe", pure=True).compose(text)
@@ -72,11 +72,13 @@ class _Reader:
     def value(self, node: Node, path: Path) -> Any:
         self.count += 1
         if self.count > LARGEST:
-            raise self._error(f"this is too large: more than {LARGEST} values, its aliases expanded", node, path[:1])
+            raise self._error(
+                f"this is too large: more than {LARGEST} values after expansion of aliases", node, path[:1]
+            )
         if isinstance(node, ScalarNode):
             return self._scalar(node, path)
         if id(node) in self.open:
-            raise self._error("this alias (*name) refers to a value that contains it, without end", node, path)
+            raise self._error("this alias (*name) refers to a value that contains the alias", node, path)
         self.open.add(id(node))
         try:
             match node:
@@ -105,7 +107,7 @@ class _Reader:
             line = key_node.start_mark.line + 1
             if key in result:
                 first = self.lines[*path, key]
-                raise self._error(f"the key '{key}' stands here twice (before on line {first})", key_node, (*path, key))
+                raise self._error(f"the key '{key}' occurs twice (first on line {first})", key_node, (*path, key))
             self.lines[*path, key] = line
             result[key] = self.value(value_node, (*path, key))
         return merged | result
@@ -151,7 +153,7 @@ class _Reader:
     def _expect(self, node: Node, kind: str, path: Path) -> None:
         if node.tag != f"{CORE}{kind}":
             tag = str(node.tag).replace(CORE, "!!")
-            raise self._error(f"the tag {tag} is not taken here: a spec is plain data", node, path)
+            raise self._error(f"the tag {tag} is not allowed: a spec is plain data", node, path)
 
     def _error(self, message: str, node: Node, path: Path) -> SpecError:
         return SpecError(message, key=path_text(path), line=node.start_mark.line + 1)
@@ -163,12 +165,12 @@ def _syntax(error: MarkedYAMLError, text: str) -> SpecError:
     problem = " ".join(str(error.problem or error.context or "it cannot be read").split())
     lines = text.splitlines()
     if line is not None and line <= len(lines) and re.match(r" *\t", lines[line - 1]):
-        return SpecError("this line is indented with a tab; YAML takes spaces only", line=line)
+        return SpecError("this line is indented with a tab; YAML allows only spaces", line=line)
     if "another document" in problem:
-        return SpecError("a second YAML document begins here; a spec is one", line=line)
+        return SpecError("a second YAML document begins here; a spec is a single document", line=line)
     begin = error.context_mark.line + 1 if error.context_mark is not None else line
     if begin != line:
-        problem += f", in what begins on line {begin}"
+        problem += f", in the block that begins on line {begin}"
     hint = next((hint for words, hint in HINTS.items() if words in problem), "")
     return SpecError(f"this is not valid YAML: {problem}{hint}", line=line)
 
@@ -178,7 +180,7 @@ def _first_line(error: Exception) -> str:
 
 
 def write_yaml(data: Any) -> str:
-    """Return plain data as YAML that `read_yaml` reads back to equal data.
+    """Write plain data as YAML; `read_yaml` of the result returns equal data.
 
     Parameters
     ----------
@@ -196,11 +198,13 @@ def write_yaml(data: Any) -> str:
 
 
 class _Representer(SafeRepresenter):
-    """Puts a text in quotes wherever it would be read as something else."""
+    """Representer that puts text in quotes if it would otherwise be read as another type."""
 
     def represent_str(self, data: str) -> ScalarNode:
         stays = isinstance(_Reader()._resolved(data, ScalarNode("", data), ()), str) and data[:1] not in (":", "?")
-        style = None if stays else '"'  # the two would be written bare, but read as marks
+        style = (
+            None if stays else '"'
+        )  # ruamel writes texts that begin with : or ? without quotes, but reads them as syntax
         return self.represent_scalar(f"{CORE}str", data, style=style)
 
 

@@ -68,7 +68,7 @@ WRONG = {
         study("[0.1, 0.05]", "[0.1]\n  - time.step: [0.2]"),
         12,
         "axes[2].time.step",
-        "stands in axes[1] already",
+        "is already in axes[1]",
     ),
     "a key under one that comes later": (
         study("  - integrator:", "  - integrator.stages: [1]\n  - integrator:"),
@@ -157,7 +157,7 @@ WRONG = {
         study("[0.1, 0.05]", "[0.1, {label: x, set: {time.step: 0.1}}]"),
         11,
         "axes[1].time.step[1]",
-        "`set` stands beside values without it",
+        "cannot mix values with and without `set`",
     ),
     "several keys of which one is none": (
         study("time.step: [0.1, 0.05]", "name: [{label: x, set: {.step: 0.1}}]"),
@@ -171,13 +171,13 @@ WRONG = {
         ),
         12,
         "axes[2].time",
-        "would replace what is set in axes[1] already, as 'time.step'",
+        "would replace a key that is set in axes[1], as 'time.step'",
     ),
     "a name that two axes have": (
         study("time.step: [0.1, 0.05]", "integrator: [{label: x, set: {time.step: 0.1}}]"),
         11,
         "axes[1].integrator",
-        "stands in axes[0] already",
+        "is already in axes[0]",
     ),
     "a mistake in one of several keys": (
         study("time.step: [0.1, 0.05]", "name: [{label: x, set: {time.step: 0.1, time.stpe: 2}}]"),
@@ -204,7 +204,7 @@ WRONG = {
         "should be the name of a distribution, such as mbdkit-generalized-alpha, not 3",
     ),
     "a mistyped reversal": (STUDY + "measures: [reversibility_defct]\n", 14, "measures[0]", "'reversibility_defect'?"),
-    "axes beside families": (STUDY + "families: {a: {}}\n", 7, "axes", "each family has axes of its own"),
+    "axes beside families": (STUDY + "families: {a: {}}\n", 7, "axes", "give each family its own axes"),
     "a family with a mistyped key": (
         "mbdkit_study: 1\nbase: pendulum\nfamilies:\n  a:\n    axs: []\n",
         5,
@@ -281,7 +281,7 @@ def test_run_says_that_a_study_is_a_study(mbdkit, in_tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("nonsense",), "no packaged study of this name"),
+        (("nonsense",), "no packaged study with this name"),
         (("convergnce",), "did you mean 'convergence'?"),
         (("spec.yaml", "--shard", "3/2"), "written number/count"),
         (("spec.yaml", "--shard", "half"), "written number/count"),

@@ -319,7 +319,7 @@ def test_a_spec_without_events_has_the_hash_that_it_had_before_there_were_any() 
         ({"a": {}}, "events.a.when", "is missing"),
         ({"a": "t - 1"}, "events.a", "should be a mapping"),
         ({"a": {"when": 3}}, "events.a.when", "should be text"),
-        ({"a/b": {"when": "t"}}, "events.a/b", "a name is printable text"),
+        ({"a/b": {"when": "t"}}, "events.a/b", "should be non-empty printable text"),
         (["t"], "events", "should be a mapping"),
     ],
 )

@@ -70,7 +70,12 @@ WRONG = {
     "pathway without type": (spec("        type: two-points\n", ""), 13, "pathway.type", "is missing"),
     "unknown body": (spec("[ground, arm]", "[ground, amr]"), 15, "pathway.bodies[1]", "(did you mean 'arm'?)"),
     "one body": (spec("[ground, arm]", "[arm, arm]"), 15, "pathway.bodies[1]", "differ"),
-    "point off a point mass": (spec("[ground, arm]", "[ground, ball]"), 16, "pathway.points[1]", "only at [0, 0]"),
+    "point off a point mass": (
+        spec("[ground, arm]", "[ground, ball]"),
+        16,
+        "pathway.points[1]",
+        "only point is [0, 0]",
+    ),
     "a point of three": (spec("[[0, 0], [0.5, 0]]", "[[0, 0, 0], [0.5, 0]]"), 16, "pathway.points[0]", "x, y"),
     "angle of a point mass": (
         ANGLE.replace("[ground, arm]", "[arm, ball]"),
@@ -138,7 +143,7 @@ def test_a_force_in_the_frame_of_a_point_mass_is_refused() -> None:
         ({"law": "one-sidde"}, "law", "did you mean 'one-sided'?"),
         ({"stifness": 2.0}, "stifness", "did you mean 'stiffness'?"),
         ({"stiffness": -2.0}, "stiffness", "greater than or equal to 0"),
-        ({"along": "x"}, "", "from_ and to belong to a line"),
+        ({"along": "x"}, "", "from_ and to can be given only with along="),
         ({"points": ((0, 0), (0, 0, 0)), "from_": None, "to": None}, "pathway.points[1]", "two numbers"),
     ],
 )
@@ -168,12 +173,12 @@ def with_law(law: str, **options: Any) -> Mechanism:
         ("not-numbers", {}, "its function returns other types, not the four numbers"),
         ("not-smooth", {}, "SymPy cannot differentiate its force f(length)"),
         ("bessel", {}, "its force besselj(0, length) contains functions that cannot be compiled"),
-        ("named-length", {}, "its parameter 'length' has the name of what every law is a function of"),
+        ("named-length", {}, "its parameter 'length' has the name of an argument of the law"),
         ("not-an-expression", {}, "an object of type str is not a SymPy expression"),
         ("unknown-symbol", {"stiffness": 1.0}, "the symbol 'stifness' of its force is not one of"),
         ("wrong-potential", {"stiffness": 1.0}, "of its potential is not its force at rate zero"),
         ("timed-potential", {"stiffness": 1.0}, "has no potential: remove the potential"),
-        ("no-parameters", {}, "failed to make its parameters: ZeroDivisionError: no parameters today"),
+        ("no-parameters", {}, "failed to compute its parameters: ZeroDivisionError: no parameters today"),
     ],
 )
 def test_a_law_that_fails_to_be_built_is_the_plugins_fault(law: str, options: Any, words: str) -> None:

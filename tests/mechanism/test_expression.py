@@ -234,7 +234,7 @@ def test_a_mistyped_name_is_answered_with_the_right_one_and_its_position():
 
 
 def test_the_position_counts_from_the_start_of_what_was_written():
-    with pytest.raises(SpecError, match=r"unknown name 'x'; known are t, pi and functions \(position 7 of"):
+    with pytest.raises(SpecError, match=r"unknown name 'x'; known: t, pi and functions \(position 7 of"):
         Expression.parse("  t + x")
 
 

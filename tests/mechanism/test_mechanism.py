@@ -244,15 +244,20 @@ CHANGES = {
     "unreadable motion": ("joints.E.motion", "sine(t)", "model.joints.E.motion", "did you mean 'sin'"),
     "unreadable force": ("forces.f.value", [1, "__import__('os')"], "model.forces.f.value[1]", "not a function"),
     "points on an angle": ("joints.E.points", [[0, 0], [0, 0]], "model.joints.E.points", "takes no points"),
-    "point mass off centre": ("joints.A.bodies", ["ground", "bob"], "model.joints.A.points[1]", "held only at [0, 0]"),
+    "point mass off centre": (
+        "joints.A.bodies",
+        ["ground", "bob"],
+        "model.joints.A.points[1]",
+        "its only point is [0, 0]",
+    ),
     "point mass turned": ("forces.m.body", "bob", "model.forces.m.body", "no angle"),
     "point mass on a spring": ("forces.t.bodies", ["bob", "rod"], "model.forces.t.bodies[0]", "no angle"),
     "drive from a point mass": ("joints.Y.bodies", ["bob", "rod"], "model.joints.Y.bodies[0]", "no angle"),
-    "force on a point mass": ("forces.f.body", "bob", "model.forces.f.point", "held only at [0, 0]"),
-    "force on the ground": ("forces.f.body", "ground", "model.forces.f.body", "does nothing"),
-    "name with a dot": ("bodies.a/b", {"mass": 1}, "model.bodies.a/b", "without '/' or '.'"),
-    "name of the ground": ("bodies.ground", {"mass": 1}, "model.bodies.ground", "global frame's own"),
-    "empty name": ("joints.", SPEC["joints"]["A"], "model.joints.", "not empty"),
+    "force on a point mass": ("forces.f.body", "bob", "model.forces.f.point", "its only point is [0, 0]"),
+    "force on the ground": ("forces.f.body", "ground", "model.forces.f.body", "has no effect"),
+    "name with a dot": ("bodies.a/b", {"mass": 1}, "model.bodies.a/b", "without '/', '.'"),
+    "name of the ground": ("bodies.ground", {"mass": 1}, "model.bodies.ground", "reserved for the global frame"),
+    "empty name": ("joints.", SPEC["joints"]["A"], "model.joints.", "non-empty"),
     "control character": ("joints.a\tb", SPEC["joints"]["A"], "model.joints.a\tb", "printable"),
     "no mapping": ("bodies.rod", 3, "model.bodies.rod", "Body"),
     "no bodies": ("bodies", {}, "model.bodies", "at least one body"),
@@ -288,15 +293,15 @@ def test_a_missing_key_is_named(missing):
 def test_the_builder_answers_at_once():
     m = Mechanism()
     rod = m.body("rod", mass=1, inertia=1)
-    with pytest.raises(SpecError, match="taken"):
+    with pytest.raises(SpecError, match="already in use"):
         m.body("rod", mass=1)
     with pytest.raises(SpecError, match=r"model\.bodies\.bob\.mass: .*greater than 0"):
         m.body("bob", mass=0)
     with pytest.raises(SpecError, match="did you mean 'rod'"):
         m.revolute("A", m.ground, "rodd", at=(0, 0))
-    with pytest.raises(SpecError, match=r"either by points= .* or by at "):
+    with pytest.raises(SpecError, match=r"either as points= .* or as at "):
         m.revolute("A", m.ground, rod)
-    with pytest.raises(SpecError, match=r"either by points= .* or by from_ and to "):
+    with pytest.raises(SpecError, match=r"either as points= .* or as from_ and to "):
         m.spring_damper("s", m.ground, rod, from_=(0, 0), stiffness=1)
     with pytest.raises(SpecError, match="'length' is missing"):
         m.distance("D", m.ground, rod, points=[(0, 0), (0, 0)])
@@ -306,7 +311,7 @@ def test_the_builder_answers_at_once():
         m.force("f", rod, value=(1, 0), at=(0, 0), point=(0, 0))
     with pytest.raises(SpecError, match=r"model\.gravity"):
         Mechanism(gravity=(0, math.inf))
-    with pytest.raises(SpecError, match="a body's name is wanted"):
+    with pytest.raises(SpecError, match="should be the name of a body"):
         m.revolute("A", 0, rod, at=(0, 0))
     assert not m.joints
     assert not m.forces

@@ -218,7 +218,7 @@ def test_flexion_beyond_the_crossed_range_is_refused(degrees):
 
 @pytest.mark.parametrize("links", [{"acl": 0.2}, {"pcl": 0.001}, {"tibial": 1.0}])
 def test_links_that_cannot_meet_are_refused(links):
-    with pytest.raises(SpecError, match="cannot be put together") as caught:
+    with pytest.raises(SpecError, match="cannot be assembled") as caught:
         build(FourBarKneeOptions(links=links))
     assert caught.value.key == "links"
 

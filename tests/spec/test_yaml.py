@@ -78,9 +78,9 @@ NINE = ", ".join(["*{0}"] * 9)
 EXPLOSION = "a0: &a0 [1]\n" + "".join(f"a{i}: &a{i} [{NINE.format(f'a{i - 1}')}]\n" for i in range(1, 10))
 
 REFUSED = {
-    "a duplicate key": ("a: 1\nb: 2\na: 3\n", "stands here twice", 3),
-    "a recursive alias": ("a: &x [1, *x]\n", "contains it", 1),
-    "a recursive merge": ("a: &x\n  <<: *x\n", "contains it", 1),
+    "a duplicate key": ("a: 1\nb: 2\na: 3\n", "occurs twice", 3),
+    "a recursive alias": ("a: &x [1, *x]\n", "contains the alias", 1),
+    "a recursive merge": ("a: &x\n  <<: *x\n", "contains the alias", 1),
     "an alias explosion": (EXPLOSION, "too large", None),
     "an unknown alias": ("a: *x\n", "undefined alias", 1),
     "a tab": ("a:\n\tb: 1\n", "tab", 2),

@@ -216,10 +216,13 @@ def test_a_method_of_another_formulation_is_refused_by_name() -> None:
     spec: dict[str, Any] = {"mbdkit": 1, "model": DOUBLE, "time": {"steps": 3, "step": 0.01}}
     with pytest.raises(
         mbdkit.SpecError,
-        match="'rk4' cannot serve the formulation 'ggl', only index-1; integrators that can: radau-iia",
+        match="'rk4' does not support the formulation 'ggl', only index-1; integrators that support it: radau-iia",
     ):
         mbdkit.run(spec | {"integrator": {"name": "rk4"}, "formulation": "ggl"})
-    wanted = "'mine' cannot serve the formulation 'index-1', only index-3; integrators that can: rk-gill, rk4, dopri5"
+    wanted = (
+        "'mine' does not support the formulation 'index-1', only index-3; "
+        "integrators that support it: rk-gill, rk4, dopri5"
+    )
     with pytest.raises(mbdkit.SpecError, match=wanted):
         spec_type(offering(RungeKutta(), formulations=("index-3",)))(**spec, integrator={"name": "mine"})
     run = run_with(Remembering(), DOUBLE, {"steps": 3, "step": 0.01}, formulation="index-3").check()

@@ -61,8 +61,8 @@ def test_different_objects_never_share_a_label_and_equal_ones_do():
         ({"linspace": [1, 2, 0]}, "linspace[2]", "from 1 to 10000"),
         ({"linspace": [1, 2, 10**9]}, "linspace[2]", "from 1 to 10000"),
         ({"linspace": [1, 2, 1]}, "linspace[2]", "both 1 and 2"),
-        ({"geomspace": [0, 1, 3]}, "geomspace[0]", "other than 0"),
-        ({"geomspace": [1, -1, 3]}, "geomspace[1]", "one sign"),
+        ({"geomspace": [0, 1, 3]}, "geomspace[0]", "non-zero"),
+        ({"geomspace": [1, -1, 3]}, "geomspace[1]", "the same sign"),
     ],
 )
 def test_what_is_no_set_of_values_is_refused(given, key, words):

@@ -11,7 +11,7 @@ from mbdkit.engine.kernels.system import evaluate_positions, prepare
 
 
 def squared_misalignment(x, y):
-    """Return the squared misalignment of pairs from the residuals of their two rows: numbers, or arrays of one shape."""
+    """Return the squared misalignment of a pair from the residuals of its two rows; also for arrays of one shape."""
     return x * x + y * y
 
 

@@ -123,7 +123,7 @@ def test_a_step_that_is_far_too_long_is_told() -> None:
 
 
 def test_other_formulations_are_refused_by_name() -> None:
-    with pytest.raises(mbdkit.SpecError, match="cannot serve the formulation 'index-1', only index-3"):
+    with pytest.raises(mbdkit.SpecError, match="does not support the formulation 'index-1', only index-3"):
         run("double pendulum", {"name": "generalized-alpha"}, 0.01)
 
 
