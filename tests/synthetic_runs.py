@@ -88,7 +88,7 @@ def make_run() -> Iterator[MakeRun]:
             bodies, joints, constraints, ["m"] * len(constraints), [("ground", bodies[0])] * len(joints)
         )
         digest = hashlib.sha256(spec.encode()).hexdigest()
-        writer = ArchiveWriter(None, names, spec, digest, "a-run", {}, quantities)
+        writer = ArchiveWriter(None, names, spec, digest, "a-run", {}, quantities=quantities)
         writer.append({key: data[key] for key in writer.row_keys})
         largest = np.max(data["joints/misalignment"], axis=0, initial=0.0)
         file = writer.finish(status, reason, {"steps": max(0, rows - 1)}, largest)
