@@ -1,4 +1,4 @@
-"""Opens run archives."""
+"""`load`: opens a run archive as a `Run`."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ class SingularState:
 
 
 class StateObserver:
-    """Evaluates the states of one run.
+    """Computes accelerations, multipliers, reactions, energies and the distance to singularity at states of one run.
 
     The distance to singularity is computed by an iteration that starts from the result of the previous state.
     Therefore the states of a run should be passed in order of time.

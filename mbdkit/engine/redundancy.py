@@ -109,7 +109,7 @@ class _Analysis:
         """(n,) approximate displacement of a point [m] per unit change of each coordinate."""
 
     def at(self, t: float) -> LeastChange:
-        """Return a solver for consistent positions at time `t`."""
+        """Return a solver that finds positions satisfying the constraints at time `t`."""
         return LeastChange(self.compiled, t, np.zeros(self.n, dtype=bool))
 
     def run(self, q0: np.ndarray, v0: np.ndarray) -> CompiledMechanism:

@@ -142,7 +142,7 @@ def _binary(
 
 
 def _total(function: Callable[[Values], float]) -> Callable[[Values], float]:
-    """Wrap a function to return nan where it is undefined, as for the square root of a negative number."""
+    """Return a function that is nan where `function` is undefined, such as at the square root of a negative number."""
 
     def evaluated(values: Values) -> float:
         try:

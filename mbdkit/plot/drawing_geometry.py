@@ -195,7 +195,7 @@ class _Sketch:
         self.traced: set[int] = set()  # bodies that have a traced point
 
     def point(self, body: int, local: tuple[float, float]) -> int:
-        """Return the index of a point of a body; equal points share an index."""
+        """Return the index of a point given in the frame of a body, which is added if it is new."""
         key = (body, round(local[0], 12), round(local[1], 12))
         if key not in self.known:
             self.known[key] = len(self.owner)

@@ -34,13 +34,7 @@ def terminal_text(verdict: Verdict) -> str:
 
 
 def json_values(verdict: Verdict) -> dict[str, Any]:
-    """Return sentence, claims and headline tables as JSON values; empty if there is no headline table.
-
-    Parameters
-    ----------
-    verdict
-        The verdict.
-    """
+    """Return the sentence, claims and headline tables of a verdict as JSON values; {} if it has no headline table."""
     shown = headlines(verdict)
     if not shown:
         return {}

@@ -88,7 +88,7 @@ class CollocationFamily(Family):
         self.own.previous.size[0] = np.nan
 
     def renew(self, common: Common, t: float, h: float) -> bool:
-        """Choose new pivots for the stage matrix at the state in `common`, and drop the stage values.
+        """Choose new pivots for the stage matrix at the state in `common`; the next step starts without stage values.
 
         Raises
         ------

@@ -138,7 +138,7 @@ def _round_off(c, m, h, now, moved, idle):
 
 @subkernel
 def _powers(c, m, t, h):
-    """Evaluate the powers of the stages, with multipliers refined to round-off; return a status."""
+    """Write the mechanical power of loads and dampers at each stage to ``m.power``; return a status."""
     return _evaluate_accelerations(c, m, t, h, True, True)
 
 

@@ -77,7 +77,7 @@ class StudyPoint:
 
     @property
     def reason(self) -> str:
-        """Reason why it is not complete: a code and a sentence."""
+        """Why the run is not complete, as a code and a sentence; empty if it is."""
         return self.row.reason
 
     @property

@@ -126,7 +126,7 @@ class IntegratorUnderTest:
             return final_state(run)
 
     def workspace(self, model: Mapping[str, Any]) -> Workspace:
-        """Return the workspace of a model at its consistent start."""
+        """Return the arrays and the solver of a model, at an initial state that satisfies its constraints."""
         return build(self.spec(model, {"end": 1.0, "step": 0.5}), _say_nothing)[0]
 
     def stepper(

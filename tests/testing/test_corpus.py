@@ -168,7 +168,7 @@ def test_a_wrong_stage_time_does_not_show_where_nothing_depends_on_time() -> Non
 
 
 def test_a_tableau_with_a_wrong_coefficient_cannot_even_be_built() -> None:
-    with pytest.raises(mbdkit.MbdkitError, match="order condition of order 2 is off"):
+    with pytest.raises(mbdkit.MbdkitError, match="order condition of order 2 has the defect"):
         mbdkit.ButcherTableau("mine", [[], ["1/2"]], ["1/2", "1/2"], [0, "1/2"], 2)
     with pytest.raises(mbdkit.MbdkitError, match="row 2 of a sums to its node plus"):
         mbdkit.ButcherTableau("mine", [[], ["1/2"]], [0, 1], [0, "1/3"], 2)

@@ -26,7 +26,7 @@ STEEP = 2.0
 
 
 def times(study: Study) -> tuple[Claim, Table, Figure]:
-    """Return claim, table and figure on the time for 1500 steps by number of bodies and method."""
+    """Return a claim, a table and a figure: computation time of 1500 steps for each number of bodies and method."""
     points = family(study, "bodies")
     curves = {method: points.at({METHOD: method}).along("model.n", SECONDS) for method in METHODS}
     numbers = curves[GILL][0]
