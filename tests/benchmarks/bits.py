@@ -136,7 +136,11 @@ def main() -> None:
     if asked.against is None:
         return
     other = json.loads((asked.against / "hashes.json").read_text())
-    differing = [key for key, value in found.items() if key in other and other[key] != value]
+    differing = [
+        key
+        for key, value in found.items()
+        if key in other and any(other[key].get(what) != value.get(what) for what in ("status", "sha"))
+    ]
     for key in differing:
         name = key.replace(" | ", " ") + ".h5"
         print(f"{key}: {other[key]} -> {found[key]}")
