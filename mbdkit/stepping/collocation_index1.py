@@ -138,7 +138,7 @@ def _round_off(c, m, h, now, moved, idle):
 
 @subkernel
 def _powers(c, m, t, h):
-    """Write the mechanical power of loads and dampers at each stage to ``m.power``; return a status."""
+    """Write the power of loads, drivers and active laws, and the dissipated power, of each stage to ``m.power``."""
     return _evaluate_accelerations(c, m, t, h, True, True)
 
 
