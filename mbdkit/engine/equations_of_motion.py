@@ -86,8 +86,8 @@ class EquationsOfMotion:
         mechanism = workspace.mechanism
         self._workspace = workspace
         top, scratch = workspace.stepping_topology, workspace.scratch
-        self._hold = PinnedBundle(equations.new_equations(top, scratch, workspace.solver))
-        self.address = self._hold.address
+        self._pinned = PinnedBundle(equations.new_equations(top, scratch, workspace.solver))
+        self.address = self._pinned.address
         self.n, self.m = 3 * len(mechanism.bodies), len(mechanism.solved_rows)
         self.bodies = mechanism.bodies
         self.constraint_names = tuple(row.label for row in mechanism.solved_rows)
@@ -306,9 +306,9 @@ class EquationsOfMotion:
 
         def solve() -> int:
             self.counters.factorizations += 1
-            if self._hold.bundle.solver is not workspace.solver:  # new pivots, chosen here or by the recorder
-                self._hold.replace(self._hold.bundle._replace(solver=workspace.solver))
-                self.address = self._hold.address
+            if self._pinned.bundle.solver is not workspace.solver:  # new pivots, chosen here or by the recorder
+                self._pinned.replace(self._pinned.bundle._replace(solver=workspace.solver))
+                self.address = self._pinned.address
             return int(equations.solution_of(self.address, *state, given, force, rows, x, mu))
 
         try:

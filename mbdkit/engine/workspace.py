@@ -188,8 +188,8 @@ class Workspace:
         pattern, factors, scatter = self.choose_pivots()
         self.solver.pivoted[0] = 1
         self.solver = self.solver._replace(pattern=pattern, factors=factors, scatter=scatter)
-        for hold in (self._engine, self._stepping_engine):
-            hold.replace(hold.bundle._replace(solver=self.solver))
+        for pinned in (self._engine, self._stepping_engine):
+            pinned.replace(pinned.bundle._replace(solver=self.solver))
 
     def with_own_pivots(self) -> Workspace:
         """Return a workspace that shares the arrays of this one, but whose pivots are chosen independently."""

@@ -68,7 +68,7 @@ from mbdkit.stepping.convergence import (
     moves_by_roundings,
     relative_to_state,
 )
-from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS, RHS, load_common
+from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS, RHS, load_run_state
 from mbdkit.stepping.simplified_newton import factorize_all, newton_changes
 from mbdkit.stepping.stage_polynomials import extrapolation_weights
 
@@ -294,9 +294,9 @@ _KERNELS = StageKernels(_tangents, _changes, _sizes, _round_off, _powers, _right
 
 
 @entry
-def attempt(common, own, t, h, want_error):
+def attempt(run, method, t, h, want_error):
     """Try a step from the base state; see `mbdkit.stepping.driver`."""
-    c, m = load_common(common), load_stages(own)
+    c, m = load_run_state(run), load_stages(method)
     status = try_step(c, m, t, h, want_error, _KERNELS)
     if status == OK:
         last = len(m.rk.c) - 1
@@ -305,9 +305,9 @@ def attempt(common, own, t, h, want_error):
 
 
 @entry
-def dense(common, own, t, h, theta):
+def dense(run, method, t, h, theta):
     """Write state and multipliers at ``t + theta h`` within the last attempt, by its collocation polynomial."""
-    c, m = load_common(common), load_stages(own)
+    c, m = load_run_state(run), load_stages(method)
     state_inside(c, m, h, theta)
     extrapolation_weights(theta, 0.0, m.rk.c, m.weights)  # every row: the polynomial at theta
     m.pairs[:, :] = 0.0

@@ -38,7 +38,7 @@ from mbdkit.stepping.convergence import (
     accelerations_are_round_off,
     relative_to_accelerations,
 )
-from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS, RHS, load_common
+from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS, RHS, load_run_state
 from mbdkit.stepping.simplified_newton import factorize_all, newton_changes
 
 if TYPE_CHECKING:
@@ -146,15 +146,15 @@ _KERNELS = StageKernels(_tangents, _changes, _sizes, _round_off, _powers, _right
 
 
 @entry
-def attempt(common, own, t, h, want_error):
+def attempt(run, method, t, h, want_error):
     """Try a step from the base state; see `mbdkit.stepping.driver`."""
-    return try_step(load_common(common), load_stages(own), t, h, want_error, _KERNELS)
+    return try_step(load_run_state(run), load_stages(method), t, h, want_error, _KERNELS)
 
 
 @entry
-def dense(common, own, t, h, theta):
+def dense(run, method, t, h, theta):
     """Write the state at ``t + theta h`` within the last attempt, by its collocation polynomial."""
-    state_inside(load_common(common), load_stages(own), h, theta)
+    state_inside(load_run_state(run), load_stages(method), h, theta)
     return OK
 
 
