@@ -11,6 +11,7 @@ import mbdkit
 from mbdkit.engine import workspace as problem_module
 from mbdkit.engine.assembly import assemble
 from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.elimination_order import PivotChoice, pivot_order
 from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.engine.workspace import Workspace
@@ -119,7 +120,7 @@ def test_pivots_that_wear_out_on_the_way_are_chosen_anew(
     m.revolute("A", m.ground, "rod", points=((0.0, 0.0), (-0.5, 0.0)))
     compiled = compile_mechanism(with_crumb(m))
     start = assemble(m, 0.0, compiled)
-    q, v = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
+    q, v = with_ground(start.q), with_ground(start.v)
     problem = Workspace(compiled, 0.0, q, v)
     constraints_at(compiled.topology, problem.scratch, 0.0, q, v)
     with monkeypatch.context() as patch:
