@@ -317,6 +317,9 @@ class CompiledStepper:
     def _renew(self, status: int) -> bool:
         """Choose new pivots after `status`; return whether the step is worth another attempt.
 
+        `Workspace.retry_with_new_pivots` would repeat the attempt at once. Here the rows written so far are returned
+        first, and the next call of the driver repeats it. Besides, the pivots may be those of a stage matrix.
+
         Raises SingularSystemError.
         """
         if status == driver.TOO_SMALL:
@@ -362,8 +365,7 @@ class CompiledStepper:
         if singular is not None:
             name = workspace.mechanism.unknown_name(singular.index)
         else:
-            index, column = int(workspace.solver.failed[0]), workspace.solver.pattern.column_of
-            name = workspace.mechanism.unknown_name(int(column[index]) if 0 <= index < len(column) else -1)
+            name = workspace.mechanism.unknown_name(workspace.failed_unknown)
         if self.method.carries_stages and distance > REGULAR:
             what = (
                 f"{where}: the stage iteration reached a state in which the system of equations is singular at {name}"
