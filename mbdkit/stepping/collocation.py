@@ -1,4 +1,4 @@
-"""Collocation methods of any formulation, and other fully implicit Runge-Kutta methods, as a compiled method.
+"""Compiled collocation methods of any formulation, and other fully implicit Runge-Kutta methods.
 
 One step is the same for all formulations (`mbdkit.stepping.collocation_step`). A formulation gives the residual and the
 change of the stages, and the change that has to converge (`mbdkit.stepping.collocation_stages.StageKernels`); a new one

@@ -40,7 +40,6 @@ from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, ST
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
     OK,
-    REPIVOT_STAGES,
     Scatter,
     evaluate_powers,
     evaluate_tangents,
@@ -68,7 +67,7 @@ from mbdkit.stepping.convergence import (
     moves_by_roundings,
     relative_to_state,
 )
-from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS, RHS, load_run_state
+from mbdkit.stepping.run_state import FACTORIZATIONS, RHS, load_run_state
 from mbdkit.stepping.simplified_newton import factorize_all, newton_changes
 from mbdkit.stepping.stage_polynomials import extrapolation_weights
 
@@ -88,13 +87,7 @@ def _tangents(c, m, t, h):
     prepare(top, w, t + middle * h, m.mean.q)
     unfold_multipliers(top, w.cs, m.mean.lam)
     evaluate_tangents(top, w, t + middle * h, m.mean.q, m.mean.v, m.mean.acc, m.mean.lam)
-    c.counts[JACOBIANS] += 1
-    c.counts[FACTORIZATIONS] += len(m.rk.mu_real) + len(m.rk.mu_complex)
-    failed = factorize_all(w.source, m.rk, m.systems, h, 0.5)
-    if failed >= 0:
-        c.solver.failed[0] = failed
-        return REPIVOT_STAGES
-    return OK
+    return factorize_all(c, m, h, 0.5)
 
 
 @subkernel

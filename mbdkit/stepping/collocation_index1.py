@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING
 from mbdkit.engine.jit.decorators import entry, inlined, subkernel
 from mbdkit.engine.kernels.system import (
     OK,
-    REPIVOT_STAGES,
     evaluate_powers,
     evaluate_tangents,
     prepare,
@@ -38,7 +37,7 @@ from mbdkit.stepping.convergence import (
     accelerations_are_round_off,
     relative_to_accelerations,
 )
-from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS, RHS, load_run_state
+from mbdkit.stepping.run_state import FACTORIZATIONS, RHS, load_run_state
 from mbdkit.stepping.simplified_newton import factorize_all, newton_changes
 
 if TYPE_CHECKING:
@@ -55,13 +54,7 @@ def _tangents(c, m, t, h):
     evaluate_tangents(top, w, t + 0.5 * h, m.mean.q, m.mean.v, m.mean.acc, m.mean.lam)
     for p in range(len(top.pairs)):
         copy(w.jac[p], m.mean.jac[p])
-    c.counts[JACOBIANS] += 1
-    c.counts[FACTORIZATIONS] += len(m.rk.mu_real) + len(m.rk.mu_complex)
-    failed = factorize_all(w.source, m.rk, m.systems, h, 1.0)
-    if failed >= 0:
-        c.solver.failed[0] = failed
-        return REPIVOT_STAGES
-    return OK
+    return factorize_all(c, m, h, 1.0)
 
 
 @subkernel

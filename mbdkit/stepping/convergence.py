@@ -158,11 +158,10 @@ def relative_to_accelerations(acc, change, bodies):
 
 
 @subkernel
-def relative_to_state(change, x, bodies):
-    """Return the largest entry of `change` (s, 3 (B + 1)) relative to the largest of `x`, linear and angular apart.
+def _largest_sizes(x, change, bodies):
+    """Return the largest length and the largest angle of `x`, each at least 1, and those of `change` (s, 3 (B + 1)).
 
-    `x` (3 (B + 1),) holds positions or velocities; sizes below 1 m, 1 rad, 1 m/s or 1 rad/s count as 1. Infinite if a
-    change is not a number.
+    Those of `change` are infinite if it contains NaN.
     """
     size_t = size_r = 1.0
     change_t = change_r = 0.0
@@ -173,9 +172,20 @@ def relative_to_state(change, x, bodies):
             now_t = max(abs(change[i, 3 * b]), abs(change[i, 3 * b + 1]))
             now_r = abs(change[i, 3 * b + 2])
             if not now_t + now_r < np.inf:
-                return np.inf
+                return size_t, size_r, np.inf, np.inf
             change_t = max(change_t, now_t)
             change_r = max(change_r, now_r)
+    return size_t, size_r, change_t, change_r
+
+
+@subkernel
+def relative_to_state(change, x, bodies):
+    """Return the largest entry of `change` (s, 3 (B + 1)) relative to the largest of `x`, linear and angular apart.
+
+    `x` (3 (B + 1),) holds positions or velocities; sizes below 1 m, 1 rad, 1 m/s or 1 rad/s count as 1. Infinite if a
+    change is not a number.
+    """
+    size_t, size_r, change_t, change_r = _largest_sizes(x, change, bodies)
     return max(change_t / size_t, change_r / size_r)
 
 
@@ -197,18 +207,11 @@ def accelerations_are_round_off(c, m, h, patient):
     patient
         Whether the iteration has stalled for several iterations.
     """
-    top, w, q, change = c.top, c.w, c.from_q, m.change
+    top, w = c.top, c.w
     last = len(m.acc) - 1
     v, lam, acc = m.v_stage[last], m.lam[last], m.acc[last]
     bodies = len(top.mass) - 1
-    change_t = change_r = 0.0
-    size_t = size_r = 1.0
-    for b in range(bodies):
-        size_t = max(size_t, abs(q[3 * b]), abs(q[3 * b + 1]))
-        size_r = max(size_r, abs(q[3 * b + 2]))
-        for i in range(len(change)):
-            change_t = max(change_t, abs(change[i, 3 * b]), abs(change[i, 3 * b + 1]))
-            change_r = max(change_r, abs(change[i, 3 * b + 2]))
+    size_t, size_r, change_t, change_r = _largest_sizes(c.from_q, m.change, bodies)
     small_t = change_t * h * h <= FEW_ROUNDINGS * EPS * size_t
     small_r = change_r * h * h <= FEW_ROUNDINGS * EPS * size_r
     if not patient or (small_t and small_r):
