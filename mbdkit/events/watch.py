@@ -15,7 +15,7 @@ from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.quantities import QuantityEvaluator
 from mbdkit.stepping import interface
-from mbdkit.stepping.interface import Failure, Stepper, StepTaken, Stretch, joined
+from mbdkit.stepping.interface import Failure, StepEvidence, Stepper, StepTaken, Stretch, joined
 
 INSIDE = (0.25, 0.5, 0.75)
 """Relative positions in a step at which dense output is evaluated."""
@@ -124,6 +124,11 @@ class Watch:
     def worst_pairs(self) -> np.ndarray:
         """(P,) largest squared norm of each pair's Phi so far."""
         return self.stepper.worst_pairs
+
+    @property
+    def evidence(self) -> StepEvidence | None:
+        """What the stepper has seen in every step."""
+        return self.stepper.evidence
 
     @property
     def time(self) -> float:

@@ -57,7 +57,7 @@ from mbdkit.stepping.collocation_stages import (
     StageKernels,
     load_stages,
 )
-from mbdkit.stepping.collocation_step import evaluate_mean, state_inside, try_step
+from mbdkit.stepping.collocation_step import state_inside, try_step
 from mbdkit.stepping.convergence import (
     CANCELLING_FORCES,
     NEGLIGIBLE_CHANGE,
@@ -77,16 +77,13 @@ if TYPE_CHECKING:
 
 
 @subkernel
-def _tangents(c, m, t, h):
-    """Evaluate and factorize the matrices of all eigenvalues at the mean of the stages; return a status."""
-    top, w = c.top, c.w
-    evaluate_mean(m)
-    middle = 0.0
-    for i in range(len(m.rk.c)):
-        middle += m.rk.c[i] / len(m.rk.c)
-    prepare(top, w, t + middle * h, m.mean.q)
-    unfold_multipliers(top, w.cs, m.mean.lam)
-    evaluate_tangents(top, w, t + middle * h, m.mean.q, m.mean.v, m.mean.acc, m.mean.lam)
+def _tangents(c, m, h, at_start):
+    """Evaluate and factorize the matrices of all eigenvalues at ``m.tangent``; return a status."""
+    top, w, tangent = c.top, c.w, m.tangent
+    if not at_start:
+        prepare(top, w, tangent.time[0], tangent.q)
+        unfold_multipliers(top, w.cs, tangent.lam)
+    evaluate_tangents(top, w, tangent.time[0], tangent.q, tangent.v, tangent.acc, tangent.lam)
     return factorize_all(c, m, h, 0.5)
 
 
@@ -140,7 +137,7 @@ def _change_shift(c, m, h):
                 for j in range(s):
                     total += m.rk.inverse[i, j] / h * room.phi[j, k, r]
                 w.gamma[k, r] = total
-        status = solve_system(c.still, w, c.solver, False, m.mean.acc, m.pairs, False)
+        status = solve_system(c.still, w, c.solver, False, m.tangent.acc, m.pairs, False)
         if status != OK:
             return status
         for d in range(n3):

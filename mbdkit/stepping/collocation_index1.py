@@ -29,7 +29,7 @@ from mbdkit.engine.kernels.system import (
 )
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.stepping.collocation_stages import INDEX_1, NEWTON, StageFormulation, StageKernels, load_stages
-from mbdkit.stepping.collocation_step import evaluate_mean, state_inside, try_step
+from mbdkit.stepping.collocation_step import state_inside, try_step
 from mbdkit.stepping.convergence import (
     ACCELERATION_TOLERANCE,
     NEGLIGIBLE_CHANGE,
@@ -47,13 +47,12 @@ if TYPE_CHECKING:
 
 
 @subkernel
-def _tangents(c, m, t, h):
-    """Evaluate and factorize the matrices of all eigenvalues at the mean of the stages; return a status."""
-    top, w = c.top, c.w
-    evaluate_mean(m)
-    evaluate_tangents(top, w, t + 0.5 * h, m.mean.q, m.mean.v, m.mean.acc, m.mean.lam)
+def _tangents(c, m, h, at_start):
+    """Evaluate and factorize the matrices of all eigenvalues at ``m.tangent``; return a status."""
+    top, w, tangent = c.top, c.w, m.tangent
+    evaluate_tangents(top, w, tangent.time[0], tangent.q, tangent.v, tangent.acc, tangent.lam)
     for p in range(len(top.pairs)):
-        copy(w.jac[p], m.mean.jac[p])
+        copy(w.jac[p], m.tangent.jac[p])
     return factorize_all(c, m, h, 1.0)
 
 
@@ -76,7 +75,7 @@ def _evaluate_accelerations(c, m, t, h, refine, with_powers):
 @inlined
 def _lift(c, m, x, b):
     """Write ``[M x, Phi_q x]`` into `b` (n + m,) for an acceleration `x` that is zero on the ground."""
-    top, row_index, jac = c.top, c.solver.row_index, m.mean.jac
+    top, row_index, jac = c.top, c.solver.row_index, m.tangent.jac
     pairs, rows, mass = top.pairs, top.rows, top.mass
     n3 = len(c.q) - 3
     for body in range(len(mass) - 1):

@@ -62,7 +62,8 @@ class StageKernels(NamedTuple):
     """
 
     tangents: Any
-    """``(c, m, t, h)``: evaluate and factorize the stage matrices."""
+    """``(c, m, h, at_start)``: evaluate and factorize the stage matrices at ``m.tangent``; `at_start`: that is the start
+    of the step, with the multipliers of all pairs."""
     changes: Any
     """``(c, m, t, h, rough)``: write the change of the stages by one iteration into ``m.change``; multipliers that are
     unknowns are changed at once. `rough`: accelerations need not be refined."""
@@ -193,9 +194,11 @@ class FirstAcceleration(NamedTuple):
     """(1,) whether it has been evaluated."""
 
 
-class MeanStage(NamedTuple):
-    """The mean of all stages, where the tangents are evaluated."""
+class TangentState(NamedTuple):
+    """The state at which the tangents are evaluated: the start of the step, or the mean of all stages."""
 
+    time: np.ndarray
+    """(1,) time [s]."""
     q: np.ndarray
     v: np.ndarray
     acc: np.ndarray
@@ -243,7 +246,7 @@ class Stages(NamedTuple):
     """(s, u) change of accelerations, and of multipliers that are unknowns, by the last iteration."""
     constraints: Constraints
     first: FirstAcceleration
-    mean: MeanStage
+    tangent: TangentState
     power: np.ndarray
     """(s, 2) powers of the stages [W]."""
     weights: np.ndarray
@@ -296,8 +299,8 @@ def new_stages(
             mu=np.zeros((shifted, pairs, 2)), shift=vectors(shifted), shift_change=vectors(shifted),
         ),
         first=FirstAcceleration(np.zeros(size), np.zeros((pairs, 2)), np.zeros(1, dtype=np.int64)),
-        mean=MeanStage(
-            np.zeros(size), np.zeros(size), np.zeros(size), np.zeros((pairs, 2)), np.zeros((pairs, 12))
+        tangent=TangentState(
+            np.zeros(1), np.zeros(size), np.zeros(size), np.zeros(size), np.zeros((pairs, 2)), np.zeros((pairs, 12))
         ),
         power=np.zeros((s, 2)), weights=np.zeros((s, s)), dense_weights=np.zeros(s),
         spread=vectors(s), pairs=np.zeros((pairs, 2)),

@@ -20,6 +20,7 @@ from mbdkit.stepping.convergence import (
     has_failed,
     is_converged,
     is_stalled,
+    predicts_failure,
     report_divergence,
 )
 from mbdkit.stepping.run_state import AT_END_OF_LAST, AT_START_OF_LAST, FACTORIZATIONS, ITERATIONS, RHS
@@ -68,21 +69,40 @@ def evaluate_stages(c, m, h):
 
 
 @subkernel
-def evaluate_mean(m):
-    """Evaluate the mean of all stages, where the tangents are taken."""
-    stage_mean(m.q_stage, m.mean.q)
-    stage_mean(m.v_stage, m.mean.v)
-    stage_mean(m.acc, m.mean.acc)
+def _choose_tangent_state(c, m, t, h, at_start):
+    """Choose the state where the tangents are taken: the start of the step, or the mean of all stages."""
+    tangent = m.tangent
+    if at_start:
+        tangent.time[0] = t
+        copy(c.from_q, tangent.q)
+        copy(c.from_v, tangent.v)
+        copy(m.first.acc, tangent.acc)
+        for k in range(len(tangent.lam)):
+            copy(m.first.lam[k], tangent.lam[k])
+        return
+    share = 0.0
+    for i in range(len(m.rk.c)):
+        share += m.rk.c[i] / len(m.rk.c)
+    tangent.time[0] = t + share * h
+    stage_mean(m.q_stage, tangent.q)
+    stage_mean(m.v_stage, tangent.v)
+    stage_mean(m.acc, tangent.acc)
     for r in range(2):
-        stage_mean(m.lam[:, :, r], m.mean.lam[:, r])
+        stage_mean(m.lam[:, :, r], tangent.lam[:, r])
 
 
 @inlined
-def _iterate(c, m, t, h, kernels):
+def _iterate(c, m, t, h, careful, kernels):
     """Solve the stage equations; return a status.
 
     Simplified Newton, or fixed-point iteration. The tangents are evaluated at the mean of the predicted stages; again
-    after the first iteration from free flight, and where the iteration contracts slowly.
+    after the first iteration from free flight, and where the iteration contracts slowly. This takes the fewest
+    iterations, but for stiff forces it can lead to another solution of the stage equations: the predicted stages may
+    be anywhere, and tangents that follow the iteration find the solution nearest to them.
+
+    A `careful` iteration therefore keeps the tangents of the start of the step, as RADAU5 does, and ends as soon as its
+    rate predicts that it will not converge (`predicts_failure`). It can only converge to the solution that belongs to
+    the start. With step size control, a step that fails is repeated with a smaller one.
     """
     s = len(m.rk.c)
     n3 = len(c.q) - 3
@@ -100,7 +120,8 @@ def _iterate(c, m, t, h, kernels):
     before = np.inf
     while True:
         if stale and m.settings.solver[0] == NEWTON:
-            status = kernels.tangents(c, m, t, h)
+            _choose_tangent_state(c, m, t, h, careful)
+            status = kernels.tangents(c, m, h, careful)
             if status != OK:
                 return status
             stale = False
@@ -122,10 +143,12 @@ def _iterate(c, m, t, h, kernels):
             done = kernels.round_off(c, m, h, now, moved, idle)
         if done:
             break
-        if has_failed(n, m.settings.most_iterations[0], now, ratio):
+        most, tolerance = m.settings.most_iterations[0], m.settings.tolerance[0]
+        if has_failed(n, most, now, ratio) or (careful and predicts_failure(n, most, now, ratio, tolerance)):
             report_divergence(c, n, m.change, s)
             return DIVERGED
-        stale = (free_flight and n == 1) or (n - taken_at >= FEWEST_WITH_ONE_TANGENT and ratio > SLOW)
+        if not careful:
+            stale = (free_flight and n == 1) or (n - taken_at >= FEWEST_WITH_ONE_TANGENT and ratio > SLOW)
         before = now
     m.previous.size[0] = h
     return OK
@@ -142,6 +165,8 @@ def _keep_first_acceleration(c, m):
         and m.rk.c[s - 1] == 1.0
         and m.settings.formulation[0] == INDEX_1  # else stages do not satisfy the index-1 equations
     ):
+        for k in range(len(first.lam)):
+            copy(m.lam[s - 1, k], first.lam[k])
         copy(m.acc[s - 1], first.acc)  # the last stage of the previous step is the beginning of this one
     elif c.base_state[0] != AT_START_OF_LAST:
         first.known[0] = 0
@@ -203,9 +228,22 @@ def _estimate(c, m, h, kernels):
 
 @inlined
 def try_step(c, m, t, h, want_error, kernels):
-    """Try a step from the base state; return a status. See `mbdkit.stepping.driver`."""
+    """Try a step from the base state; return a status. See `mbdkit.stepping.driver`.
+
+    With step size control the iteration is careful. Fixed steps cannot be made smaller, so the fast iteration is tried
+    first, and the careful one if it diverges.
+    """
     _keep_first_acceleration(c, m)
-    status = _iterate(c, m, t, h, kernels)
+    careful = want_error != 0.0
+    while True:
+        if careful:
+            status = _first_acceleration(c, m, t)
+            if status != OK:
+                return status
+        status = _iterate(c, m, t, h, careful, kernels)
+        if status != DIVERGED or careful or m.settings.solver[0] != NEWTON:
+            break
+        careful = True
     if status != OK:
         return status
     if c.has_power[0] != 0:

@@ -15,8 +15,16 @@ from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPI
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping import driver
-from mbdkit.stepping.interface import Failure, Pace, StepTaken, Stretch, Timetable, joined
-from mbdkit.stepping.run_plan import PLAIN, SYMMETRIC, new_plan, projection_mode, single_step
+from mbdkit.stepping.interface import Failure, Pace, StepEvidence, StepTaken, Stretch, Timetable, Turn, joined
+from mbdkit.stepping.run_plan import (
+    NEAR_SINGULARITY,
+    PLAIN,
+    SYMMETRIC,
+    guard_limits,
+    new_plan,
+    projection_mode,
+    single_step,
+)
 from mbdkit.stepping.run_state import (
     FACTORIZATIONS,
     INTERVAL_FIELDS,
@@ -76,7 +84,8 @@ class CompiledStepper:
         rows = max(2, min(MAX_ROWS, MAX_ROW_BYTES // (16 * workspace.mechanism.size)))
         self.run_state = new_run_state(workspace, rows, own_multipliers=method.carries_multipliers)
         self._pinned_state = PinnedBundle(self.run_state)
-        self.plan = new_plan(timetable, control, workspace.stabilization)
+        limits = guard_limits(workspace.mechanism, timetable.misalignment, timetable.energy_jump)
+        self.plan = new_plan(timetable, control, workspace.stabilization, limits)
         self._plan = PinnedBundle(self.plan)
         self.worst_pairs = self.run_state.worst
         self._renewed: set[tuple[int, int]] = set()
@@ -90,7 +99,7 @@ class CompiledStepper:
         method.start(self.run_state, size)
         self._take_up_pivots()
         self._dense = method.dense.address if method.dense is not None else 0
-        self.mode = projection_mode(workspace.stabilization)
+        self.mode = projection_mode(workspace.stabilization, controlled=control is not None)
         iterates = method.carries_stages or self.mode == SYMMETRIC
         self.pace = Pace(max(1, min(16 if iterates else 256, 100_000 // workspace.mechanism.size)))
         self.last_step: StepTaken | None = None
@@ -157,6 +166,15 @@ class CompiledStepper:
             self.failure = Failure("max-steps", f"stopped after limits.max_steps = {self.timetable.max_steps} steps.")
         return stretch
 
+    @property
+    def evidence(self) -> StepEvidence:
+        """See `Stepper.evidence`."""
+        guards = self.run_state.guards
+        turns = guards.turns[: int(guards.turn_count[0])].tolist()
+        return StepEvidence(
+            float(guards.jump[0]), float(guards.jump_time[0]), float(guards.kinetic[0]), tuple(Turn(*x) for x in turns)
+        )
+
     def _attempts(self) -> int:
         """Return the number of steps accepted and rejected so far."""
         return self._accepted + int(self.run_state.progress.rejected[0])
@@ -166,7 +184,7 @@ class CompiledStepper:
         c = self.run_state
         return (
             c.interval.values, *c.progress, c.base_state, c.q, c.q_low, c.v, c.v_low, c.energy, c.energy_low,
-            c.from_q, c.from_v, c.shift_q, c.shift_v, c.mu, c.nu, *self.method.memory,
+            c.from_q, c.from_v, c.shift_q, c.shift_v, c.mu, c.nu, *c.guards, *self.method.memory,
         )  # fmt: skip
 
     def _recall(self, memory: list[np.ndarray]) -> None:
@@ -187,7 +205,7 @@ class CompiledStepper:
         if status != OK:
             return step.hermite(theta)
         q, v = c.point_q.copy(), c.point_v.copy()
-        if self.mode == PLAIN:
+        if self.mode in (PLAIN, NEAR_SINGULARITY):
             fade = theta * theta * (3.0 - 2.0 * theta)
             q, v = q + fade * c.shift_q, v + fade * c.shift_v
         return q, v
@@ -274,6 +292,9 @@ class CompiledStepper:
 
     def _handle(self, status: int) -> None:
         """React to a failed step: choose new pivots once per step, try a smaller step, or set `failure`."""
+        if status in (driver.FELL_APART, driver.ENERGY_JUMP):
+            self.failure = self._excess(status)
+            return
         done = self._accepted
         where = f"in step {done + 1} from t = {self.time:.6g} s"
         if unusable := self._unusable():
@@ -349,6 +370,28 @@ class CompiledStepper:
         self._renewed.clear()
         return bool(progress.next_size[0] > self.plan.control.min_size[0])
 
+    def _excess(self, status: int) -> Failure:
+        """Return which limit of the guards was exceeded."""
+        mechanism, guards, hint = self.workspace.mechanism, self.run_state.guards, self.method.hint
+        if status == driver.ENERGY_JUMP:
+            share = float(guards.jump[0] / guards.kinetic[0]) if guards.kinetic[0] > 0.0 else np.inf
+            return Failure(
+                "energy-jump",
+                f"the step to t = {self.time:.6g} s changed the energy balance by {float(guards.jump[0]):.3g} J, "
+                f"{share:.3g} of the largest kinetic energy so far, more than limits.energy_jump = "
+                f"{self.timetable.energy_jump:g}; {hint}.",
+            )
+        pair = int(np.argmax(self.worst_pairs / self.plan.limits.squared_misalignment))
+        joint = next(name for name, pairs in zip(mechanism.joints, mechanism.joint_pairs, strict=True) if pair in pairs)
+        unit = next(row.unit for row in mechanism.rows if row.pair == pair)
+        gap = float(np.sqrt(self.worst_pairs[pair]))
+        whole = f"times the size of the mechanism, {mechanism.length:.3g} m" if unit == "m" else "rad"
+        return Failure(
+            "fell-apart",
+            f"joint {joint} is misaligned by {gap:.3g} {unit} at t = {self.time:.6g} s, more than "
+            f"limits.misalignment = {self.timetable.misalignment:g} {whole}; {hint}, or stabilization: projection.",
+        )
+
     def _failure(self, status: int, singular: SingularSystemError | None, where: str) -> Failure:
         """Return why the run stops."""
         hint, workspace = self.method.hint, self.workspace
@@ -357,6 +400,9 @@ class CompiledStepper:
         if status == driver.TOO_SMALL:
             if distance < SINGULAR:
                 return Failure("singular", f"steps became smaller without end {where}.")
+            if self.run_state.guards.jumped[0]:
+                sentence = f"the energy balance changes by too much {where}, however small the step; the law of a force"
+                return Failure("energy-jump", f"{sentence} may not be the derivative of its potential.")
             return Failure("step-too-small", f"the step fell below {floor:.2g} s {where}; looser tolerances may help.")
         if status == NOT_FINITE:
             return Failure("not-finite", f"numbers overflowed {where}; {hint}.")

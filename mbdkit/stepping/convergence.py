@@ -40,6 +40,9 @@ LARGEST_CONTRACTION = 0.9
 The predicted sum of all later changes is theta / (1 - theta) times the last one; for theta near 1 that is unreliable.
 """
 
+LARGEST_RATE = 0.99
+"""Contraction from which a careful iteration counts as diverging (RADAU5)."""
+
 STALLED = 0.5
 """Contraction above which an iteration counts as stalled.
 
@@ -113,6 +116,27 @@ def is_converged(n, now, ratio, tolerance):
         Largest relative change that is negligible.
     """
     return now == 0.0 or (n > 1 and ratio < LARGEST_CONTRACTION and ratio / (1.0 - ratio) * now <= tolerance)
+
+
+@subkernel
+def predicts_failure(n, most, now, ratio, tolerance):
+    """Return whether an iteration with one tangent will not converge within its `most` iterations, by its rate so far.
+
+    RADAU5 and SciPy's Radau give up by the same test (Hairer and Wanner 1996, IV.8, p. 121). Changes at the level of
+    round-off predict nothing.
+
+    Parameters
+    ----------
+    n, most
+        Number of iterations so far, and the largest number.
+    now, ratio
+        Relative change by the last one, and that over the change of the iteration before.
+    tolerance
+        Relative change at which the iteration ends.
+    """
+    if n < 2 or now <= NEGLIGIBLE_CHANGE:
+        return False
+    return ratio >= LARGEST_RATE or ratio ** (most - n) / (1.0 - ratio) * now > max(tolerance, NEGLIGIBLE_CHANGE)
 
 
 @subkernel

@@ -16,6 +16,8 @@ once for all methods.
 
 from __future__ import annotations
 
+import numpy as np
+
 from mbdkit.engine.jit.decorators import kernel, subkernel
 from mbdkit.engine.jit.entry import call_entry
 from mbdkit.engine.kernels.misalignment import raise_misalignments
@@ -23,7 +25,7 @@ from mbdkit.engine.kernels.projection import mass_norm, project_positions, proje
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_rows, prepare
 from mbdkit.engine.kernels.vectors import add_compensated, copy, stays_finite
 from mbdkit.stepping.projected_step import project, take
-from mbdkit.stepping.run_plan import NO_PROJECTION, PLAIN, SYMMETRIC, load_plan
+from mbdkit.stepping.run_plan import NEAR_SINGULARITY, NO_PROJECTION, PLAIN, SYMMETRIC, load_plan
 from mbdkit.stepping.run_state import (
     AT_END_OF_LAST,
     AT_START_OF_LAST,
@@ -31,6 +33,13 @@ from mbdkit.stepping.run_state import (
     MODIFIED,
     PROJECTIONS,
     load_run_state,
+)
+from mbdkit.stepping.step_guards import (
+    distance_to_singularity,
+    energies,
+    energy_jump,
+    note_jump,
+    watch_branch,
 )
 from mbdkit.stepping.step_control import (
     MIN_LAST_ERROR,
@@ -44,6 +53,9 @@ from mbdkit.stepping.step_control import (
 
 TOO_SMALL = 5
 """Status: the step size fell below the smallest one."""
+
+FELL_APART, ENERGY_JUMP = 6, 7
+"""Status: a limit of the guards was exceeded, see `mbdkit.stepping.run_plan.GuardLimits`."""
 
 ROW_MARGIN = 1e-9
 """A row by interval that is nearer to the end than this share of the interval is replaced by the row of the end."""
@@ -140,6 +152,47 @@ def _note_projection(c):
 
 
 @subkernel
+def _begin_guards(c, t):
+    """Evaluate the energy of the initial state."""
+    prepare(c.top, c.w, t, c.q)
+    kinetic, potential, _ = energies(c.top, c.w, c.q, c.v)
+    c.guards.energy[0], c.guards.kinetic[0] = kinetic + potential, kinetic
+
+
+@subkernel
+def _energy_is_kept(c, plan, t):
+    """Return whether the energy balance of an attempt that ends at `t` is acceptable, before a projection.
+
+    The terms of Baumgarte stabilization do work that is not booked, so that there is no balance to check.
+    """
+    prepare(c.top, c.w, t, c.new_q)
+    jump, total, kinetic, most = energy_jump(c, c.new_q, c.new_v)
+    if plan.control.controlled[0] and plan.baumgarte[0] == 0 and not abs(jump) <= most:
+        return False
+    note_jump(c, t, jump, total, kinetic)
+    return True
+
+
+@subkernel
+def _check_limits(c, plan, t):
+    """Record energy and misalignments of the state reached at `t`; return a status. Requires `prepare` at the state."""
+    limits, guards = plan.limits, c.guards
+    mode = plan.projection.mode[0]
+    if not plan.control.controlled[0] and mode != PLAIN:
+        jump, total, kinetic, _ = energy_jump(c, c.q, c.v)
+        note_jump(c, t, jump, total, kinetic)
+    elif c.base_state[0] == MODIFIED:  # projected; else the energy is that of the attempt
+        kinetic, potential, _ = energies(c.top, c.w, c.q, c.v)
+        guards.energy[0] = kinetic + potential
+    for k in range(len(c.worst)):
+        if c.worst[k] > limits.squared_misalignment[k]:
+            return FELL_APART
+    if guards.jump[0] > limits.energy_jump[0] * guards.kinetic[0]:
+        return ENERGY_JUMP
+    return OK
+
+
+@subkernel
 def _try_step(run, method, attempt, plan):
     """Attempt the next step with its projection, and accept or reject it; return a status.
 
@@ -155,22 +208,31 @@ def _try_step(run, method, attempt, plan):
         copy(c.v, c.from_v)
     if plan.baumgarte[0]:
         interval.baumgarte_term[0] = max(interval.baumgarte_term[0], _baumgarte_term(c, t))
+    if np.isnan(c.guards.energy[0]):
+        _begin_guards(c, t)
     before = c.counts[ITERATIONS]
     c.w.faulty[0] = -1  # if the run stops, the message names the force law that failed in this attempt
     status = take(run, method, attempt, t, h, control.controlled[0], mode)
     iterations = c.counts[ITERATIONS] - before
     error = 0.0
-    projected = False
+    projected = jumped = False
     if status == OK and control.controlled[0]:
         error = _local_error(c, plan)
     if status == OK and error <= 1.0:
+        distance = c.guards.distance[0] = distance_to_singularity(c)
         ends = control.controlled[0] and t + h >= plan.times.end[0]
         at = plan.times.end[0] if ends or progress.accepted[0] + 1 == plan.times.steps[0] else t + h
         due = (progress.accepted[0] + 1) % plan.projection.every[0] == 0
+        if mode == NEAR_SINGULARITY:
+            due = distance < plan.projection.near[0] * c.guards.farthest[0]
+        if control.controlled[0] or mode == PLAIN:
+            jumped = not _energy_is_kept(c, plan, at)
+    if status == OK and error <= 1.0 and not jumped:
         status, projected = project(run, at, mode, due, plan.projection.bound[0])
     interval.iterations[0] += iterations
-    if control.controlled[0] and (status in (DIVERGED, NOT_FINITE) or not error <= 1.0):
-        _reject(c, plan, h, status == OK, error)
+    if control.controlled[0] and (status in (DIVERGED, NOT_FINITE) or not error <= 1.0 or jumped):
+        c.guards.jumped[0] = jumped
+        _reject(c, plan, h, status == OK and not jumped, error)
         return OK
     if status != OK:
         c.base_state[0] = MODIFIED
@@ -211,11 +273,12 @@ def _dense_row(run, method, dense, row, t, h, at, mode):
     status = call_entry(dense, run, method, t, h, theta)
     if status != OK:
         return status
-    if mode == PLAIN:
+    if mode == PLAIN or mode == NEAR_SINGULARITY:
         fade = theta * theta * (3.0 - 2.0 * theta)
         for d in range(len(c.q)):
             c.point_q[d] += fade * c.shift_q[d]
             c.point_v[d] += fade * c.shift_v[d]
+    if mode == PLAIN:
         status = project_positions(c.still, c.w, c.solver, at, c.point_q, c.est_q, c.rest, c.x, c.lam)
         if status != OK:
             return status
@@ -293,8 +356,10 @@ def _advance(c, plan):
     if c.has_power[0] != 0:
         _add_energies(c)
     last = _advance_time(plan, c.progress)
-    raise_misalignments(c.still, c.w, c.progress.time[0], c.q, c.worst)
-    return OK, last
+    t = c.progress.time[0]
+    watch_branch(c, t, c.dq, c.v, c.guards.distance[0])
+    raise_misalignments(c.still, c.w, t, c.q, c.worst)
+    return _check_limits(c, plan, t), last
 
 
 @kernel
@@ -336,9 +401,11 @@ def drive(run, method, attempt, dense, plan, budget):
             if status != OK or rows >= len(c.row_time):
                 return status, rows
         status, last = _advance(c, planned)
-        if status != OK:
+        if status == NOT_FINITE:
             return status, rows
         if last or (every > 0 and progress.accepted[0] % every == 0):
             c.point_gain[0] = c.point_gain[1] = 0.0
             _write_row(c, rows, progress.time[0], c.q, c.v, c.point_gain, c.own_lam)
             rows += 1
+        if status != OK:
+            return status, rows

@@ -36,6 +36,11 @@ class Timetable:
         Steps after which the run stops.
     single
         Whether `Stepper.advance` takes one accepted step per call, so that it can be searched for events.
+    misalignment
+        Misalignment at which the run stops, as a share of the size of the mechanism.
+    energy_jump
+        Change of the energy balance in a step at which the run stops, as a share of the largest kinetic energy so far;
+        None: never.
     """
 
     start: float
@@ -46,6 +51,8 @@ class Timetable:
     interval: float | None = None
     max_steps: int = 10_000_000
     single: bool = False
+    misalignment: float = 1.0
+    energy_jump: float | None = None
 
     @property
     def last_step(self) -> float:
@@ -131,6 +138,47 @@ class Failure:
     sentence: str
 
 
+@dataclass(frozen=True)
+class Turn:
+    """A sharp turn of the velocity near a singular position, which suggests that the run left its branch there.
+
+    Parameters
+    ----------
+    time
+        Time of the smallest distance to singularity [s].
+    angle
+        Angle between the velocities before and after, as lines in the mass metric [rad].
+    path
+        Path between them in the mass metric, as a share of the size of the mechanism.
+    """
+
+    time: float
+    angle: float
+    path: float
+
+
+@dataclass(frozen=True)
+class StepEvidence:
+    """What a stepper has seen in every step, recorded or not.
+
+    Parameters
+    ----------
+    energy_jump
+        Largest change of the energy balance in one step [J]; projections do not count.
+    energy_jump_time
+        End of that step [s].
+    kinetic
+        Largest kinetic energy at the end of a step [J].
+    turns
+        Sharp turns near singular positions, at most 16.
+    """
+
+    energy_jump: float
+    energy_jump_time: float
+    kinetic: float
+    turns: tuple[Turn, ...] = ()
+
+
 class Advancing(Protocol):
     """An object that advances a run: a `Stepper`, or the watch for events around one."""
 
@@ -157,6 +205,11 @@ class Advancing(Protocol):
     @property
     def time(self) -> float:
         """Time reached [s]."""
+        ...
+
+    @property
+    def evidence(self) -> StepEvidence | None:
+        """What was seen in every step; None if the stepper does not watch its steps."""
         ...
 
     def advance(self) -> Stretch:

@@ -19,7 +19,7 @@ from mbdkit.engine.kernels.projection import (
 )
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, solve_system, solved_rows
 from mbdkit.engine.kernels.vectors import copy
-from mbdkit.stepping.run_plan import PLAIN, SYMMETRIC
+from mbdkit.stepping.run_plan import NO_PROJECTION, SYMMETRIC
 from mbdkit.stepping.run_state import MODIFIED, PROJECTIONS, load_run_state
 
 MAX_TRIALS = 100
@@ -150,7 +150,7 @@ def take(run, method, attempt, t, h, want_error, mode):
     for d in range(len(c.q)):
         c.new_q[d] = c.from_q[d] + c.dq[d]
         c.new_v[d] = c.from_v[d] + c.dv[d]
-    if mode == PLAIN:
+    if mode != NO_PROJECTION:
         c.shift_q[:] = 0.0
         c.shift_v[:] = 0.0
     return OK
@@ -160,7 +160,12 @@ def take(run, method, attempt, t, h, want_error, mode):
 def project(run, t, mode, due, bound):
     """Project the end of a step if a projection is due; return a status and whether the step is projected."""
     c = load_run_state(run)
-    if mode != PLAIN or not due or (bound > 0.0 and not _passes_bound(c, t, c.new_q, c.new_v, bound)):
+    if (
+        mode == NO_PROJECTION
+        or mode == SYMMETRIC
+        or not due
+        or (bound > 0.0 and not _passes_bound(c, t, c.new_q, c.new_v, bound))
+    ):
         return OK, mode == SYMMETRIC
     status = project_positions(c.still, c.w, c.solver, t, c.new_q, c.shift_q, c.rest, c.x, c.lam)
     if status != OK:

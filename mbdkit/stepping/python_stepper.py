@@ -89,6 +89,11 @@ class PythonStepper:
         self._before = self.now
         _load_kernels()
 
+    @property
+    def evidence(self) -> StepEvidence | None:
+        """See `Stepper.evidence`: steps are not watched."""
+        return None
+
     def advance(self) -> Stretch:
         """See `Stepper.advance`. An exception of the method is raised by the next call, so that no rows are lost."""
         if self.raised is not None:

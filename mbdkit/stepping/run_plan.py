@@ -15,11 +15,20 @@ from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.step_control import ControlData, control_data
 
 if TYPE_CHECKING:
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.engine.stabilization import Stabilization
     from mbdkit.stepping.step_control import Control
 
-NO_PROJECTION, PLAIN, SYMMETRIC = range(3)
-"""Projection mode: none, after the step, or symmetrically before and after it."""
+NO_PROJECTION, PLAIN, SYMMETRIC, NEAR_SINGULARITY = range(4)
+"""Projection mode: none, after the step, symmetrically before and after it, or after steps near singular positions.
+
+The last is that of controlled steps without stabilization. Drift turns the crossing of a singular position into a
+narrow bend onto another branch, which steps that are small enough follow; on the constraints themselves there is no
+such bend.
+"""
+
+NEAR = 0.1
+"""Share of the largest distance to singularity so far below which controlled steps are projected."""
 
 MIN_SIZE = 16 * float(np.finfo(float).eps)
 """Smallest controlled step size, relative to the largest time of the run: a step of a few roundings of the time."""
@@ -58,6 +67,17 @@ class Projection(NamedTuple):
     """Project after every k-th step."""
     bound: np.ndarray
     """Project only if a constraint is violated by more than this; 0: always."""
+    near: np.ndarray
+    """Share of the largest distance to singularity so far below which NEAR_SINGULARITY projects."""
+
+
+class GuardLimits(NamedTuple):
+    """Limits at which a run stops."""
+
+    squared_misalignment: np.ndarray
+    """(P,) for each pair [m^2, rad^2]."""
+    energy_jump: np.ndarray
+    """(1,) share of the largest kinetic energy so far by which the energy balance may change in a step; infinite: off."""
 
 
 class RunPlan(NamedTuple):
@@ -69,6 +89,7 @@ class RunPlan(NamedTuple):
     projection: Projection
     baumgarte: np.ndarray
     """(1,) whether Baumgarte's terms are part of the equations, so that their size is recorded."""
+    limits: GuardLimits
 
 
 def _real(x: float) -> np.ndarray:
@@ -79,14 +100,37 @@ def _whole(x: int) -> np.ndarray:
     return np.array([x], dtype=np.int64)
 
 
-def projection_mode(stabilization: Stabilization) -> int:
-    """Return the projection mode of a stabilization."""
+def projection_mode(stabilization: Stabilization, *, controlled: bool) -> int:
+    """Return the projection mode of a stabilization, with controlled or with fixed steps."""
+    if stabilization.kind == "none" and controlled:
+        return NEAR_SINGULARITY
     if stabilization.kind != "projection":
         return NO_PROJECTION
     return SYMMETRIC if stabilization.symmetric else PLAIN
 
 
-def new_plan(timetable: Timetable, control: Control | None, stabilization: Stabilization) -> RunPlan:
+def guard_limits(mechanism: CompiledMechanism, misalignment: float, energy_jump: float | None) -> GuardLimits:
+    """Return the limits of the guards; misalignments of angles are compared with a radian instead of the size.
+
+    Parameters
+    ----------
+    mechanism
+        The mechanism.
+    misalignment
+        Largest misalignment, as a share of the size of the mechanism.
+    energy_jump
+        Largest jump of the energy balance in a step, as a share of the largest kinetic energy so far; None: no limit.
+    """
+    size = np.full(len(mechanism.topology.pairs), mechanism.length)
+    for row in mechanism.rows:
+        if row.unit == "rad":
+            size[row.pair] = 1.0
+    return GuardLimits((misalignment * size) ** 2, _real(np.inf if energy_jump is None else energy_jump))
+
+
+def new_plan(
+    timetable: Timetable, control: Control | None, stabilization: Stabilization, limits: GuardLimits
+) -> RunPlan:
     """Return the plan of a run; `control` is None for fixed steps."""
     table = timetable
     step = table.step or 0.0
@@ -101,11 +145,13 @@ def new_plan(timetable: Timetable, control: Control | None, stabilization: Stabi
         ),
         control=control_data(control, MIN_SIZE * largest_time),
         projection=Projection(
-            mode=_whole(projection_mode(stabilization)),
+            mode=_whole(projection_mode(stabilization, controlled=control is not None)),
             every=_whole(stabilization.every),
             bound=_real(stabilization.bound or 0.0),
+            near=_real(NEAR),
         ),
         baumgarte=_whole(stabilization.kind == "baumgarte"),
+        limits=limits,
     )
 
 
@@ -118,7 +164,13 @@ def single_step(plan: RunPlan, t: float, h: float, *, projected: bool) -> RunPla
         control=control_data(None, 0.0),
         projection=plan.projection._replace(every=_whole(1 if projected else never)),
         baumgarte=_whole(0),
+        limits=plan.limits,
     )
 
 
-load_plan = bundle_loader(lambda: new_plan(Timetable(0.0, 1.0, step=1.0, steps=1), None, NONE))
+def _example() -> RunPlan:
+    no_limits = GuardLimits(np.zeros(0), _real(np.inf))
+    return new_plan(Timetable(0.0, 1.0, step=1.0, steps=1), None, NONE, no_limits)
+
+
+load_plan = bundle_loader(_example)

@@ -145,6 +145,11 @@ class SciPyStepper:
         self._finite = self._finite and bool(np.all(np.isfinite(out)))
         return out
 
+    @property
+    def evidence(self) -> StepEvidence | None:
+        """See `Stepper.evidence`: steps are not watched."""
+        return None
+
     def advance(self) -> Stretch:
         """See `Stepper.advance`."""
         rows: list[Row] = []
