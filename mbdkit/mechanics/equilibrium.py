@@ -14,7 +14,7 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.engine.nearest_state import ROUND_OFF, STAGNANT
 from mbdkit.errors import StepError
-from mbdkit.mechanics.reduced import State, at_rest, least_stiffness, stiffness_scale
+from mbdkit.mechanics.reduced import DENSE, State, at_rest, least_stiffness, reduce, stiffness_scale
 from mbdkit.mechanics.source import Placed
 from mbdkit.spec.plain_data import plain
 
@@ -44,6 +44,12 @@ PLACES = 1e-6
 
 MOST_CLOSINGS = 20
 """Largest number of Newton steps for closing the joints."""
+
+MOST_SADDLES = 10
+"""Largest number of saddles that a search leaves."""
+
+SADDLE = 1e-9
+"""A stiffness below minus this fraction of the largest stiffness of a single coordinate is negative, not rounding."""
 
 NEUTRAL = 1e-11
 """The lowest stiffness counts as zero below this fraction of the largest stiffness of a single coordinate."""
@@ -118,8 +124,8 @@ def equilibrium(source: Any, **sections: Any) -> Equilibrium:
     """Find the static equilibrium of a mechanism from its start.
 
     Solves ``Phi_q^T lam = Q(t, q, 0)``, ``Phi(t, q) = 0`` by Newton's method. Each step is damped in the mass metric
-    (Levenberg-Marquardt) until the forces do positive work along it. Saddles and maxima of the potential therefore
-    repel the search, and its result is stable unless the start itself is an unstable equilibrium;
+    (Levenberg-Marquardt) until the forces do positive work along it. A search that ends on a saddle of the potential is
+    continued beside it, so that the result is stable unless the start itself is an unstable equilibrium;
     `Equilibrium.stability` reports which. Drivers and loads are evaluated at the start time, ``time={"start": ...}``,
     and velocities are zero.
 
@@ -181,9 +187,17 @@ def _stability(placed: Placed, at: State) -> tuple[float, str]:
 
 
 def rest(placed: Placed) -> Rest:
-    """Return the static equilibrium; raises SpecError if none is found."""
+    """Return the static equilibrium; raises SpecError if none is found.
+
+    A search can end on a saddle of the potential, because steps towards it do positive work as well. It is then
+    continued from positions on both sides of the saddle, along the motion of lowest stiffness.
+    """
     search = _Search(placed)
     found = search.run()
+    for _ in range(MOST_SADDLES):
+        if found is None or not search.has_moved or not search.leave(_descent(placed, found)):
+            break
+        found = search.run()
     if found is not None:
         return found
     here = search.x
@@ -193,6 +207,22 @@ def rest(placed: Placed) -> Rest:
         f"no static equilibrium was found from this start in {search.tried} steps: in the last position body {name!r} "
         f"still accelerates by {abs(here[worst]):.3g} {unit}; start closer to an equilibrium, or hold that body"
     )
+
+
+def _descent(placed: Placed, found: Rest) -> np.ndarray | None:
+    """Return the motion (n,) along which the stiffness at rest is most negative; None if it is nowhere negative.
+
+    Also None for a mechanism that is too large to be reduced to its degrees of freedom.
+    """
+    if not 0 < placed.freedoms <= placed.equations.n <= DENSE:
+        return None
+    at = at_rest(placed, found.q, found.lam)
+    small = reduce(placed, at)
+    values, vectors = np.linalg.eigh(0.5 * (small.stiffness + small.stiffness.T))
+    if values[0] >= -SADDLE * stiffness_scale(placed, at):
+        return None
+    way: np.ndarray = small.basis @ vectors[:, 0]
+    return way
 
 
 class _Search:
@@ -245,6 +275,29 @@ class _Search:
         if self.settled:
             return Rest(self.q, self.lam, self.x, self.tried)
         return None
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether the position is no longer that of the start."""
+        return bool(np.any(self.q != self.p.q0))
+
+    def leave(self, way: np.ndarray | None) -> bool:
+        """Leave a saddle along `way` (n,) or against it, as far as the forces do work; return whether it was left."""
+        if way is None:
+            return False
+        way = way / self.size(way)
+        for reach in (0.1, 0.01, 0.001):
+            for side in (way, -way):
+                try:
+                    half, end = (self.closed(self.q + part * reach * side) for part in (0.5, 1.0))
+                    work, there = self.work(self.q, half, end), self.balance(end)
+                except (StepError, RuntimeError):  # the joints cannot be closed there
+                    continue
+                if work > 0:
+                    self.q = end
+                    self.x, self.lam, self.imbalance = there
+                    return True
+        return False
 
     def step(self, damping: float) -> bool:
         """Try a step with ``damping * M`` added to the stiffness, damping in 1/s^2; return whether it was taken.
