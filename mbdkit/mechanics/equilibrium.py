@@ -15,7 +15,7 @@ from mbdkit.engine.nearest_state import ROUND_OFF, STAGNANT
 from mbdkit.errors import StepError
 from mbdkit.mechanics.reduced import State, at_rest, least_stiffness, stiffness_scale
 from mbdkit.mechanics.source import Placed
-from mbdkit.spec.plain_data import plain
+from mbdkit.plain_data import plain
 
 MOST_STEPS = 500
 """Largest number of attempted steps, rejected ones included; beyond it the search fails."""

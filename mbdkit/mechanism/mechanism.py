@@ -11,12 +11,13 @@ from mbdkit.errors import SpecError
 from mbdkit.mechanism import higher_layers
 from mbdkit.mechanism.bodies import GROUND, Body
 from mbdkit.mechanism.checks import check_known, check_mechanism, check_name, check_tables
-from mbdkit.mechanism.element_errors import spec_error
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Distance, Driver, Joint, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
+from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Point, Table
+from mbdkit.plain_data import found, plain
 from mbdkit.strict_model import StrictModel
 from mbdkit.text import counted
 
@@ -227,7 +228,8 @@ class Mechanism:
         held = self._points(key, a, b, points, from_, to, "from_ and to")
         if length is None:
             if from_ is None or to is None:
-                raise SpecError("'length' is missing; it can be omitted only with from_ and to", key=f"{key}.length")
+                message = "is missing: distance between the two points [m]; it can be omitted only with from_ and to"
+                raise SpecError(message, key=f"{key}.length")
             (x1, y1), (x2, y2) = _point(from_, f"{key}.from_"), _point(to, f"{key}.to")
             length = ((x2 - x1) ** 2 + (y2 - y1) ** 2) ** 0.5
         self.joints[name] = _make(Distance, key, bodies=(a, b), points=held, length=length)
@@ -524,8 +526,8 @@ class Mechanism:
             With the key path of the first error.
         """
         if not isinstance(spec, Mapping):
-            raise SpecError(f"should be a mapping, not {type(spec).__name__}", key="model")
-        values = dict(spec)
+            raise SpecError(f"should be a mapping (`key: value`), not {found(spec)}", key="model")
+        values = plain(spec, ("model",))
         name = values.pop("name", "mechanism")
         if name != "mechanism":
             raise SpecError(f"only the free-form model 'mechanism' can be read here; got {name!r}", key="model.name")
@@ -592,7 +594,11 @@ class Mechanism:
                 f"give the position either as points= (in the frames of the bodies) or as {alternative} (global frame)",
                 key=key,
             )
-        return self.to_local(a, _point(at_a, key)), self.to_local(b, _point(at_b, key))
+        first, _, second = alternative.partition(" and ")
+        return (
+            self.to_local(a, _point(at_a, f"{key}.{first}")),
+            self.to_local(b, _point(at_b, f"{key}.{second or first}")),
+        )
 
 
 def _make(cls: type[AnyElement], key: str, **values: Any) -> AnyElement:
@@ -603,14 +609,14 @@ def _validated(cls: type[AnyElement], key: str, values: Mapping[str, Any]) -> An
     try:
         return cls.model_validate(values)
     except ValidationError as error:
-        raise spec_error(error, key, cls) from None
+        raise spec_error(error, cls, prefix=key) from None
 
 
 def _point(value: Any, key: str) -> tuple[float, float]:
     try:
         return _POINT.validate_python(value, strict=True)
     except ValidationError as error:
-        raise spec_error(error, key, MechanismData) from None
+        raise spec_error(error, Point, prefix=key) from None
 
 
 def _plain(element: StrictModel) -> dict[str, Any]:

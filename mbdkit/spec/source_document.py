@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mbdkit.errors import SpecError
-from mbdkit.spec.plain_data import Path, parse_path
+from mbdkit.plain_data import Path, parse_path
 
 
 @dataclass

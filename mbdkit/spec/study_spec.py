@@ -8,7 +8,7 @@ from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_valid
 from pydantic_core import PydanticCustomError
 
 from mbdkit.errors import SpecError
-from mbdkit.spec.plain_data import Path, path_text
+from mbdkit.plain_data import Path, path_text
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.sections import Section
 from mbdkit.spec.source_document import Document

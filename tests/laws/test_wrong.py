@@ -142,7 +142,7 @@ def test_a_force_in_the_frame_of_a_point_mass_is_refused() -> None:
     [
         ({"law": "one-sidde"}, "law", "did you mean 'one-sided'?"),
         ({"stifness": 2.0}, "stifness", "did you mean 'stiffness'?"),
-        ({"stiffness": -2.0}, "stiffness", "greater than or equal to 0"),
+        ({"stiffness": -2.0}, "stiffness", "should be at least 0, not -2.0"),
         ({"along": "x"}, "", "from_ and to can be given only with along="),
         ({"points": ((0, 0), (0, 0, 0)), "from_": None, "to": None}, "pathway.points[1]", "two numbers"),
     ],
