@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,11 @@ import mbdkit
 from mbdkit import ExpressionLaw, ForceLawPlugin, Mechanism, PluginError, SpecError
 from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
+from tests.spec_texts import changed, mechanism, place
 
 from .plugin import Nothing, length
 
-SPEC = """\
-mbdkit: 1
-integrator: {name: rk4}
-time: {end: 1, step: 0.1}
-model:
-  name: mechanism
-  bodies:
+SPEC = mechanism("""\
     arm: {mass: 1, inertia: 0.1, position: [0.5, 0]}
     ball: {mass: 1, position: [1.5, 0]}
   forces:
@@ -33,12 +29,8 @@ model:
         points: [[0, 0], [0.5, 0]]
       stiffness: 10
       acts: tension
-"""
-
-
-def spec(old: str, new: str) -> str:
-    assert SPEC.count(old) == 1
-    return SPEC.replace(old, new)
+""")
+spec = functools.partial(changed, SPEC)
 
 
 def table(columns: str) -> str:
@@ -123,7 +115,7 @@ def test_a_wrong_law_element_is_refused_with_line_and_key(case: str, tmp_path: P
     file.write_text(text)
     with pytest.raises(SpecError) as caught:
         load_spec(str(file))
-    assert str(caught.value).startswith(f"{file}:{line}: model.forces.p.{key}: ")
+    assert str(caught.value).startswith(place(file, line, f"model.forces.p.{key}"))
     assert words in str(caught.value)
 
 
