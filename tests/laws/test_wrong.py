@@ -39,8 +39,10 @@ def table(columns: str) -> str:
     )
 
 
-ANGLE = spec("two-points", "relative-angle").replace("        points: [[0, 0], [0.5, 0]]\n", "")
-COORDINATE = spec("two-points", "coordinate\n        coordinate: x")
+angle = functools.partial(
+    changed, spec("two-points", "relative-angle").replace("        points: [[0, 0], [0.5, 0]]\n", "")
+)
+coordinate = functools.partial(changed, spec("two-points", "coordinate\n        coordinate: x"))
 
 WRONG = {
     "unknown law": (spec("one-sided", "one-sidde"), 12, "law", "there is no force law 'one-sidde' (did you mean"),
@@ -70,36 +72,31 @@ WRONG = {
     ),
     "a point of three": (spec("[[0, 0], [0.5, 0]]", "[[0, 0, 0], [0.5, 0]]"), 16, "pathway.points[0]", "x, y"),
     "angle of a point mass": (
-        ANGLE.replace("[ground, arm]", "[arm, ball]"),
+        angle("[ground, arm]", "[arm, ball]"),
         15,
         "pathway.bodies[1]",
         "no angle for a pathway of type relative-angle",
     ),
     "points on an angle": (spec("two-points", "relative-angle"), 16, "pathway.points", "unknown key"),
     "coordinate in a point mass": (
-        COORDINATE.replace("[ground, arm]", "[ball, arm]"),
+        coordinate("[ground, arm]", "[ball, arm]"),
         16,
         "pathway.bodies[0]",
         "no angle for a pathway of type coordinate",
     ),
     "coordinate from another point": (
-        COORDINATE.replace("[[0, 0], [0.5, 0]]", "[[0, 1], [0.5, 0]]"),
+        coordinate("[[0, 0], [0.5, 0]]", "[[0, 1], [0.5, 0]]"),
         17,
         "pathway.points[0]",
         "from the origin of the first body",
     ),
     "coordinate angle": (
-        COORDINATE.replace("coordinate: x", "coordinate: angle"),
+        coordinate("coordinate: x", "coordinate: angle"),
         15,
         "pathway.coordinate",
         "{type: relative-angle, ...}",
     ),
-    "unknown coordinate": (
-        COORDINATE.replace("coordinate: x", "coordinate: z"),
-        15,
-        "pathway.coordinate",
-        "'x' or 'y'",
-    ),
+    "unknown coordinate": (coordinate("coordinate: x", "coordinate: z"), 15, "pathway.coordinate", "'x' or 'y'"),
     "table not increasing": (table("[[0, 2, 1], [0, 1, 2]]"), 13, "table[0][2]", "lengths must increase: 1.0 comes"),
     "table with a hole": (table("[[0, 1], [0, .nan]]"), 13, "table[1][1]", "finite"),
     "table of one point": (table("[[0], [0]]"), 13, "table", "two points or more"),
