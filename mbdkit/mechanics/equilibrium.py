@@ -12,7 +12,8 @@ from scipy.sparse.linalg import splu
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.observe import constraints_at
-from mbdkit.engine.nearest_state import ROUND_OFF, STAGNANT
+from mbdkit.engine.kernels.projection import STAGNANT
+from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.errors import StepError
 from mbdkit.mechanics.reduced import State, at_rest, least_stiffness, stiffness_scale
 from mbdkit.mechanics.source import Placed
