@@ -347,25 +347,20 @@ def scipy_counts(name: str, options: dict[str, Any]) -> dict[str, int]:
     """Return what SciPy itself says of the same run, on mbdkit's right side."""
     import scipy.integrate
 
-    from mbdkit.engine.assembly import assemble
-    from mbdkit.engine.compile_mechanism import compile_mechanism
-    from mbdkit.engine.workspace import Workspace
+    from mbdkit.engine.consistent_start import workspace_at_start
     from mbdkit.methods.kinds import SciPySolver
     from mbdkit.spec import load_spec
     from mbdkit.stepping.interface import Timetable
     from mbdkit.stepping.start import start_method
 
     solver = {"scipy-radau": "Radau", "scipy-dop853": "DOP853", "scipy-lsoda": "LSODA"}[name]
-    mechanism = load_spec(spec(), ()).mechanism()
-    compiled = compile_mechanism(mechanism)
-    assembled = assemble(mechanism, 0.0, compiled)
-    q, v = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (assembled.q, assembled.v))
-    stepper = start_method(SciPySolver(solver, **options), Workspace(compiled, 0.0, q, v), Timetable(0.0, 1.0))
+    workspace, _ = workspace_at_start(load_spec(spec(), ()).mechanism())
+    stepper = start_method(SciPySolver(solver, **options), workspace, Timetable(0.0, 1.0))
     jacobian = {"jac": stepper.jacobian} if name != "scipy-dop853" else {}  # type: ignore[attr-defined]
     found = scipy.integrate.solve_ivp(
         stepper.rates,  # type: ignore[attr-defined]
         (0.0, 1.0),
-        np.concatenate([q[:-3], v[:-3]]),
+        np.concatenate([workspace.q0[:-3], workspace.v0[:-3]]),
         method=solver,
         **options,
         **jacobian,

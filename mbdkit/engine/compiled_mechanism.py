@@ -13,6 +13,11 @@ from mbdkit.mechanism.values import Motion
 from mbdkit.text import counted, listed
 
 
+def with_ground(x: np.ndarray) -> np.ndarray:
+    """Return coordinates or velocities, (3 B,) or (B, 3), as a vector (3 (B + 1),) that ends with zeros for ground."""
+    return np.append(x, np.zeros(3))
+
+
 @dataclass(frozen=True)
 class Row:
     """One constraint row: its pair, its place in the pair (0 or 1), its label ``joint.row`` and its unit."""

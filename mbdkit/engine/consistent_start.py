@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from mbdkit.engine.assembly import AssembledState, assemble
 from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.redundancy import without_redundancy
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
@@ -56,5 +55,5 @@ def workspace_at_start(
 
     check_springs(mechanism.forces, placed)
     compiled = without_redundancy(compiled, t0, start.q.ravel(), start.v.ravel(), t0 if end is None else end)
-    q0, v0 = (np.append(x.ravel(), np.zeros(3)) for x in (start.q, start.v))
+    q0, v0 = with_ground(start.q), with_ground(start.v)
     return Workspace(compiled, t0, q0, v0, formulation=formulation, stabilization=stabilization), start

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.iteration_matrix import IterationMatrix, Pivots, chosen_pivots, classes_of, vector
@@ -86,8 +88,8 @@ class EquationsOfMotion:
         mechanism = workspace.mechanism
         self._workspace = workspace
         top, scratch = workspace.stepping_topology, workspace.scratch
-        self._hold = PinnedBundle(equations.new_equations(top, scratch, workspace.solver))
-        self.address = self._hold.address
+        self._pinned = PinnedBundle(equations.new_equations(top, scratch, workspace.solver))
+        self.address = self._pinned.address
         self.n, self.m = 3 * len(mechanism.bodies), len(mechanism.solved_rows)
         self.bodies = mechanism.bodies
         self.constraint_names = tuple(row.label for row in mechanism.solved_rows)
@@ -110,8 +112,6 @@ class EquationsOfMotion:
         t0
             Start time [s].
         """
-        from mbdkit.engine.consistent_start import workspace_at_start
-
         return cls(workspace_at_start(mechanism, t0)[0])
 
     @property
@@ -264,9 +264,8 @@ class EquationsOfMotion:
 
     def baumgarte_terms(self, t: float, q: np.ndarray, v: np.ndarray) -> float:
         """Return the largest of Baumgarte's terms ``2 alpha Phi' + beta^2 Phi`` at a state [m/s^2, rad/s^2]."""
-        workspace, ground = self._workspace, np.zeros(3)
-        state = (np.concatenate([vector(x, self.n), ground]) for x in (q, v))
-        return float(baumgarte_at(workspace.stepping_engine, float(t), *state))
+        state = (with_ground(vector(x, self.n)) for x in (q, v))
+        return float(baumgarte_at(self._workspace.stepping_engine, float(t), *state))
 
     def powers(self, t: float, q: np.ndarray, v: np.ndarray, lam: np.ndarray) -> tuple[float, float]:
         """Return the power of loads and drivers and the dissipated power at a state with multipliers `lam` [W]."""
@@ -306,9 +305,9 @@ class EquationsOfMotion:
 
         def solve() -> int:
             self.counters.factorizations += 1
-            if self._hold.bundle.solver is not workspace.solver:  # new pivots, chosen here or by the recorder
-                self._hold.replace(self._hold.bundle._replace(solver=workspace.solver))
-                self.address = self._hold.address
+            if self._pinned.bundle.solver is not workspace.solver:  # new pivots, chosen here or by the recorder
+                self._pinned.replace(self._pinned.bundle._replace(solver=workspace.solver))
+                self.address = self._pinned.address
             return int(equations.solution_of(self.address, *state, given, force, rows, x, mu))
 
         try:
@@ -317,10 +316,9 @@ class EquationsOfMotion:
             raise self._singular(error) from None
         if status == OK:
             return x, mu
-        if status == NOT_FINITE or not workspace.is_finite():
+        if status == NOT_FINITE or not workspace.is_finite(tangents=False):
             raise self._not_finite()
-        failed, order = int(workspace.solver.failed[0]), workspace.solver.pattern.column_of
-        raise self._singular(SingularSystemError(int(order[failed]) if 0 <= failed < len(order) else -1))
+        raise self._singular(SingularSystemError(workspace.failed_unknown))
 
     def _residual(
         self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray, *, with_forces: bool

@@ -93,13 +93,13 @@ class IterationMatrix:
         """Factorize a matrix; `source` holds the values of all terms, and `counters` counts the solves."""
         self._pivots, self._counters = pivots, counters
         self._complex = coefficients.dtype == complex
-        self._hold = pivots.take(coefficients.dtype.type)
+        self._pinned = pivots.take(coefficients.dtype.type)
         kernel = factorize_complex if self._complex else factorize_real
-        self.failed_at: int = kernel(source, self._hold.address, coefficients)
+        self.failed_at: int = kernel(source, self._pinned.address, coefficients)
         """Position of the pivot at which the factorization failed, -1 if none."""
 
     def __del__(self) -> None:
-        self._pivots.free.append(self._hold)
+        self._pivots.free.append(self._pinned)
 
     def solve(self, force: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Solve the system, with one step of refinement; counts as one Newton iteration.
@@ -129,7 +129,7 @@ class IterationMatrix:
         force, rows = vector(force, n, dtype), vector(rows, m, dtype)
         kernel = solve_complex if self._complex else solve_real
         self._counters.newton_iterations += 1
-        if not kernel(self._hold.address, force, rows, x, mu) < KKT_TOLERANCE:
+        if not kernel(self._pinned.address, force, rows, x, mu) < KKT_TOLERANCE:
             if not (np.all(np.isfinite(force)) and np.all(np.isfinite(rows))):
                 raise StepError("not-finite", "the right side of an iteration is not finite")
             raise StepError("singular", "the matrix of the iteration is too close to singular")

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.observe import constraints_at, stiffness_at
 from mbdkit.engine.workspace import new_scratch
@@ -44,14 +44,10 @@ class LeastChange:
         """Largest lever arm of a joint, at least 1 m: the ratio of a joint point's velocity to the angular velocity."""
         return max(1.0, float(np.max(np.abs(self.compiled.topology.pair_parameters[:, :4]), initial=0.0)))
 
-    def padded(self, x: np.ndarray) -> np.ndarray:
-        """Return a vector of coordinates (n,) with those of ground appended."""
-        return np.concatenate([x, np.zeros(3)])
-
     def evaluate(self, q: np.ndarray) -> tuple[np.ndarray, Entries, np.ndarray]:
         """Return Phi (m,), the Jacobian as (row, column, value) and Phi_t (m,)."""
         w, top = self.scratch, self.compiled.topology
-        constraints_at(top, w, self.t0, self.padded(q), self.padded(np.zeros(self.n)))
+        constraints_at(top, w, self.t0, with_ground(q), with_ground(np.zeros(self.n)))
         pair, place = self.rows[:, 0], self.rows[:, 1]
         blocks = w.jac.reshape(-1, 2, 6)[pair, place]
         columns = np.concatenate(
@@ -187,7 +183,7 @@ class LeastChange:
         """
         top = self.compiled.topology
         for k in np.flatnonzero(top.pairs[:, 0] == KINDS["distance"]):
-            constraints_at(top, self.scratch, self.t0, self.padded(q), self.padded(np.zeros(self.n)))
+            constraints_at(top, self.scratch, self.t0, with_ground(q), with_ground(np.zeros(self.n)))
             if np.all(np.isfinite(self.scratch.jac[k])):
                 continue
             for body in top.pairs[k, [2, 1]]:
@@ -232,7 +228,7 @@ class LeastChange:
         w, top = self.scratch, self.compiled.topology
         lam = np.zeros((len(top.pairs), 2))
         lam[self.rows[:, 0], self.rows[:, 1]] = multipliers
-        stiffness_at(top, w, self.t0, self.padded(q), self.padded(np.zeros(self.n)), lam)
+        stiffness_at(top, w, self.t0, with_ground(q), with_ground(np.zeros(self.n)), lam)
         columns = np.concatenate([3 * top.pairs[:, 1:2] + np.arange(3), 3 * top.pairs[:, 2:3] + np.arange(3)], axis=1)
         row, column = np.repeat(columns, 6, axis=1).ravel(), np.tile(columns, (1, 6)).ravel()
         keep = (row < self.n) & (column < self.n) & (w.stiff.ravel() != 0)

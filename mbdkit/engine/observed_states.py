@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class StateObserver:
     def observe(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, out: Observed) -> SingularState | None:
         """Evaluate states in order and write the results into `out`; stop at a state without unique accelerations.
 
-        If the elimination with the current pivots fails at a state, new pivots are chosen once for that state.
+        If the elimination with the current pivots fails at a state, that state is tried again with new pivots.
 
         Parameters
         ----------
@@ -70,25 +71,27 @@ class StateObserver:
         SingularState or None
             The state that could not be evaluated. Its row of `out` and all later rows are not valid.
         """
-        count = len(times)
-        done, repivoted = 0, -1
-        while done < count:
-            part = slice(done, min(done + self._most_states(), count))
-            stress, rows = self._self_stress(part.stop - done), out.rows(part)
-            engine = self.workspace.engine
-            status, reached = observe(engine, times[part], q[part], v[part], rows, stress, self._near)
+        count, done = len(times), 0
+
+        def evaluate(end: int) -> int:
+            """Evaluate the states from `done` to `end`, add their number to `done`, and return a status."""
+            nonlocal done
+            part = slice(done, end)
+            stress, rows = self._self_stress(end - done), out.rows(part)
+            status, reached = observe(self.workspace.engine, times[part], q[part], v[part], rows, stress, self._near)
             if self._directions and reached:
                 self._share(out.rows(slice(done, done + reached)), stress.rows(slice(0, reached)))
             done += reached
-            if status == OK:
+            return int(status)
+
+        while done < count:
+            if evaluate(min(done + self._most_states(), count)) == OK:
                 continue
-            if repivoted == done:
-                return SingularState(done, -1)
             try:
-                self.workspace.use_pivots()
+                if self.workspace.retry_with_new_pivots(partial(evaluate, done + 1)) != OK:
+                    return SingularState(done, self.workspace.failed_unknown)
             except SingularSystemError as error:
                 return SingularState(done, error.index)
-            repivoted = done
         return None
 
     def _share(self, observed: Observed, stress: SelfStress) -> None:

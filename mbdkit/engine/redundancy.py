@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.engine.compiled_mechanism import CompiledMechanism, Redundancy
+from mbdkit.engine.compiled_mechanism import CompiledMechanism, Redundancy, with_ground
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.independent_rows import choose_spare, direction_frames
 from mbdkit.engine.kernels.observe import constraints_at, tangents_at
@@ -256,7 +256,7 @@ class _Analysis:
     def check_accelerations(self, start: _Place, v0: np.ndarray) -> None:
         """Raise SpecError if redundant rows require different accelerations."""
         search, top = self.search, self.compiled.topology
-        constraints_at(top, search.scratch, self.t0, search.padded(start.q), search.padded(v0))
+        constraints_at(top, search.scratch, self.t0, with_ground(start.q), with_ground(v0))
         gamma = search.scratch.gamma[self.pair, self.place] * start.scale
         size = max(1.0, float(np.max(np.abs(gamma))))
         if float(np.max(np.abs(start.stresses.T @ gamma))) > CONTRADICTION * size:

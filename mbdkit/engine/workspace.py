@@ -169,10 +169,18 @@ class Workspace:
                 scale[index] = 1 / np.sqrt(value)
         return power_of_two(scale)
 
-    def is_finite(self) -> bool:
-        """Return whether the matrix terms, gamma and forces of the last evaluation are finite."""
+    def is_finite(self, *, tangents: bool = True) -> bool:
+        """Return whether the matrix terms, gamma and forces of the last evaluation are finite.
+
+        Parameters
+        ----------
+        tangents
+            Whether the derivatives of forces and constraints are checked as well. They are not part of the index-1
+            system, and may be left over from an earlier state.
+        """
         w = self.scratch
-        return bool(all(np.all(np.isfinite(x)) for x in (w.source, w.gamma, w.force)))
+        terms = w.source if tangents else w.source[self.terms.chosen(tangents=False).source]
+        return bool(all(np.all(np.isfinite(x)) for x in (terms, w.gamma, w.force)))
 
     def motions_are_finite(self) -> bool:
         """Return whether drivers and loads were finite in the last evaluation."""
@@ -188,8 +196,8 @@ class Workspace:
         pattern, factors, scatter = self.choose_pivots()
         self.solver.pivoted[0] = 1
         self.solver = self.solver._replace(pattern=pattern, factors=factors, scatter=scatter)
-        for hold in (self._engine, self._stepping_engine):
-            hold.replace(hold.bundle._replace(solver=self.solver))
+        for pinned in (self._engine, self._stepping_engine):
+            pinned.replace(pinned.bundle._replace(solver=self.solver))
 
     def with_own_pivots(self) -> Workspace:
         """Return a workspace that shares the arrays of this one, but whose pivots are chosen independently."""
@@ -199,6 +207,12 @@ class Workspace:
         other._engine = PinnedBundle(self._engine.bundle._replace(solver=other.solver))
         other._stepping_engine = PinnedBundle(self._stepping_engine.bundle._replace(solver=other.solver))
         return other
+
+    @property
+    def failed_unknown(self) -> int:
+        """Unknown at which the last factorization with chosen pivots failed; -1 if not known."""
+        failed, order = int(self.solver.failed[0]), self.solver.pattern.column_of
+        return int(order[failed]) if 0 <= failed < len(order) else -1
 
     def retry_with_new_pivots(self, solve: Callable[[], int]) -> int:
         """Call `solve`, a second time with newly chosen pivots if it fails for lack of good ones.
@@ -212,7 +226,7 @@ class Workspace:
         Returns
         -------
         int
-            The last status. After an overflow, where new pivots cannot help, `solve` is called only once.
+            The last status. If the index-1 system is not finite, new pivots cannot help, and `solve` is called once.
 
         Raises
         ------
@@ -220,7 +234,7 @@ class Workspace:
             If no pivots can be found.
         """
         status = solve()
-        if status in (OK, NOT_FINITE) or not self.is_finite():
+        if status in (OK, NOT_FINITE) or not self.is_finite(tangents=False):
             return status
         self.use_pivots()
         return solve()

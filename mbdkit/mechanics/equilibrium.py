@@ -9,9 +9,11 @@ import numpy as np
 from scipy.sparse import block_array, diags_array
 from scipy.sparse.linalg import splu
 
+from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.observe import constraints_at
-from mbdkit.engine.nearest_state import ROUND_OFF, STAGNANT
+from mbdkit.engine.kernels.projection import STAGNANT
+from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.errors import StepError
 from mbdkit.mechanics.reduced import State, at_rest, least_stiffness, stiffness_scale
 from mbdkit.mechanics.source import Placed
@@ -325,8 +327,7 @@ class _Search:
 def _reactions(placed: Placed, q: np.ndarray, multiplier: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return force (J, 2) [N] and torque (J,) [N m] of each joint on its second body, at that body's joint point."""
     compiled, w = placed.workspace.mechanism, placed.workspace.scratch
-    top, ground = compiled.topology, np.zeros(3)
-    padded = np.concatenate([q, ground])
+    top, padded = compiled.topology, with_ground(q)
     constraints_at(top, w, placed.equations.t0, padded, np.zeros_like(padded))
     lam = np.zeros((len(top.pairs), 2))
     for row, value in zip(compiled.rows, multiplier, strict=True):

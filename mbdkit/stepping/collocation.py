@@ -1,4 +1,4 @@
-"""Collocation methods of any formulation, and other fully implicit Runge-Kutta methods, as a compiled family.
+"""Compiled collocation methods of any formulation, and other fully implicit Runge-Kutta methods.
 
 One step is the same for all formulations (`mbdkit.stepping.collocation_step`). A formulation gives the residual and the
 change of the stages, and the change that has to converge (`mbdkit.stepping.collocation_stages.StageKernels`); a new one
@@ -24,10 +24,10 @@ from mbdkit.stepping.collocation_stages import (
     new_stages,
     new_systems,
 )
-from mbdkit.stepping.compiled_method import Family
-from mbdkit.stepping.convergence import describe_divergence
+from mbdkit.stepping.compiled_method import CompiledMethod
+from mbdkit.stepping.convergence import TOLERANCE, describe_divergence
 from mbdkit.stepping.coupled_newton import CoupledNewton
-from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS, RHS, Common
+from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS, RHS, RunState
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
@@ -38,7 +38,7 @@ FORMULATIONS = {"index-1": collocation_index1.FORMULATION, **collocation_constra
 """The stage equations by the name of the formulation."""
 
 
-class CollocationFamily(Family):
+class CompiledCollocation(CompiledMethod):
     """A fully implicit tableau on the formulation of a workspace.
 
     Parameters
@@ -61,57 +61,66 @@ class CollocationFamily(Family):
         self.carries_multipliers = formulation.solves_multipliers
         self.has_dense_output = method.tableau.is_collocation
         self.rk = coefficients_of(method.tableau)
-        tolerance = formulation.tolerance
+        tolerance = TOLERANCE
         if method.tolerance is not None:
             tolerance = method.tolerance
         elif control is not None and not formulation.solves_multipliers:  # it is relative to accelerations
             tolerance = control.iteration_tolerance
         solver = NEWTON if method.stage_solver == "newton" else FIXED_POINT
-        self.own = new_stages(
+        self.bundle = new_stages(
             self.rk,
             workspace,
             new_settings(formulation.code, solver, method.max_iterations, tolerance),
             _terms_by_position(workspace),
             solves_multipliers=formulation.solves_multipliers,
         )
-        self.hold = PinnedBundle(self.own)
+        self.pinned = PinnedBundle(self.bundle)
         self.coupled: CoupledNewton | None = None
-        own, room = self.own, self.own.constraints
-        self.memory = (own.acc, own.lam, room.mu, room.shift, *own.previous, own.first.acc, own.first.known, own.power)
+        stages, room = self.bundle, self.bundle.constraints
+        self.memory = (
+            stages.acc,
+            stages.lam,
+            room.mu,
+            room.shift,
+            *stages.previous,
+            stages.first.acc,
+            stages.first.known,
+            stages.power,
+        )
 
-    def start(self, common: Common, h: float) -> None:
-        """Choose pivots for the stage matrix at the state in `common`."""
-        self.renew(common, self.workspace.t0, h)
+    def start(self, run_state: RunState, h: float) -> None:
+        """Choose pivots for the stage matrix at the state in `run_state`."""
+        self.renew(run_state, self.workspace.t0, h)
 
     def forget(self) -> None:
         """Start the next step without stage values to extrapolate."""
-        self.own.previous.size[0] = np.nan
+        self.bundle.previous.size[0] = np.nan
 
-    def renew(self, common: Common, t: float, h: float) -> bool:
-        """Choose new pivots for the stage matrix at the state in `common`; the next step starts without stage values.
+    def renew(self, run_state: RunState, t: float, h: float) -> bool:
+        """Choose new pivots for the stage matrix at the state in `run_state`; discard stage values.
 
         Raises
         ------
         SingularSystemError
             If the matrix, or the index-1 system, is singular.
         """
-        own, workspace = self.own, self.workspace
+        stages, workspace = self.bundle, self.workspace
         self.forget()
-        self._evaluate_tangents(common, t)
-        fixed_point = own.settings.solver[0] == FIXED_POINT
+        self._evaluate_tangents(run_state, t)
+        fixed_point = stages.settings.solver[0] == FIXED_POINT
         pattern, scatter = self.formulation.choose_pivots(workspace, None if fixed_point else self._rate(h))
-        self.own = own._replace(systems=new_systems(self.rk, pattern, scatter, workspace.unknowns))
-        self.hold.replace(self.own)
+        self.bundle = stages._replace(systems=new_systems(self.rk, pattern, scatter, workspace.unknowns))
+        self.pinned.replace(self.bundle)
         return True
 
-    def _evaluate_tangents(self, common: Common, t: float) -> None:
-        """Evaluate the tangents at the state in `common`; raises SingularSystemError."""
-        own, workspace = self.own, self.workspace
+    def _evaluate_tangents(self, run_state: RunState, t: float) -> None:
+        """Evaluate the tangents at the state in `run_state`; raises SingularSystemError."""
+        stages, workspace = self.bundle, self.workspace
         workspace.retry_with_new_pivots(
-            lambda: tangents_at(workspace.stepping_engine, t, common.q, common.v, own.spread[0], own.pairs)
+            lambda: tangents_at(workspace.stepping_engine, t, run_state.q, run_state.v, stages.spread[0], stages.pairs)
         )
         if not self.formulation.solves_multipliers:
-            own.lam[:] = 0.0
+            stages.lam[:] = 0.0
 
     def _rate(self, h: float) -> complex:
         """Return ``h mu`` of the eigenvalue by which pivots are chosen; real only if all eigenvalues are."""
@@ -119,24 +128,24 @@ class CollocationFamily(Family):
             return complex(h * self.rk.mu_complex[0])
         return float(h * max(self.rk.mu_real, key=abs))
 
-    def solve_apart(self, common: Common, t: float, h: float) -> bool:
+    def solve_apart(self, run_state: RunState, t: float, h: float) -> bool:
         """Solve the stages of the next attempt with a tangent for each stage; return whether that succeeded.
 
         Only for index-1: other formulations do not fail near singular positions in this way.
         """
-        own = self.own
-        if own.settings.solver[0] == FIXED_POINT or self.formulation.solves_multipliers:
+        stages = self.bundle
+        if stages.settings.solver[0] == FIXED_POINT or self.formulation.solves_multipliers:
             return False
         if self.coupled is None:
             self.coupled = CoupledNewton(self.workspace, self.rk.a, self.rk.a2, self.rk.c)
-        iterations = self.coupled.solve(t, h, common.q, common.v, own.acc, own.lam)
-        spent, counts = self.coupled.counters, common.counts
+        iterations = self.coupled.solve(t, h, run_state.q, run_state.v, stages.acc, stages.lam)
+        spent, counts = self.coupled.counters, run_state.counts
         counts[RHS] += spent.rhs_evaluations
         counts[JACOBIANS] += spent.jacobian_evaluations
         counts[FACTORIZATIONS] += spent.factorizations
         spent.rhs_evaluations = spent.jacobian_evaluations = spent.factorizations = 0
-        own.solved_apart[0] = iterations if iterations <= own.settings.most_iterations[0] else 0
-        return bool(own.solved_apart[0] > 0)
+        stages.solved_apart[0] = iterations if iterations <= stages.settings.most_iterations[0] else 0
+        return bool(stages.solved_apart[0] > 0)
 
     def describe_divergence(self, report: np.ndarray) -> str:
         """Return the largest change of an acceleration and where it is."""

@@ -37,10 +37,9 @@ from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
 from mbdkit.engine.jit.decorators import entry, inlined, subkernel
 from mbdkit.engine.kernels.applied_forces import applied_forces
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, STIFFNESS
-from mbdkit.engine.kernels.projection import position_rows, rate_rows
+from mbdkit.engine.kernels.projection import STAGNANT, position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
     OK,
-    REPIVOT_STAGES,
     Scatter,
     evaluate_powers,
     evaluate_tangents,
@@ -60,15 +59,13 @@ from mbdkit.stepping.collocation_stages import (
 )
 from mbdkit.stepping.collocation_step import evaluate_mean, state_inside, try_step
 from mbdkit.stepping.convergence import (
-    CANCELLING_FORCES,
     NEGLIGIBLE_CHANGE,
     PATIENCE,
-    STATE_TOLERANCE,
     accelerations_are_round_off,
     moves_by_roundings,
     relative_to_state,
 )
-from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS, RHS, load_common
+from mbdkit.stepping.run_state import FACTORIZATIONS, RHS, load_run_state
 from mbdkit.stepping.simplified_newton import factorize_all, newton_changes
 from mbdkit.stepping.stage_polynomials import extrapolation_weights
 
@@ -88,13 +85,7 @@ def _tangents(c, m, t, h):
     prepare(top, w, t + middle * h, m.mean.q)
     unfold_multipliers(top, w.cs, m.mean.lam)
     evaluate_tangents(top, w, t + middle * h, m.mean.q, m.mean.v, m.mean.acc, m.mean.lam)
-    c.counts[JACOBIANS] += 1
-    c.counts[FACTORIZATIONS] += len(m.rk.mu_real) + len(m.rk.mu_complex)
-    failed = factorize_all(w.source, m.rk, m.systems, h, 0.5)
-    if failed >= 0:
-        c.solver.failed[0] = failed
-        return REPIVOT_STAGES
-    return OK
+    return factorize_all(c, m, h, 0.5)
 
 
 @subkernel
@@ -251,13 +242,13 @@ def _sizes(c, m, h):
 def _round_off(c, m, h, now, moved, idle):
     """Return whether a change that no longer shrinks is the round-off of positions or of single forces.
 
-    The latter is large where stiff springs cancel.
+    The latter is large where stiff springs cancel, but never above `STAGNANT`.
     """
     if moves_by_roundings(moved):
         return True
     if idle < PATIENCE:
         return False
-    return now <= NEGLIGIBLE_CHANGE or (moved <= CANCELLING_FORCES and accelerations_are_round_off(c, m, h, True))
+    return now <= NEGLIGIBLE_CHANGE or (moved <= STAGNANT and accelerations_are_round_off(c, m, h, True))
 
 
 @subkernel
@@ -294,9 +285,9 @@ _KERNELS = StageKernels(_tangents, _changes, _sizes, _round_off, _powers, _right
 
 
 @entry
-def attempt(common, own, t, h, want_error):
+def attempt(run, method, t, h, want_error):
     """Try a step from the base state; see `mbdkit.stepping.driver`."""
-    c, m = load_common(common), load_stages(own)
+    c, m = load_run_state(run), load_stages(method)
     status = try_step(c, m, t, h, want_error, _KERNELS)
     if status == OK:
         last = len(m.rk.c) - 1
@@ -305,9 +296,9 @@ def attempt(common, own, t, h, want_error):
 
 
 @entry
-def dense(common, own, t, h, theta):
+def dense(run, method, t, h, theta):
     """Write state and multipliers at ``t + theta h`` within the last attempt, by its collocation polynomial."""
-    c, m = load_common(common), load_stages(own)
+    c, m = load_run_state(run), load_stages(method)
     state_inside(c, m, h, theta)
     extrapolation_weights(theta, 0.0, m.rk.c, m.weights)  # every row: the polynomial at theta
     m.pairs[:, :] = 0.0
@@ -339,7 +330,6 @@ def _formulation(code: int) -> StageFormulation:
         dense=dense,
         choose_pivots=partial(_choose_pivots, 0.0 if code == INDEX_3 else 0.5),
         solves_multipliers=True,
-        tolerance=STATE_TOLERANCE,
     )
 
 

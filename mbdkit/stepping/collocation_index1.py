@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING
 from mbdkit.engine.jit.decorators import entry, inlined, subkernel
 from mbdkit.engine.kernels.system import (
     OK,
-    REPIVOT_STAGES,
     evaluate_powers,
     evaluate_tangents,
     prepare,
@@ -32,13 +31,12 @@ from mbdkit.engine.kernels.vectors import copy
 from mbdkit.stepping.collocation_stages import INDEX_1, NEWTON, StageFormulation, StageKernels, load_stages
 from mbdkit.stepping.collocation_step import evaluate_mean, state_inside, try_step
 from mbdkit.stepping.convergence import (
-    ACCELERATION_TOLERANCE,
     NEGLIGIBLE_CHANGE,
-    PATIENCE_INDEX_1,
+    PATIENCE,
     accelerations_are_round_off,
     relative_to_accelerations,
 )
-from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS, RHS, load_common
+from mbdkit.stepping.run_state import FACTORIZATIONS, RHS, load_run_state
 from mbdkit.stepping.simplified_newton import factorize_all, newton_changes
 
 if TYPE_CHECKING:
@@ -55,13 +53,7 @@ def _tangents(c, m, t, h):
     evaluate_tangents(top, w, t + 0.5 * h, m.mean.q, m.mean.v, m.mean.acc, m.mean.lam)
     for p in range(len(top.pairs)):
         copy(w.jac[p], m.mean.jac[p])
-    c.counts[JACOBIANS] += 1
-    c.counts[FACTORIZATIONS] += len(m.rk.mu_real) + len(m.rk.mu_complex)
-    failed = factorize_all(w.source, m.rk, m.systems, h, 1.0)
-    if failed >= 0:
-        c.solver.failed[0] = failed
-        return REPIVOT_STAGES
-    return OK
+    return factorize_all(c, m, h, 1.0)
 
 
 @subkernel
@@ -133,7 +125,7 @@ def _sizes(c, m, h):
 @subkernel
 def _round_off(c, m, h, now, moved, idle):
     """Return whether a change of the accelerations that no longer shrinks is round-off."""
-    return now <= NEGLIGIBLE_CHANGE or accelerations_are_round_off(c, m, h, idle >= PATIENCE_INDEX_1)
+    return now <= NEGLIGIBLE_CHANGE or accelerations_are_round_off(c, m, h, idle >= PATIENCE)
 
 
 @subkernel
@@ -146,15 +138,15 @@ _KERNELS = StageKernels(_tangents, _changes, _sizes, _round_off, _powers, _right
 
 
 @entry
-def attempt(common, own, t, h, want_error):
+def attempt(run, method, t, h, want_error):
     """Try a step from the base state; see `mbdkit.stepping.driver`."""
-    return try_step(load_common(common), load_stages(own), t, h, want_error, _KERNELS)
+    return try_step(load_run_state(run), load_stages(method), t, h, want_error, _KERNELS)
 
 
 @entry
-def dense(common, own, t, h, theta):
+def dense(run, method, t, h, theta):
     """Write the state at ``t + theta h`` within the last attempt, by its collocation polynomial."""
-    state_inside(load_common(common), load_stages(own), h, theta)
+    state_inside(load_run_state(run), load_stages(method), h, theta)
     return OK
 
 
@@ -169,5 +161,4 @@ FORMULATION = StageFormulation(
     dense=dense,
     choose_pivots=_choose_pivots,
     solves_multipliers=False,
-    tolerance=ACCELERATION_TOLERANCE,
 )

@@ -42,8 +42,6 @@ class StageFormulation:
     solves_multipliers
         Whether multipliers are unknowns of the stage equations, so that the method carries its own. Otherwise
         multipliers follow from accelerations.
-    tolerance
-        Default relative change at which the iteration ends.
     """
 
     code: int
@@ -51,7 +49,6 @@ class StageFormulation:
     dense: Entry
     choose_pivots: Callable[[Workspace, complex | None], tuple[Pattern, Scatter]]
     solves_multipliers: bool
-    tolerance: float
 
 
 class StageKernels(NamedTuple):

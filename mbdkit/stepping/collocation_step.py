@@ -22,7 +22,7 @@ from mbdkit.stepping.convergence import (
     is_stalled,
     report_divergence,
 )
-from mbdkit.stepping.run_state import ADVANCED, FACTORIZATIONS, ITERATIONS, RHS, SAME
+from mbdkit.stepping.run_state import AT_END_OF_LAST, AT_START_OF_LAST, FACTORIZATIONS, ITERATIONS, RHS
 from mbdkit.stepping.simplified_newton import filter_estimate, leading
 from mbdkit.stepping.stage_polynomials import (
     dense_gains,
@@ -137,13 +137,13 @@ def _keep_first_acceleration(c, m):
     s = len(m.rk.c)
     first = m.first
     if (
-        c.moved[0] == ADVANCED
+        c.base_state[0] == AT_END_OF_LAST
         and first.known[0] != 0
         and m.rk.c[s - 1] == 1.0
         and m.settings.formulation[0] == INDEX_1  # else stages do not satisfy the index-1 equations
     ):
         copy(m.acc[s - 1], first.acc)  # the last stage of the previous step is the beginning of this one
-    elif c.moved[0] != SAME:
+    elif c.base_state[0] != AT_START_OF_LAST:
         first.known[0] = 0
 
 

@@ -1,4 +1,4 @@
-"""The base class of families of compiled methods."""
+"""The base class of compiled methods."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ if TYPE_CHECKING:
     from mbdkit.engine.jit.bundle import PinnedBundle
     from mbdkit.engine.jit.entry import Entry
     from mbdkit.engine.workspace import Workspace
-    from mbdkit.stepping.run_state import Common
+    from mbdkit.stepping.run_state import RunState
 
 
-class Family(ABC):
+class CompiledMethod(ABC):
     """A compiled method on one mechanism: its compiled functions, its bundle, and the work that is done in Python.
 
     Attributes
@@ -23,8 +23,8 @@ class Family(ABC):
         The compiled step and dense output; see `mbdkit.stepping.driver`.
     hint
         Advice to the user, added to the message when a step fails.
-    hold
-        The method's own bundle.
+    pinned
+        The bundle of the method at a fixed address, as kernels read it.
     memory
         The arrays that a step reads from the step before, and those that dense output reads.
     has_dense_output
@@ -38,7 +38,7 @@ class Family(ABC):
     attempt: Entry
     dense: Entry | None = None
     hint: ClassVar[str] = "a smaller time.step may help"
-    hold: PinnedBundle
+    pinned: PinnedBundle
     memory: tuple[np.ndarray, ...]
     has_dense_output: bool = False
     carries_multipliers: bool = False
@@ -47,10 +47,10 @@ class Family(ABC):
     def __init__(self, workspace: Workspace):
         self.workspace = workspace
 
-    def start(self, common: Common, h: float) -> None:  # noqa: B027
-        """Prepare for steps of about `h` from the state in `common`; raises SingularSystemError."""
+    def start(self, run_state: RunState, h: float) -> None:  # noqa: B027
+        """Prepare for steps of about `h` from the state in `run_state`; raises SingularSystemError."""
 
-    def renew(self, common: Common, t: float, h: float) -> bool:
+    def renew(self, run_state: RunState, t: float, h: float) -> bool:
         """Choose new pivots for the matrices of the method itself; return whether the step is worth another attempt.
 
         Raises
@@ -63,10 +63,10 @@ class Family(ABC):
     def forget(self) -> None:  # noqa: B027
         """Discard the values that the last step kept for the next."""
 
-    def solve_apart(self, common: Common, t: float, h: float) -> bool:
+    def solve_apart(self, run_state: RunState, t: float, h: float) -> bool:
         """Solve the equations of the next attempt by a more robust, slower method; return whether that succeeded.
 
-        The step is from the state in `common` at `t`, of size `h`. Called before a run stops with a failure.
+        The step is from the state in `run_state` at `t`, of size `h`. Called before a run stops with a failure.
         """
         return False
 

@@ -18,19 +18,19 @@ from mbdkit.stepping import driver
 from mbdkit.stepping.interface import Failure, Pace, StepTaken, Stretch, Timetable, joined
 from mbdkit.stepping.run_plan import PLAIN, SYMMETRIC, new_plan, projection_mode, single_step
 from mbdkit.stepping.run_state import (
-    ALTERED,
     FACTORIZATIONS,
     INTERVAL_FIELDS,
     ITERATIONS,
     JACOBIANS,
+    MODIFIED,
     PROJECTIONS,
     RHS,
-    new_common,
+    new_run_state,
 )
 from mbdkit.stepping.step_control import SOLVER_FAILURE_FACTOR, Control, first_step
 
 if TYPE_CHECKING:
-    from mbdkit.stepping.compiled_method import Family
+    from mbdkit.stepping.compiled_method import CompiledMethod
     from mbdkit.stepping.run_plan import RunPlan
 
 SINGULAR, REGULAR = 1e-6, 1e-2
@@ -54,7 +54,7 @@ class CompiledStepper:
 
     Parameters
     ----------
-    family
+    method
         The method.
     workspace
         The mechanism and its start, with formulation and stabilization.
@@ -64,32 +64,34 @@ class CompiledStepper:
         Step-size control; None: fixed steps.
     """
 
-    def __init__(self, family: Family, workspace: Workspace, timetable: Timetable, control: Control | None = None):
-        self.family, self.workspace, self.timetable = family, workspace, timetable
+    def __init__(
+        self, method: CompiledMethod, workspace: Workspace, timetable: Timetable, control: Control | None = None
+    ):
+        self.method, self.workspace, self.timetable = method, workspace, timetable
         self.controlled = control is not None
         self.counters = Counters()
         self.finished = False
         self.failure: Failure | None = None
         self.time = timetable.start
         rows = max(2, min(MAX_ROWS, MAX_ROW_BYTES // (16 * workspace.mechanism.size)))
-        self.common = new_common(workspace, rows, own_multipliers=family.carries_multipliers)
-        self.hold = PinnedBundle(self.common)
+        self.run_state = new_run_state(workspace, rows, own_multipliers=method.carries_multipliers)
+        self._pinned_state = PinnedBundle(self.run_state)
         self.plan = new_plan(timetable, control, workspace.stabilization)
         self._plan = PinnedBundle(self.plan)
-        self.worst_pairs = self.common.worst
+        self.worst_pairs = self.run_state.worst
         self._renewed: set[tuple[int, int]] = set()
         size = timetable.step
         if control is not None:
             span = timetable.end - timetable.start
             size = min(span, size if size is not None else first_step(workspace, span, control))
         assert size is not None
-        progress = self.common.progress
+        progress = self.run_state.progress
         progress.time[0], progress.next_row[0], progress.next_size[0] = timetable.start, 1.0, size
-        family.start(self.common, size)
+        method.start(self.run_state, size)
         self._take_up_pivots()
-        self._dense = family.dense.address if family.dense is not None else 0
+        self._dense = method.dense.address if method.dense is not None else 0
         self.mode = projection_mode(workspace.stabilization)
-        iterates = family.carries_stages or self.mode == SYMMETRIC
+        iterates = method.carries_stages or self.mode == SYMMETRIC
         self.pace = Pace(max(1, min(16 if iterates else 256, 100_000 // workspace.mechanism.size)))
         self.last_step: StepTaken | None = None
         self._before: list[np.ndarray] = []
@@ -98,21 +100,21 @@ class CompiledStepper:
 
     def _drive(self, plan: PinnedBundle, budget: int) -> tuple[int, int]:
         """Attempt up to `budget` steps of a plan in compiled code; return (status, rows)."""
-        family = self.family
+        method = self.method
         status, rows = driver.drive(
-            self.hold.address, family.hold.address, family.attempt.address, self._dense, plan.address, budget
+            self._pinned_state.address, method.pinned.address, method.attempt.address, self._dense, plan.address, budget
         )
         return int(status), int(rows)
 
     @property
     def _accepted(self) -> int:
         """Number of accepted steps."""
-        return int(self.common.progress.accepted[0])
+        return int(self.run_state.progress.accepted[0])
 
     @property
     def _is_pending(self) -> bool:
         """Whether rows of an accepted step are still to be written."""
-        return bool(self.common.progress.pending[0])
+        return bool(self.run_state.progress.pending[0])
 
     @property
     def _allowed(self) -> int:
@@ -130,14 +132,14 @@ class CompiledStepper:
             stretches.append(self._advance(1))
         stretch = joined(stretches)
         if self._accepted > accepted:
-            c = self.common
+            c = self.run_state
             self._row_times = stretch.time
             self.last_step = StepTaken(t0, self.time, c.before_q.copy(), c.before_v.copy(), c.q.copy(), c.v.copy())
         return stretch
 
     def _advance(self, budget: int) -> Stretch:
         begin = time.perf_counter()
-        progress = self.common.progress
+        progress = self.run_state.progress
         before = self._attempts()
         if self._allowed > 0 or self._is_pending:
             status, rows = self._drive(self._plan, min(budget, max(self._allowed, 0)))
@@ -157,14 +159,14 @@ class CompiledStepper:
 
     def _attempts(self) -> int:
         """Return the number of steps accepted and rejected so far."""
-        return self._accepted + int(self.common.progress.rejected[0])
+        return self._accepted + int(self.run_state.progress.rejected[0])
 
     def _memory(self) -> tuple[np.ndarray, ...]:
         """Return the arrays that a step reads from the step before, and those that dense output reads."""
-        c = self.common
+        c = self.run_state
         return (
-            c.interval.values, *c.progress, c.moved, c.q, c.q_low, c.v, c.v_low, c.energy, c.energy_low,
-            c.from_q, c.from_v, c.shift_q, c.shift_v, c.mu, c.nu, *self.family.memory,
+            c.interval.values, *c.progress, c.base_state, c.q, c.q_low, c.v, c.v_low, c.energy, c.energy_low,
+            c.from_q, c.from_v, c.shift_q, c.shift_v, c.mu, c.nu, *self.method.memory,
         )  # fmt: skip
 
     def _recall(self, memory: list[np.ndarray]) -> None:
@@ -174,12 +176,14 @@ class CompiledStepper:
 
     def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
         """See `Stepper.inside`."""
-        step, c = self.last_step, self.common
+        step, c = self.last_step, self.run_state
         assert step is not None
-        if self._dense == 0 or not self.family.has_dense_output or self.mode == SYMMETRIC:
+        if self._dense == 0 or not self.method.has_dense_output or self.mode == SYMMETRIC:
             return step.hermite(theta)
         h = float(c.progress.last_size[0])
-        status = driver.look_inside(self.hold.address, self.family.hold.address, self._dense, step.t0, h, theta)
+        status = driver.look_inside(
+            self._pinned_state.address, self.method.pinned.address, self._dense, step.t0, h, theta
+        )
         if status != OK:
             return step.hermite(theta)
         q, v = c.point_q.copy(), c.point_v.copy()
@@ -196,7 +200,7 @@ class CompiledStepper:
             return (step.q1, step.v1) if theta else (step.q0, step.v0)
         after = [x.copy() for x in self._memory()]
         done = self._retake(step, theta)
-        q, v = self.common.q.copy(), self.common.v.copy()
+        q, v = self.run_state.q.copy(), self.run_state.v.copy()
         self._recall(after)
         self._count()
         return (q, v) if done else self.inside(theta)
@@ -206,10 +210,10 @@ class CompiledStepper:
 
         The records of the run's progress are those before the step, apart from the time; `worst` is unchanged.
         """
-        c, progress = self.common, self.common.progress
+        c, progress = self.run_state, self.run_state.progress
         size = theta * float(progress.last_size[0])
         self._recall(self._before)
-        c.moved[0] = ALTERED
+        c.base_state[0] = MODIFIED
         due = (self._accepted + 1) % self.workspace.stabilization.every == 0
         plan: RunPlan = single_step(self.plan, step.t0, size, projected=due)
         kept = (progress.accepted, progress.rejected, progress.pending, progress.retrying)
@@ -225,7 +229,7 @@ class CompiledStepper:
 
     def cut(self, theta: float) -> Stretch:
         """See `Stepper.cut`."""
-        step, c = self.last_step, self.common
+        step, c = self.last_step, self.run_state
         progress, interval = c.progress, c.interval
         assert step is not None
         size, ends = float(progress.last_size[0]), c.energy.copy()
@@ -252,7 +256,7 @@ class CompiledStepper:
 
     def _count(self) -> None:
         """Copy counts and time from the records of the compiled code."""
-        counts, counters, progress = self.common.counts, self.counters, self.common.progress
+        counts, counters, progress = self.run_state.counts, self.counters, self.run_state.progress
         counters.rhs_evaluations, counters.jacobian_evaluations = int(counts[RHS]), int(counts[JACOBIANS])
         counters.factorizations, counters.newton_iterations = int(counts[FACTORIZATIONS]), int(counts[ITERATIONS])
         counters.projections = int(counts[PROJECTIONS])
@@ -263,7 +267,7 @@ class CompiledStepper:
     def _size_tried(self) -> float:
         """Return the size of the step that failed."""
         if self.controlled:
-            return float(self.common.progress.next_size[0])
+            return float(self.run_state.progress.next_size[0])
         table = self.timetable
         assert table.step is not None
         return table.step if self._accepted < table.steps - 1 else table.last_step
@@ -277,7 +281,7 @@ class CompiledStepper:
                 self.failure = Failure("not-finite", f"{unusable} {where}.")
             return
         if status in (REPIVOT, REPIVOT_STAGES) and not self.workspace.is_finite():
-            status = DIVERGED if self.family.carries_stages else NOT_FINITE
+            status = DIVERGED if self.method.carries_stages else NOT_FINITE
         singular: SingularSystemError | None = None
         if status != NOT_FINITE and (done, status) not in self._renewed:
             try:
@@ -289,14 +293,16 @@ class CompiledStepper:
         apart = (done, -1)
         if status not in (driver.TOO_SMALL, NOT_FINITE) and self.mode != SYMMETRIC and apart not in self._renewed:
             self._renewed.add(apart)
-            solved = self.family.solve_apart(self.common, self.time, self._size_tried())
+            solved = self.method.solve_apart(self.run_state, self.time, self._size_tried())
             self._take_up_pivots()
             if solved:
                 return
         if self.controlled and status != driver.TOO_SMALL and self._shrink():
             return
         self.failure = self._failure(status, singular, where)
-        near = "" if self.failure.code == "not-finite" else describe_nearness(self.workspace, self.time, self.common.q)
+        near = (
+            "" if self.failure.code == "not-finite" else describe_nearness(self.workspace, self.time, self.run_state.q)
+        )
         if near:
             self.failure = replace(self.failure, sentence=f"{self.failure.sentence.rstrip('.')}; {near}.")
 
@@ -311,40 +317,43 @@ class CompiledStepper:
     def _renew(self, status: int) -> bool:
         """Choose new pivots after `status`; return whether the step is worth another attempt.
 
+        `Workspace.retry_with_new_pivots` would repeat the attempt at once. Here the rows written so far are returned
+        first, and the next call of the driver repeats it. Besides, the pivots may be those of a stage matrix.
+
         Raises SingularSystemError.
         """
         if status == driver.TOO_SMALL:
             return False
-        self.common.moved[0] = ALTERED
+        self.run_state.base_state[0] = MODIFIED
         if status == REPIVOT:
             self.workspace.use_pivots()
-            self.family.forget()
+            self.method.forget()
             helped = True
         else:
-            helped = self.family.renew(self.common, self.time, self._size_tried())
+            helped = self.method.renew(self.run_state, self.time, self._size_tried())
         self._take_up_pivots()
         return helped
 
     def _take_up_pivots(self) -> None:
         """Pass the current solver of the workspace to the compiled code."""
-        self.common = self.common._replace(solver=self.workspace.solver)
-        self.hold.replace(self.common)
+        self.run_state = self.run_state._replace(solver=self.workspace.solver)
+        self._pinned_state.replace(self.run_state)
 
     def _shrink(self) -> bool:
         """Count the attempted step as rejected and reduce its size; return whether that is above the smallest size."""
-        progress = self.common.progress
+        progress = self.run_state.progress
         progress.next_size[0] *= SOLVER_FAILURE_FACTOR
         progress.rejected[0] += 1
-        self.common.interval.rejected[0] += 1
-        self.common.moved[0] = ALTERED
+        self.run_state.interval.rejected[0] += 1
+        self.run_state.base_state[0] = MODIFIED
         self._renewed.clear()
         return bool(progress.next_size[0] > self.plan.control.min_size[0])
 
     def _failure(self, status: int, singular: SingularSystemError | None, where: str) -> Failure:
         """Return why the run stops."""
-        hint, workspace = self.family.hint, self.workspace
+        hint, workspace = self.method.hint, self.workspace
         floor = float(self.plan.control.min_size[0])
-        distance, _ = nearest_singularity(workspace, self.time, self.common.q)
+        distance, _ = nearest_singularity(workspace, self.time, self.run_state.q)
         if status == driver.TOO_SMALL:
             if distance < SINGULAR:
                 return Failure("singular", f"steps became smaller without end {where}.")
@@ -352,13 +361,12 @@ class CompiledStepper:
         if status == NOT_FINITE:
             return Failure("not-finite", f"numbers overflowed {where}; {hint}.")
         if status == DIVERGED:
-            return Failure("newton-failed", f"{where}{self.family.describe_divergence(self.common.report)}; {hint}.")
+            return Failure("newton-failed", f"{where}{self.method.describe_divergence(self.run_state.report)}; {hint}.")
         if singular is not None:
             name = workspace.mechanism.unknown_name(singular.index)
         else:
-            index, column = int(workspace.solver.failed[0]), workspace.solver.pattern.column_of
-            name = workspace.mechanism.unknown_name(int(column[index]) if 0 <= index < len(column) else -1)
-        if self.family.carries_stages and distance > REGULAR:
+            name = workspace.mechanism.unknown_name(workspace.failed_unknown)
+        if self.method.carries_stages and distance > REGULAR:
             what = (
                 f"{where}: the stage iteration reached a state in which the system of equations is singular at {name}"
             )
@@ -367,7 +375,7 @@ class CompiledStepper:
 
     def _own_multipliers(self, lam: np.ndarray) -> np.ndarray | None:
         """Return the multipliers of the method by constraint row, from those by pair (T, P, 2)."""
-        if not self.family.carries_multipliers:
+        if not self.method.carries_multipliers:
             return None
         rows = self.workspace.mechanism.rows
         return np.ascontiguousarray(lam[:, [row.pair for row in rows], [row.place for row in rows]])
@@ -390,13 +398,13 @@ class CompiledStepper:
 
     def _collect(self, rows: int) -> Stretch:
         """Return the rows that the driver has written."""
-        c, some = self.common, slice(rows)
+        c, some = self.run_state, slice(rows)
         states = c.row_time[some].copy(), c.row_q[some].copy(), c.row_v[some].copy()
         return self._stretch(*states, c.row_energy[some], c.row_interval[some], c.row_lam[some])
 
     def last_state(self) -> Stretch:
         """See `Stepper.last_state`."""
-        c = self.common
+        c = self.run_state
         interval = c.interval.values[None].copy()
         c.interval.values[:] = 0.0
         states = np.array([self.time]), c.q[None].copy(), c.v[None].copy()

@@ -6,7 +6,7 @@ bundle of the run (`mbdkit.stepping.run_state`), and `method`, of the method's o
 ``attempt(run, method, t, h, want_error)``
     Computes a step of size `h` from the base state ``from_q, from_v``, which it does not change. Writes ``dq, dv``; if
     ``has_power``, ``gain``; the multipliers of the method, if it has any, into ``own_lam``; and if `want_error` is not
-    0, the estimates ``est_q, est_v``. ``moved`` tells how the base state is related to that of the last attempt.
+    0, the estimates ``est_q, est_v``. ``base_state`` tells how the base state is related to the last attempt.
 ``dense(run, method, t, h, theta)``
     Writes ``point_q, point_v, point_gain`` and ``point_lam``: the state at ``t + theta h`` within the last attempt.
 
@@ -24,7 +24,14 @@ from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_ro
 from mbdkit.engine.kernels.vectors import add_compensated, copy, stays_finite
 from mbdkit.stepping.projected_step import project, take
 from mbdkit.stepping.run_plan import NO_PROJECTION, PLAIN, SYMMETRIC, load_plan
-from mbdkit.stepping.run_state import ADVANCED, ALTERED, ITERATIONS, PROJECTIONS, SAME, load_common
+from mbdkit.stepping.run_state import (
+    AT_END_OF_LAST,
+    AT_START_OF_LAST,
+    ITERATIONS,
+    MODIFIED,
+    PROJECTIONS,
+    load_run_state,
+)
 from mbdkit.stepping.step_control import (
     MIN_LAST_ERROR,
     combined_error,
@@ -100,7 +107,7 @@ def _reject(c, plan, h, solved, error):
     progress.retrying[0] = 1
     progress.rejected[0] += 1
     c.interval.rejected[0] += 1
-    c.moved[0] = SAME
+    c.base_state[0] = AT_START_OF_LAST
 
 
 @subkernel
@@ -138,7 +145,7 @@ def _try_step(run, method, attempt, plan):
 
     An accepted step is then pending: its increments are known, but the state is still the one before it.
     """
-    c = load_common(run)
+    c = load_run_state(run)
     progress, interval, control, mode = c.progress, c.interval, plan.control, plan.projection.mode[0]
     t, h = _chosen_step(plan, progress)
     if control.controlled[0] and is_too_small(control, t, h, plan.times.end[0]):
@@ -166,13 +173,13 @@ def _try_step(run, method, attempt, plan):
         _reject(c, plan, h, status == OK, error)
         return OK
     if status != OK:
-        c.moved[0] = ALTERED
+        c.base_state[0] = MODIFIED
         return status
     interval.iterations_max[0] = max(interval.iterations_max[0], iterations)
     if projected:
         _note_projection(c)
     _accept(c, plan, t, h, error)
-    c.moved[0] = ALTERED if projected else ADVANCED
+    c.base_state[0] = MODIFIED if projected else AT_END_OF_LAST
     return OK
 
 
@@ -199,7 +206,7 @@ def _dense_row(run, method, dense, row, t, h, at, mode):
     The correction of the end of the step by projection is blended in by a cubic of theta. If states are projected, the
     result is projected as well.
     """
-    c = load_common(run)
+    c = load_run_state(run)
     theta = min(1.0, (at - t) / h)
     status = call_entry(dense, run, method, t, h, theta)
     if status != OK:
@@ -227,7 +234,7 @@ def _write_inner_rows(run, method, dense, plan, rows):
 
     The buffer may be full before all are written: the step then stays pending.
     """
-    c = load_common(run)
+    c = load_run_state(run)
     progress, interval = c.progress, plan.recording.interval[0]
     start, end = plan.times.start[0], plan.times.end[0]
     t, h, reached, _ = _end_of_step(plan, progress)
@@ -311,7 +318,7 @@ def drive(run, method, attempt, dense, plan, budget):
     budget
         Number of attempts; rows of a pending step are written even if it is 0.
     """
-    c, planned = load_common(run), load_plan(plan)
+    c, planned = load_run_state(run), load_plan(plan)
     progress, every = c.progress, planned.recording.every[0]
     rows = 0
     while True:

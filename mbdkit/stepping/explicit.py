@@ -13,8 +13,8 @@ from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.jit.decorators import entry, subkernel
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import copy, stays_finite
-from mbdkit.stepping.compiled_method import Family
-from mbdkit.stepping.run_state import ADVANCED, ALTERED, FACTORIZATIONS, RHS, load_common
+from mbdkit.stepping.compiled_method import CompiledMethod
+from mbdkit.stepping.run_state import AT_END_OF_LAST, FACTORIZATIONS, MODIFIED, RHS, load_run_state
 from mbdkit.stepping.stage_polynomials import dense_gains, weights_at
 
 if TYPE_CHECKING:
@@ -110,9 +110,9 @@ def _increment(h, weights, slopes, out):
 
 
 @subkernel
-def evaluate_stages(common, own, t, h, first, last):
+def evaluate_stages(run, method, t, h, first, last):
     """Evaluate stages `first` to `last - 1`; return a status."""
-    c, m = load_common(common), load_explicit(own)
+    c, m = load_run_state(run), load_explicit(method)
     for i in range(first, last):
         if i == 0:
             copy(c.from_v, m.rates[0])
@@ -132,13 +132,13 @@ def evaluate_stages(common, own, t, h, first, last):
 
 
 @entry
-def attempt(common, own, t, h, want_error):
+def attempt(run, method, t, h, want_error):
     """Compute a step from the base state; see `mbdkit.stepping.driver`."""
-    c, m = load_common(common), load_explicit(own)
+    c, m = load_run_state(run), load_explicit(method)
     stages = len(m.b)
     first = 0
-    if m.status[1] > 0 and c.moved[0] != ALTERED:
-        if c.moved[0] == ADVANCED:
+    if m.status[1] > 0 and c.base_state[0] != MODIFIED:
+        if c.base_state[0] == AT_END_OF_LAST:
             if m.status[0] != 0 and m.status[1] >= stages:
                 copy(m.rates[stages - 1], m.rates[0])
                 copy(m.accelerations[stages - 1], m.accelerations[0])
@@ -147,7 +147,7 @@ def attempt(common, own, t, h, want_error):
         else:
             first = 1
     m.status[1] = 0
-    status = evaluate_stages(common, own, t, h, first, stages)
+    status = evaluate_stages(run, method, t, h, first, stages)
     if status != OK:
         return status
     m.status[1] = stages
@@ -170,12 +170,12 @@ def attempt(common, own, t, h, want_error):
 
 
 @entry
-def dense(common, own, t, h, theta):
+def dense(run, method, t, h, theta):
     """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.stepping.driver`."""
-    c, m = load_common(common), load_explicit(own)
+    c, m = load_run_state(run), load_explicit(method)
     stages = len(m.c)
     if m.status[1] < stages:
-        status = evaluate_stages(common, own, t, h, len(m.b), stages)
+        status = evaluate_stages(run, method, t, h, len(m.b), stages)
         if status != OK:
             return status
         m.status[1] = stages
@@ -189,7 +189,7 @@ def dense(common, own, t, h, theta):
     return OK
 
 
-class ExplicitFamily(Family):
+class CompiledExplicit(CompiledMethod):
     """Explicit Runge-Kutta methods."""
 
     attempt, dense = attempt, dense
@@ -197,7 +197,7 @@ class ExplicitFamily(Family):
 
     def __init__(self, method: ExplicitRungeKutta, workspace: Workspace):
         super().__init__(workspace)
-        self.own = new_explicit(method, workspace.mechanism.size, len(workspace.mechanism.topology.pairs))
-        self.hold = PinnedBundle(self.own)
-        self.memory = (self.own.rates, self.own.accelerations, self.own.power, self.own.status)
-        self.has_dense_output = len(self.own.dense) > 0
+        self.bundle = new_explicit(method, workspace.mechanism.size, len(workspace.mechanism.topology.pairs))
+        self.pinned = PinnedBundle(self.bundle)
+        self.memory = (self.bundle.rates, self.bundle.accelerations, self.bundle.power, self.bundle.status)
+        self.has_dense_output = len(self.bundle.dense) > 0

@@ -38,11 +38,11 @@ from mbdkit.engine.kernels.system import (
 )
 from mbdkit.engine.kernels.vectors import copy, stays_finite
 from mbdkit.methods.lobatto_pair import coefficients
-from mbdkit.stepping.compiled_method import Family
+from mbdkit.stepping.compiled_method import CompiledMethod
 from mbdkit.stepping.convergence import (
     NEGLIGIBLE_CHANGE,
     PATIENCE,
-    STATE_TOLERANCE,
+    TOLERANCE,
     describe_divergence,
     has_failed,
     is_converged,
@@ -51,7 +51,7 @@ from mbdkit.stepping.convergence import (
     relative_to_state,
     report_divergence,
 )
-from mbdkit.stepping.run_state import FACTORIZATIONS, ITERATIONS, RHS, load_common
+from mbdkit.stepping.run_state import FACTORIZATIONS, ITERATIONS, RHS, load_run_state
 from mbdkit.stepping.stage_polynomials import stage_states
 
 if TYPE_CHECKING:
@@ -261,9 +261,9 @@ def _finish(c, m, t, h):
 
 
 @entry
-def attempt(common, own, t, h, want_error):
+def attempt(run, method, t, h, want_error):
     """Try a step from the base state; see `mbdkit.stepping.driver`."""
-    c, m = load_common(common), load_pair(own)
+    c, m = load_run_state(run), load_pair(method)
     top, w = c.top, c.w
     s = len(m.rk.c)
     n3 = len(c.q) - 3
@@ -309,14 +309,14 @@ def new_pair(method: LobattoPair, workspace: Workspace) -> Pair:
     return Pair(
         rk=PairCoefficients(bar, a2, np.ascontiguousarray(np.linalg.inv(a2[1:, :-1])), b, c),
         most_iterations=np.array([method.max_iterations]),
-        tolerance=np.array([method.tolerance if method.tolerance is not None else STATE_TOLERANCE]),
+        tolerance=np.array([method.tolerance if method.tolerance is not None else TOLERANCE]),
         acc=acc, lam=np.zeros((s, pairs, 2)), past=past,
         q_stage=q_stage, v_stage=v_stage, gap=np.zeros((s - 1, pairs, 2)), change=change, spread=spread,
         pairs=np.zeros((pairs, 2)), power=np.zeros((s, 2)),
     )  # fmt: skip
 
 
-class PairFamily(Family):
+class CompiledLobattoPair(CompiledMethod):
     """Lobatto IIIA-IIIB pairs."""
 
     attempt = attempt
@@ -326,13 +326,13 @@ class PairFamily(Family):
 
     def __init__(self, method: LobattoPair, workspace: Workspace):
         super().__init__(workspace)
-        self.own = new_pair(method, workspace)
-        self.hold = PinnedBundle(self.own)
-        self.memory = tuple(self.own.past)
+        self.bundle = new_pair(method, workspace)
+        self.pinned = PinnedBundle(self.bundle)
+        self.memory = tuple(self.bundle.past)
 
     def forget(self) -> None:
         """Discard the stored accelerations, so that the next step does not extrapolate them."""
-        self.own.past.known[0] = 0
+        self.bundle.past.known[0] = 0
 
     def describe_divergence(self, report: np.ndarray) -> str:
         """Return the largest change of an acceleration, and its location, as text."""

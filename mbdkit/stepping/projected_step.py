@@ -20,14 +20,15 @@ from mbdkit.engine.kernels.projection import (
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, solve_system, solved_rows
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.stepping.run_plan import PLAIN, SYMMETRIC
-from mbdkit.stepping.run_state import ALTERED, PROJECTIONS, load_common
+from mbdkit.stepping.run_state import MODIFIED, PROJECTIONS, load_run_state
 
 MAX_TRIALS = 100
-"""Iterations of a symmetric projection, each with a step of the method; it converges slowly on fast linkages."""
+"""Largest number of iterations of a symmetric projection, each with a step of the method; chosen. On fast linkages they
+converge slowly."""
 
 IDLE, IDLE_RATIO = 2, 0.9
 """Number of iterations without progress after which the iteration ends. No progress means that the residual exceeds
-this ratio of the smallest one so far, and is below `STAGNANT`, the level of rounding errors."""
+this ratio of the smallest one so far, and is below `STAGNANT`, the level of rounding errors. Chosen."""
 
 
 @subkernel
@@ -63,14 +64,14 @@ def _newton_on(c, residual, multipliers):
 
 
 @subkernel
-def _symmetric_step(common, own, attempt, t, h):
+def _symmetric_step(run, method, attempt, t, h):
     """Take a step with symmetric projection: the same multipliers correct the state before and after the step.
 
     Writes the end of the step into ``new_q, new_v``, and the sum of both corrections into ``shift_q, shift_v``.
     Simplified Newton iteration on the multipliers (Hairer 2000, BIT 40, 726-734). The derivative of the residual is
     twice the matrix ``Phi_q M^-1 Phi_q^T``, since a multiplier acts both before and after the step.
     """
-    c = load_common(common)
+    c = load_run_state(run)
     before = np.inf
     idle = 0
     for m in range(MAX_TRIALS):
@@ -78,8 +79,8 @@ def _symmetric_step(common, own, attempt, t, h):
         for d in range(len(c.q)):
             c.from_q[d] = c.q[d] + c.shift_q[d]
             c.from_v[d] = c.v[d] + c.shift_v[d]
-        c.moved[0] = ALTERED
-        status = call_entry(attempt, common, own, t, h, 0.0)
+        c.base_state[0] = MODIFIED
+        status = call_entry(attempt, run, method, t, h, 0.0)
         if status != OK:
             return status
         for d in range(len(c.q)):
@@ -134,17 +135,17 @@ def _passes_bound(c, t, q, v, bound):
 
 
 @subkernel
-def take(common, own, attempt, t, h, want_error, mode):
+def take(run, method, attempt, t, h, want_error, mode):
     """Compute one step, and its projection if that is symmetric; write its end into ``new_q, new_v``; return a status.
 
     The state is not changed. ``shift_q, shift_v`` are the corrections that the projection adds to ``dq, dv``.
     """
-    c = load_common(common)
+    c = load_run_state(run)
     if mode == SYMMETRIC:
-        status = _symmetric_step(common, own, attempt, t, h)
+        status = _symmetric_step(run, method, attempt, t, h)
         c.counts[PROJECTIONS] += 1
         return status
-    status = call_entry(attempt, common, own, t, h, 1.0 if want_error else 0.0)
+    status = call_entry(attempt, run, method, t, h, 1.0 if want_error else 0.0)
     if status != OK:
         return status
     for d in range(len(c.q)):
@@ -157,9 +158,9 @@ def take(common, own, attempt, t, h, want_error, mode):
 
 
 @subkernel
-def project(common, t, mode, due, bound):
+def project(run, t, mode, due, bound):
     """Project the end of a step if a projection is due; return a status and whether the step is projected."""
-    c = load_common(common)
+    c = load_run_state(run)
     if mode != PLAIN or not due or (bound > 0.0 and not _passes_bound(c, t, c.new_q, c.new_v, bound)):
         return OK, mode == SYMMETRIC
     status = project_positions(c.still, c.w, c.solver, t, c.new_q, c.shift_q, c.rest, c.x, c.lam)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
 from mbdkit.engine.example_workspace import example_workspace
@@ -205,8 +206,7 @@ class PythonStepper:
         return recorded
 
     def _with_ground(self, state: StepState) -> tuple[np.ndarray, np.ndarray]:
-        ground = np.zeros(3)
-        return np.concatenate([state.q, ground]), np.concatenate([state.v, ground])
+        return with_ground(state.q), with_ground(state.v)
 
     def _own_step(self, t: float, state: StepState, h: float) -> StepState:
         """Take a step of the method and check its result; raises TypeError or ValueError that names the method."""

@@ -16,9 +16,9 @@ from mbdkit.engine.kernels.system import Scratch, Solver, Topology
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
-ADVANCED, SAME, ALTERED = range(3)
-"""Base state of an attempt: the end of the last attempt, its start, or modified since. Methods may keep values that
-belong to a base state: those of the last stage, of the first stage, or none."""
+AT_END_OF_LAST, AT_START_OF_LAST, MODIFIED = range(3)
+"""Base state of an attempt: the end of the last attempt, its start, or modified since. Methods may reuse values of the
+last attempt that belong to it: those of the last stage, those of the first stage, or none."""
 
 RHS, JACOBIANS, FACTORIZATIONS, ITERATIONS, PROJECTIONS = range(5)
 """Indices of ``counts``: right sides, Jacobians, factorizations, Newton iterations, projections."""
@@ -84,7 +84,7 @@ def new_interval() -> Interval:
     return Interval(values, *values.reshape(-1, 1))
 
 
-class Common(NamedTuple):
+class RunState(NamedTuple):
     """Data of a run for the compiled driver. Vectors are (3 (B + 1),), ground last; multipliers are (P, 2) by pair."""
 
     top: Topology
@@ -106,8 +106,8 @@ class Common(NamedTuple):
     from_q: np.ndarray
     """Base state of an attempt: the state, or in a symmetric projection the state plus the first correction."""
     from_v: np.ndarray
-    moved: np.ndarray
-    """(1,) ADVANCED, SAME or ALTERED: relation of the base state to that of the last attempt."""
+    base_state: np.ndarray
+    """(1,) AT_END_OF_LAST, AT_START_OF_LAST or MODIFIED: relation of the base state to the last attempt."""
     dq: np.ndarray
     """Result of an attempt: increments of positions and velocities."""
     dv: np.ndarray
@@ -162,7 +162,7 @@ class Common(NamedTuple):
     """Empty if the method does not compute multipliers."""
 
 
-def new_common(workspace: Workspace, rows: int, *, own_multipliers: bool = False) -> Common:
+def new_run_state(workspace: Workspace, rows: int, *, own_multipliers: bool = False) -> RunState:
     """Return the bundle of a run at its start.
 
     Parameters
@@ -185,11 +185,11 @@ def new_common(workspace: Workspace, rows: int, *, own_multipliers: bool = False
         return np.zeros((pairs, 2))
 
     q, v = workspace.q0.copy(), workspace.v0.copy()
-    return Common(
+    return RunState(
         top=top, still=still, w=workspace.scratch, solver=workspace.solver,
         has_power=np.array([int(workspace.has_power)]),
         q=q, q_low=vector(), v=v, v_low=vector(), energy=np.zeros(2), energy_low=np.zeros(2),
-        from_q=q.copy(), from_v=v.copy(), moved=np.array([ALTERED]),
+        from_q=q.copy(), from_v=v.copy(), base_state=np.array([MODIFIED]),
         dq=vector(), dv=vector(), gain=np.zeros(2), own_lam=by_pair(),
         est_q=vector(), est_v=vector(), second_q=vector(), second_v=vector(),
         point_q=vector(), point_v=vector(), point_gain=np.zeros(2), point_lam=by_pair(),
@@ -204,4 +204,4 @@ def new_common(workspace: Workspace, rows: int, *, own_multipliers: bool = False
     )  # fmt: skip
 
 
-load_common = bundle_loader(lambda: new_common(example_workspace(), 1))
+load_run_state = bundle_loader(lambda: new_run_state(example_workspace(), 1))

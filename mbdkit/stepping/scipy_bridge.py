@@ -10,10 +10,12 @@ from __future__ import annotations
 import math
 import time
 import warnings
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.kernels.observe import baumgarte_at, first_order_rates, note_all, tangents_at
@@ -89,38 +91,47 @@ class SciPyStepper:
         self._times.append(t)
         out = np.empty(2 * self.n3 + 2)
         full = y if self.has_power else np.concatenate([y, np.zeros(2)])
-        for attempt in range(2):
-            workspace = self.workspace
-            status = first_order_rates(
-                workspace.stepping_engine, self.has_power, float(t), full, self._acc, self._lam, out,
-            )  # fmt: skip
-            if status == OK:
-                break
-            if not workspace.is_finite():
-                out[:] = np.nan
-                break
-            try:
-                if attempt:
-                    raise SingularSystemError
-                workspace.use_pivots()
-            except SingularSystemError as error:
-                name = workspace.mechanism.unknown_name(error.index)
-                where = f"the system of equations is singular at {name} at t = {t:.6g} s"
-                raise _StoppedError(Failure("singular", f"{where}{self._nearness(t, y)}.")) from None
+
+        def solve() -> int:
+            return int(first_order_rates(self._engine, self.has_power, float(t), full, self._acc, self._lam, out))
+
+        if not self._is_solved(t, y, solve):
+            out[:] = np.nan
         self._finite = self._finite and bool(np.all(np.isfinite(out)))
         return out if self.has_power else out[: 2 * self.n3]
+
+    @property
+    def _engine(self) -> int:
+        """Address of the stepped mechanism with the solver in use, which changes when new pivots are chosen."""
+        return self.workspace.stepping_engine
+
+    def _is_solved(self, t: float, y: np.ndarray, solve: Callable[[], int]) -> bool:
+        """Solve the index-1 system at a state; return whether its numbers are finite.
+
+        Raises
+        ------
+        _StoppedError
+            If the system is singular.
+        """
+        workspace = self.workspace
+        try:
+            status = workspace.retry_with_new_pivots(solve)
+            if status != OK and workspace.is_finite(tangents=False):
+                raise SingularSystemError(workspace.failed_unknown)
+        except SingularSystemError as error:
+            name = workspace.mechanism.unknown_name(error.index)
+            where = f"the system of equations is singular at {name} at t = {t:.6g} s"
+            raise _StoppedError(Failure("singular", f"{where}{self._nearness(t, y)}.")) from None
+        return status == OK
 
     def jacobian(self, t: float, y: np.ndarray) -> np.ndarray:
         """Return d(dy/dt)/dy, exact in q and v; the rows and columns of the two energies are zero."""
         self.counters.jacobian_evaluations += 1
         n3, workspace = self.n3, self.workspace
-        q, v = np.zeros((2, workspace.mechanism.size))
-        q[:n3], v[:n3] = y[:n3], y[n3 : 2 * n3]
-        status = tangents_at(workspace.stepping_engine, float(t), q, v, self._acc[2], self._lam)
-        if status != OK:  # `rates` chooses new pivots
-            if not np.all(np.isfinite(self.rates(t, y))):
-                return np.full((len(y), len(y)), np.nan)
-            return self.jacobian(t, y)
+        q, v = self._state(y)
+        if not self._is_solved(t, y, lambda: tangents_at(self._engine, float(t), q, v, self._acc[2], self._lam)):
+            self._finite = False
+            return np.full((len(y), len(y)), np.nan)
         self.counters.factorizations += 2  # the index-1 solve above, and the matrix of all its derivatives below
         n, terms = workspace.unknowns, workspace.terms
         values = workspace.scratch.source[terms.source]
@@ -196,8 +207,7 @@ class SciPyStepper:
         return np.concatenate([q[: self.n3], v[: self.n3], energies])
 
     def _state(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        ground = np.zeros(3)
-        return np.concatenate([y[: self.n3], ground]), np.concatenate([y[self.n3 : 2 * self.n3], ground])
+        return with_ground(y[: self.n3]), with_ground(y[self.n3 : 2 * self.n3])
 
     def _step(self) -> bool:
         """Take one step of the solver; return whether it succeeded."""
@@ -245,17 +255,16 @@ class SciPyStepper:
         self.finished = solver.status == "finished"
         if self.finished:
             self.time = self.timetable.end
-        workspace = self.workspace
-        note_all(workspace.engine, np.array([self.time]), self._positions(self.y)[None], self.worst_pairs)
+        q, _ = self._state(self.y)
+        note_all(self.workspace.engine, np.array([self.time]), q[None], self.worst_pairs)
         if self._stabilized:
-            q, v = self._positions(self.y), self._positions(self.y[self.n3 :])
-            pull = baumgarte_at(workspace.stepping_engine, self.time, q, v)
+            pull = baumgarte_at(self._engine, self.time, *self._state(self.y))
             self._pull = max(self._pull, pull)
         return True
 
     def _nearness(self, t: float, y: np.ndarray) -> str:
         """Return a clause stating that a state is nearly singular; empty if it is not."""
-        near = describe_nearness(self.workspace, t, self._positions(y))
+        near = describe_nearness(self.workspace, t, self._state(y)[0])
         return near and f"; {near}"
 
     def _overflow(self, t: float) -> Failure:
@@ -307,9 +316,6 @@ class SciPyStepper:
         self._pull = 0.0
         effort = np.array([t, effort[0], effort[2], effort[3], effort[4], effort[5]])
         return t, y, effort, pull
-
-    def _positions(self, y: np.ndarray) -> np.ndarray:
-        return np.concatenate([y[: self.n3], np.zeros(3)])
 
     def _stretch(self, rows: list[Row]) -> Stretch:
         n3, count = self.n3, len(rows)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from mbdkit.engine.jit.decorators import inlined
 from mbdkit.engine.kernels.lu import Factors, factorize, substitute
+from mbdkit.engine.kernels.system import OK, REPIVOT_STAGES, gather_values
+from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS
 
 
 @inlined
@@ -25,46 +27,42 @@ def one_of(factors, e):
 
 
 @inlined
-def _gather(source, systems, rate, row_rate, values):
-    """Fill the scaled values of the matrix of an eigenvalue from the terms in `source`.
-
-    `rate` is ``h mu``, the factor of damping, and its square that of stiffness; `row_rate` that of -gamma_v.
-    """
-    scatter, weight = systems.scatter, systems.pattern.weight
-    level = rate * rate
-    values[:] = 0.0
-    for e in range(len(scatter.one)):
-        values[scatter.one[e, 1]] += source[scatter.one[e, 0]]
-    for e in range(len(scatter.rate)):
-        values[scatter.rate[e, 1]] += rate * source[scatter.rate[e, 0]]
-    for e in range(len(scatter.minus_rate)):
-        values[scatter.minus_rate[e, 1]] -= row_rate * source[scatter.minus_rate[e, 0]]
-    for e in range(len(scatter.level)):
-        values[scatter.level[e, 1]] += level * source[scatter.level[e, 0]]
-    for x in range(len(values)):
-        values[x] *= weight[x]
-
-
-@inlined
-def factorize_all(source, rk, systems, h, row_share):
-    """Gather and factorize the matrix of every eigenvalue; return the failed pivot position or -1.
+def factorize_all(c, m, h, row_share):
+    """Gather and factorize the matrix of every eigenvalue from the terms in ``c.w.source``; return a status.
 
     ``row_share h mu`` is the factor of -gamma_v: 1 for rows ``Phi_q a - gamma``, 1/2 for rows ``Phi_q v + Phi_t``.
     """
-    pattern, real, cplx = systems.pattern, systems.real, systems.cplx
+    rk, systems, source = m.rk, m.systems, c.w.source
+    pattern, scatter, real, cplx = systems.pattern, systems.scatter, systems.real, systems.cplx
+    c.counts[JACOBIANS] += 1
+    c.counts[FACTORIZATIONS] += len(rk.mu_real) + len(rk.mu_complex)
+    failed = -1
     for e in range(len(rk.mu_real)):
-        rate = h * rk.mu_real[e]
-        _gather(source, systems, rate, row_share * rate, real.a[e])
-        failed = factorize(pattern, one_of(real, e))
-        if failed >= 0:
-            return failed
+        if failed < 0:
+            rate = h * rk.mu_real[e]
+            gather_values(source, scatter, rate, row_share * rate, pattern.weight, real.a[e])
+            failed = factorize(pattern, one_of(real, e))
     for e in range(len(rk.mu_complex)):
-        z = h * rk.mu_complex[e]
-        _gather(source, systems, z, row_share * z, cplx.a[e])
-        failed = factorize(pattern, one_of(cplx, e))
-        if failed >= 0:
-            return failed
-    return -1
+        if failed < 0:
+            z = h * rk.mu_complex[e]
+            gather_values(source, scatter, z, row_share * z, pattern.weight, cplx.a[e])
+            failed = factorize(pattern, one_of(cplx, e))
+    if failed >= 0:
+        c.solver.failed[0] = failed
+        return REPIVOT_STAGES
+    return OK
+
+
+@inlined
+def _transformed(weights, residual, z):
+    """Write the residual of an eigenvalue, ``sum_j weights[j] residual[j]``, into `z`."""
+    s, width = residual.shape
+    for d in range(width):
+        z[d] = 0.0
+    for j in range(s):
+        w = weights[j]
+        for d in range(width):
+            z[d] += w * residual[j, d]
 
 
 @inlined
@@ -74,30 +72,20 @@ def newton_changes(c, m, h, right_side):
     `right_side` writes the right side of a system; see `mbdkit.stepping.collocation_stages.StageKernels`.
     """
     rk, systems, residual, change = m.rk, m.systems, m.residual, m.change
-    pattern, z_real, z_complex = systems.pattern, systems.z_real, systems.z_complex
+    pattern = systems.pattern
     s, width = residual.shape
     change[:, :] = 0.0
     for e in range(len(rk.mu_real)):
-        for d in range(width):
-            z_real[d] = 0.0
-        for j in range(s):
-            w = rk.t_real_inv[e, j]
-            for d in range(width):
-                z_real[d] += w * residual[j, d]
-        right_side(c, m, h * rk.mu_real[e], z_real, systems.b_real)
+        _transformed(rk.t_real_inv[e], residual, systems.z_real)
+        right_side(c, m, h * rk.mu_real[e], systems.z_real, systems.b_real)
         substitute(pattern, one_of(systems.real, e), systems.b_real, systems.x_real)
         for i in range(s):
             w = rk.t_real[i, e]
             for d in range(width):
                 change[i, d] -= w * systems.x_real[d]
     for e in range(len(rk.mu_complex)):
-        for d in range(width):
-            z_complex[d] = 0.0
-        for j in range(s):
-            z = rk.t_complex_inv[e, j]
-            for d in range(width):
-                z_complex[d] += z * residual[j, d]
-        right_side(c, m, h * rk.mu_complex[e], z_complex, systems.b_complex)
+        _transformed(rk.t_complex_inv[e], residual, systems.z_complex)
+        right_side(c, m, h * rk.mu_complex[e], systems.z_complex, systems.b_complex)
         substitute(pattern, one_of(systems.cplx, e), systems.b_complex, systems.x_complex)
         for i in range(s):
             z = rk.t_complex[i, e]
@@ -107,31 +95,28 @@ def newton_changes(c, m, h, right_side):
 
 
 @inlined
+def _filter(c, m, estimate_side, factors, z, b, solution, x):
+    """Replace `x` (3 (B + 1),) by the solution of the system with these `factors`, or its real part."""
+    n3 = len(x) - 3
+    for d in range(n3):
+        z[d] = x[d]
+    for d in range(n3, len(z)):  # the ground does not move
+        z[d] = 0.0
+    estimate_side(c, m, z, b)
+    substitute(m.systems.pattern, factors, b, solution)
+    for d in range(n3):
+        x[d] = solution[d].real
+
+
+@inlined
 def filter_estimate(c, m, estimate_side, x):
     """Replace the estimate `x` (3 (B + 1),) by the solution of the first eigenvalue's system, or its real part.
 
     For index 1 this is ``(1 - h mu f_v - h^2 mu^2 f_q)^-1 x``, which keeps the estimate bounded for stiff forces
     (Hairer and Wanner 1996, IV.8).
     """
-    systems = m.systems
-    n3 = len(x) - 3
-    if len(systems.real.a) > 0:
-        z, b = systems.z_real, systems.b_real
-        for d in range(n3):
-            z[d] = x[d]
-        for d in range(n3, len(z)):  # the ground does not move
-            z[d] = 0.0
-        estimate_side(c, m, z, b)
-        substitute(systems.pattern, one_of(systems.real, 0), b, systems.x_real)
-        for d in range(n3):
-            x[d] = systems.x_real[d]
+    y = m.systems
+    if len(y.real.a) > 0:
+        _filter(c, m, estimate_side, one_of(y.real, 0), y.z_real, y.b_real, y.x_real, x)
     else:
-        zc, bc = systems.z_complex, systems.b_complex
-        for d in range(n3):
-            zc[d] = x[d]
-        for d in range(n3, len(zc)):
-            zc[d] = 0.0
-        estimate_side(c, m, zc, bc)
-        substitute(systems.pattern, one_of(systems.cplx, 0), bc, systems.x_complex)
-        for d in range(n3):
-            x[d] = systems.x_complex[d].real
+        _filter(c, m, estimate_side, one_of(y.cplx, 0), y.z_complex, y.b_complex, y.x_complex, x)

@@ -14,11 +14,11 @@ from mbdkit.methods.kinds import (
 )
 from mbdkit.methods.step_method import StepMethod
 from mbdkit.methods.tableau import TableauError
-from mbdkit.stepping.collocation import CollocationFamily
+from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.compiled_stepper import CompiledStepper
-from mbdkit.stepping.explicit import ExplicitFamily
+from mbdkit.stepping.explicit import CompiledExplicit
 from mbdkit.stepping.interface import Stepper, Timetable
-from mbdkit.stepping.lobatto_iiia_iiib import PairFamily
+from mbdkit.stepping.lobatto_iiia_iiib import CompiledLobattoPair
 from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.stepping.scipy_bridge import SciPyStepper
 from mbdkit.stepping.step_control import Control
@@ -59,7 +59,7 @@ def _(method: ExplicitRungeKutta, workspace: Workspace, timetable: Timetable) ->
             estimates=len(method.pair.error),
             memory=0.2,
         )
-    return CompiledStepper(ExplicitFamily(method, workspace), workspace, timetable, control)
+    return CompiledStepper(CompiledExplicit(method, workspace), workspace, timetable, control)
 
 
 @start_method.register
@@ -74,12 +74,12 @@ def _(method: ImplicitRungeKutta, workspace: Workspace, timetable: Timetable) ->
             f"{tableau.name} cannot be used with the formulation {workspace.formulation!r}, which requires a stiffly "
             "accurate tableau with a regular matrix, and the stage solver 'newton'"
         )
-    return CompiledStepper(CollocationFamily(method, workspace, control), workspace, timetable, control)
+    return CompiledStepper(CompiledCollocation(method, workspace, control), workspace, timetable, control)
 
 
 @start_method.register
 def _(method: LobattoPair, workspace: Workspace, timetable: Timetable) -> Stepper:
-    return CompiledStepper(PairFamily(method, workspace), workspace, timetable)
+    return CompiledStepper(CompiledLobattoPair(method, workspace), workspace, timetable)
 
 
 @start_method.register

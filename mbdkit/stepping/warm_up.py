@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 from mbdkit.engine.jit.cache import FOLDER, compiling, is_warm
 
@@ -61,15 +62,11 @@ def _run_everything(check: Callable[[], None]) -> None:
 
     The methods for index 2, index 3 and GGL are left out; they are compiled in the first run that uses them.
     """
-    import numpy as np
-
-    from mbdkit.engine.assembly import assemble
-    from mbdkit.engine.compile_mechanism import compile_mechanism
+    from mbdkit.engine.consistent_start import workspace_at_start
     from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
     from mbdkit.engine.kernels.observe import baumgarte_at
     from mbdkit.engine.observed_states import StateObserver
     from mbdkit.engine.singularity import nearest_singularity
-    from mbdkit.engine.workspace import Workspace
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.methods import gauss, rk4
     from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, SciPySolver
@@ -79,25 +76,23 @@ def _run_everything(check: Callable[[], None]) -> None:
     m = Mechanism()
     rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.55, 0.05))
     m.revolute("A", m.ground, rod, points=((0.0, 0.0), (-0.5, 0.0)))
-    compiled = compile_mechanism(m)
-    assembled = assemble(m, 0.0, compiled)
+    at_start, _ = workspace_at_start(m)
     check()
-    q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (assembled.q, assembled.v))
     table = Timetable(0.0, 0.2, step=0.1, steps=2, single=True)
     methods: tuple[Method, ...] = (
         ExplicitRungeKutta(rk4.tableau()),
         ImplicitRungeKutta(gauss.tableau(3)),
         SciPySolver("Radau", 1e-3, 1e-3, needs_jacobian=True),
     )
-    call_everything(EquationsOfMotion(Workspace(compiled, 0.0, q0, v0)), check)
+    call_everything(EquationsOfMotion(replace(at_start)), check)
     for method in methods:
         check()
-        workspace = Workspace(compiled, 0.0, q0, v0)
-        baumgarte_at(workspace.engine, 0.0, q0, v0)
+        workspace = replace(at_start)  # with arrays and a solver of its own
+        baumgarte_at(workspace.engine, 0.0, workspace.q0, workspace.v0)
         stepper = start_method(method, workspace, table)
         stretch = stepper.advance()
         stepper.inside(0.5)
         stepper.within(0.5)
         observer = StateObserver(workspace)
         observer.observe(stretch.time, stretch.q, stretch.v, observer.arrays(len(stretch.time)))
-    nearest_singularity(Workspace(compiled, 0.0, q0, v0), 0.0, q0)
+    nearest_singularity(at_start, 0.0, at_start.q0)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from mbdkit import EquationsOfMotion, StepMethod, StepState
-from mbdkit.engine.assembly import assemble
-from mbdkit.engine.compile_mechanism import compile_mechanism
-from mbdkit.engine.workspace import Workspace
+from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.methods import rk4
 from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.spec import load_spec
@@ -37,15 +35,12 @@ class _Standing(StepMethod):
 def python_steps(console: Console) -> None:
     """Print the cost of a step in Python, and of each call to the equations."""
     ensure_compiled()
-    mechanism = load_spec("double-pendulum").mechanism()
-    compiled = compile_mechanism(mechanism)
-    start = assemble(mechanism, 0.0, compiled)
-    q0, v0 = (np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v))
+    at_start, _ = workspace_at_start(load_spec("double-pendulum").mechanism())
 
     def stepped(method: Any) -> Callable[[], float]:
         def run() -> float:
             table = Timetable(0.0, STEPS * 1e-3, step=1e-3, steps=STEPS, every=100)
-            stepper = start_method(method, Workspace(compiled, 0.0, q0, v0), table)
+            stepper = start_method(method, replace(at_start), table)
             begin = time.perf_counter()
             while not stepper.finished:
                 assert stepper.failure is None
@@ -54,7 +49,7 @@ def python_steps(console: Console) -> None:
 
         return run
 
-    p = EquationsOfMotion(Workspace(compiled, 0.0, q0, v0))
+    p = EquationsOfMotion(at_start)
     q, v = p.q0, p.v0
     a, lam = p.accelerations(0.0, q, v)
     matrix = p.iteration_matrix(0.0, q, v, a, lam, damping=1e-3, stiffness=1e-6)

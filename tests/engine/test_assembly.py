@@ -10,6 +10,7 @@ from scipy.linalg import null_space
 from scipy.optimize import minimize
 
 from mbdkit.engine.assembly import AssembledState, assemble
+from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.mechanism import Mechanism
@@ -63,7 +64,7 @@ def test_a_slide_and_a_weld_keep_the_angle_as_given_and_not_as_assembled() -> No
     start = assemble(m)
     np.testing.assert_allclose(start.q[:, 2], (1.0, 1.1, 0.3), rtol=0, atol=1e-12)
     c = Compiled(m)
-    assert np.max(np.abs(c.constraints(np.append(start.q.ravel(), np.zeros(3)))[0])) < 1e-12
+    assert np.max(np.abs(c.constraints(with_ground(start.q))[0])) < 1e-12
 
 
 def test_a_slide_that_cannot_meet_its_angle_is_named() -> None:
@@ -88,8 +89,7 @@ def masses(m: Mechanism) -> np.ndarray:
 def placed(m: Mechanism, state: AssembledState, t: float = 0.0) -> Compiled:
     """Return the mechanism compiled, at the assembled state."""
     c = Compiled(m, t)
-    c.q = np.concatenate([state.q.ravel(), np.zeros(3)])
-    c.v = np.concatenate([state.v.ravel(), np.zeros(3)])
+    c.q, c.v = with_ground(state.q), with_ground(state.v)
     return c
 
 
@@ -135,7 +135,7 @@ def test_scipy_finds_no_smaller_change() -> None:
     c = Compiled(m)
 
     def phi(x: np.ndarray) -> np.ndarray:
-        return c.constraints(np.concatenate([x, np.zeros(3)]))[0]
+        return c.constraints(with_ground(x))[0]
 
     found = minimize(
         lambda x: masses(m) @ (x - q.ravel()) ** 2 / 2,

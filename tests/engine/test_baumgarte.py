@@ -20,7 +20,7 @@ from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.scipy_bridge import SciPyStepper
 from mbdkit.stepping.start import start_method
-from tests.engine.test_equations_of_motion import parallelogram
+from tests.engine.test_equations_of_motion import parallelogram, slider_crank
 from tests.stepping.running import driven_chain
 
 ALPHA, BETA = 3.0, 4.0
@@ -112,7 +112,12 @@ def test_scipy_on_our_equations_goes_where_scipy_goes_on_those_by_hand(solver: s
     np.testing.assert_array_equal(corrections[:, :3], 0.0)
 
 
-MODELS = {"swung pendulum": swung_pendulum, "driven chain": driven_chain, "spare crank": lambda: parallelogram(1.0, 3)}
+MODELS = {
+    "swung pendulum": swung_pendulum,
+    "driven chain": driven_chain,
+    "slider-crank": slider_crank,
+    "spare crank": lambda: parallelogram(1.0, 3),
+}
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -144,6 +149,18 @@ def test_tangents_are_the_derivatives_of_the_stabilized_equations(name: str) -> 
     by_q = [(missing(q + e * d) - missing(q - e * d)) / (2 * e) for d in np.eye(p.n)]
     np.testing.assert_allclose(tangents.gamma_v.toarray(), np.transpose(by_v), rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(tangents.residual_q.toarray(), np.transpose(by_q), rtol=1e-6, atol=1e-6)
+
+
+def test_the_terms_of_a_held_angle_do_not_add_up_over_evaluations() -> None:
+    # expected: -beta^2 Phi, whatever has been evaluated before; gamma of a held angle is zero without the terms
+    m = mbdkit.Mechanism()
+    m.body("block", mass=1.0, inertia=0.1, position=(0.0, 0.0))
+    m.prismatic("P", m.ground, "block", at=(0.0, 0.0), axis=(1.0, 0.0))
+    p = EquationsOfMotion(problem_of(m, BAUMGARTE))
+    tilted = np.array([0.0, 0.0, 0.01])
+    for _ in range(3):
+        assert p.gamma(0.0, tilted, p.v0)[1] == pytest.approx(-(BETA**2) * 0.01, rel=1e-14)
+    assert p.gamma(0.0, p.q0, p.v0)[1] == 0.0
 
 
 def test_the_jacobian_that_scipy_gets_is_exact() -> None:

@@ -301,3 +301,13 @@ def test_a_redundant_mechanism_is_projected_and_its_matrix_is_regular() -> None:
     upper = p.mass * x + 1e-3 * (tangents.damping @ x) + 1e-6 * (tangents.stiffness @ x)
     np.testing.assert_allclose(upper + p.constraint_forces(T, q, mu), force, atol=1e-10)
     np.testing.assert_allclose(p.constraint_jacobian(T, q) @ x, rows, atol=1e-10)
+
+
+@both
+def test_a_solution_with_given_right_sides_leaves_later_accelerations_alone(name: str) -> None:
+    # expected: the accelerations before it, to the last bit
+    p = EquationsOfMotion.of(MECHANISMS[name]())
+    before = p.accelerations(T, p.q0, p.v0)
+    p.solve(T, p.q0, RNG.standard_normal(p.n), RNG.standard_normal(p.m))
+    for ours, expected in zip(p.accelerations(T, p.q0, p.v0), before, strict=True):
+        np.testing.assert_array_equal(ours, expected)

@@ -23,6 +23,7 @@ import mbdkit
 from mbdkit.archive.run import Run
 from mbdkit.engine.assembly import assemble
 from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.joints import Revolute, Weld
@@ -73,7 +74,7 @@ def random_mechanisms(claim: Callable[[Drawn], None]) -> Callable[[int], None]:
 def test_the_assembled_start_meets_every_joint_and_moves_with_it(drawn: Drawn) -> None:
     # expected: Phi and Phi_q v + Phi_t written by hand are zero
     state, hand = assemble(drawn.mechanism, drawn.start), ByHand(drawn.mechanism)
-    q, v = (np.append(x, np.zeros(3)) for x in (state.q, state.v))
+    q, v = with_ground(state.q), with_ground(state.v)
     np.testing.assert_allclose(hand.phi(q, drawn.start), 0.0, atol=1e-12)
     rate = hand.jacobian(q, drawn.start) @ v[:-3] + hand.phi_t(q, drawn.start)
     np.testing.assert_allclose(rate, 0.0, atol=1e-12)

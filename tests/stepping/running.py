@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 import mbdkit
-from mbdkit.engine.assembly import assemble
-from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
 
@@ -35,9 +34,7 @@ def spec_run(model: Any, integrator: dict[str, Any], time: dict[str, Any], **sec
 
 def problem_of(m: Mechanism, t0: float = 0.0) -> Workspace:
     """Return the problem of a mechanism at its assembled start."""
-    compiled = compile_mechanism(m)
-    start = assemble(m, t0, compiled)
-    return Workspace(compiled, t0, *(np.concatenate([x.ravel(), np.zeros(3)]) for x in (start.q, start.v)))
+    return workspace_at_start(m, t0)[0]
 
 
 def driven_chain(stiffness: float = 50.0, damping: float = 1.0) -> Mechanism:

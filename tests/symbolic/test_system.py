@@ -14,6 +14,7 @@ import pytest
 import sympy as sp
 
 from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
@@ -81,7 +82,7 @@ def random_state(m: Mechanism, seed: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     given = np.array([(*body.position, body.angle) for body in m.bodies.values()])
     q, v = given.ravel() + rng.normal(scale=0.1, size=given.size), rng.normal(size=given.size)
-    return np.append(q, np.zeros(3)), np.append(v, np.zeros(3))
+    return with_ground(q), with_ground(v)
 
 
 def engine(m: Mechanism, t: float, q: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:

@@ -127,6 +127,15 @@ def _take_rows(eq, x, out):
     return finite
 
 
+@inlined
+def _evaluate_rows(eq, t, q, v):
+    """Take over a state and evaluate the Jacobian and gamma of the rows that are solved for."""
+    _put(eq.q, q)
+    _put(eq.v, v)
+    prepare(eq.top, eq.w, t, eq.q)
+    solved_rows(eq.top, eq.w, eq.q, eq.v)
+
+
 @kernel
 def solution_of(address, t, q, v, given, force, rows, x, mu):
     """Solve ``M x + Phi_q^T mu = force``, ``Phi_q x = rows`` at a state; return a status.
@@ -136,10 +145,7 @@ def solution_of(address, t, q, v, given, force, rows, x, mu):
     """
     eq = load_equations(address)
     top, w = eq.top, eq.w
-    _put(eq.q, q)
-    _put(eq.v, v)
-    prepare(top, w, t, eq.q)
-    solved_rows(top, w, eq.q, eq.v)
+    _evaluate_rows(eq, t, q, v)
     has_forces = given or len(top.springs) + len(top.loads) > 0
     top.gravity[0] = 0.0 if given else eq.gravity[0]
     top.gravity[1] = 0.0 if given else eq.gravity[1]
@@ -198,10 +204,7 @@ def rows_of(address, t, q, v, phi, rate, gamma):
     """Write Phi, ``Phi_q v + Phi_t`` and gamma, each (m,), and leave the Jacobian in ``w.jac``; return a status."""
     eq = load_equations(address)
     top, w = eq.top, eq.w
-    _put(eq.q, q)
-    _put(eq.v, v)
-    prepare(top, w, t, eq.q)
-    solved_rows(top, w, eq.q, eq.v)
+    _evaluate_rows(eq, t, q, v)
     evaluate_positions(top, w, eq.q)
     fold_values(top, w.cs, w.phi)
     fold_values(top, w.cs, w.phi_t)

@@ -387,8 +387,12 @@ def refine_multipliers(top, w, schur, acc, lam):
 
 
 @inlined
-def gather_values(source, scatter, rate, weight, values):
-    """Fill the scaled values of a sparse matrix from the element terms; `rate` is h mu, or 0 for the KKT matrix."""
+def gather_values(source, scatter, rate, row_rate, weight, values):
+    """Fill the scaled values of a sparse matrix from the terms in `source`.
+
+    `rate` is ``h mu``, the factor of damping, and its square that of stiffness; it is 0 for the KKT matrix. `row_rate`
+    is the factor of -gamma_v.
+    """
     values[:] = 0.0
     for e in range(len(scatter.one)):
         values[scatter.one[e, 1]] += source[scatter.one[e, 0]]
@@ -397,7 +401,7 @@ def gather_values(source, scatter, rate, weight, values):
         for e in range(len(scatter.rate)):
             values[scatter.rate[e, 1]] += rate * source[scatter.rate[e, 0]]
         for e in range(len(scatter.minus_rate)):
-            values[scatter.minus_rate[e, 1]] -= rate * source[scatter.minus_rate[e, 0]]
+            values[scatter.minus_rate[e, 1]] -= row_rate * source[scatter.minus_rate[e, 0]]
         for e in range(len(scatter.level)):
             values[scatter.level[e, 1]] += level * source[scatter.level[e, 0]]
     for x in range(len(values)):
@@ -426,7 +430,7 @@ def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
     for k in range(len(top.pairs)):
         for r in range(top.rows[k]):
             right[row_index[k, r]] = w.gamma[k, r]
-    gather_values(w.source, solver.scatter, 0.0, pattern.weight, factors.a)
+    gather_values(w.source, solver.scatter, 0.0, 0.0, pattern.weight, factors.a)
     solver.failed[0] = factorize(pattern, factors)
     if solver.failed[0] >= 0:
         return REPIVOT
