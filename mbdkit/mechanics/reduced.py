@@ -103,8 +103,6 @@ def lowest(placed: Placed, at: State, count: int) -> tuple[np.ndarray, np.ndarra
 
     Parameters
     ----------
-    placed, at
-        The mechanism and the state.
     count
         Number of eigenvalues; both members of a conjugate pair count.
     """
