@@ -67,8 +67,6 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
 
     Parameters
     ----------
-    forces
-        The force elements by name.
     placed
         Returns the body with a given name, at its position after assembly.
     """

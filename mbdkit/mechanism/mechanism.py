@@ -92,10 +92,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the body.
-        mass
-            Mass [kg].
+        name, mass
+            Name of the body, and its mass [kg].
         inertia
             Moment of inertia about the centre of mass [kg m^2]; None for a point mass.
         position, angle
@@ -123,10 +121,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the joint.
-        a, b
-            The two bodies.
+        name, a, b
+            Name of the joint, and the two bodies.
         at
             Position of the joint (x, y) [m] in the global frame at the initial positions.
         points
@@ -151,10 +147,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the joint.
-        a, b
-            The two bodies; the line is fixed to a.
+        name, a, b
+            Name of the joint, and the two bodies; the line is fixed to a.
         at
             Point (x, y) [m] in the global frame at the initial positions: both the sliding point of b and a point of
             the line.
@@ -183,10 +177,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the joint.
-        a, b
-            The two bodies.
+        name, a, b
+            Name of the joint, and the two bodies.
         at
             Position of the joint (x, y) [m] in the global frame at the initial positions.
         points
@@ -213,10 +205,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the joint.
-        a, b
-            The two bodies.
+        name, a, b
+            Name of the joint, and the two bodies.
         from_, to
             The point of a and the point of b (x, y) [m] in the global frame at the initial positions.
         points
@@ -248,10 +238,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the driver.
-        a, b
-            The two bodies.
+        name, a, b
+            Name of the driver, and the two bodies.
         coordinate
             ``angle`` (angle_b - angle_a), or the coordinate ``x`` or ``y`` of b's point in a's frame.
         motion
@@ -281,10 +269,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the force element.
-        a, b
-            The two bodies.
+        name, a, b
+            Name of the force element, and the two bodies.
         from_, to
             The point of a and the point of b (x, y) [m] in the global frame at the initial positions.
         points
@@ -310,10 +296,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the force element.
-        a, b
-            The two bodies.
+        name, a, b
+            Name of the force element, and the two bodies.
         stiffness, damping, free_angle
             Stiffness [N m/rad], damping [N m s/rad], and relative angle at which the spring exerts no torque [rad].
         """
@@ -341,10 +325,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the force element.
-        a, b
-            The two bodies.
+        name, a, b
+            Name of the force element, and the two bodies.
         law
             Name of the force law: ``one-sided``, ``table``, ``linear``, or a law from a plugin.
         along
@@ -378,10 +360,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the force element.
-        body
-            Name of the body that the torque acts on.
+        name, body
+            Name of the force element, and of the body that the torque acts on.
         value
             Torque [N m]: number, expression of t, or table.
         reaction_body
@@ -407,10 +387,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the force element.
-        body
-            Name of the body that the force acts on.
+        name, body
+            Name of the force element, and of the body that the force acts on.
         value
             Force (x, y) [N]: numbers, expressions of t, or tables.
         at

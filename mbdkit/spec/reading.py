@@ -49,8 +49,6 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
 
     Parameters
     ----------
-    text
-        The text.
     file
         Where the text comes from, for error messages.
     suffix

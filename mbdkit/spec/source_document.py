@@ -16,8 +16,6 @@ class Document:
 
     Parameters
     ----------
-    data
-        The top-level mapping.
     file
         Name of the file it was read from; empty for data from Python.
     lines

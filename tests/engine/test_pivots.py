@@ -125,18 +125,18 @@ def test_pivots_that_wear_out_on_the_way_are_chosen_anew(
     compiled = compile_mechanism(with_crumb(m))
     start = assemble(m, 0.0, compiled)
     q, v = with_ground(start.q), with_ground(start.v)
-    problem = Workspace(compiled, 0.0, q, v)
-    constraints_at(compiled.topology, problem.scratch, 0.0, q, v)
+    workspace = Workspace(compiled, 0.0, q, v)
+    constraints_at(compiled.topology, workspace.scratch, 0.0, q, v)
     with monkeypatch.context() as patch:
         patch.setattr(problem_module, "pivot_order", doomed_order)
-        problem.use_pivots()
-    stepper = start_method(method, problem, Timetable(0.0, 3.0, step=step, steps=300))
-    at_start = problem.pivotings
+        workspace.use_pivots()
+    stepper = start_method(method, workspace, Timetable(0.0, 3.0, step=step, steps=300))
+    at_start = workspace.pivotings
     rows = []
     while not stepper.finished:
         rows.append(stepper.advance())
         assert stepper.failure is None
-    assert at_start < problem.pivotings <= at_start + 3
+    assert at_start < workspace.pivotings <= at_start + 3
     angles = np.concatenate([stretch.q[:, 2] for stretch in rows])
     np.testing.assert_allclose(angles, begin + rate * step * np.arange(1, 301), rtol=0, atol=1e-11)
 
