@@ -126,10 +126,10 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-def _find_installed_law(name: str) -> Any:
-    from mbdkit.spec.law_options import find_installed_law
+def _installed_plugins() -> Any:
+    from mbdkit.spec.registry_lookup import RegistryLookup
 
-    return find_installed_law(name)
+    return RegistryLookup()
 
 
 def _symbolic_system(mechanism: Any, numbers: bool) -> Any:
@@ -139,5 +139,5 @@ def _symbolic_system(mechanism: Any, numbers: bool) -> Any:
 
 
 # Importing any module of the package runs this file first, so these functions are always available to mechanisms.
-higher_layers.find_installed_law = _find_installed_law
+higher_layers.installed_plugins = _installed_plugins
 higher_layers.symbolic_system = _symbolic_system

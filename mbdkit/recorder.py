@@ -57,8 +57,6 @@ class Recorder:
     ----------
     workspace
         The mechanism at its start. The recorder uses a copy with its own pivots.
-    writer
-        The archive being written.
 
     Attributes
     ----------
@@ -82,8 +80,6 @@ class Recorder:
 
         Parameters
         ----------
-        stretch
-            States to be recorded.
         elapsed
             Wall time since the first step at the start and at the end of the stretch [s]; interpolated for the rows.
         start

@@ -27,8 +27,6 @@ def caution(spec: RunSpec, method: Method | None = None) -> str:
 
     Parameters
     ----------
-    spec
-        The spec.
     method
         Method of the spec; created if omitted.
 
@@ -46,8 +44,6 @@ def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Wor
 
     Parameters
     ----------
-    spec
-        The spec.
     notify
         Called with a message before long operations.
 

@@ -79,8 +79,6 @@ def simulate(
 
     Parameters
     ----------
-    spec
-        The spec.
     path
         Final name of the archive; None keeps it in memory.
     overwrite

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
+from typer.testing import CliRunner
 
 from mbdkit import Mechanism, study
 from mbdkit.analysis.verdict import Answer
+from mbdkit.cli import app
 from mbdkit.engine.jit.law_compiler import bind_law
 from mbdkit.registry.manager import load_registry
 from mbdkit.spec import load_spec
@@ -35,12 +35,10 @@ PLUGINS = [block for block in blocks("python") if "hookimpl" in block]
 
 
 @pytest.mark.parametrize("number", range(len(SCRIPTS)))
-def test_python_of_the_readme_runs_as_printed(number: int, tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPTS[number]], cwd=tmp_path, capture_output=True, text=True, timeout=300
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout
+@pytest.mark.usefixtures("in_tmp_path")
+def test_python_of_the_readme_runs_as_printed(number: int, capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(SCRIPTS[number], f"script {number} of the README", "exec"), {"__name__": "readme"})
+    assert capsys.readouterr().out
 
 
 @pytest.mark.parametrize("code", PLUGINS)
@@ -65,32 +63,27 @@ def test_the_forces_that_the_readme_shows_are_those_of_a_mechanism() -> None:
     assert Mechanism.from_spec(m.to_spec() | {"forces": forces}).forces.keys() == {"rope", "bush"}
 
 
-def test_the_first_spec_runs_through_the_commands_that_follow_it(tmp_path: Path) -> None:
-    spec, commands = blocks("yaml")[0], blocks("sh")[2]
-    (tmp_path / "swing.yaml").write_text(spec, encoding="utf-8")
+def output_of(commands: str) -> list[str]:
+    """Run the commands in this process, and return what each one prints."""
     lines = [line.split("#")[0].split() for line in commands.splitlines() if line.strip()]
     assert [line[0] for line in lines] == ["mbdkit"] * len(lines)
+    printed = []
     for line in lines:
-        done = subprocess.run(
-            [sys.executable, "-m", *line], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
-        )
-        assert done.returncode == 0, f"{' '.join(line)}: {done.stderr}"
-    assert {"swing.h5", "fine.h5", "swing-drift.png", "swing.html"} <= {p.name for p in tmp_path.iterdir()}
+        done = CliRunner().invoke(app, line[1:], prog_name="mbdkit")
+        assert done.exit_code == 0, f"{' '.join(line)}: {done.stderr}"
+        printed.append(done.stdout)
+    return printed
 
 
-def test_the_study_runs_through_the_commands_that_follow_it(tmp_path: Path) -> None:
-    (tmp_path / "steps.yaml").write_text(blocks("yaml")[1], encoding="utf-8")
-    said = []
-    for line in blocks("sh")[3].splitlines():
-        done = subprocess.run(
-            [sys.executable, "-m", *line.split("#")[0].split()],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=300,
-            check=True,
-        )
-        said.append(done.stdout)
+def test_the_first_spec_runs_through_the_commands_that_follow_it(in_tmp_path: Path) -> None:
+    (in_tmp_path / "swing.yaml").write_text(blocks("yaml")[0], encoding="utf-8")
+    output_of(blocks("sh")[2])
+    assert {"swing.h5", "fine.h5", "swing-drift.png", "swing.html"} <= {p.name for p in in_tmp_path.iterdir()}
+
+
+def test_the_study_runs_through_the_commands_that_follow_it(in_tmp_path: Path) -> None:
+    (in_tmp_path / "steps.yaml").write_text(blocks("yaml")[1], encoding="utf-8")
+    said = output_of(blocks("sh")[3])
     assert "12 complete; reference runs: 1" in said[0]
     assert "nothing now" in said[1]
 

@@ -109,8 +109,6 @@ def interpolated(run: Run, time: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    run
-        The run.
     time
         Times within the time span of the run, (N,), s.
 

@@ -34,8 +34,6 @@ class Range:
 
     Parameters
     ----------
-    low, high
-        Limits of the range.
     unit
         Unit, for example ``mm``; empty if there is none.
     """

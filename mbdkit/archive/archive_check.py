@@ -22,11 +22,6 @@ from mbdkit.errors import SpecError
 def check(path: str | Path) -> list[str]:
     """Check the structure, units, dimension scales, times, values and hashes of a run archive.
 
-    Parameters
-    ----------
-    path
-        Path of the archive.
-
     Returns
     -------
     list of str

@@ -25,8 +25,6 @@ class Comparison:
     ----------
     same_data
         Whether their `data_sha256` are equal, that is, whether all arrays except timings are bitwise equal.
-    same_spec
-        Whether their `spec_sha256` are equal.
     differences
         Largest difference of each array except timings, relative to the largest magnitude of that array in either
         run. Infinite if only one run has the array, or if the shapes, the names or the positions of non-finite values
@@ -63,11 +61,6 @@ class Comparison:
 
 def compare(first: Run, second: Run) -> Comparison:
     """Compare two runs.
-
-    Parameters
-    ----------
-    first, second
-        The runs.
 
     Raises
     ------

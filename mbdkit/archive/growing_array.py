@@ -26,15 +26,7 @@ _OVERHEAD_BYTES = 1 << 12
 
 
 class Series:
-    """One growing array: its dataset, created with the first rows, and the hash of the rows written.
-
-    Parameters
-    ----------
-    array
-        Layout entry of the array.
-    row_shape
-        Shape of one row.
-    """
+    """One growing array: its dataset, created with the first rows, and the hash of the rows written."""
 
     def __init__(self, array: Array, row_shape: tuple[int, ...]):
         self.array = array
@@ -87,8 +79,6 @@ class Table:
 
     Parameters
     ----------
-    arrays
-        Layout entries of the arrays.
     sizes
         Lengths of the axes that do not grow, by name.
     on_full

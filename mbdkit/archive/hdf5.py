@@ -31,8 +31,6 @@ def create(file: h5py.File, array: Array, values: np.ndarray, *, chunks: tuple[i
     ----------
     file
         The archive; the array's group must exist.
-    array
-        Layout entry of the array.
     values
         Contiguous array of the type in the layout; strings have the dtype object.
     chunks

@@ -59,8 +59,6 @@ class Column:
 
     Parameters
     ----------
-    path
-        Path of the array.
     part
         Selected part of the last axis of a three-dimensional array.
     what
@@ -93,8 +91,6 @@ class View:
 
     Parameters
     ----------
-    source
-        The run.
     name
         Name of the body, joint or constraint row; empty for a whole group.
     index
@@ -275,8 +271,6 @@ class Histories(Mapping[str, V]):
     ----------
     what
         Kind of object: ``body``, ``joint`` or ``constraint``.
-    names
-        Names of the objects.
     make
         Creates a history from a name and its index.
     """

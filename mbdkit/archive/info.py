@@ -23,11 +23,6 @@ NAMES_SHOWN = 32
 def describe(path: str | Path) -> dict[str, Any]:
     """Describe a run archive by JSON-compatible values.
 
-    Parameters
-    ----------
-    path
-        Path of the archive.
-
     Returns
     -------
     dict
@@ -87,13 +82,7 @@ def _array(dataset: h5py.Dataset) -> dict[str, Any]:
 
 
 def text(description: Mapping[str, Any]) -> str:
-    """Format a description as plain text, with a table of the arrays.
-
-    Parameters
-    ----------
-    description
-        Return value of `describe`.
-    """
+    """Format a description as plain text, with a table of the arrays."""
     lines = []
     for name, value in description.items():
         if name == "arrays":

@@ -17,12 +17,8 @@ class Needed:
 
     Parameters
     ----------
-    kind
-        Kind of plugin.
     id
         Long name of the plugin.
-    distribution, version
-        Distribution that provided the plugin.
     """
 
     kind: Kind

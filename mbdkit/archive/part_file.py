@@ -35,15 +35,8 @@ def check_target(path: str | Path, *, overwrite: bool = False) -> Path:
 
     Parameters
     ----------
-    path
-        Final name, ending in ``.h5``.
     overwrite
         Whether an existing file may be replaced.
-
-    Returns
-    -------
-    Path
-        `path`.
 
     Raises
     ------
@@ -75,8 +68,6 @@ class Target:
 
     Parameters
     ----------
-    path
-        Final name.
     overwrite
         Whether publishing replaces an existing file.
 
@@ -179,13 +170,7 @@ class Target:
         os.fsync(self._open_handle())
 
     def replace_content(self, image: bytes) -> None:
-        """Close `file` and replace the content of the .part with a copy of another archive.
-
-        Parameters
-        ----------
-        image
-            Content of the other archive.
-        """
+        """Close `file` and replace the content of the .part with a copy of another archive."""
         self.file.close()
         self._lock()
         with open(self._open_handle(), "wb", closefd=False) as out:

@@ -45,8 +45,6 @@ class Run:
 
     Parameters
     ----------
-    file
-        The open archive.
     path
         Path of the archive; None if it is in memory.
     """
@@ -383,8 +381,6 @@ class Run:
 
         Parameters
         ----------
-        path
-            File name, ending in ``.h5``.
         overwrite
             Whether an existing file may be replaced.
 

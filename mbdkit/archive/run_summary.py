@@ -35,11 +35,6 @@ _COUNTERS = {
 def summary(run: Run) -> str:
     """Summarize a run: status, model, method, time, speed, misalignment, energy, events, counters and archive.
 
-    Parameters
-    ----------
-    run
-        The run, complete or not.
-
     Returns
     -------
     str
@@ -108,13 +103,7 @@ def _stabilization(run: Run) -> str:
 
 
 def corrections(run: Run) -> str:
-    """Describe the number and the largest size of the corrections of a stabilized run; empty if none are recorded.
-
-    Parameters
-    ----------
-    run
-        The run, complete or not.
-    """
+    """Describe the number and the largest size of the corrections of a stabilized run; empty if none are recorded."""
     told = []
     if run.records("steps/projections"):
         steps = run.steps

@@ -17,11 +17,6 @@ if TYPE_CHECKING:
 def to_datatree(file: h5py.File) -> xarray.DataTree:
     """Load an open archive into an xarray DataTree.
 
-    Parameters
-    ----------
-    file
-        The open archive.
-
     Returns
     -------
     xarray.DataTree

@@ -30,18 +30,18 @@ def equilibrium(
     """
     from mbdkit.mechanics import mechanics_summary
     from mbdkit.mechanics.equilibrium import equilibrium_of, spec_at
-    from mbdkit.mechanics.source import Placed
+    from mbdkit.mechanics.source import PreparedMechanism
 
     if write is not None:
         check_free(write, spec, overwrite)
-    placed = Placed.of(spec, assignments or ())
-    found = equilibrium_of(placed)
+    prepared = PreparedMechanism.of(spec, assignments or ())
+    found = equilibrium_of(prepared)
     if write is not None:
         from mbdkit.files import replacing
         from mbdkit.spec.yaml_reader import write_yaml
 
         with replacing(write) as temporary:
-            temporary.write_text(write_yaml(spec_at(placed, found)), encoding="utf-8")
+            temporary.write_text(write_yaml(spec_at(prepared, found)), encoding="utf-8")
     print(
         json.dumps(mechanics_summary.equilibrium_data(found)) if as_json else mechanics_summary.equilibrium_text(found)
     )
@@ -70,20 +70,20 @@ def modes(
     """
     from mbdkit.mechanics import mechanics_summary
     from mbdkit.mechanics.modes import modes_of
-    from mbdkit.mechanics.source import Placed
+    from mbdkit.mechanics.source import PreparedMechanism
 
     if output is not None:
         from mbdkit.files import check_suffix
         from mbdkit.plot.style import FORMATS
 
         check_suffix(output, FORMATS, "a plot")
-    placed = Placed.of(spec, assignments or ())
-    found = modes_of(placed, at, count)
+    prepared = PreparedMechanism.of(spec, assignments or ())
+    found = modes_of(prepared, at, count)
     if output is not None:
         from mbdkit.plot.mode_shapes import plot_modes
 
-        mechanism = placed.spec.mechanism()
-        plot_modes(found, mechanism, f"Modes: {placed.spec.title or mechanism.name}", output)
+        mechanism = prepared.spec.mechanism()
+        plot_modes(found, mechanism, f"Modes: {prepared.spec.title or mechanism.name}", output)
     print(json.dumps(mechanics_summary.modes_data(found)) if as_json else mechanics_summary.modes_text(found))
 
 
@@ -104,11 +104,11 @@ def kinematics(
     """
     from mbdkit.mechanics import mechanics_summary
     from mbdkit.mechanics.kinematics import kinematics_of
-    from mbdkit.mechanics.source import Placed
+    from mbdkit.mechanics.source import PreparedMechanism
 
     if output is not None:
         check_free(output, spec, overwrite)
-    found = kinematics_of(Placed.of(spec, assignments or ()))
+    found = kinematics_of(PreparedMechanism.of(spec, assignments or ()))
     if output is not None:
         from mbdkit.files import replacing
 

@@ -6,17 +6,11 @@ from typing import Protocol
 
 import numpy as np
 
+from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS, MOST_ITERATIONS, STAGNANT
 from mbdkit.errors import StepError
 
-MAX_ITERATIONS = 20
-"""Iterations after which a projection counts as failed. Newton's method takes 3 to 6 from a state near the constraints;
-20 leave room for a start far from them."""
-
-ROUND_OFF = 4 * float(np.finfo(float).eps)
+ROUND_OFF = FEW_ROUNDINGS * EPS
 """Relative change of the coordinates that counts as rounding error."""
-
-STAGNANT = 1e-9
-"""If the changes stop shrinking below this relative size, the iteration has reached the level of rounding errors."""
 
 
 class ConstrainedSystem(Protocol):
@@ -53,14 +47,14 @@ def nearest_positions(p: ConstrainedSystem, t: float, q: np.ndarray) -> np.ndarr
         ``newton-failed`` if the iteration does not converge.
     """
     given, before = q, np.inf
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(MOST_ITERATIONS):
         step, _ = p.solve(t, q, p.mass * (given - q), -p.constraints(t, q))
         q = q + step
         now = p.relative_change(q, step)
         if now <= ROUND_OFF or (now >= 0.5 * before and now < STAGNANT):
             return q
         before = now
-    raise StepError("newton-failed", f"no position that satisfies the joints was found in {MAX_ITERATIONS} iterations")
+    raise StepError("newton-failed", f"no position that satisfies the joints was found in {MOST_ITERATIONS} iterations")
 
 
 def nearest_velocities(p: ConstrainedSystem, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:

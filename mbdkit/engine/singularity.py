@@ -8,7 +8,7 @@ inverse, those of multipliers with the square of its inverse.
 
 During a run it is computed by inverse iteration with two vectors on ``D Phi_q M^-1 Phi_q^T D^T``. The iteration uses
 the factors of the solution for the accelerations and starts from the vectors of the previous row. The smaller Ritz
-value is used (Parlett, The Symmetric Eigenvalue Problem, 1998), an upper bound with an accuracy of about 1 %.
+value is used (Parlett, The Symmetric Eigenvalue Problem, 1998), an upper bound with an accuracy of 1 % or better.
 """
 
 from __future__ import annotations

@@ -39,8 +39,6 @@ class QuantityEvaluator:
     ----------
     workspace
         The mechanism and the solver of the run.
-    quantities
-        The quantities to evaluate.
     """
 
     def __init__(self, workspace: Workspace, quantities: Sequence[Quantity]):

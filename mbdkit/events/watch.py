@@ -29,8 +29,6 @@ class Watched:
 
     Parameters
     ----------
-    name
-        Name of the event.
     when
         Expression whose zero crossings are detected.
     direction
@@ -83,10 +81,6 @@ class Watch:
     ----------
     stepper
         The stepper, started with ``Timetable.single``.
-    workspace
-        Workspace of the stepper.
-    events
-        Events to detect.
 
     Attributes
     ----------

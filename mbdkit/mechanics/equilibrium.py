@@ -12,11 +12,12 @@ from scipy.sparse.linalg import splu
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.observe import constraints_at
-from mbdkit.engine.nearest_state import ROUND_OFF, STAGNANT
+from mbdkit.engine.kernels.projection import STAGNANT
+from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.errors import StepError
 from mbdkit.mechanics.reduced import DENSE, State, at_rest, least_stiffness, reduce, stiffness_scale
-from mbdkit.mechanics.source import Placed
-from mbdkit.spec.plain_data import plain
+from mbdkit.mechanics.source import PreparedMechanism
+from mbdkit.plain_data import plain
 
 MOST_STEPS = 500
 """Largest number of attempted steps, rejected ones included; beyond it the search fails."""
@@ -146,17 +147,17 @@ def equilibrium(source: Any, **sections: Any) -> Equilibrium:
     SpecError
         If the input is wrong, or no equilibrium is found from this start.
     """
-    return equilibrium_of(Placed.of(source, **sections))
+    return equilibrium_of(PreparedMechanism.of(source, **sections))
 
 
-def equilibrium_of(placed: Placed) -> Equilibrium:
+def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
     """Find the static equilibrium of a prepared mechanism; see `equilibrium`."""
-    with placed.blamed():
-        found = rest(placed)
-        p, compiled = placed.equations, placed.workspace.mechanism
-        stiffness, stability = _stability(placed, at_rest(placed, found.q, found.lam))
+    with prepared.as_spec_errors():
+        found = rest(prepared)
+        p, compiled = prepared.equations, prepared.workspace.mechanism
+        stiffness, stability = _stability(prepared, at_rest(prepared, found.q, found.lam))
         rows = p.recorded_multipliers(p.t0, found.q, found.lam)
-        force, torque = _reactions(placed, found.q, rows)
+        force, torque = _reactions(prepared, found.q, rows)
         residual = float(np.max(np.abs(p.constraints(p.t0, found.q)), initial=0.0))
     return Equilibrium(
         time=p.t0,
@@ -176,50 +177,50 @@ def equilibrium_of(placed: Placed) -> Equilibrium:
     )
 
 
-def _stability(placed: Placed, at: State) -> tuple[float, str]:
+def _stability(prepared: PreparedMechanism, at: State) -> tuple[float, str]:
     """Return the lowest stiffness at rest [1/s^2] and the stability that follows from it."""
-    if placed.freedoms == 0:
+    if prepared.freedoms == 0:
         return float("nan"), "fixed"
-    stiffness = least_stiffness(placed, at)
-    if abs(stiffness) <= NEUTRAL * stiffness_scale(placed, at):
+    stiffness = least_stiffness(prepared, at)
+    if abs(stiffness) <= NEUTRAL * stiffness_scale(prepared, at):
         return stiffness, "neutral"
     return stiffness, "stable" if stiffness > 0 else "unstable"
 
 
-def rest(placed: Placed) -> Rest:
+def rest(prepared: PreparedMechanism) -> Rest:
     """Return the static equilibrium; raises SpecError if none is found.
 
     A search can end on a saddle of the potential, because steps towards it do positive work as well. It is then
     continued from positions on both sides of the saddle, along the motion of lowest stiffness.
     """
-    search = _Search(placed)
+    search = _Search(prepared)
     found = search.run()
     for _ in range(MOST_SADDLES):
-        if found is None or not search.has_moved or not search.leave(_descent(placed, found)):
+        if found is None or not search.has_moved or not search.leave(_descent(prepared, found)):
             break
         found = search.run()
     if found is not None:
         return found
     here = search.x
     worst = int(np.argmax(np.abs(here)))
-    name, unit = placed.equations.bodies[worst // 3], "rad/s^2" if worst % 3 == 2 else "m/s^2"
-    raise placed.error(
+    name, unit = prepared.equations.bodies[worst // 3], "rad/s^2" if worst % 3 == 2 else "m/s^2"
+    raise prepared.error(
         f"no static equilibrium was found from this start in {search.tried} steps: in the last position body {name!r} "
         f"still accelerates by {abs(here[worst]):.3g} {unit}; start closer to an equilibrium, or hold that body"
     )
 
 
-def _descent(placed: Placed, found: Rest) -> np.ndarray | None:
+def _descent(prepared: PreparedMechanism, found: Rest) -> np.ndarray | None:
     """Return the motion (n,) along which the stiffness at rest is most negative; None if it is nowhere negative.
 
     Also None for a mechanism that is too large to be reduced to its degrees of freedom.
     """
-    if not 0 < placed.freedoms <= placed.equations.n <= DENSE:
+    if not 0 < prepared.freedoms <= prepared.equations.n <= DENSE:
         return None
-    at = at_rest(placed, found.q, found.lam)
-    small = reduce(placed, at)
+    at = at_rest(prepared, found.q, found.lam)
+    small = reduce(prepared, at)
     values, vectors = np.linalg.eigh(0.5 * (small.stiffness + small.stiffness.T))
-    if values[0] >= -SADDLE * stiffness_scale(placed, at):
+    if values[0] >= -SADDLE * stiffness_scale(prepared, at):
         return None
     way: np.ndarray = small.basis @ vectors[:, 0]
     return way
@@ -228,16 +229,16 @@ def _descent(placed: Placed, found: Rest) -> np.ndarray | None:
 class _Search:
     """A damped Newton search on the constraint manifold."""
 
-    def __init__(self, placed: Placed):
-        self.p: EquationsOfMotion = placed.equations
-        self.extent = placed.extent
+    def __init__(self, prepared: PreparedMechanism):
+        self.p: EquationsOfMotion = prepared.equations
+        self.extent = prepared.extent
         self.none, self.no_rows = np.zeros(self.p.n), np.zeros(self.p.m)
         self.q = self.p.q0.copy()
         self.tried = 0
         self.force = 0.0
         """Largest norm so far of applied and constraint forces together, in the metric of the inverse mass."""
         self.x, self.lam, self.imbalance = self.balance(self.q)
-        stiffest = stiffness_scale(placed, at_rest(placed, self.q, self.lam)) if placed.freedoms else 0.0
+        stiffest = stiffness_scale(prepared, at_rest(prepared, self.q, self.lam)) if prepared.freedoms else 0.0
         self.blur = float(np.finfo(float).eps) * stiffest * self.extent * float(np.sqrt(np.sum(self.p.mass)))
         """Imbalance that rounding errors of the positions cause through the stiffest spring."""
 
@@ -376,11 +377,11 @@ class _Search:
         return total
 
 
-def _reactions(placed: Placed, q: np.ndarray, multiplier: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _reactions(prepared: PreparedMechanism, q: np.ndarray, multiplier: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return force (J, 2) [N] and torque (J,) [N m] of each joint on its second body, at that body's joint point."""
-    compiled, w = placed.workspace.mechanism, placed.workspace.scratch
+    compiled, w = prepared.workspace.mechanism, prepared.workspace.scratch
     top, padded = compiled.topology, with_ground(q)
-    constraints_at(top, w, placed.equations.t0, padded, np.zeros_like(padded))
+    constraints_at(top, w, prepared.equations.t0, padded, np.zeros_like(padded))
     lam = np.zeros((len(top.pairs), 2))
     for row, value in zip(compiled.rows, multiplier, strict=True):
         lam[row.pair, row.place] = value
@@ -393,9 +394,9 @@ def _reactions(placed: Placed, q: np.ndarray, multiplier: np.ndarray) -> tuple[n
     return total[:, :2], total[:, 2]
 
 
-def spec_at(placed: Placed, found: Equilibrium) -> dict[str, Any]:
+def spec_at(prepared: PreparedMechanism, found: Equilibrium) -> dict[str, Any]:
     """Return the spec as a plain mapping in which the mechanism is written out at rest in the equilibrium."""
-    spec = placed.spec
+    spec = prepared.spec
     model = spec.mechanism().to_spec()
     for name, (x, y, angle) in zip(found.bodies, found.position.tolist(), strict=True):
         body = model["bodies"][name]

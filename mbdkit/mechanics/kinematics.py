@@ -11,7 +11,7 @@ import numpy as np
 
 from mbdkit.errors import RunError, StepError
 from mbdkit.mechanics.reduced import at_rest, reduce
-from mbdkit.mechanics.source import Placed
+from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.text import counted, listed
 
 ASIDE = 0.1
@@ -101,31 +101,31 @@ def kinematics(source: Any, **sections: Any) -> Kinematics:
     RunError
         If the mechanism cannot follow its drivers, or passes a singular position.
     """
-    return kinematics_of(Placed.of(source, **sections))
+    return kinematics_of(PreparedMechanism.of(source, **sections))
 
 
-def kinematics_of(placed: Placed) -> Kinematics:
+def kinematics_of(prepared: PreparedMechanism) -> Kinematics:
     """Compute the motion of a prepared, fully driven mechanism; see `kinematics`."""
-    _require_driven(placed)
-    time = placed.spec.time
+    _require_driven(prepared)
+    time = prepared.spec.time
     if time.step is None or time.count is None:
-        raise placed.error("is missing: a kinematic analysis needs a step in seconds", key="time.step")
+        raise prepared.error("is missing: a kinematic analysis needs a step in seconds", key="time.step")
     times = np.array([*(time.start + time.step * np.arange(time.count)), time.final])
-    path = _Path(placed)
-    rows = np.empty((len(times), 3, placed.equations.n))
+    path = _Path(prepared)
+    rows = np.empty((len(times), 3, prepared.equations.n))
     for i, t in enumerate(times.tolist()):
         path.go_to(t)
         rows[i] = path.q, path.v, path.a
     position, velocity, acceleration = (rows[:, k].reshape(len(times), -1, 3) for k in range(3))
-    return Kinematics(times, placed.equations.bodies, position, velocity, acceleration)
+    return Kinematics(times, prepared.equations.bodies, position, velocity, acceleration)
 
 
 class _Path:
     """State of a fully driven mechanism, advanced in time."""
 
-    def __init__(self, placed: Placed):
-        self.placed, self.p = placed, placed.equations
-        self.size = np.tile([placed.extent, placed.extent, 1.0], len(self.p.bodies))
+    def __init__(self, prepared: PreparedMechanism):
+        self.placed, self.p = prepared, prepared.equations
+        self.size = np.tile([prepared.extent, prepared.extent, 1.0], len(self.p.bodies))
         self.t = self.p.t0
         try:
             self.arrive(self.t, self.p.project_positions(self.t, self.p.q0))
@@ -176,13 +176,13 @@ class _Path:
         )
 
 
-def _require_driven(placed: Placed) -> None:
+def _require_driven(prepared: PreparedMechanism) -> None:
     """Raise SpecError, with the names of the free coordinates, unless the mechanism is fully driven."""
-    if placed.freedoms == 0:
+    if prepared.freedoms == 0:
         return
-    p = placed.equations
-    with placed.blamed():
-        basis = reduce(placed, at_rest(placed, p.q0, np.zeros(p.m))).basis
+    p = prepared.equations
+    with prepared.as_spec_errors():
+        basis = reduce(prepared, at_rest(prepared, p.q0, np.zeros(p.m))).basis
     moves = np.linalg.norm(basis * np.sqrt(p.mass)[:, None], axis=1).reshape(-1, 3)
     free = [
         f"{name} ({listed([word for word, x in zip(('x', 'y', 'angle'), part, strict=True) if x > STILL])})"
@@ -190,9 +190,9 @@ def _require_driven(placed: Placed) -> None:
         if np.any(part > STILL)
     ]
     shown = listed(free[:6], "" if len(free) > 6 else "and") + (f" and {len(free) - 6} more" if len(free) > 6 else "")
-    raise placed.error(
-        f"a kinematic analysis needs a mechanism that is fully driven, and {counted(placed.freedoms, 'degree')} of "
-        f"freedom {'is' if placed.freedoms == 1 else 'are'} left in {shown}; add "
-        f"{counted(placed.freedoms, 'driver')}, or run it as dynamics with `mbdkit run`",
+    raise prepared.error(
+        f"a kinematic analysis needs a mechanism that is fully driven, and {counted(prepared.freedoms, 'degree')} of "
+        f"freedom {'is' if prepared.freedoms == 1 else 'are'} left in {shown}; add "
+        f"{counted(prepared.freedoms, 'driver')}, or run it as dynamics with `mbdkit run`",
         key="model.joints",
     )

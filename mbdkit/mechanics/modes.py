@@ -10,7 +10,7 @@ from scipy.linalg import eig, eigh, null_space
 
 from mbdkit.mechanics.equilibrium import rest
 from mbdkit.mechanics.reduced import DENSE, State, at_rest, lowest, reduce
-from mbdkit.mechanics.source import Placed
+from mbdkit.mechanics.source import PreparedMechanism
 
 Where = Literal["equilibrium", "start"]
 
@@ -153,17 +153,17 @@ def linearize(source: Any, *, at: Where = "equilibrium", **sections: Any) -> Lin
         If the input is wrong, no equilibrium is found, or the mechanism has no degrees of freedom or more than 500
         bodies.
     """
-    placed = Placed.of(source, **sections)
-    state = state_of(placed, at)
-    _require_freedoms(placed)
-    if placed.equations.n > DENSE:
-        raise placed.error(
-            f"a mechanism of {len(placed.equations.bodies)} bodies is too large to be linearised as a whole "
+    prepared = PreparedMechanism.of(source, **sections)
+    state = state_of(prepared, at)
+    _require_freedoms(prepared)
+    if prepared.equations.n > DENSE:
+        raise prepared.error(
+            f"a mechanism of {len(prepared.equations.bodies)} bodies is too large to be linearised as a whole "
             f"(limit: {DENSE // 3} bodies); `modes` finds its lowest modes at rest"
         )
-    with placed.blamed():
-        small = reduce(placed, state)
-    return Linearization(state.t, placed.equations.bodies, *_seen(state), small.basis, small.stiffness, small.damping)
+    with prepared.as_spec_errors():
+        small = reduce(prepared, state)
+    return Linearization(state.t, prepared.equations.bodies, *_seen(state), small.basis, small.stiffness, small.damping)
 
 
 def modes(source: Any, *, at: Where = "equilibrium", count: int | None = None, **sections: Any) -> Modes:
@@ -191,38 +191,38 @@ def modes(source: Any, *, at: Where = "equilibrium", count: int | None = None, *
     SpecError
         If the input is wrong, no equilibrium is found, or the mechanism has no degrees of freedom.
     """
-    return modes_of(Placed.of(source, **sections), at, count)
+    return modes_of(PreparedMechanism.of(source, **sections), at, count)
 
 
-def modes_of(placed: Placed, at: Where = "equilibrium", count: int | None = None) -> Modes:
+def modes_of(prepared: PreparedMechanism, at: Where = "equilibrium", count: int | None = None) -> Modes:
     """Find the modes of a prepared mechanism; see `modes`."""
     if count is not None and count < 1:
-        raise placed.error(f"the number of modes must be at least 1, not {count}", key="")
-    state = state_of(placed, at)
-    _require_freedoms(placed)
-    with placed.blamed():
-        if placed.equations.n > DENSE:
-            values, shapes = _few(placed, state, count or FEW)
+        raise prepared.error(f"the number of modes must be at least 1, not {count}", key="")
+    state = state_of(prepared, at)
+    _require_freedoms(prepared)
+    with prepared.as_spec_errors():
+        if prepared.equations.n > DENSE:
+            values, shapes = _few(prepared, state, count or FEW)
         else:
-            small = reduce(placed, state)
+            small = reduce(prepared, state)
             values, shapes = oscillations(small.stiffness, small.damping)
             shapes = small.basis @ shapes
     order = np.lexsort((-values.imag, -values.real, np.round(np.abs(values), 12)))[:count]
-    values, shapes = values[order], _normalised(shapes[:, order], placed.equations.mass)
+    values, shapes = values[order], _normalised(shapes[:, order], prepared.equations.mass)
     shapes = shapes.T.reshape(len(values), -1, 3)
-    return Modes(state.t, placed.equations.bodies, *_seen(state), values, shapes, placed.freedoms)
+    return Modes(state.t, prepared.equations.bodies, *_seen(state), values, shapes, prepared.freedoms)
 
 
-def state_of(placed: Placed, at: Where) -> State:
+def state_of(prepared: PreparedMechanism, at: Where) -> State:
     """Return the state to linearise about."""
-    p = placed.equations
+    p = prepared.equations
     if at == "equilibrium":
-        with placed.blamed():
-            found = rest(placed)
-            return at_rest(placed, found.q, found.lam)
+        with prepared.as_spec_errors():
+            found = rest(prepared)
+            return at_rest(prepared, found.q, found.lam)
     if at != "start":
-        raise placed.error(f"a mechanism is linearised at 'equilibrium' or at 'start', not at {at!r}", key="")
-    with placed.blamed():
+        raise prepared.error(f"a mechanism is linearised at 'equilibrium' or at 'start', not at {at!r}", key="")
+    with prepared.as_spec_errors():
         a, lam = p.accelerations(p.t0, p.q0, p.v0)
     return State(p.t0, p.q0, p.v0, a, lam)
 
@@ -260,16 +260,18 @@ def oscillations(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray
     )
 
 
-def _few(placed: Placed, state: State, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _few(prepared: PreparedMechanism, state: State, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the `count` lowest modes of a large mechanism at rest."""
     if np.any(state.v):
-        raise placed.error(
-            f"a mechanism of {len(placed.equations.bodies)} bodies is too large to be linearised while it moves "
+        raise prepared.error(
+            f"a mechanism of {len(prepared.equations.bodies)} bodies is too large to be linearised while it moves "
             f"(limit: {DENSE // 3} bodies); linearise it about its equilibrium instead"
         )
-    if 2 * count + 8 > placed.freedoms:  # ARPACK finds only a part of the spectrum
-        raise placed.error(f"at most {placed.freedoms // 2 - 4} modes can be found of a mechanism this large", key="")
-    values, shapes = lowest(placed, state, 2 * count + 2)
+    if 2 * count + 8 > prepared.freedoms:  # ARPACK finds only a part of the spectrum
+        raise prepared.error(
+            f"at most {prepared.freedoms // 2 - 4} modes can be found of a mechanism this large", key=""
+        )
+    values, shapes = lowest(prepared, state, 2 * count + 2)
     # A real part this small is rounding error of the iteration; without this, undamped modes would seem to grow.
     values = np.where(np.abs(values.real) <= 1e-9 * np.abs(values), 1j * values.imag, values)
     once = np.flatnonzero(values.imag >= 0)
@@ -287,9 +289,9 @@ def _normalised(shapes: np.ndarray, mass: np.ndarray) -> np.ndarray:
     return normalised
 
 
-def _require_freedoms(placed: Placed) -> None:
-    if placed.freedoms == 0:
-        raise placed.error(
+def _require_freedoms(prepared: PreparedMechanism) -> None:
+    if prepared.freedoms == 0:
+        raise prepared.error(
             "this mechanism has no degrees of freedom and so no modes: joints and drivers fix its motion"
         )
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.mechanics.source import Placed
+from mbdkit.mechanics.source import PreparedMechanism
 
 DENSE = 1500
 """Largest number of coordinates for which the equations are reduced with a dense basis."""
@@ -52,7 +52,7 @@ class Reduced:
     damping: np.ndarray
 
 
-def reduce(placed: Placed, at: State) -> Reduced:
+def reduce(prepared: PreparedMechanism, at: State) -> Reduced:
     """Linearise the equations about a state, along the degrees of freedom.
 
     A deviation ``Z(t) y`` stays tangent to the constraint manifold. The basis Z moves with the mechanism and does not
@@ -61,7 +61,7 @@ def reduce(placed: Placed, at: State) -> Reduced:
     ``Z^T (K Z + C P) - P^T M P`` and the damping ``Z^T C Z``, with ``K = d(Phi_q^T lam - Q)/dq`` and ``C = -dQ/dv``.
     In a state at rest P is zero.
     """
-    p, free = placed.equations, np.flatnonzero(~placed.held)
+    p, free = prepared.equations, np.flatnonzero(~prepared.held)
     root = np.sqrt(p.mass[free])
     scaled = p.constraint_jacobian(at.t, at.q).toarray()[:, free] / root
     q, r = np.linalg.qr(scaled.T, mode="complete")
@@ -76,42 +76,40 @@ def reduce(placed: Placed, at: State) -> Reduced:
     return Reduced(everywhere, stiffness, basis.T @ c @ basis)
 
 
-def at_rest(placed: Placed, q: np.ndarray, lam: np.ndarray) -> State:
+def at_rest(prepared: PreparedMechanism, q: np.ndarray, lam: np.ndarray) -> State:
     """Return the state of rest at position `q` (n,) with the multipliers `lam` (m,)."""
-    none = np.zeros(placed.equations.n)
-    return State(placed.equations.t0, q, none, none, lam)
+    none = np.zeros(prepared.equations.n)
+    return State(prepared.equations.t0, q, none, none, lam)
 
 
-def least_stiffness(placed: Placed, at: State) -> float:
+def least_stiffness(prepared: PreparedMechanism, at: State) -> float:
     """Return the lowest eigenvalue of the stiffness along the degrees of freedom, at rest [1/s^2]."""
-    if placed.equations.n > DENSE:
-        return _least_by_inverse_iteration(placed, at)
-    return float(np.min(np.linalg.eigvals(reduce(placed, at).stiffness).real))
+    if prepared.equations.n > DENSE:
+        return _least_by_inverse_iteration(prepared, at)
+    return float(np.min(np.linalg.eigvals(reduce(prepared, at).stiffness).real))
 
 
-def stiffness_scale(placed: Placed, at: State) -> float:
+def stiffness_scale(prepared: PreparedMechanism, at: State) -> float:
     """Return the largest stiffness of a single coordinate, for unit mass [1/s^2]."""
-    p = placed.equations
+    p = prepared.equations
     diagonal = p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness.diagonal()
     return float(np.max(np.abs(diagonal) / p.mass))
 
 
-def lowest(placed: Placed, at: State, count: int) -> tuple[np.ndarray, np.ndarray]:
+def lowest(prepared: PreparedMechanism, at: State, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the eigenvalues [1/s] closest to zero, and their shapes (n, k), of a large mechanism at rest.
 
     ARPACK runs in shift-invert mode on the first-order form; the real shift is half of the estimated lowest frequency.
 
     Parameters
     ----------
-    placed, at
-        The mechanism and the state.
     count
         Number of eigenvalues; both members of a conjugate pair count.
     """
     from scipy.sparse.linalg import LinearOperator, eigs
 
-    p, n = placed.equations, placed.equations.n
-    shift = 0.5 * np.sqrt(_pilot(placed, at)[0])
+    p, n = prepared.equations, prepared.equations.n
+    shift = 0.5 * np.sqrt(_pilot(prepared, at)[0])
     state = at.t, at.q, at.v, at.a, at.lam
     tangents = p.tangents(*state)
     matrix = p.iteration_matrix(*state, mass=shift**2, damping=shift, stiffness=1.0)
@@ -124,23 +122,23 @@ def lowest(placed: Placed, at: State, count: int) -> tuple[np.ndarray, np.ndarra
         dq, _ = matrix.solve(right, no_rows)
         return np.concatenate([dq, f + shift * dq])
 
-    first = np.concatenate([_pilot(placed, at)[1]] * 2)
+    first = np.concatenate([_pilot(prepared, at)[1]] * 2)
     inverted, vectors = eigs(
         LinearOperator((2 * n, 2 * n), matvec=inverse, dtype=float), k=count, v0=inverse(first), tol=1e-13
     )
     return shift + 1 / inverted, vectors[:n]
 
 
-def _pilot(placed: Placed, at: State) -> tuple[float, np.ndarray]:
+def _pilot(prepared: PreparedMechanism, at: State) -> tuple[float, np.ndarray]:
     """Return an estimate of the square of the lowest frequency [1/s^2] and of its mode shape (n,).
 
     The estimate is the Rayleigh quotient after `PILOTS` inverse iterations from a random vector. The shift and the
     lower bound of 1e-9, relative to the quotient of the start vector, keep the matrix regular if a motion has no
     stiffness.
     """
-    p = placed.equations
+    p = prepared.equations
     state, no_rows = (at.t, at.q, at.v, at.a, at.lam), np.zeros(p.m)
-    x = np.where(placed.held, 0.0, np.random.default_rng(0).standard_normal(p.n))
+    x = np.where(prepared.held, 0.0, np.random.default_rng(0).standard_normal(p.n))
     stiffness = p.tangents(*state).stiffness
     x, _ = p.solve(at.t, at.q, p.mass * x, no_rows)
     square = abs(float(x @ (stiffness @ x)) / float(x @ (p.mass * x)))
@@ -152,7 +150,7 @@ def _pilot(placed: Placed, at: State) -> tuple[float, np.ndarray]:
     return max(square, 1e-9 * scale), x
 
 
-def _least_by_inverse_iteration(placed: Placed, at: State) -> float:
+def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float:
     """Return the lowest eigenvalue of a large mechanism [1/s^2]; if any are negative, the negative one closest to zero.
 
     ARPACK first finds the eigenvalue of the inverse with the largest absolute value. If it is positive, a second search
@@ -162,8 +160,8 @@ def _least_by_inverse_iteration(placed: Placed, at: State) -> float:
     """
     from scipy.sparse.linalg import LinearOperator, eigsh
 
-    p = placed.equations
-    square, first = _pilot(placed, at)
+    p = prepared.equations
+    square, first = _pilot(prepared, at)
     matrix = p.iteration_matrix(at.t, at.q, at.v, at.a, at.lam, mass=0.01 * square, stiffness=1.0)
     root, no_rows = np.sqrt(p.mass), np.zeros(p.m)
 

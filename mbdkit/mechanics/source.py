@@ -22,7 +22,7 @@ UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
 
 
 @dataclass(frozen=True)
-class Placed:
+class PreparedMechanism:
     """A mechanism at its consistent start, with its spec."""
 
     spec: RunSpec
@@ -30,7 +30,7 @@ class Placed:
     equations: EquationsOfMotion
 
     @classmethod
-    def of(cls, source: Any, overrides: Iterable[str] = (), **sections: Any) -> Placed:
+    def of(cls, source: Any, overrides: Iterable[str] = (), **sections: Any) -> PreparedMechanism:
         """Prepare a mechanism from any source that `mbdkit.run` accepts; a `Mechanism` needs no other sections.
 
         Raises
@@ -67,7 +67,7 @@ class Placed:
         return self.spec.placed(SpecError(message, key=key))
 
     @contextmanager
-    def blamed(self) -> Iterator[None]:
+    def as_spec_errors(self) -> Iterator[None]:
         """Convert a StepError into a SpecError about the mechanism."""
         try:
             yield

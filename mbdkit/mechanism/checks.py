@@ -12,6 +12,7 @@ from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import Assembly
 from mbdkit.mechanism.values import Table
+from mbdkit.plain_data import found
 from mbdkit.text import did_you_mean, listed
 
 ROUNDING = 1e-9
@@ -66,8 +67,6 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
 
     Parameters
     ----------
-    forces
-        The force elements by name.
     placed
         Returns the body with a given name, at its position after assembly.
     """
@@ -90,7 +89,7 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
 def check_name(name: object, key: str) -> None:
     """Raise a SpecError unless `name` is a valid name of a body, joint, force or event in specs and archives."""
     if not isinstance(name, str):
-        raise SpecError(f"should be text, not {name!r}", key=key)
+        raise SpecError(f"should be text, not {found(name)}", key=key)
     if name == GROUND:
         raise SpecError("the name 'ground' is reserved for the global frame; choose another name", key=key)
     if not name or name != name.strip() or any(letter in "/." or not letter.isprintable() for letter in name):
@@ -103,7 +102,7 @@ def check_name(name: object, key: str) -> None:
 def check_known(name: object, bodies: Iterable[str], key: str) -> None:
     """Raise a SpecError unless `name` is the ground or one of the `bodies`."""
     if not isinstance(name, str):
-        raise SpecError(f"should be the name of a body, not {name!r}", key=key)
+        raise SpecError(f"should be text, not {found(name)}", key=key)
     if name != GROUND and name not in bodies:
         known = [GROUND, *bodies]
         hint = did_you_mean(name, known) or f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}"

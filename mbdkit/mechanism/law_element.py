@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal, Protocol
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    ModelWrapValidatorHandler,
-    ValidationError,
-    ValidationInfo,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
 from pydantic_core import InitErrorDetails, to_json
 
 from mbdkit.mechanism import higher_layers
@@ -53,7 +46,7 @@ class Law(Element):
     def _by_its_law(cls, data: Any, handler: ModelWrapValidatorHandler[Law], info: ValidationInfo) -> Law:
         if cls is not Law or not isinstance(data, Mapping) or not isinstance(data.get("law"), str):
             return handler(data)
-        element = find_law(data["law"], info.context)
+        element = _plugin_lookup(info.context).law_element(data["law"])
         try:
             return element.model_validate_json(to_json(data, fallback=lambda x: x.tolist()))
         except ValidationError as error:
@@ -77,29 +70,29 @@ class Law(Element):
         return [(f"pathway.{key}", name) for key, name in self.pathway.angles()]
 
 
-FindLaw = Callable[[str], type[Law]]
-"""Returns the element class of a law, given its name, or raises SpecError with the key ``law``."""
+class PluginLookup(Protocol):
+    """What validation and its error messages must know about plugins: the models that they add to a spec."""
+
+    def law_element(self, name: str) -> type[Law]:
+        """Return the element class of the force law with this short or long name.
+
+        Raises
+        ------
+        SpecError
+            If there is no such law, with the key ``law``.
+        """
+
+    def selected_options(self, metadata: Sequence[Any], item: str | int) -> type[BaseModel] | None:
+        """Return the options of an item; None unless `metadata` is that of a field that selects an item by name."""
+
+    def owners_of(self, key: str, options: type[BaseModel]) -> str:
+        """Return a phrase that names the other items of the same kind with an option `key`; empty if there are none."""
 
 
-def find_law(name: str, context: Any = None) -> type[Law]:
-    """Return the element class of the law with this name.
-
-    Parameters
-    ----------
-    name
-        Short or long name of the law.
-    context
-        Pydantic validation context, a mapping whose ``find_law`` is a `FindLaw`; by default, the installed laws are
-        searched.
-
-    Raises
-    ------
-    SpecError
-        If there is no such law, with the key ``law``.
-    """
-    given: FindLaw | None = context.get("find_law") if isinstance(context, Mapping) else None
-    element: type[Law] = (given or higher_layers.find_installed_law)(name)
-    return element
+def _plugin_lookup(context: Any) -> PluginLookup:
+    """Return the lookup in a pydantic validation context, a mapping; by default, that of the installed plugins."""
+    given: PluginLookup | None = context.get("plugins") if isinstance(context, Mapping) else None
+    return given or higher_layers.installed_plugins()
 
 
 def _below(error: ValidationError, law_id: str) -> ValidationError:

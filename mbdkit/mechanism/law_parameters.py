@@ -15,10 +15,6 @@ def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, .
 
     Parameters
     ----------
-    law
-        The force law.
-    options
-        Instance of the law's options.
     name
         Name of the law for error messages.
 

@@ -11,12 +11,13 @@ from mbdkit.errors import SpecError
 from mbdkit.mechanism import higher_layers
 from mbdkit.mechanism.bodies import GROUND, Body
 from mbdkit.mechanism.checks import check_known, check_mechanism, check_name, check_tables
-from mbdkit.mechanism.element_errors import spec_error
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Distance, Driver, Joint, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
+from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Point, Table
+from mbdkit.plain_data import found, plain
 from mbdkit.strict_model import StrictModel
 from mbdkit.text import counted
 
@@ -91,10 +92,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the body.
-        mass
-            Mass [kg].
+        name, mass
+            Name of the body, and its mass [kg].
         inertia
             Moment of inertia about the centre of mass [kg m^2]; None for a point mass.
         position, angle
@@ -122,10 +121,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the joint.
-        a, b
-            The two bodies.
+        name, a, b
+            Name of the joint, and the two bodies.
         at
             Position of the joint (x, y) [m] in the global frame at the initial positions.
         points
@@ -150,10 +147,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the joint.
-        a, b
-            The two bodies; the line is fixed to a.
+        name, a, b
+            Name of the joint, and the two bodies; the line is fixed to a.
         at
             Point (x, y) [m] in the global frame at the initial positions: both the sliding point of b and a point of
             the line.
@@ -182,10 +177,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the joint.
-        a, b
-            The two bodies.
+        name, a, b
+            Name of the joint, and the two bodies.
         at
             Position of the joint (x, y) [m] in the global frame at the initial positions.
         points
@@ -212,10 +205,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the joint.
-        a, b
-            The two bodies.
+        name, a, b
+            Name of the joint, and the two bodies.
         from_, to
             The point of a and the point of b (x, y) [m] in the global frame at the initial positions.
         points
@@ -227,7 +218,8 @@ class Mechanism:
         held = self._points(key, a, b, points, from_, to, "from_ and to")
         if length is None:
             if from_ is None or to is None:
-                raise SpecError("'length' is missing; it can be omitted only with from_ and to", key=f"{key}.length")
+                message = "is missing: distance between the two points [m]; it can be omitted only with from_ and to"
+                raise SpecError(message, key=f"{key}.length")
             (x1, y1), (x2, y2) = _point(from_, f"{key}.from_"), _point(to, f"{key}.to")
             length = ((x2 - x1) ** 2 + (y2 - y1) ** 2) ** 0.5
         self.joints[name] = _make(Distance, key, bodies=(a, b), points=held, length=length)
@@ -246,10 +238,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the driver.
-        a, b
-            The two bodies.
+        name, a, b
+            Name of the driver, and the two bodies.
         coordinate
             ``angle`` (angle_b - angle_a), or the coordinate ``x`` or ``y`` of b's point in a's frame.
         motion
@@ -279,10 +269,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the force element.
-        a, b
-            The two bodies.
+        name, a, b
+            Name of the force element, and the two bodies.
         from_, to
             The point of a and the point of b (x, y) [m] in the global frame at the initial positions.
         points
@@ -308,10 +296,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the force element.
-        a, b
-            The two bodies.
+        name, a, b
+            Name of the force element, and the two bodies.
         stiffness, damping, free_angle
             Stiffness [N m/rad], damping [N m s/rad], and relative angle at which the spring exerts no torque [rad].
         """
@@ -339,10 +325,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the force element.
-        a, b
-            The two bodies.
+        name, a, b
+            Name of the force element, and the two bodies.
         law
             Name of the force law: ``one-sided``, ``table``, ``linear``, or a law from a plugin.
         along
@@ -376,10 +360,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the force element.
-        body
-            Name of the body that the torque acts on.
+        name, body
+            Name of the force element, and of the body that the torque acts on.
         value
             Torque [N m]: number, expression of t, or table.
         reaction_body
@@ -405,10 +387,8 @@ class Mechanism:
 
         Parameters
         ----------
-        name
-            Name of the force element.
-        body
-            Name of the body that the force acts on.
+        name, body
+            Name of the force element, and of the body that the force acts on.
         value
             Force (x, y) [N]: numbers, expressions of t, or tables.
         at
@@ -524,8 +504,8 @@ class Mechanism:
             With the key path of the first error.
         """
         if not isinstance(spec, Mapping):
-            raise SpecError(f"should be a mapping, not {type(spec).__name__}", key="model")
-        values = dict(spec)
+            raise SpecError(f"should be a mapping (`key: value`), not {found(spec)}", key="model")
+        values = plain(spec, ("model",))
         name = values.pop("name", "mechanism")
         if name != "mechanism":
             raise SpecError(f"only the free-form model 'mechanism' can be read here; got {name!r}", key="model.name")
@@ -592,7 +572,11 @@ class Mechanism:
                 f"give the position either as points= (in the frames of the bodies) or as {alternative} (global frame)",
                 key=key,
             )
-        return self.to_local(a, _point(at_a, key)), self.to_local(b, _point(at_b, key))
+        first, _, second = alternative.partition(" and ")
+        return (
+            self.to_local(a, _point(at_a, f"{key}.{first}")),
+            self.to_local(b, _point(at_b, f"{key}.{second or first}")),
+        )
 
 
 def _make(cls: type[AnyElement], key: str, **values: Any) -> AnyElement:
@@ -603,14 +587,14 @@ def _validated(cls: type[AnyElement], key: str, values: Mapping[str, Any]) -> An
     try:
         return cls.model_validate(values)
     except ValidationError as error:
-        raise spec_error(error, key, cls) from None
+        raise spec_error(error, cls, prefix=key) from None
 
 
 def _point(value: Any, key: str) -> tuple[float, float]:
     try:
         return _POINT.validate_python(value, strict=True)
     except ValidationError as error:
-        raise spec_error(error, key, MechanismData) from None
+        raise spec_error(error, Point, prefix=key) from None
 
 
 def _plain(element: StrictModel) -> dict[str, Any]:

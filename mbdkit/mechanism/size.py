@@ -15,8 +15,6 @@ def mechanism_size(mechanism: Mechanism, position: np.ndarray) -> float:
 
     Parameters
     ----------
-    mechanism
-        The mechanism.
     position
         (B, 3) array: centre of mass x, y [m] and angle [rad] of each of the B bodies, in the order of the mechanism.
     """

@@ -25,13 +25,9 @@ def stiff_baumgarte(name: str, method: Method, claims: Claims, wanted: Stabiliza
 
     Parameters
     ----------
-    name
-        Name of the method.
     method, claims
         The method and its claims. A method written in Python that does not use tangents is treated as an explicit
         Runge-Kutta method with as many stages as its order.
-    wanted
-        The stabilization of the run.
     step
         The fixed step [s]; None if there is none.
     """

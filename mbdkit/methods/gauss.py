@@ -13,7 +13,6 @@ import mpmath
 from pydantic import Field
 
 from mbdkit.methods.common_claims import ORDER_DRIFT, TOLERANCE_DRIFT
-from mbdkit.methods.kinds import ImplicitRungeKutta
 from mbdkit.methods.method_options import ImplicitOptions
 from mbdkit.methods.tableau import ButcherTableau, Coefficient, collocation
 from mbdkit.registry.items import Claims, IntegratorPlugin
@@ -64,16 +63,6 @@ class GaussOptions(ImplicitOptions):
     """Number of stages s; the order is 2 s."""
 
 
-def _create(options: GaussOptions) -> ImplicitRungeKutta:
-    return ImplicitRungeKutta(
-        tableau(options.stages),
-        options.stage_solver,
-        options.tolerance,
-        options.max_iterations,
-        options.tolerances(),
-    )
-
-
 def _claims(options: GaussOptions) -> Claims:
     # A step size that depends on earlier steps differs in the reversed motion, so adaptive steps are neither symmetric
     # nor symplectic; every single step still conserves quadratic invariants.
@@ -96,7 +85,7 @@ INTEGRATORS = (
         name="gauss",
         summary="Gauss-Legendre collocation: implicit, 1 to 6 stages, order 2 s, symmetric, symplectic; or adaptive.",
         options=GaussOptions,
-        create=_create,
+        create=lambda options: options.method(tableau(options.stages)),
         claims=_claims,
         references=(REFERENCE,),
         dense_output=True,

@@ -35,8 +35,6 @@ class ExplicitRungeKutta:
 
     Parameters
     ----------
-    tableau
-        Coefficients of the method.
     pair
         Error estimates and dense output, if there are any.
     tolerances
@@ -116,8 +114,6 @@ class SciPySolver:
     ----------
     solver
         Name of the `OdeSolver` subclass in ``scipy.integrate``, or the class itself.
-    rtol, atol
-        Error tolerances.
     needs_jacobian
         Whether the solver uses the Jacobian of the right side; it is then given the exact one.
     """

@@ -10,7 +10,8 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from mbdkit.methods.kinds import Tolerances
+from mbdkit.methods.kinds import ImplicitRungeKutta, Tolerances
+from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.strict_model import StrictModel
 
 
@@ -59,3 +60,7 @@ class ImplicitOptions(ControlledOptions):
     """Stop when the stage accelerations change by less than this, relative to their size; left out: at stagnation."""
     max_iterations: Annotated[int, Field(ge=2, le=10_000)] = 50
     """Iterations in one step after which the stage equations count as unsolved."""
+
+    def method(self, tableau: ButcherTableau) -> ImplicitRungeKutta:
+        """Return the method with this tableau and these options."""
+        return ImplicitRungeKutta(tableau, self.stage_solver, self.tolerance, self.max_iterations, self.tolerances())

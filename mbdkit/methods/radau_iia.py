@@ -12,7 +12,6 @@ from typing import Literal
 import mpmath
 
 from mbdkit.methods.common_claims import HAIRER_WANNER, ORDER_DRIFT, TOLERANCE_DRIFT
-from mbdkit.methods.kinds import ImplicitRungeKutta
 from mbdkit.methods.method_options import ImplicitOptions
 from mbdkit.methods.tableau import ButcherTableau, collocation
 from mbdkit.registry.items import Claims, IntegratorPlugin, Orders
@@ -58,16 +57,6 @@ class RadauOptions(ImplicitOptions):
     """Number of stages s; the order is 2 s - 1."""
 
 
-def _create(options: RadauOptions) -> ImplicitRungeKutta:
-    return ImplicitRungeKutta(
-        tableau(options.stages),
-        options.stage_solver,
-        options.tolerance,
-        options.max_iterations,
-        options.tolerances(),
-    )
-
-
 _DRIFT_BY_FORMULATION = (
     "index-1 drifts with the method's order, growing with time; index-3 meets the joints in positions to round-off, "
     "index-2 in velocities, ggl in both; what index-2 misses in positions grows with time, "
@@ -99,7 +88,7 @@ INTEGRATORS = (
         name="radau-iia",
         summary="Radau IIA collocation: implicit, 2, 3 or 5 stages, order 2 s - 1, L-stable; or adaptive steps.",
         options=RadauOptions,
-        create=_create,
+        create=lambda options: options.method(tableau(options.stages)),
         claims=_claims,
         references=(HAIRER_WANNER, GEAR),
         dense_output=True,

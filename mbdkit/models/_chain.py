@@ -25,10 +25,6 @@ def chain(
 
     Parameters
     ----------
-    name
-        Name of the model.
-    gravity
-        Gravitational acceleration (x, y) [m/s^2].
     lengths, masses, angles, rates
         One value for each rod: length [m], mass [kg], absolute angle from the +x axis [rad], absolute angular velocity
         [rad/s].

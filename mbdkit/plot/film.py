@@ -39,8 +39,6 @@ class Film:
     ----------
     run
         The run, for the heading.
-    shown
-        The scene.
     """
 
     def __init__(self, run: Run, shown: Scene):

@@ -23,8 +23,6 @@ class Gaps:
 
     Parameters
     ----------
-    joints
-        Names of the J joints.
     ends
         For each joint the indices, in the drawing's table of points, of its points on its first and second body.
     vectors
@@ -54,8 +52,6 @@ def gaps(spec: Mapping[str, Any], drawing: Drawing, poses: Array) -> Gaps:
     ----------
     spec
         The run spec as a plain mapping.
-    drawing
-        The drawing of its mechanism.
     poses
         x [m], y [m] and angle [rad] of each body, shape (F, B, 3).
     """

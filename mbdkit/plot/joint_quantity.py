@@ -23,17 +23,7 @@ SMALLEST = 1e-18
 
 @dataclass(frozen=True)
 class JointQuantity:
-    """A quantity of every joint over time.
-
-    Parameters
-    ----------
-    name, unit
-        Name and unit for labels.
-    joints
-        Names of the J joints.
-    data
-        One curve for each joint.
-    """
+    """A quantity of every joint over time."""
 
     name: str
     unit: str
@@ -70,10 +60,6 @@ def joint_quantity(
 
     Parameters
     ----------
-    run
-        The run.
-    name, unit
-        Name and unit for labels.
     path
         Path of the array, of shape (T, J, ...).
     values
@@ -122,12 +108,6 @@ def draw_joints(axes: Axes, quantity: JointQuantity, *, log: bool = False, title
 
     Parameters
     ----------
-    axes
-        Empty axes.
-    quantity
-        The quantity.
-    log
-        Whether the y axis is logarithmic.
     title
         Title of the panel; by default it states the largest value.
     """

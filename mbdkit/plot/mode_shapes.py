@@ -31,12 +31,6 @@ def plot_modes(found: Modes, mechanism: Mechanism, title: str, path: str | os.Pa
 
     Parameters
     ----------
-    found
-        The modes.
-    mechanism
-        The mechanism.
-    title
-        Heading.
     path
         File to write. Its suffix, .png, .svg or .pdf, selects the format.
 

@@ -40,8 +40,6 @@ def zigzag(start: Array, end: Array, width: float, coils: int = 6) -> Array:
         Ends of the spring [m], shape (..., 2).
     width
         Amplitude of the zigzag [m].
-    coils
-        Number of teeth.
 
     Returns
     -------

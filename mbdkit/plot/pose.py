@@ -46,12 +46,6 @@ class Pose:
 
     Parameters
     ----------
-    axes
-        Axes to draw on.
-    drawing
-        Drawing of the mechanism.
-    colors
-        Colour of each body.
     size
         Size of the mechanism [m], for the width of the springs.
     alpha

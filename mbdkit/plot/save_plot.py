@@ -31,8 +31,6 @@ def figure(run: Run, kind: str = "trajectory") -> Figure:
 
     Parameters
     ----------
-    run
-        The run.
     kind
         A key of `mbdkit.plot.plot_kinds.PLOT_KINDS`.
 
@@ -63,21 +61,14 @@ def figure(run: Run, kind: str = "trajectory") -> Figure:
 
 
 def plot(run: Run, kind: str, path: str | os.PathLike[str]) -> Path:
-    """Write a plot of a run to a file. An existing file is replaced.
+    """Write a plot of a run to a file, whose path is returned. An existing file is replaced.
 
     Parameters
     ----------
-    run
-        The run.
     kind
         A key of `mbdkit.plot.plot_kinds.PLOT_KINDS`.
     path
         File to write. Its suffix, .png, .svg or .pdf, selects the format.
-
-    Returns
-    -------
-    Path
-        The file.
 
     Raises
     ------

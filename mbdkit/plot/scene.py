@@ -29,8 +29,6 @@ class Scene:
 
     Parameters
     ----------
-    drawing
-        Drawing of the mechanism.
     speed
         Seconds of the run per second of the animation.
     time
@@ -69,12 +67,6 @@ def scene(run: Run, *, rate: float, most: int, shortest: float, longest: float) 
 
     Parameters
     ----------
-    run
-        The run.
-    rate
-        Frames per second.
-    most
-        Largest number of frames.
     shortest, longest
         Durations [s]. A run between them is shown in real time; a shorter run is slowed down and a longer one
         accelerated by a round factor.

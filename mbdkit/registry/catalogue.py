@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
 from mbdkit.errors import SpecError
 from mbdkit.registry.items import ITEM_CLASSES, Plugin
+from mbdkit.registry.policy import normalized_name
 from mbdkit.text import did_you_mean, listed
 
 Kind = str
@@ -106,7 +106,7 @@ class Registry:
         name
             Name of the distribution, compared as package indices do (case, dots, dashes and underscores do not count).
         """
-        return _normal(name) in {_normal(item.origin.distribution) for item in self.items}
+        return normalized_name(name) in {normalized_name(item.origin.distribution) for item in self.items}
 
     def of_kind(self, kind: Kind) -> tuple[Registered, ...]:
         """Return the items of one kind."""
@@ -177,8 +177,3 @@ class Registry:
         owners = listed([f"{item.origin.distribution} {item.origin.version}" for item in others], "and")
         error = f"the short name '{name}' is also claimed by {owners}; write the long id '{report.id}'"
         return Report(report.id, report.kind, report.origin, "clash", error, report.seconds)
-
-
-def _normal(distribution: str) -> str:
-    """Return the normalized name of a distribution, as package indices compare it."""
-    return re.sub(r"[-_.]+", "-", distribution).lower()

@@ -80,7 +80,7 @@ class Policy:
 
     def reason_against(self, distribution: str) -> str | None:
         """Return the reason why the plugins of a distribution are not loaded, or None if they are."""
-        name = _normal(distribution)
+        name = normalized_name(distribution)
         if name == "mbdkit":
             return None
         if name in self.disabled:
@@ -91,7 +91,7 @@ class Policy:
 
     def unknown(self, distributions: set[str]) -> str | None:
         """Return a message about allowed or disabled names that have no plugin installed, or None."""
-        here = {_normal(name) for name in distributions}
+        here = {normalized_name(name) for name in distributions}
         told = [
             f"{variable} names {listed([repr(name) for name in sorted(names - here)], 'and')}, "
             "for which no plugin is installed"
@@ -102,9 +102,9 @@ class Policy:
 
 
 def _names(text: str) -> frozenset[str]:
-    return frozenset(_normal(name) for name in re.split(r"[,\s]+", text) if name)
+    return frozenset(normalized_name(name) for name in re.split(r"[,\s]+", text) if name)
 
 
-def _normal(name: str) -> str:
-    """Return the name of a distribution, normalized as in PEP 503."""
-    return re.sub(r"[-_.]+", "-", name).lower()
+def normalized_name(distribution: str) -> str:
+    """Return the name of a distribution, normalized as in PEP 503 for comparison."""
+    return re.sub(r"[-_.]+", "-", distribution).lower()

@@ -19,23 +19,16 @@ WRITERS: dict[str, Callable[[Run, Path], None]] = {".gif": write_gif, ".mp4": wr
 
 
 def animate(run: Run, path: str | os.PathLike[str]) -> Path:
-    """Write an animation of a run. An existing file is replaced.
+    """Write an animation of a run to a file, whose path is returned. An existing file is replaced.
 
     Every frame is a recorded row of the run. A GIF or MP4 shows runs of 2 to 16 s in real time; a longer run is
     accelerated and a shorter one slowed down by a round factor, which is stated. On a page the reader sets the speed.
 
     Parameters
     ----------
-    run
-        The run.
     path
         File to write. Its suffix selects the format: .gif, .html (a page with controls) or .mp4 (needs the program
         ffmpeg).
-
-    Returns
-    -------
-    Path
-        The file.
 
     Raises
     ------

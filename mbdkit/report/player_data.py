@@ -28,8 +28,6 @@ def film_data(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
 
     Parameters
     ----------
-    run
-        A run with rows.
     numbers
         Approximate number of pose values, six bytes each.
     label

@@ -37,7 +37,7 @@ def write_report(
     figures: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
 ) -> tuple[Path, Verdict]:
-    """Write the report of a run or of a study.
+    """Write the report of a run or of a study, and return its path and the verdict.
 
     Parameters
     ----------
@@ -51,11 +51,6 @@ def write_report(
         written to ``figures`` in its folder, unless `output` is given.
     overwrite
         Whether existing files may be replaced.
-
-    Returns
-    -------
-    Path, Verdict
-        The file and the verdict.
 
     Raises
     ------

@@ -33,10 +33,6 @@ class ReportPage:
         Data of animations, as `film_data` returns them.
     failures
         Table of the failed runs with reasons.
-    methods
-        The methods section.
-    environment
-        Table of versions and platform.
     reproduce, commands, spec
         How to reproduce the results: a sentence, commands, and the spec.
     """

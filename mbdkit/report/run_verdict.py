@@ -34,13 +34,7 @@ _LAWS = {
 
 
 def run_verdict(run: Run) -> Verdict:
-    """Return the verdict on a run, with its charts and tables.
-
-    Parameters
-    ----------
-    run
-        A run with rows.
-    """
+    """Return the verdict on a run, with its charts and tables."""
     claims = [_completion(run)]
     if run.records("joints/misalignment") and run.joint_names:
         claims.append(_joints(run))

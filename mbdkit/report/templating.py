@@ -16,12 +16,8 @@ def render(template: str, values: Mapping[str, Any], filters: Mapping[str, Calla
 
     Parameters
     ----------
-    template
-        Name of the template.
     values
         Values that it shows; texts are escaped.
-    filters
-        Filters of the template.
     """
     environment = _environment()
     environment.filters.update(filters or {})

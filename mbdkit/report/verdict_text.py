@@ -16,13 +16,7 @@ def headlines(verdict: Verdict) -> tuple[Table, ...]:
 
 
 def terminal_text(verdict: Verdict) -> str:
-    """Return claims and headline tables for the terminal; empty if there is no headline table.
-
-    Parameters
-    ----------
-    verdict
-        The verdict.
-    """
+    """Return claims and headline tables for the terminal; empty if there is no headline table."""
     shown = headlines(verdict)
     if not shown:
         return ""
@@ -45,13 +39,7 @@ def json_values(verdict: Verdict) -> dict[str, Any]:
 
 
 def markdown_text(document: ReportPage) -> str:
-    """Return a report as Markdown: verdict, claims, and headline tables or, if there are none, all tables.
-
-    Parameters
-    ----------
-    document
-        The report.
-    """
+    """Return a report as Markdown: verdict, claims, and headline tables or, if there are none, all tables."""
     verdict = document.verdict
     parts = [f"# {document.title}", document.settings, document.alarm, verdict.sentence]
     if verdict.claims:

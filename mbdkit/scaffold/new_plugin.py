@@ -85,21 +85,14 @@ _FLAVOURS: dict[NewKind, _Flavour] = {
 
 
 def new_project(name: str, kind: NewKind, folder: Path | None = None) -> Path:
-    """Create the project of a new plugin.
+    """Create the project of a new plugin, and return its folder.
 
     Parameters
     ----------
     name
         Name of the distribution and of its folder; the name of the plugin is the same without a leading ``mbdkit-``.
-    kind
-        Kind of plugin.
     folder
         Parent folder; by default the working directory.
-
-    Returns
-    -------
-    Path
-        The new folder.
 
     Raises
     ------

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from pydantic import BaseModel, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
+from mbdkit.errors import SpecError
+from mbdkit.plain_data import found
 from mbdkit.registry.catalogue import Kind, Registry
 from mbdkit.registry.item_options import item_of, named_options
 from mbdkit.registry.manager import registry
+from mbdkit.text import listed
 
 
 @dataclass(frozen=True)
@@ -36,9 +40,24 @@ class Choice:
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         items = self.registry.of_kind(self.kind)
         choices = {item.id: handler.generate_schema(named_options(item)) for item in items}
-        if not choices:
-            return core_schema.no_info_plain_validator_function(self._tag)
-        return core_schema.tagged_union_schema(choices, self._tag)
+        union: CoreSchema = core_schema.no_info_plain_validator_function(self._tag)
+        if choices:
+            union = core_schema.tagged_union_schema(choices, self._tag)
+        return core_schema.no_info_before_validator_function(self._named, union)
+
+    def _named(self, data: Any) -> Any:
+        """Return `data` unchanged; raise SpecError unless it is a mapping with a name."""
+        names = self.registry.names(self.kind)
+        if not isinstance(data, Mapping):
+            example = data if isinstance(data, str) and data in names else "NAME"
+            problem, key = f"should be a mapping such as `{{name: {example}}}`, not {found(data)}", ""
+        elif "name" not in data:
+            problem, key = f"is missing: the name of the {self.kind}", "name"
+        elif not isinstance(data["name"], str):
+            problem, key = f"should be text, not {found(data['name'])}", "name"
+        else:
+            return data
+        raise SpecError(f"{problem}; installed: {listed(names)}", key=key)
 
     def _tag(self, data: Any) -> str | None:
         if isinstance(data, BaseModel):  # during serialization

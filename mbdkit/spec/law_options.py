@@ -9,7 +9,6 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.item_options import class_name, name_type
-from mbdkit.registry.manager import registry
 from mbdkit.strict_model import STRICT
 
 if TYPE_CHECKING:
@@ -36,8 +35,3 @@ def law_element(item: Registered) -> type[Law]:
         law=(name_type(item), Field(description=plugin.summary)),
     )
     return cast("type[Law]", element)
-
-
-def find_installed_law(name: str) -> type[Law]:
-    """Return the element class of an installed force law; raises SpecError if there is no such law."""
-    return law_element(registry().get("force-law", name))

@@ -19,7 +19,7 @@ VERSION = 1
 
 
 def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> RunSpec:
-    """Load and validate a run spec, and build its mechanism.
+    """Load and validate a run spec, build its mechanism, and return the spec, which is immutable.
 
     Parameters
     ----------
@@ -30,11 +30,6 @@ def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> Ru
         Assignments such as ``"time.step=0.005"``, with values in YAML.
     sections
         Top-level keys of the spec, such as ``time={"end": 5, "step": 0.01}``, which replace those in `source`.
-
-    Returns
-    -------
-    RunSpec
-        The validated spec, which is immutable.
 
     Raises
     ------
@@ -68,11 +63,6 @@ def example_names() -> list[str]:
 
 def example_text(name: str) -> str:
     """Return the text of the spec of a packaged example, including comments.
-
-    Parameters
-    ----------
-    name
-        Name of the example.
 
     Raises
     ------

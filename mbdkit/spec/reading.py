@@ -12,7 +12,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from mbdkit.errors import SpecError
-from mbdkit.spec.plain_data import Path, found, parse_path, path_text
+from mbdkit.plain_data import Path, found, parse_path, path_text
 from mbdkit.spec.source_document import Document
 from mbdkit.spec.yaml_reader import read_yaml
 
@@ -49,8 +49,6 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
 
     Parameters
     ----------
-    text
-        The text.
     file
         Where the text comes from, for error messages.
     suffix

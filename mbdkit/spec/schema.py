@@ -66,13 +66,7 @@ SCHEMAS: dict[str, Callable[[Registry], dict[str, Any]]] = {"run": run_schema, "
 
 
 def builtin_schema_text(kind: str) -> str:
-    """Return the text of ``schemas/KIND.schema.json``: the schema with only the built-in plugins.
-
-    Parameters
-    ----------
-    kind
-        ``run`` or ``study``.
-    """
+    """Return the text of ``schemas/KIND.schema.json``: the schema with only the built-in plugins."""
     schema = SCHEMAS[kind](registry().only("mbdkit"))
     home = HOME.format(kind)
     return json.dumps({"$schema": schema.pop("$schema"), "$id": home, **schema}, indent=2, ensure_ascii=False) + "\n"

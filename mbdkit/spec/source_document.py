@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mbdkit.errors import SpecError
-from mbdkit.spec.plain_data import Path, parse_path
+from mbdkit.plain_data import Path, parse_path
 
 
 @dataclass
@@ -16,8 +16,6 @@ class Document:
 
     Parameters
     ----------
-    data
-        The top-level mapping.
     file
         Name of the file it was read from; empty for data from Python.
     lines

@@ -11,7 +11,7 @@ from pydantic_core import CoreSchema
 
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.errors import SpecError
-from mbdkit.spec.plain_data import canonical, found
+from mbdkit.plain_data import canonical, found
 from mbdkit.spec.sections import Count, Positive, Section
 from mbdkit.text import did_you_mean, listed
 

@@ -9,11 +9,10 @@ from typing import Any
 from pydantic import PrivateAttr, ValidationError
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.validation_errors import spec_error
+from mbdkit.plain_data import canonical, plain
 from mbdkit.spec.choices import registry_of
-from mbdkit.spec.explain import explain
-from mbdkit.spec.law_options import law_element
-from mbdkit.spec.plain_data import canonical, plain
+from mbdkit.spec.registry_lookup import RegistryLookup
 from mbdkit.spec.sections import Section
 from mbdkit.spec.source_document import Document
 
@@ -30,18 +29,15 @@ class StrictSpec(Section):
     _document: Document | None = PrivateAttr(default=None)
 
     def __init__(self, **data: Any):
+        plugins = RegistryLookup(lambda: registry_of(type(self)))
         # Every source is validated as JSON: only then does pydantic's strict mode accept a list for a tuple.
         try:
             text = json.dumps(plain(data), allow_nan=False)
-            self.__pydantic_validator__.validate_json(text, self_instance=self, context={"find_law": self._find_law})
+            self.__pydantic_validator__.validate_json(text, self_instance=self, context={"plugins": plugins})
         except ValidationError as error:
-            raise explain(error, type(self)) from None
+            raise spec_error(error, type(self), plugins=plugins) from None
         except RecursionError:
             raise SpecError("this spec is nested too deeply, or contains itself") from None
-
-    @classmethod
-    def _find_law(cls, name: str) -> type[Law]:
-        return law_element(registry_of(cls).get("force-law", name))
 
     def placed(self, error: SpecError) -> SpecError:
         """Return an error about this spec with the file and line of its key, if the spec was read from a file."""

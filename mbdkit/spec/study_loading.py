@@ -9,11 +9,11 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from mbdkit.errors import SpecError
+from mbdkit.plain_data import Path, parse_path, path_text
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.spec.loading import example_names, exists, read_source
-from mbdkit.spec.plain_data import Path, parse_path, path_text
 from mbdkit.spec.reading import read_file, read_stdin, read_text
 from mbdkit.spec.source_document import Document
 from mbdkit.spec.study_spec import StudySpec

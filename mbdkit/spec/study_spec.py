@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
 
 from mbdkit.errors import SpecError
-from mbdkit.spec.plain_data import Path, path_text
+from mbdkit.plain_data import Path, path_text
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.sections import Section
 from mbdkit.spec.source_document import Document
@@ -16,6 +16,18 @@ from mbdkit.spec.strict_spec import StrictSpec
 from mbdkit.spec.value_sets import ValueSet, expand
 from mbdkit.text import listed
 
+ErrorMeasure = Literal[
+    "end_error",
+    "end_angle_error",
+    "trajectory_error",
+    "trajectory_angle_error",
+    "velocity_error",
+    "angular_velocity_error",
+    "multiplier_error",
+]
+"""Measures that compare a run with its reference run."""
+SecondRunMeasure = Literal["reversibility_defect", "reversibility_velocity_defect", "velocity_misalignment_every_step"]
+"""Measures that need a second run of each spec; taken only if listed by name."""
 Measure = Literal[
     "misalignment_max",
     "velocity_misalignment_max",
@@ -23,35 +35,17 @@ Measure = Literal[
     "energy_balance_max",
     "energy_balance_end",
     "energy_scale",
-    "end_error",
-    "end_angle_error",
-    "trajectory_error",
-    "trajectory_angle_error",
-    "velocity_error",
-    "angular_velocity_error",
-    "multiplier_error",
+    ErrorMeasure,
     "own_multipliers",
     "energy_trend",
     "energy_trend_error",
     "energy_oscillation",
     "duration",
     "mechanism_size",
-    "reversibility_defect",
-    "reversibility_velocity_defect",
-    "velocity_misalignment_every_step",
+    SecondRunMeasure,
 ]
-#: Measures that compare a run with its reference run.
-ERRORS = (
-    "end_error",
-    "end_angle_error",
-    "trajectory_error",
-    "trajectory_angle_error",
-    "velocity_error",
-    "angular_velocity_error",
-    "multiplier_error",
-)
-#: Measures that need a second run of each spec; taken only if listed by name.
-SECOND_RUN = ("reversibility_defect", "reversibility_velocity_defect", "velocity_misalignment_every_step")
+ERRORS: tuple[str, ...] = get_args(ErrorMeasure)
+SECOND_RUN: tuple[str, ...] = get_args(SecondRunMeasure)
 
 
 def _check_key(key: str) -> str:

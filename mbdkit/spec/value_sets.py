@@ -15,7 +15,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, WithJsonSchema
 
 from mbdkit.errors import SpecError
-from mbdkit.spec.plain_data import found
+from mbdkit.plain_data import found
 from mbdkit.text import did_you_mean, listed
 
 #: Larger sets are assumed to be mistakes.

@@ -12,7 +12,7 @@ from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 from ruamel.yaml.representer import SafeRepresenter
 
 from mbdkit.errors import SpecError
-from mbdkit.spec.plain_data import Path, path_text
+from mbdkit.plain_data import Path, path_text
 
 LARGEST = 1_000_000  # values, after expansion of aliases
 

@@ -25,7 +25,7 @@ from mbdkit.stepping.collocation_stages import (
     new_systems,
 )
 from mbdkit.stepping.compiled_method import CompiledMethod
-from mbdkit.stepping.convergence import describe_divergence
+from mbdkit.stepping.convergence import TOLERANCE, describe_divergence
 from mbdkit.stepping.coupled_newton import CoupledNewton
 from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS, RHS, RunState
 
@@ -61,7 +61,7 @@ class CompiledCollocation(CompiledMethod):
         self.carries_multipliers = formulation.solves_multipliers
         self.has_dense_output = method.tableau.is_collocation
         self.rk = coefficients_of(method.tableau)
-        tolerance = formulation.tolerance
+        tolerance = TOLERANCE
         if method.tolerance is not None:
             tolerance = method.tolerance
         elif control is not None and not formulation.solves_multipliers:  # it is relative to accelerations

@@ -37,7 +37,7 @@ from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
 from mbdkit.engine.jit.decorators import entry, inlined, subkernel
 from mbdkit.engine.kernels.applied_forces import applied_forces
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, STIFFNESS
-from mbdkit.engine.kernels.projection import position_rows, rate_rows
+from mbdkit.engine.kernels.projection import STAGNANT, position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
     OK,
     Scatter,
@@ -59,10 +59,8 @@ from mbdkit.stepping.collocation_stages import (
 )
 from mbdkit.stepping.collocation_step import state_inside, try_step
 from mbdkit.stepping.convergence import (
-    CANCELLING_FORCES,
     NEGLIGIBLE_CHANGE,
     PATIENCE,
-    STATE_TOLERANCE,
     accelerations_are_round_off,
     moves_by_roundings,
     relative_to_state,
@@ -241,13 +239,13 @@ def _sizes(c, m, h):
 def _round_off(c, m, h, now, moved, idle):
     """Return whether a change that no longer shrinks is the round-off of positions or of single forces.
 
-    The latter is large where stiff springs cancel.
+    The latter is large where stiff springs cancel, but never above `STAGNANT`.
     """
     if moves_by_roundings(moved):
         return True
     if idle < PATIENCE:
         return False
-    return now <= NEGLIGIBLE_CHANGE or (moved <= CANCELLING_FORCES and accelerations_are_round_off(c, m, h, True))
+    return now <= NEGLIGIBLE_CHANGE or (moved <= STAGNANT and accelerations_are_round_off(c, m, h, True))
 
 
 @subkernel
@@ -329,7 +327,6 @@ def _formulation(code: int) -> StageFormulation:
         dense=dense,
         choose_pivots=partial(_choose_pivots, 0.0 if code == INDEX_3 else 0.5),
         solves_multipliers=True,
-        tolerance=STATE_TOLERANCE,
     )
 
 

@@ -31,9 +31,8 @@ from mbdkit.engine.kernels.vectors import copy
 from mbdkit.stepping.collocation_stages import INDEX_1, NEWTON, StageFormulation, StageKernels, load_stages
 from mbdkit.stepping.collocation_step import state_inside, try_step
 from mbdkit.stepping.convergence import (
-    ACCELERATION_TOLERANCE,
     NEGLIGIBLE_CHANGE,
-    PATIENCE_INDEX_1,
+    PATIENCE,
     accelerations_are_round_off,
     relative_to_accelerations,
 )
@@ -125,7 +124,7 @@ def _sizes(c, m, h):
 @subkernel
 def _round_off(c, m, h, now, moved, idle):
     """Return whether a change of the accelerations that no longer shrinks is round-off."""
-    return now <= NEGLIGIBLE_CHANGE or accelerations_are_round_off(c, m, h, idle >= PATIENCE_INDEX_1)
+    return now <= NEGLIGIBLE_CHANGE or accelerations_are_round_off(c, m, h, idle >= PATIENCE)
 
 
 @subkernel
@@ -161,5 +160,4 @@ FORMULATION = StageFormulation(
     dense=dense,
     choose_pivots=_choose_pivots,
     solves_multipliers=False,
-    tolerance=ACCELERATION_TOLERANCE,
 )

@@ -42,8 +42,6 @@ class StageFormulation:
     solves_multipliers
         Whether multipliers are unknowns of the stage equations, so that the method carries its own. Otherwise
         multipliers follow from accelerations.
-    tolerance
-        Default relative change at which the iteration ends.
     """
 
     code: int
@@ -51,7 +49,6 @@ class StageFormulation:
     dense: Entry
     choose_pivots: Callable[[Workspace, complex | None], tuple[Pattern, Scatter]]
     solves_multipliers: bool
-    tolerance: float
 
 
 class StageKernels(NamedTuple):
@@ -62,8 +59,8 @@ class StageKernels(NamedTuple):
     """
 
     tangents: Any
-    """``(c, m, h, at_start)``: evaluate and factorize the stage matrices at ``m.tangent``; `at_start`: that is the start
-    of the step, with the multipliers of all pairs."""
+    """``(c, m, h, at_start)``: evaluate and factorize the stage matrices at ``m.tangent``. `at_start`: that is the start
+    of the step, with multipliers of all pairs."""
     changes: Any
     """``(c, m, t, h, rough)``: write the change of the stages by one iteration into ``m.change``; multipliers that are
     unknowns are changed at once. `rough`: accelerations need not be refined."""

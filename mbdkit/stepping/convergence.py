@@ -1,4 +1,4 @@
-"""Convergence tests of the iterations that solve stage equations, with every constant that they use.
+"""Convergence tests of the iterations that solve stage equations, with the constants that they use.
 
 An iteration ends in one of three ways. It converges when the change that the next iteration would make is predicted to
 be negligible (Hairer and Wanner 1996, *Solving Ordinary Differential Equations II*, IV.8, equation 8.10; Deuflhard
@@ -15,27 +15,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
-EPS = float(np.finfo(float).eps)
+TOLERANCE = 1e-17
+"""Default tolerance of the predicted change: relative to accelerations for index 1, to the state otherwise.
 
-ACCELERATION_TOLERANCE = 1e-18
-"""Default tolerance of iterations whose change is measured relative to the accelerations (index 1).
-
-It is far below `EPS`, so that in fixed steps the predicted next change no longer alters the stages: the iteration adds
-no error of its own, which would break the symmetry of the method and make the energy drift.
-"""
-
-STATE_TOLERANCE = 1e-17
-"""Default tolerance of iterations whose change is measured relative to the state (all other formulations).
-
-It has the same purpose as `ACCELERATION_TOLERANCE`.
+It is below `EPS` so that in fixed steps the iteration adds no error of its own, which would break the symmetry of the
+method. Measured for Gauss with four stages and a double pendulum over 200 000 steps of 0.01 s: the energy drifts by
+4e-10 of its size with 1e-14, 1e-10 with 1e-15, 2e-11 with 1e-16 and 1e-11, by rounding alone, with 1e-17 and 1e-18.
+The last one costs 0.05 to 0.6 iterations per step more.
 """
 
 LARGEST_CONTRACTION = 0.9
-"""Largest contraction for which the next change is predicted.
+"""Largest contraction for which the next change is predicted; chosen, RADAU5 predicts it up to 0.99.
 
 The predicted sum of all later changes is theta / (1 - theta) times the last one; for theta near 1 that is unreliable.
 """
@@ -47,54 +42,43 @@ STALLED = 0.5
 """Contraction above which an iteration counts as stalled.
 
 Converging simplified Newton iterations contract by O(h^2), usually by 1e-2 or less. Round-off gives ratios near 1.
-Deuflhard (2004) uses the same bound on the contraction of Newton's method as the limit of its convergence domain.
-"""
-
-FEW_ROUNDINGS = 4.0
-"""A stalled change is round-off if it moves positions by at most this many `EPS`.
-
-One stage position is a sum of a few products, each rounded once.
+QNERR of Deuflhard (2004) gives up at the same contraction (``THETA_MAX``).
 """
 
 NEGLIGIBLE_CHANGE = 1e-12
-"""A stalled change is round-off below this, relative to what it is measured by.
+"""A stalled change is round-off below this, relative to what it is measured by; chosen.
 
 Cancellation of forces and the solution of the linear systems multiply `EPS` by some hundred or thousand.
 """
 
-PATIENCE_INDEX_1 = 4
 PATIENCE = 3
 """Stalled iterations after which weaker criteria for round-off apply.
 
-Two are not enough: a single large ratio also occurs where the iteration changes its tangent.
-"""
-
-CANCELLING_FORCES = 1e-9
-"""Relative change of positions below which cancelling forces may keep it from shrinking (not index 1).
-
-Larger changes are never accepted as round-off, whatever the forces.
+Two are not enough: a single large ratio also occurs where the iteration changes its tangent. With four instead, no
+position of the packaged examples differs by more than 4e-15 of the largest within ten steps.
 """
 
 RUNAWAY = 1e-6
-"""Relative change above which growth counts as divergence; smaller changes may grow by round-off alone."""
+"""Relative change above which growth counts as divergence; chosen. Smaller changes may grow by round-off alone."""
 
 RUNAWAY_GROWTH, FIRST_RUNAWAY = 4.0, 5
-"""Growth from one iteration to the next that counts as divergence, and the first iteration where it does.
+"""Growth from one iteration to the next that counts as divergence, and the first iteration where it does; chosen.
 
 The first iterations start from free flight or from an old tangent and may grow before they converge.
 """
 
 SLOW = 0.25
-"""Contraction above which the tangent is evaluated again within the step.
+"""Contraction above which the tangent is evaluated again within the step; chosen.
 
-Evaluating and factorizing it costs about as much as three iterations, so it must save at least that many.
+Evaluating and factorizing it costs about as much as three iterations, so it must save at least that many. RADAU5 keeps
+its Jacobian for the next step if the contraction is below 0.001 (``THET``). Here it is evaluated in every step.
 """
 
 FEWEST_WITH_ONE_TANGENT = 3
 """Iterations with one tangent before it is evaluated again; the contraction needs two changes to be known."""
 
 ROUGH_CHANGE = 1e-5
-"""Relative change below which the accelerations of the next iteration are refined to round-off (index 1).
+"""Relative change below which the accelerations of the next iteration are refined to round-off (index 1); chosen.
 
 Iterations that still change the accelerations by more do not notice the error of an unrefined solution.
 """
@@ -104,7 +88,8 @@ Iterations that still change the accelerations by more do not notice the error o
 def is_converged(n, now, ratio, tolerance):
     """Return whether the predicted change of later iterations is within `tolerance`.
 
-    Hairer and Wanner (1996), IV.8.10, with ``kappa Tol = tolerance``.
+    Hairer and Wanner (1996), IV.8.10, with ``kappa Tol = tolerance``; RADAU5 and SciPy's Radau use the same test with
+    a tolerance of at most 0.03 of that of the error.
 
     Parameters
     ----------

@@ -20,7 +20,9 @@ import numpy as np
 from mbdkit.engine.elimination_order import SingularSystemError, equilibrate
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels import equations
+from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS, STAGNANT
 from mbdkit.errors import StepError
+from mbdkit.stepping.convergence import STALLED
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
@@ -28,21 +30,9 @@ if TYPE_CHECKING:
 MOST_ITERATIONS = 20
 
 SHORT = 0.5
-"""Largest displacement in a step for which this iteration is used, in rad or relative to the characteristic length.
+"""Largest displacement in a step for which this iteration is used, in rad or in characteristic lengths; chosen.
 
 The equations of a longer step can have spurious solutions that do not approximate the motion.
-"""
-
-CONTRACTION = 0.5
-"""Largest ratio of successive changes (Deuflhard 2004). A larger ratio means that the initial guess is too far away."""
-
-DONE = 1e-15
-"""Change relative to the accelerations at which the iteration has converged."""
-
-STAGNANT = 1e-8
-"""If the changes stop decreasing below this relative size, the iteration has reached the level of round-off.
-
-Round-off is large near a singular position.
 """
 
 
@@ -133,9 +123,11 @@ class CoupledNewton:
             now = self._relative(change[:, :n], acc)
             if not now < np.inf:
                 return 0
-            if now <= DONE or (now > CONTRACTION * before and now <= STAGNANT):
+            # Near a singular position, round-off is large: changes stall at 3e-15 to 7e-11 of the accelerations. Where
+            # the initial guess is too far away they stall above 0.1.
+            if now <= FEW_ROUNDINGS * EPS or (now > STALLED * before and now <= STAGNANT):
                 return iteration
-            if now > CONTRACTION * before:
+            if now > STALLED * before:
                 return 0
             before = now
         return 0

@@ -34,13 +34,6 @@ from mbdkit.stepping.run_state import (
     PROJECTIONS,
     load_run_state,
 )
-from mbdkit.stepping.step_guards import (
-    distance_to_singularity,
-    energies,
-    energy_jump,
-    note_jump,
-    watch_branch,
-)
 from mbdkit.stepping.step_control import (
     MIN_LAST_ERROR,
     combined_error,
@@ -49,6 +42,13 @@ from mbdkit.stepping.step_control import (
     fitted_size,
     is_too_small,
     scaled_norm,
+)
+from mbdkit.stepping.step_guards import (
+    distance_to_singularity,
+    energies,
+    energy_jump,
+    note_jump,
+    watch_branch,
 )
 
 TOO_SMALL = 5
@@ -273,7 +273,7 @@ def _dense_row(run, method, dense, row, t, h, at, mode):
     status = call_entry(dense, run, method, t, h, theta)
     if status != OK:
         return status
-    if mode == PLAIN or mode == NEAR_SINGULARITY:
+    if mode in (PLAIN, NEAR_SINGULARITY):
         fade = theta * theta * (3.0 - 2.0 * theta)
         for d in range(len(c.q)):
             c.point_q[d] += fade * c.shift_q[d]

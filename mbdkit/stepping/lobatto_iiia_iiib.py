@@ -42,7 +42,7 @@ from mbdkit.stepping.compiled_method import CompiledMethod
 from mbdkit.stepping.convergence import (
     NEGLIGIBLE_CHANGE,
     PATIENCE,
-    STATE_TOLERANCE,
+    TOLERANCE,
     describe_divergence,
     has_failed,
     is_converged,
@@ -309,7 +309,7 @@ def new_pair(method: LobattoPair, workspace: Workspace) -> Pair:
     return Pair(
         rk=PairCoefficients(bar, a2, np.ascontiguousarray(np.linalg.inv(a2[1:, :-1])), b, c),
         most_iterations=np.array([method.max_iterations]),
-        tolerance=np.array([method.tolerance if method.tolerance is not None else STATE_TOLERANCE]),
+        tolerance=np.array([method.tolerance if method.tolerance is not None else TOLERANCE]),
         acc=acc, lam=np.zeros((s, pairs, 2)), past=past,
         q_stage=q_stage, v_stage=v_stage, gap=np.zeros((s - 1, pairs, 2)), change=change, spread=spread,
         pairs=np.zeros((pairs, 2)), power=np.zeros((s, 2)),

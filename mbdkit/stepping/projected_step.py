@@ -23,11 +23,12 @@ from mbdkit.stepping.run_plan import NO_PROJECTION, SYMMETRIC
 from mbdkit.stepping.run_state import MODIFIED, PROJECTIONS, load_run_state
 
 MAX_TRIALS = 100
-"""Iterations of a symmetric projection, each with a step of the method; it converges slowly on fast linkages."""
+"""Largest number of iterations of a symmetric projection, each with a step of the method; chosen. On fast linkages they
+converge slowly."""
 
 IDLE, IDLE_RATIO = 2, 0.9
 """Number of iterations without progress after which the iteration ends. No progress means that the residual exceeds
-this ratio of the smallest one so far, and is below `STAGNANT`, the level of rounding errors."""
+this ratio of the smallest one so far, and is below `STAGNANT`, the level of rounding errors. Chosen."""
 
 
 @subkernel

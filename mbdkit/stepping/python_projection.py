@@ -12,17 +12,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.engine.nearest_state import ROUND_OFF, STAGNANT, nearest_positions, nearest_velocities
+from mbdkit.engine.kernels.projection import STAGNANT
+from mbdkit.engine.nearest_state import ROUND_OFF, nearest_positions, nearest_velocities
 from mbdkit.errors import StepError
 from mbdkit.methods.step_method import StepState
+from mbdkit.stepping.projected_step import MAX_TRIALS
 
 if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
 
 Vector = np.ndarray | float
-
-MAX_TRIALS = 100
-"""Iterations of a symmetric projection, each with a step of the method; it converges slowly on fast linkages."""
 
 
 @dataclass(frozen=True, slots=True)

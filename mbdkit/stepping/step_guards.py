@@ -5,11 +5,11 @@ dissipated. What remains is the *jump* of the balance. Integration error makes j
 kinetic energy; a step that leads to another solution of the equations makes large ones. Projections are exempt: the
 energy of a projected state is that after the projection.
 
-**Branches.** In a singular position the paths of a mechanism cross, and it may leave the crossing on another branch
-than the one it came on. The velocity then turns within a short part of the path. A *dip* is a minimum of the distance to
-singularity below `DIP` times its maximum. Around each dip, the directions of the velocities before and after are
-compared in the mass metric, as lines. The distance is estimated from the pivots of the last solution for the
-accelerations, which costs next to nothing.
+**Branches.** In a singular position the paths of a mechanism cross, and a run may leave the crossing on another branch.
+The velocity then turns within a short part of the path. A *dip* is a minimum of the distance to singularity below `DIP`
+times its maximum. Around each dip, the directions of the velocities before and after are compared in the mass metric,
+as lines. The distance is estimated from the pivots of the last solution for the accelerations, which costs next to
+nothing.
 """
 
 from __future__ import annotations
@@ -33,8 +33,10 @@ stage equations, all did.
 """
 
 ROUNDING = 1e-11
-"""Share of the sum of all energies, taken as positive, that round-off may add to a jump: a mechanism that starts at rest
-has no kinetic energy to compare with."""
+"""Share of the sum of all energies, taken as positive, that round-off may add to a jump.
+
+A mechanism that starts at rest has no kinetic energy to compare with.
+"""
 
 DIP = 0.05
 """Share of the largest distance to singularity so far below which a minimum counts as a dip."""
@@ -72,6 +74,8 @@ class Guards(NamedTuple):
     jump: np.ndarray
     """Largest absolute jump of the energy balance in a step so far [J], and the time at the end of that step [s]."""
     jump_time: np.ndarray
+    jumped: np.ndarray
+    """Whether the last rejection was because of the energy."""
     size: np.ndarray
     """Size of the mechanism [m]."""
     total_mass: np.ndarray
@@ -80,6 +84,8 @@ class Guards(NamedTuple):
     """Length of the path so far in the mass metric, as a share of the size."""
     speed: np.ndarray
     """Largest speed so far in the mass metric [m/s]."""
+    distance: np.ndarray
+    """Distance to singularity in the last attempt."""
     farthest: np.ndarray
     """Largest distance to singularity so far."""
     nearest: np.ndarray
@@ -90,15 +96,12 @@ class Guards(NamedTuple):
     """(SAMPLES,) the path at each of the last samples."""
     sample_direction: np.ndarray
     """(SAMPLES, 3 (B + 1)) the velocity in the mass metric, of unit length; zeros at rest."""
-    distance: np.ndarray
-    """Distance to singularity of the last attempt."""
-    jumped: np.ndarray
-    """Whether the last rejection was because of the energy."""
     armed: np.ndarray
     """Whether the distance has been above the limit of a dip since the last dip."""
     dip_path: np.ndarray
     """Path at the lowest point of the current dip; NaN outside of dips."""
     dip_distance: np.ndarray
+    """Distance to singularity there, and the time [s]."""
     dip_time: np.ndarray
     dip_direction: np.ndarray
     """(3 (B + 1),) direction of the velocity before the dip, and the path there."""
@@ -115,13 +118,15 @@ def new_guards(workspace: Workspace) -> Guards:
     def one(x: float = 0.0) -> np.ndarray:
         return np.array([x])
 
+    counts = (np.zeros(1, dtype=np.int64) for _ in range(2))
     return Guards(
-        energy=one(np.nan), kinetic=one(), jump=one(), jump_time=one(), size=one(workspace.mechanism.length),
-        total_mass=one(float(np.sum(workspace.mechanism.topology.mass[:-1, 0]))), path=one(), speed=one(),
-        farthest=one(), nearest=one(np.inf), samples=np.zeros(1, dtype=np.int64), sample_path=np.zeros(SAMPLES),
-        sample_direction=np.zeros((SAMPLES, vectors)), distance=one(1.0), jumped=one(), armed=one(1.0), dip_path=one(np.nan), dip_distance=one(), dip_time=one(),
-        dip_direction=np.zeros(vectors), dip_begin=one(), turns=np.zeros((MOST_TURNS, 3)),
-        turn_count=np.zeros(1, dtype=np.int64),
+        energy=one(np.nan), kinetic=one(), jump=one(), jump_time=one(), jumped=one(),
+        size=one(workspace.mechanism.length),
+        total_mass=one(float(np.sum(workspace.mechanism.topology.mass[:-1, 0]))),
+        path=one(), speed=one(), distance=one(1.0), farthest=one(), nearest=one(np.inf),
+        samples=next(counts), sample_path=np.zeros(SAMPLES), sample_direction=np.zeros((SAMPLES, vectors)),
+        armed=one(1.0), dip_path=one(np.nan), dip_distance=one(), dip_time=one(), dip_direction=np.zeros(vectors),
+        dip_begin=one(), turns=np.zeros((MOST_TURNS, 3)), turn_count=next(counts),
     )  # fmt: skip
 
 
@@ -146,8 +151,10 @@ def energies(top, w, q, v):
 
 @subkernel
 def energy_jump(c, q, v):
-    """Return the jump of the balance by the last attempt, which led to `q, v`, the energy there, and the largest jump
-    that is accepted, all in J. Requires `prepare` at `q`; raises the largest kinetic energy."""
+    """Return the jump of the balance by an attempt that led to `q, v`; total and kinetic energy there; and a limit [J].
+
+    The limit is the largest jump that step size control accepts. Requires `prepare` at `q`.
+    """
     kinetic, potential, level = energies(c.top, c.w, q, v)
     total = kinetic + potential
     jump = total - c.guards.energy[0] - (c.gain[0] - c.gain[1])

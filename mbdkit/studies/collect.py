@@ -32,8 +32,6 @@ def collect(
 
     Parameters
     ----------
-    spec
-        The study.
     points
         All of its points.
     known_runs

@@ -61,15 +61,11 @@ class Execution:
 
     Parameters
     ----------
-    spec
-        The study.
     folder
         Folder of the study; it may contain runs of earlier executions.
     shard
         Part of the study to compute, or None for all of it. Repeated timings are made only without a shard, by the call
         that completes the study.
-    progress
-        Called after each task.
     notify
         Called with a message before an operation that takes long.
 

@@ -13,13 +13,7 @@ if TYPE_CHECKING:
 
 
 def general_verdict(study: Study) -> Verdict:
-    """Return the general verdict: extremes of misalignment, and observed orders if the step is varied.
-
-    Parameters
-    ----------
-    study
-        The study.
-    """
+    """Return the general verdict: extremes of misalignment, and observed orders if the step is varied."""
     complete = [point for point in study.points if point.status == "complete"]
     failed = len(study.failures)
     sentences = [

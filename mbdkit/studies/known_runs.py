@@ -27,10 +27,6 @@ class KnownRuns:
 
     Parameters
     ----------
-    spec
-        The study.
-    folder
-        Its folder.
     runs
         Specs of all its runs by run id.
     """

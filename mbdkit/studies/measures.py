@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.analysis.energy import Trend, energy_trend
-from mbdkit.analysis.reference import (
-    EVERY_ROW,
-    LAST_ROW,
-    carries_multipliers,
-    common_rows,
-    multiplier_error,
-    offsets,
-)
+from mbdkit.analysis.reference import EVERY_ROW, LAST_ROW, carries_multipliers, common_rows, multiplier_error, offsets
 from mbdkit.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.spec import RunSpec
@@ -34,8 +27,6 @@ class Measure:
     ----------
     units
         SI units.
-    long_name
-        Description.
     take
         Function of a run and its reference run, or None if it has no reference, that returns the value.
     """

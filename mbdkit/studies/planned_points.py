@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import Any
 
 from mbdkit.errors import SpecError
+from mbdkit.plain_data import Path, parse_path, path_text
 from mbdkit.registry.manager import registry
 from mbdkit.spec import RunSpec
-from mbdkit.spec.plain_data import Path, parse_path, path_text
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.study_spec import Family, StudySpec
 from mbdkit.spec.value_sets import Value, expand

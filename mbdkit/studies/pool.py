@@ -32,10 +32,6 @@ class Task:
 
     Parameters
     ----------
-    spec
-        The run.
-    path
-        Path of its archive.
     repeats
         If not 0, no archive is written, and the run is timed this many times in memory after one warm-up run.
     second

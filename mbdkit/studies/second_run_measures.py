@@ -23,8 +23,6 @@ def second_run(spec: RunSpec, names: Sequence[str], notify: Callable[[str], None
     ----------
     spec
         Spec of a run that is complete.
-    names
-        Measures to compute.
     notify
         Called with a message before an operation that takes long.
 
@@ -53,8 +51,6 @@ def velocity_misalignment(spec: RunSpec, notify: Callable[[str], None]) -> tuple
 
     Parameters
     ----------
-    spec
-        The run.
     notify
         Called with a message before an operation that takes long.
 

@@ -36,8 +36,6 @@ class StudyPoint:
     ----------
     number
         Number from 1, counted over the points of the study, or over its references for a reference.
-    row
-        Its row in the index.
     planned
         The planned point from which its spec is built.
     path
@@ -103,8 +101,6 @@ class Study:
 
     Parameters
     ----------
-    folder
-        Folder of the study.
     computed
         Number of runs that were computed before the study was opened in the same call.
     keep

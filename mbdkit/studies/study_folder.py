@@ -15,13 +15,7 @@ from mbdkit.spec.yaml_reader import write_yaml
 
 
 class StudyFolder:
-    """Paths in the folder of a study, and its locks.
-
-    Parameters
-    ----------
-    path
-        The folder.
-    """
+    """Paths in the folder of a study, and its locks."""
 
     def __init__(self, path: Path):
         self.path = path

@@ -46,8 +46,6 @@ class Row:
 
     Parameters
     ----------
-    run_id
-        Identifier of the run.
     status
         ``complete``, ``failed``, ``missing``, or ``left-out`` if it needs a distribution that is not installed.
     reason
@@ -115,8 +113,6 @@ def write(path: Path, index: Index) -> None:
     ----------
     path
         Final path; the file is first written with the suffix ``.part``.
-    index
-        The rows.
     """
     part = path.with_name(path.name + ".part")
     part.unlink(missing_ok=True)

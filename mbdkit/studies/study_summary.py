@@ -15,13 +15,7 @@ FAILURES_SHOWN = 20
 
 
 def summary(study: Study) -> str:
-    """Return a plain text summary of a study: counts of runs, failures with their reasons, and folder.
-
-    Parameters
-    ----------
-    study
-        The study.
-    """
+    """Return a plain text summary of a study: counts of runs, failures with their reasons, and folder."""
     counts = Counter(point.status for point in study.points)
     runs = ", ".join(f"{counts[status]} {status.replace('-', ' ')}" for status in STATUSES if counts[status])
     beside = f"; reference runs: {len(study.references)}" if study.references else ""
@@ -47,13 +41,7 @@ def _named(point: StudyPoint) -> str:
 
 
 def outcome(study: Study) -> dict[str, Any]:
-    """Return the results of a study run as values for JSON.
-
-    Parameters
-    ----------
-    study
-        The study.
-    """
+    """Return the results of a study run as values for JSON."""
     counts = Counter(point.status for point in study.points)
     return {
         "path": str(study.folder),

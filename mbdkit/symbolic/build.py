@@ -49,8 +49,6 @@ def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
 
     Parameters
     ----------
-    mechanism
-        Bodies, joints and forces by name.
     numbers
         Whether masses, lengths and other parameters are inserted as numbers instead of symbols.
 

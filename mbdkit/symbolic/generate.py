@@ -31,7 +31,8 @@ lam : (K, 2) multipliers
 
 The columns of a Jacobian are (x_a, y_a, theta_a, x_b, y_b, theta_b). A Jacobian of two rows is stored row by row in 12
 columns, a tangent (6, 6) row by row in 36. Entries that are identically zero are never written: the output arrays must
-hold zeros there. The ``*_ENTRIES`` tables list the flat indices of all other entries.
+hold zeros there. The ``*_ENTRIES`` tables list the flat indices of all other entries. All entries of gamma are written,
+because projections and Baumgarte's terms change them.
 """
 
 # fmt: off
@@ -52,6 +53,9 @@ _LEVELS = {
     ),
 }
 """Arguments of a constraint kernel after ``k, a, b, m``, and the docstring of the loop over all pairs, by level."""
+
+ALWAYS_WRITTEN = "gamma"
+"""Array whose zeros are written as well: other kernels store right-hand sides in it, or add to it."""
 
 _READS = {
     **{name: f"q[3*a+{i}]" for i, name in enumerate(("xa", "ya", "tha"))},
@@ -103,12 +107,15 @@ class _Printer(PythonCodePrinter):
 
 
 def _kernel(name: str, arguments: str, note: str, outputs: Sequence[tuple[str, sp.Matrix]]) -> str:
-    """Return the source of a kernel that writes the non-zero entries of `outputs`, pairs of array name and matrix."""
+    """Return the source of a kernel that writes `outputs`, pairs of array name and matrix, into their arrays.
+
+    Entries that are identically zero are left out, apart from those of `ALWAYS_WRITTEN`.
+    """
     targets: list[str] = []
     expressions: list[sp.Expr] = []
     for array, matrix in outputs:
         for index, entry in enumerate(matrix):
-            if not _vanishes(entry):
+            if array == ALWAYS_WRITTEN or not _vanishes(entry):
                 targets.append(f"{array}[k, {index}]")
                 expressions.append(entry)
     temporaries, reduced_all = sp.cse(expressions, symbols=sp.numbered_symbols("t", real=True), optimizations="basic")

@@ -56,8 +56,6 @@ def law_source(law: ExpressionLaw, example: Mapping[str, float]) -> str:
 
     Parameters
     ----------
-    law
-        The law.
     example
         Names of its parameters in the order of the array, with example values, at which the potential is checked.
 

@@ -84,8 +84,6 @@ class Report:
     ----------
     id, kind, version
         Long id and kind of the plugin, and version of its distribution.
-    options
-        Options of the plugin.
     claims
         Claims of the plugin with these options.
     results

@@ -37,12 +37,8 @@ class ForceLawUnderTest:
 
     Parameters
     ----------
-    item
-        The law in the registry.
     options
         Its options, as in an element of type ``law``.
-    installed
-        The registry that specs use.
     """
 
     item: Registered

@@ -35,12 +35,8 @@ class IntegratorUnderTest:
 
     Parameters
     ----------
-    item
-        The integrator in the registry.
     options
         Its options, as in a spec.
-    installed
-        The registry that specs use.
     """
 
     item: Registered
@@ -143,8 +139,6 @@ class IntegratorUnderTest:
 
         Parameters
         ----------
-        workspace
-            The workspace.
         end
             End time [s].
         steps
@@ -181,8 +175,6 @@ def drive(stepper: Stepper, before: Callable[[], None] = lambda: None) -> tuple[
 
     Parameters
     ----------
-    stepper
-        The stepper.
     before
         Called before each call of `advance`.
     """

@@ -91,8 +91,6 @@ def verify(
 
     Parameters
     ----------
-    kind
-        Kind of plugin.
     name
         Short or long name.
     options

@@ -34,12 +34,8 @@ class ModelUnderTest:
 
     Parameters
     ----------
-    item
-        The model in the registry.
     options
         Its parameters, as in a spec.
-    installed
-        The registry that specs use.
     """
 
     item: Registered

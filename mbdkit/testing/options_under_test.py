@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from mbdkit.errors import SpecError
+from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.registry.catalogue import Registered
-from mbdkit.spec.explain import explain
 from mbdkit.strict_model import STRICT
 from mbdkit.text import listed
 
@@ -48,7 +48,7 @@ def plain_options(item: Registered, given: Mapping[str, Any]) -> dict[str, Any]:
     try:
         validated(strict, chosen)
     except ValidationError as error:
-        raise explain(error, strict) from None
+        raise spec_error(error, strict) from None
     return chosen
 
 

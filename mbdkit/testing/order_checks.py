@@ -56,10 +56,6 @@ class Convergence:
 
     Parameters
     ----------
-    integrator
-        The integrator.
-    problem
-        Name of the problem.
     formulation
         The formulation; by default the one that the checks use.
 

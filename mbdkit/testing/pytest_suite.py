@@ -77,8 +77,6 @@ def conformance(
     ----------
     integrator, model, force_law
         Short or long name of the plugin; exactly one of the three is given.
-    options
-        Its options.
     quick
         Whether to leave out the slow checks.
 

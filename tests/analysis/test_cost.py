@@ -1,4 +1,4 @@
-"""What runs cost, and what is bought at equal cost: expected values from power laws."""
+"""Cost of runs, and accuracy at equal cost: expected values from power laws."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_work_for_a_result_follows_a_power_law_exactly() -> None:
 
 
 def test_work_for_a_result_is_that_from_which_on_it_stays_good() -> None:
-    # A run that is good by luck and finer ones that are not do not count.
+    # An accurate run does not count if finer runs are less accurate.
     assert work_for(WORK, [1e-9, 1e-2, 1e-4, 1e-8], 1e-5) > 400.0
 
 

@@ -1,4 +1,4 @@
-"""The verdict on drift: orders and trends on made-up studies that keep or break what the literature expects."""
+"""The verdict on drift: orders and trends of synthetic studies that agree or disagree with the literature."""
 
 from __future__ import annotations
 

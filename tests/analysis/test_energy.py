@@ -1,4 +1,4 @@
-"""Trends with an error that correlation does not make too small."""
+"""Trends, and standard errors that allow for the correlation of neighbouring rows."""
 
 from __future__ import annotations
 

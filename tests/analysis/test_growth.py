@@ -1,4 +1,4 @@
-"""Growth laws, found in histories made by the law itself under oscillation and noise, and in real runs."""
+"""Growth laws, found in series made from each law with oscillation and noise, and in real runs."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def test_exponent_is_that_of_the_power_law(law: Law, exponent: float) -> None:
 
 @pytest.mark.parametrize("law", ENVELOPES)
 def test_law_among_the_candidates_under_an_oscillation_slower_than_a_block(law: Law) -> None:
-    # A block sees a third of a swing: the data may not suffice, but what is named must include the truth.
+    # A block covers a third of a swing. The data may not suffice to decide, but the candidates include the true law.
     growth = growth_law(TIME, oscillating(ENVELOPES[law], 25.0))
     assert law in growth.candidates or growth.law == "unclear"
 
 
 def test_growth_on_top_of_a_bounded_oscillation_is_seen_once_it_dominates() -> None:
-    # expected: made so; the growing part is nine tenths of the end
+    # expected: the series is made so; the growing part is nine tenths of the last value
     value = np.abs(1e-8 * np.sin(5 * TIME)) + 1e-11 * TIME**2
     assert growth_law(TIME, value).candidates == ("quadratic",)
 
@@ -60,7 +60,7 @@ def test_growth_by_less_than_half_counts_as_bounded() -> None:
 
 
 def test_two_laws_that_noise_hides_are_both_named() -> None:
-    # Over less than an e-fold an exponential is a straight line with an offset: nobody can tell.
+    # Over less than one e-fold, an exponential cannot be distinguished from a straight line with an offset.
     noise = np.exp(0.3 * np.random.default_rng(2).standard_normal(len(TIME)))
     growth = growth_law(TIME, np.exp(TIME / 120) * noise)
     assert not growth.certain

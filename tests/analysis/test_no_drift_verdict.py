@@ -1,4 +1,4 @@
-"""The verdict on long runs whose joints hold, and on made-up ones whose joints do not."""
+"""The verdict on long runs without drift, and on synthetic runs with drift."""
 
 from __future__ import annotations
 

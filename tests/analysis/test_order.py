@@ -1,4 +1,4 @@
-"""The observed order: its window is found in curves made with a coarse part and a floor, and in real runs."""
+"""The observed order: its window is found in synthetic errors with a coarse part and a floor, and in real runs."""
 
 from __future__ import annotations
 

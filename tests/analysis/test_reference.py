@@ -1,4 +1,4 @@
-"""Errors against a reference: whose expected values are distances put in by hand."""
+"""Errors against a reference; the expected values are distances chosen by hand."""
 
 from __future__ import annotations
 

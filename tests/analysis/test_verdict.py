@@ -1,4 +1,4 @@
-"""Answers with a margin, and verdicts as plain values."""
+"""Answers with a margin, and conversion of verdicts to plain values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's claims on made-up studies that keep or break them, and on runs."""
+"""The paper's claims on synthetic studies that satisfy or violate them, and on runs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ METHODS = ("RK-Gill", "Gauss 2", "Gauss 3")
 
 
 def study_of(family: str, points: Iterator[tuple[dict[str, Any], float]], status: str = "complete") -> Any:
-    """Return what stands for a study: points of one family with their axes and largest misalignment [m]."""
+    """Return a stand-in for a study: points of one family with their axes and largest misalignment [m]."""
     return SimpleNamespace(
         points=[
             SimpleNamespace(
@@ -277,8 +277,8 @@ def reduced() -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_the_paper_is_decided_and_its_second_call_decides_the_same(tmp_path: Path) -> None:
-    # expected: published magnitudes and orders of theory; every claim decided but that on time, which a busy
-    # machine may leave open, so that none lies on a border
+    # expected: published magnitudes and orders of theory; every claim is decided except the one on time,
+    # which a busy machine may leave open
     first, second = (judge(mbdkit.study(reduced(), out=tmp_path / "paper", workers=2)) for _ in range(2))
     answers = {claim.name: claim.answer for claim in first.claims}
     assert OPEN not in {name: answer for name, answer in answers.items() if name != "time-bodies"}.values()

@@ -12,17 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mbdkit.cli import app
-
-SMALL = """\
-mbdkit: 1
-model:
-  name: double-pendulum
-  masses: [1.0, 1.0]
-integrator: {name: gauss, stages: 2}
-time:
-  end: 1.0
-  step: 0.01
-"""
+from tests.spec_texts import SMALL
 
 
 @pytest.fixture
@@ -37,6 +27,25 @@ def mbdkit() -> Callable[..., Any]:
 
     def invoke(*arguments: str, stdin: str | bytes | None = None) -> Any:
         return CliRunner().invoke(app, list(arguments), input=stdin, prog_name="mbdkit")
+
+    return invoke
+
+
+@pytest.fixture
+def refusal(mbdkit: Callable[..., Any]) -> Callable[..., str]:
+    """Run a command that must end with status 2 and one message, and leave no file behind; return the message."""
+
+    def invoke(*arguments: str, stdin: str | None = None) -> str:
+        before = sorted(os.listdir())
+        result = mbdkit(*arguments, stdin=stdin)
+        assert result.exit_code == 2, result.output
+        assert result.stdout == ""
+        assert "Traceback" not in result.stderr
+        assert sorted(os.listdir()) == before
+        first, *more = result.stderr.splitlines()
+        assert first.startswith("error: ")
+        assert all(line.startswith("  ") for line in more)
+        return str(first.removeprefix("error: "))
 
     return invoke
 

@@ -9,6 +9,7 @@ import h5py
 import pytest
 
 from mbdkit import load
+from tests.spec_texts import mechanism
 
 
 def test_a_run_leaves_one_complete_archive_and_a_summary(mbdkit, small, in_tmp_path):
@@ -139,17 +140,11 @@ def test_validate_names_the_stabilization_and_warns_where_it_is_stiff(mbdkit, sm
     assert (gentle.exit_code, gentle.stderr) == (0, "")
 
 
-APART = """\
-mbdkit: 1
-integrator: {name: rk4}
-time: {end: 1, step: 0.1}
-model:
-  name: mechanism
-  bodies:
+APART = mechanism("""\
     crank: {mass: 1, inertia: 0.1, position: [0.5, 0.001]}
   joints:
     A: {type: revolute, bodies: [ground, crank], points: [[0, 0], [-0.5, 0]]}
-"""
+""")
 
 
 SPARE = """\

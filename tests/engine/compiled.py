@@ -35,7 +35,7 @@ class Compiled:
         self.q = np.array([(*body.position, body.angle) for body in bodies] + [(0.0, 0.0, 0.0)]).ravel()
         self.v = np.array([(*body.velocity, body.angular_velocity) for body in bodies] + [(0.0, 0.0, 0.0)]).ravel()
         self.n = len(self.q) - 3
-        self.problem = Workspace(self.compiled, t, self.q, self.v)
+        self.workspace = Workspace(self.compiled, t, self.q, self.v)
 
     @property
     def top(self) -> Any:
@@ -43,7 +43,7 @@ class Compiled:
 
     @property
     def scratch(self) -> Any:
-        return self.problem.scratch
+        return self.workspace.scratch
 
     def constraints(self, q: np.ndarray, v: np.ndarray | None = None, t: float | None = None) -> Any:
         """Return Phi, Phi_t, the Jacobian (m, 3 B) and gamma as the kernels have them, rows in the order of labels."""
@@ -70,8 +70,8 @@ class Compiled:
         """Return what `observe` says: kinetic and potential energy, accelerations, multipliers, reactions."""
         if pivoted:
             constraints_at(self.top, self.scratch, self.t, self.q, self.v)
-            self.problem.use_pivots()
-        observer = StateObserver(self.problem)
+            self.workspace.use_pivots()
+        observer = StateObserver(self.workspace)
         found = observer.arrays(1)
         assert observer.observe(np.array([self.t]), self.q[None], self.v[None], found) is None
         return (
@@ -84,14 +84,14 @@ class Compiled:
     def tangents(self) -> None:
         """Evaluate forces and all tangents into the scratch."""
         acc, lam = np.zeros(len(self.q)), np.zeros((len(self.top.pairs), 2))
-        assert tangents_at(self.problem.engine, self.t, self.q, self.v, acc, lam) == OK
+        assert tangents_at(self.workspace.engine, self.t, self.q, self.v, acc, lam) == OK
 
     def powers(self) -> tuple[float, float]:
         """Return the power of loads and drivers and the dissipated power [W]."""
         y = np.concatenate([self.q[: self.n], self.v[: self.n], np.zeros(2)])
         acc, lam = np.zeros((3, len(self.q))), np.zeros((len(self.top.pairs), 2))
         rates = np.zeros(len(y))
-        assert first_order_rates(self.problem.engine, True, self.t, y, acc, lam, rates) == OK
+        assert first_order_rates(self.workspace.engine, True, self.t, y, acc, lam, rates) == OK
         return float(rates[-2]), float(rates[-1])
 
 

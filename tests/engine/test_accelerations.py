@@ -51,9 +51,9 @@ def test_accelerations_and_multipliers_are_those_of_the_dense_system(kind: str, 
 def test_the_schur_complement_and_the_pivoted_system_agree(kind: str, seed: int) -> None:
     c = Compiled(KINDS[kind](np.random.default_rng(seed)), T)
     acc, lam = c.accelerations()
-    assert c.problem.solver.pivoted[0] == 0
+    assert c.workspace.solver.pivoted[0] == 0
     pivoted_acc, pivoted_lam = c.accelerations(pivoted=True)
-    assert c.problem.solver.pivoted[0] == 1
+    assert c.workspace.solver.pivoted[0] == 1
     assert_close(acc, pivoted_acc)
     assert_close(lam, pivoted_lam)
 
@@ -78,7 +78,7 @@ def test_bodies_of_very_different_inertia_that_do_not_turn_against_each_other_ta
     m.weld("W", "one", "two", at=(0.0, 0.0))
     m.torque("spin", "two", value=3.0)
     c = Compiled(m, T)
-    assert c.problem.solver.pivoted[0] == 1
+    assert c.workspace.solver.pivoted[0] == 1
     acc, lam = c.accelerations()
     turning = 3.0 / (1.0 + inertia)
     np.testing.assert_allclose(acc, [0.0, -9.81, turning] * 2, rtol=1e-12, atol=1e-12)
@@ -93,7 +93,7 @@ def test_a_light_arm_with_a_slider_far_out_takes_the_pivoted_system() -> None:
     m.revolute("pin", m.ground, "arm", at=(0.0, 0.0))
     m.prismatic("slide", "arm", "slider", points=((0.0, 0.0), (0.0, 0.0)), axis=(1.0, 0.0))
     c = Compiled(m, T)
-    assert c.problem.solver.pivoted[0] == 1
+    assert c.workspace.solver.pivoted[0] == 1
     acc, _ = c.accelerations()
     turning = -9.81 / (1.0 + 2e-9)
     np.testing.assert_allclose(acc, [0.0, 0.0, turning, 0.0, turning, turning], rtol=1e-12, atol=1e-12)
@@ -123,7 +123,7 @@ def crowded(arms: int = 80) -> Mechanism:
 def test_a_hub_with_many_arms_takes_the_pivoted_system_and_is_right() -> None:
     c = Compiled(crowded(), T)
     acc, lam = c.accelerations()
-    assert c.problem.solver.pivoted[0] == 1
+    assert c.workspace.solver.pivoted[0] == 1
     expected_acc, expected_lam = dense_solution(c)
     assert_close(acc, expected_acc, tolerance=1e-9)
     assert_close(lam, expected_lam, tolerance=1e-9)

@@ -20,7 +20,7 @@ from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.scipy_bridge import SciPyStepper
 from mbdkit.stepping.start import start_method
-from tests.engine.test_equations_of_motion import parallelogram
+from tests.engine.test_equations_of_motion import parallelogram, slider_crank
 from tests.stepping.running import driven_chain
 
 ALPHA, BETA = 3.0, 4.0
@@ -51,8 +51,8 @@ def by_hand(t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndar
     return solution[:3], solution[3:]
 
 
-def problem_of(model: Any, stabilization: Stabilization) -> Workspace:
-    """Return a mechanism's problem, redundant rows set aside, as a run would step it."""
+def workspace_of(model: Any, stabilization: Stabilization) -> Workspace:
+    """Return the workspace of a mechanism without its redundant rows, as a run steps it."""
     sections = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.1}}
     return replace(build(load_spec(model, (), **sections))[0], stabilization=stabilization)
 
@@ -64,7 +64,7 @@ def somewhere(p: EquationsOfMotion) -> tuple[np.ndarray, np.ndarray, np.ndarray,
 
 
 def test_accelerations_and_multipliers_are_those_written_down_by_hand() -> None:
-    p = EquationsOfMotion(problem_of(swung_pendulum(), BAUMGARTE))
+    p = EquationsOfMotion(workspace_of(swung_pendulum(), BAUMGARTE))
     for t in (0.0, 0.7):
         q, v, _, _ = somewhere(p)
         a, lam = p.accelerations(t, q, v)
@@ -76,7 +76,7 @@ def test_accelerations_and_multipliers_are_those_written_down_by_hand() -> None:
 def test_constraint_errors_die_out_as_the_damped_oscillator_says() -> None:
     # expected: e'' + 2 alpha e' + beta^2 e = 0 in closed form, here with alpha = beta
     alpha = 5.0
-    p = EquationsOfMotion(problem_of(swung_pendulum(), Stabilization("baumgarte", alpha=alpha, beta=alpha)))
+    p = EquationsOfMotion(workspace_of(swung_pendulum(), Stabilization("baumgarte", alpha=alpha, beta=alpha)))
     q = p.q0 + np.array([0.01, -0.02, 0.0])
     e, rate = p.constraints(0.0, q), p.constraint_rates(0.0, q, p.v0)
 
@@ -92,15 +92,15 @@ def test_constraint_errors_die_out_as_the_damped_oscillator_says() -> None:
 
 @pytest.mark.parametrize("solver", ["DOP853", "Radau"])
 def test_scipy_on_our_equations_goes_where_scipy_goes_on_those_by_hand(solver: str) -> None:
-    problem = problem_of(swung_pendulum(), BAUMGARTE)
-    problem.q0[:2] += (0.01, -0.02)  # off the joints, so that the terms pull
-    start = np.concatenate([problem.q0[:3], problem.v0[:3]])
+    workspace = workspace_of(swung_pendulum(), BAUMGARTE)
+    workspace.q0[:2] += (0.01, -0.02)  # off the joints, so that the terms pull
+    start = np.concatenate([workspace.q0[:3], workspace.v0[:3]])
     there = solve_ivp(
         lambda t, y: np.concatenate([y[3:], by_hand(t, y[:3], y[3:])[0]]),
         (0.0, 2.0), start, "DOP853", rtol=1e-12, atol=1e-13,
     )  # fmt: skip
     method = SciPySolver(solver, 1e-10, 1e-12, needs_jacobian=solver == "Radau")
-    stepper = start_method(method, problem, Timetable(0.0, 2.0))
+    stepper = start_method(method, workspace, Timetable(0.0, 2.0))
     rows = []
     while not (stepper.finished or stepper.failure):
         rows.append(stepper.advance())
@@ -112,13 +112,18 @@ def test_scipy_on_our_equations_goes_where_scipy_goes_on_those_by_hand(solver: s
     np.testing.assert_array_equal(corrections[:, :3], 0.0)
 
 
-MODELS = {"swung pendulum": swung_pendulum, "driven chain": driven_chain, "spare crank": lambda: parallelogram(1.0, 3)}
+MODELS = {
+    "swung pendulum": swung_pendulum,
+    "driven chain": driven_chain,
+    "slider-crank": slider_crank,
+    "spare crank": lambda: parallelogram(1.0, 3),
+}
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_gamma_is_the_plain_one_with_the_terms_taken_away(name: str) -> None:
     model = MODELS[name]()
-    p, plain = (EquationsOfMotion(problem_of(model, kind)) for kind in (BAUMGARTE, NONE))
+    p, plain = (EquationsOfMotion(workspace_of(model, kind)) for kind in (BAUMGARTE, NONE))
     q, v, _, _ = somewhere(p)
     terms = 2 * ALPHA * plain.constraint_rates(0.3, q, v) + BETA**2 * plain.constraints(0.3, q)
     np.testing.assert_allclose(p.gamma(0.3, q, v), plain.gamma(0.3, q, v) - terms, rtol=1e-13, atol=1e-12)
@@ -129,7 +134,7 @@ def test_gamma_is_the_plain_one_with_the_terms_taken_away(name: str) -> None:
 @pytest.mark.parametrize("name", MODELS)
 def test_tangents_are_the_derivatives_of_the_stabilized_equations(name: str) -> None:
     # expected: central differences of gamma and of the Jacobian
-    p = EquationsOfMotion(problem_of(MODELS[name](), BAUMGARTE))
+    p = EquationsOfMotion(workspace_of(MODELS[name](), BAUMGARTE))
     q, v, a, lam = somewhere(p)
     if name == "spare crank":  # whose rows turn with a body: derivatives hold where the rows meet
         q, v = p.q0, p.v0
@@ -146,10 +151,22 @@ def test_tangents_are_the_derivatives_of_the_stabilized_equations(name: str) -> 
     np.testing.assert_allclose(tangents.residual_q.toarray(), np.transpose(by_q), rtol=1e-6, atol=1e-6)
 
 
+def test_the_terms_of_a_held_angle_do_not_add_up_over_evaluations() -> None:
+    # expected: -beta^2 Phi, whatever has been evaluated before; gamma of a held angle is zero without the terms
+    m = mbdkit.Mechanism()
+    m.body("block", mass=1.0, inertia=0.1, position=(0.0, 0.0))
+    m.prismatic("P", m.ground, "block", at=(0.0, 0.0), axis=(1.0, 0.0))
+    p = EquationsOfMotion(workspace_of(m, BAUMGARTE))
+    tilted = np.array([0.0, 0.0, 0.01])
+    for _ in range(3):
+        assert p.gamma(0.0, tilted, p.v0)[1] == pytest.approx(-(BETA**2) * 0.01, rel=1e-14)
+    assert p.gamma(0.0, p.q0, p.v0)[1] == 0.0
+
+
 def test_the_jacobian_that_scipy_gets_is_exact() -> None:
     # expected: central differences of the right side
-    problem = problem_of(driven_chain(), BAUMGARTE)
-    stepper = SciPyStepper(SciPySolver("Radau", 1e-6, 1e-6, needs_jacobian=True), problem, Timetable(0.0, 1.0))
+    workspace = workspace_of(driven_chain(), BAUMGARTE)
+    stepper = SciPyStepper(SciPySolver("Radau", 1e-6, 1e-6, needs_jacobian=True), workspace, Timetable(0.0, 1.0))
     rng = np.random.default_rng(2)
     y = stepper.y + 0.02 * rng.standard_normal(len(stepper.y))
     e = 1e-6
@@ -166,7 +183,7 @@ def test_what_is_recorded_is_taken_without_the_terms() -> None:
         "time": {"end": 1.0},
     }
     run = mbdkit.run(spec, stabilization={"name": "baumgarte", "alpha": 20.0}).check()
-    plain = EquationsOfMotion(problem_of(swung_pendulum(), NONE))
+    plain = EquationsOfMotion(workspace_of(swung_pendulum(), NONE))
     q, v = (run.array(f"trajectory/{name}")[-1].ravel() for name in ("position", "velocity"))
     a, lam = plain.accelerations(run.time[-1], q, v)
     np.testing.assert_allclose(run.array("trajectory/acceleration")[-1].ravel(), a, rtol=1e-13, atol=1e-13)

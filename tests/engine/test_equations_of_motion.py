@@ -45,7 +45,7 @@ both = pytest.mark.parametrize("name", MECHANISMS)
 
 
 @cache
-def problem(name: str) -> EquationsOfMotion:
+def equations_of(name: str) -> EquationsOfMotion:
     return EquationsOfMotion.of(MECHANISMS[name]())
 
 
@@ -63,7 +63,7 @@ def somewhere(p: EquationsOfMotion) -> tuple[np.ndarray, np.ndarray, np.ndarray,
 @both
 def test_the_equations_are_those_of_the_symbolic_system(name: str) -> None:
     # expected: SymPy, from the mechanism's elements
-    p = problem(name)
+    p = equations_of(name)
     q, v, a, lam = somewhere(p)
     there = symbolic(name).evaluate(T, q, v)
     close: dict[str, Any] = {"rtol": 1e-12, "atol": 1e-12}
@@ -87,7 +87,7 @@ def test_the_equations_are_those_of_the_symbolic_system(name: str) -> None:
 @both
 def test_rates_of_the_constraints_are_their_total_derivative(name: str) -> None:
     # expected: d/dt Phi(t, q(t)) in SymPy
-    p, s = problem(name), symbolic(name)
+    p, s = equations_of(name), symbolic(name)
     q, v, _, _ = somewhere(p)
     total = s.constraints.jacobian(s.q) * s.v + s.constraints.diff(s.t)
     there = np.array(sp.lambdify([s.t, list(s.q), list(s.v)], total)(T, q, v), dtype=float).ravel()
@@ -108,7 +108,7 @@ def tangents(name: str, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.nda
 @both
 def test_tangents_and_iteration_matrix_are_the_derivatives(name: str) -> None:
     # expected: SymPy's derivatives, and dense linear algebra
-    p = problem(name)
+    p = equations_of(name)
     q, v, a, lam = somewhere(p)
     k, c, gamma_v, residual_q = tangents(name, q, v, a, lam)
     found = p.tangents(T, q, v, a, lam)
@@ -136,7 +136,7 @@ def test_tangents_and_iteration_matrix_are_the_derivatives(name: str) -> None:
 
 @both
 def test_a_matrix_stays_valid_while_others_come_and_go(name: str) -> None:
-    p = problem(name)
+    p = equations_of(name)
     q, v, a, lam = somewhere(p)
     right = RNG.standard_normal(p.n), RNG.standard_normal(p.m)
     first = p.iteration_matrix(T, q, v, a, lam, stiffness=1e-3)
@@ -150,7 +150,7 @@ def test_a_matrix_stays_valid_while_others_come_and_go(name: str) -> None:
 @both
 def test_projected_positions_are_the_nearest_that_meet_the_joints(name: str) -> None:
     # expected: the conditions of least change in the mass metric, M (p - q) = -Phi_q(p)^T mu for some mu
-    p = problem(name)
+    p = equations_of(name)
     q = p.project_positions(p.t0, p.q0) + 0.01 * RNG.standard_normal(p.n)
     found = p.project_positions(p.t0, q)
     np.testing.assert_allclose(p.constraints(p.t0, found), 0.0, atol=1e-14)
@@ -162,7 +162,7 @@ def test_projected_positions_are_the_nearest_that_meet_the_joints(name: str) -> 
 
 @both
 def test_projected_velocities_are_the_nearest_under_which_the_joints_stay_closed(name: str) -> None:
-    p = problem(name)
+    p = equations_of(name)
     v = RNG.standard_normal(p.n)
     found = p.project_velocities(T, p.q0, v)
     np.testing.assert_allclose(p.constraint_rates(T, p.q0, found), 0.0, atol=2e-14)
@@ -173,7 +173,7 @@ def test_projected_velocities_are_the_nearest_under_which_the_joints_stay_closed
 
 def test_powers_are_forces_times_velocities() -> None:
     # expected: the driver's multiplier times its rate, the torque 0.5 cos(3 t) times the rate of r3, and c (s')^2
-    p = problem("driven chain")
+    p = equations_of("driven chain")
     q, v, _, lam = somewhere(p)
     work, lost = p.powers(T, q, v, lam)
     motor = p.constraint_names.index("motor.angle")
@@ -210,19 +210,19 @@ def readonly(x: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("given", [list, lambda x: x.astype(np.float32), lambda x: np.repeat(x, 2)[::2], readonly])
 def test_any_vector_of_the_right_length_will_do(given: Any) -> None:
-    p = problem("driven chain")
+    p = equations_of("driven chain")
     q = np.round(somewhere(p)[0] * 64) / 64
     np.testing.assert_array_equal(p.constraints(T, given(q)), p.constraints(T, q))
 
 
 def test_a_wrong_length_is_told() -> None:
-    p = problem("driven chain")
+    p = equations_of("driven chain")
     with pytest.raises(ValueError, match=r"expected an array of shape \(12,\), got shape \(3,\)"):
         p.constraints(T, np.zeros(3))
 
 
 def test_numbers_that_overflow_are_told() -> None:
-    p = problem("driven chain")
+    p = equations_of("driven chain")
     q, v, a, lam = somewhere(p)
     for call in (
         lambda: p.accelerations(T, q, v * 1e200),
@@ -301,3 +301,13 @@ def test_a_redundant_mechanism_is_projected_and_its_matrix_is_regular() -> None:
     upper = p.mass * x + 1e-3 * (tangents.damping @ x) + 1e-6 * (tangents.stiffness @ x)
     np.testing.assert_allclose(upper + p.constraint_forces(T, q, mu), force, atol=1e-10)
     np.testing.assert_allclose(p.constraint_jacobian(T, q) @ x, rows, atol=1e-10)
+
+
+@both
+def test_a_solution_with_given_right_sides_leaves_later_accelerations_alone(name: str) -> None:
+    # expected: the accelerations before it, to the last bit
+    p = EquationsOfMotion.of(MECHANISMS[name]())
+    before = p.accelerations(T, p.q0, p.v0)
+    p.solve(T, p.q0, RNG.standard_normal(p.n), RNG.standard_normal(p.m))
+    for ours, expected in zip(p.accelerations(T, p.q0, p.v0), before, strict=True):
+        np.testing.assert_array_equal(ours, expected)

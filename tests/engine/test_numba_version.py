@@ -12,7 +12,9 @@ from mbdkit.engine.jit.numba_version import INSTALLED, TESTED_NUMBA, is_tested, 
 
 PROGRAM = """\
 import mbdkit
+from mbdkit import run_preparation
 from mbdkit.engine.jit.numba_version import PLAIN
+run_preparation.ensure_compiled = lambda notify: None  # compile the kernels of these two runs instead of all
 print(PLAIN)
 for integrator in {"name": "rk4"}, {"name": "gauss"}:
     with mbdkit.run("double-pendulum", integrator=integrator, time={"end": 0.2, "step": 0.01}) as run:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,16 @@ from mbdkit.engine import workspace as problem_module
 from mbdkit.engine.assembly import assemble
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.elimination_order import PivotChoice, pivot_order
 from mbdkit.engine.kernels.observe import constraints_at
+from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods import gauss, rk4
-from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
+from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, SciPySolver
 from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.scipy_bridge import SciPyStepper
 from mbdkit.stepping.start import start_method
 
 from .random_mechanisms import loop
@@ -121,18 +125,18 @@ def test_pivots_that_wear_out_on_the_way_are_chosen_anew(
     compiled = compile_mechanism(with_crumb(m))
     start = assemble(m, 0.0, compiled)
     q, v = with_ground(start.q), with_ground(start.v)
-    problem = Workspace(compiled, 0.0, q, v)
-    constraints_at(compiled.topology, problem.scratch, 0.0, q, v)
+    workspace = Workspace(compiled, 0.0, q, v)
+    constraints_at(compiled.topology, workspace.scratch, 0.0, q, v)
     with monkeypatch.context() as patch:
         patch.setattr(problem_module, "pivot_order", doomed_order)
-        problem.use_pivots()
-    stepper = start_method(method, problem, Timetable(0.0, 3.0, step=step, steps=300))
-    at_start = problem.pivotings
+        workspace.use_pivots()
+    stepper = start_method(method, workspace, Timetable(0.0, 3.0, step=step, steps=300))
+    at_start = workspace.pivotings
     rows = []
     while not stepper.finished:
         rows.append(stepper.advance())
         assert stepper.failure is None
-    assert at_start < problem.pivotings <= at_start + 3
+    assert at_start < workspace.pivotings <= at_start + 3
     angles = np.concatenate([stretch.q[:, 2] for stretch in rows])
     np.testing.assert_allclose(angles, begin + rate * step * np.arange(1, 301), rtol=0, atol=1e-11)
 
@@ -164,3 +168,31 @@ def test_a_redundant_mechanism_whose_pivots_wear_out_goes_on(monkeypatch: pytest
 
     monkeypatch.setattr(problem_module, "pivot_order", first_doomed)
     np.testing.assert_allclose(final_angles(pinned_twice(), METHODS["rk4"], end=0.5), expected, rtol=0, atol=1e-9)
+
+
+def test_infinite_derivatives_left_by_another_state_do_not_prevent_new_pivots() -> None:
+    # expected: the accelerations of a workspace without such derivatives
+    plain, left = (workspace_at_start(with_crumb(long_rods()))[0] for _ in range(2))
+    left.scratch.stiff[:] = np.inf
+    found = []
+    for workspace in (plain, left):
+        observer = StateObserver(workspace)
+        out = observer.arrays(1)
+        assert workspace.pivotings == 0
+        assert observer.observe(np.zeros(1), workspace.q0[None], workspace.v0[None], out) is None
+        assert workspace.pivotings == 1
+        found.append(out.acc)
+    np.testing.assert_array_equal(found[0], found[1])
+    assert np.all(np.isfinite(found[0]))
+
+
+def test_the_jacobian_for_scipy_chooses_pivots_that_it_lacks() -> None:
+    # expected: the Jacobian of a stepper that has pivots already
+    workspace, _ = workspace_at_start(with_crumb(long_rods()))
+    stepper = start_method(SciPySolver("Radau", 1e-6, 1e-8, needs_jacobian=True), workspace, Timetable(0.0, 1.0))
+    assert isinstance(stepper, SciPyStepper)
+    assert workspace.pivotings == 1
+    expected = stepper.jacobian(0.0, stepper.y)
+    stepper.workspace = replace(workspace)
+    np.testing.assert_array_equal(stepper.jacobian(0.0, stepper.y), expected)
+    assert stepper.workspace.pivotings == 1

@@ -83,10 +83,10 @@ def test_the_assembled_start_meets_every_joint_and_moves_with_it(drawn: Drawn) -
 # ---- the equations ---------------------------------------------------------------------------------------------------
 
 
-def stage_matrices(problem: Workspace) -> list[np.ndarray]:
+def stage_matrices(workspace: Workspace) -> list[np.ndarray]:
     """Return the parts of the stage matrix with the factors 1, h mu, -h mu and h^2 mu^2, as last evaluated."""
-    terms, parts = problem.terms, np.zeros((4, problem.unknowns, problem.unknowns))
-    np.add.at(parts, (terms.factor, terms.row, terms.column), problem.scratch.source[terms.source])
+    terms, parts = workspace.terms, np.zeros((4, workspace.unknowns, workspace.unknowns))
+    np.add.at(parts, (terms.factor, terms.row, terms.column), workspace.scratch.source[terms.source])
     return list(parts)
 
 
@@ -103,10 +103,10 @@ def test_every_level_of_the_equations_is_the_derivative_of_the_one_below(drawn: 
     hand, t = ByHand(drawn.mechanism), drawn.start + 0.1
     n, q, v = hand.n, hand.q, hand.v
     compiled = compile_mechanism(drawn.mechanism)
-    problem = Workspace(compiled, t, q, v)
+    workspace = Workspace(compiled, t, q, v)
     rows = [(row.pair, row.place) for row in compiled.rows]
     a, lam = np.zeros(n + 3), np.zeros((len(compiled.topology.pairs), 2))
-    assert problem.retry_with_new_pivots(lambda: tangents_at(problem.engine, t, q, v, a, lam)) == 0
+    assert workspace.retry_with_new_pivots(lambda: tangents_at(workspace.engine, t, q, v, a, lam)) == 0
     multipliers = np.array([lam[row] for row in rows])
 
     def along(direction: Any, time: float, at: Any = q) -> Callable[[float], Any]:
@@ -129,7 +129,7 @@ def test_every_level_of_the_equations_is_the_derivative_of_the_one_below(drawn: 
     stiffness = -derivatives(hand.forces(varied_q, v[:, None], t))
     damping = -derivatives(hand.forces(q[:, None], varied_v, t))
 
-    parts = stage_matrices(problem)
+    parts = stage_matrices(workspace)
     expected = np.zeros_like(parts)
     expected[0][:n, :n] = np.diag(hand.mass)
     expected[0][n:, :n], expected[0][:n, n:] = phi_q, phi_q.T
@@ -142,7 +142,7 @@ def test_every_level_of_the_equations_is_the_derivative_of_the_one_below(drawn: 
     assert_close(parts[2], expected[2], 1e-8)
     assert_close(parts[3][:n], expected[3][:n], 1e-8, multipliers)
     assert_close(parts[3][n:], expected[3][n:], 1e-8, [gamma_q, moved_q])
-    assert_close([problem.scratch.gamma[row] for row in rows], gamma, 1e-9)
+    assert_close([workspace.scratch.gamma[row] for row in rows], gamma, 1e-9)
     load = np.concatenate([hand.mass * a[:n], force, (phi_q.T * multipliers).ravel()])
     assert_close(hand.mass * a[:n] + phi_q.T @ multipliers, force, 1e-12, load)
     assert_close(phi_q @ a[:n], gamma, 1e-9, phi_q * a[:n])

@@ -162,11 +162,11 @@ def test_distance_does_not_depend_on_the_directions_of_the_axes():
         tip = m.body("tip", mass=1, inertia=0.05, position=(c - 0.5 * s, s + 0.5 * c), angle=turn + math.pi / 2)
         m.revolute("A", m.ground, rod, points=((0, 0), (-0.5, 0)))
         m.revolute("B", rod, tip, points=((0.5, 0), (-0.5, 0)))
-        found.append(nearest_singularity(problem_of(m), 0.0, EquationsOfMotion.of(m).q0)[0])
+        found.append(nearest_singularity(workspace_of(m), 0.0, EquationsOfMotion.of(m).q0)[0])
     assert found[0] == pytest.approx(found[1], rel=1e-12)
 
 
-def problem_of(m: Mechanism) -> Workspace:
+def workspace_of(m: Mechanism) -> Workspace:
     return EquationsOfMotion.of(m)._workspace
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,11 @@ import mbdkit
 from mbdkit import ExpressionLaw, ForceLawPlugin, Mechanism, PluginError, SpecError
 from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
+from tests.spec_texts import changed, mechanism, place
 
 from .plugin import Nothing, length
 
-SPEC = """\
-mbdkit: 1
-integrator: {name: rk4}
-time: {end: 1, step: 0.1}
-model:
-  name: mechanism
-  bodies:
+SPEC = mechanism("""\
     arm: {mass: 1, inertia: 0.1, position: [0.5, 0]}
     ball: {mass: 1, position: [1.5, 0]}
   forces:
@@ -33,12 +29,8 @@ model:
         points: [[0, 0], [0.5, 0]]
       stiffness: 10
       acts: tension
-"""
-
-
-def spec(old: str, new: str) -> str:
-    assert SPEC.count(old) == 1
-    return SPEC.replace(old, new)
+""")
+spec = functools.partial(changed, SPEC)
 
 
 def table(columns: str) -> str:
@@ -47,8 +39,10 @@ def table(columns: str) -> str:
     )
 
 
-ANGLE = spec("two-points", "relative-angle").replace("        points: [[0, 0], [0.5, 0]]\n", "")
-COORDINATE = spec("two-points", "coordinate\n        coordinate: x")
+angle = functools.partial(
+    changed, spec("two-points", "relative-angle").replace("        points: [[0, 0], [0.5, 0]]\n", "")
+)
+coordinate = functools.partial(changed, spec("two-points", "coordinate\n        coordinate: x"))
 
 WRONG = {
     "unknown law": (spec("one-sided", "one-sidde"), 12, "law", "there is no force law 'one-sidde' (did you mean"),
@@ -78,36 +72,31 @@ WRONG = {
     ),
     "a point of three": (spec("[[0, 0], [0.5, 0]]", "[[0, 0, 0], [0.5, 0]]"), 16, "pathway.points[0]", "x, y"),
     "angle of a point mass": (
-        ANGLE.replace("[ground, arm]", "[arm, ball]"),
+        angle("[ground, arm]", "[arm, ball]"),
         15,
         "pathway.bodies[1]",
         "no angle for a pathway of type relative-angle",
     ),
     "points on an angle": (spec("two-points", "relative-angle"), 16, "pathway.points", "unknown key"),
     "coordinate in a point mass": (
-        COORDINATE.replace("[ground, arm]", "[ball, arm]"),
+        coordinate("[ground, arm]", "[ball, arm]"),
         16,
         "pathway.bodies[0]",
         "no angle for a pathway of type coordinate",
     ),
     "coordinate from another point": (
-        COORDINATE.replace("[[0, 0], [0.5, 0]]", "[[0, 1], [0.5, 0]]"),
+        coordinate("[[0, 0], [0.5, 0]]", "[[0, 1], [0.5, 0]]"),
         17,
         "pathway.points[0]",
         "from the origin of the first body",
     ),
     "coordinate angle": (
-        COORDINATE.replace("coordinate: x", "coordinate: angle"),
+        coordinate("coordinate: x", "coordinate: angle"),
         15,
         "pathway.coordinate",
         "{type: relative-angle, ...}",
     ),
-    "unknown coordinate": (
-        COORDINATE.replace("coordinate: x", "coordinate: z"),
-        15,
-        "pathway.coordinate",
-        "'x' or 'y'",
-    ),
+    "unknown coordinate": (coordinate("coordinate: x", "coordinate: z"), 15, "pathway.coordinate", "'x' or 'y'"),
     "table not increasing": (table("[[0, 2, 1], [0, 1, 2]]"), 13, "table[0][2]", "lengths must increase: 1.0 comes"),
     "table with a hole": (table("[[0, 1], [0, .nan]]"), 13, "table[1][1]", "finite"),
     "table of one point": (table("[[0], [0]]"), 13, "table", "two points or more"),
@@ -123,7 +112,7 @@ def test_a_wrong_law_element_is_refused_with_line_and_key(case: str, tmp_path: P
     file.write_text(text)
     with pytest.raises(SpecError) as caught:
         load_spec(str(file))
-    assert str(caught.value).startswith(f"{file}:{line}: model.forces.p.{key}: ")
+    assert str(caught.value).startswith(place(file, line, f"model.forces.p.{key}"))
     assert words in str(caught.value)
 
 
@@ -142,7 +131,7 @@ def test_a_force_in_the_frame_of_a_point_mass_is_refused() -> None:
     [
         ({"law": "one-sidde"}, "law", "did you mean 'one-sided'?"),
         ({"stifness": 2.0}, "stifness", "did you mean 'stiffness'?"),
-        ({"stiffness": -2.0}, "stiffness", "greater than or equal to 0"),
+        ({"stiffness": -2.0}, "stiffness", "should be at least 0, not -2.0"),
         ({"along": "x"}, "", "from_ and to can be given only with along="),
         ({"points": ((0, 0), (0, 0, 0)), "from_": None, "to": None}, "pathway.points[1]", "two numbers"),
     ],

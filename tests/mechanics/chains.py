@@ -1,4 +1,4 @@
-"""Mechanisms whose statics and small motions are known from elsewhere."""
+"""Mechanisms with known statics and small motions."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def weight_on_a_spring(
 
 
 def hung_between(span: float, n: int, length: float) -> mbdkit.Mechanism:
-    """Return n equal rods between two supports at one height, at first on two straight lines."""
+    """Return n equal rods between two supports at one height; initially they lie on two straight lines."""
     m = mbdkit.Mechanism()
     slope = math.acos(span / (n * length))
     end, before = np.zeros(2), m.ground

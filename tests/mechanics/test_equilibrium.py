@@ -1,4 +1,4 @@
-"""Where mechanisms rest: as statics, minimisation and long damped runs say."""
+"""Static equilibria, compared with statics, minimisation and long damped runs."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_drivers_are_held_where_they_are_at_the_start_time() -> None:
 
 
 def test_redundant_supports_are_balanced_and_named() -> None:
-    # expected: two equal cranks carry a weight between them; a third crank, in the middle, is one too many
+    # expected: two equal cranks carry a weight between them; a third crank, in the middle, is redundant
     m = mbdkit.Mechanism()
     m.body("beam", mass=3.0, inertia=1.0, position=(0.8, 0.6))
     for i, x in enumerate((-1.0, 0.0, 1.0)):

@@ -1,4 +1,4 @@
-"""Small motions about a state: as textbooks, minimal coordinates and runs of small amplitude say."""
+"""Small motions about a state, compared with textbooks, minimal coordinates and runs of small amplitude."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .chains import G, chain_stiffness_and_mass, hung_between, spec, weight_on_a
 
 def test_the_hanging_double_pendulum_has_its_known_frequencies() -> None:
     # expected: roots of det(K - w^2 M) for uniform rods of 1 m and 1 kg, M = [[4/3, 1/2], [1/2, 1/3]],
-    # K = 9.81 diag(3/2, 1/2), from a computation of their own in 30 digits
+    # K = 9.81 diag(3/2, 1/2), computed separately with 30 digits
     found = mbdkit.modes(spec({"name": "double-pendulum", "angles": [-1.0, -0.4]}))
     np.testing.assert_allclose(found.natural_frequency, [2.68011401225338, 7.18867087028771], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(found.damping_ratio, 0.0)
@@ -94,7 +94,7 @@ def test_an_inverted_pendulum_falls_at_its_rate() -> None:
 
 
 def test_free_bodies_have_modes_of_frequency_zero() -> None:
-    # expected: two bodies on a spring in space: k (1/m1 + 1/m2), and all else moves freely
+    # expected: two bodies on a spring in space: k (1/m1 + 1/m2); all other motions are free
     m = mbdkit.Mechanism(gravity=(0.0, 0.0))
     m.body("a", mass=1.0, inertia=0.2)
     m.body("b", mass=3.0, inertia=0.4, position=(1.0, 0.0))

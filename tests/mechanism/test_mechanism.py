@@ -191,7 +191,12 @@ CHANGES = {
         "model.joints.A.type",
         "known: revolute, prismatic, weld, distance, driver",
     ),
-    "slide without axis": ("joints.A", {**SLIDE, "axis": ...}, "model.joints.A.axis", "'axis' is missing"),
+    "slide without axis": (
+        "joints.A",
+        {**SLIDE, "axis": ...},
+        "model.joints.A.axis",
+        "is missing: direction of the line",
+    ),
     "slide along nothing": ("joints.A", {**SLIDE, "axis": [0, 0]}, "model.joints.A.axis", "has no direction"),
     "slide along a number": ("joints.A", {**SLIDE, "axis": 1}, "model.joints.A.axis", "two numbers"),
     "slide of a point mass": (
@@ -210,7 +215,7 @@ CHANGES = {
         "joints.A",
         {**SLIDE, "type": "weld"},
         "model.joints.A.axis",
-        "unknown key 'axis'",
+        "unknown key; known here: bodies, points, type, angle",
     ),
     "angle as text": ("joints.A", {**SLIDE, "angle": "pi"}, "model.joints.A.angle", "number"),
     "motion as a list": ("joints.E.motion", [1, 2], "model.joints.E.motion", "or {table: [[t, ...], [value, ...]]}"),
@@ -259,7 +264,7 @@ CHANGES = {
     "name of the ground": ("bodies.ground", {"mass": 1}, "model.bodies.ground", "reserved for the global frame"),
     "empty name": ("joints.", SPEC["joints"]["A"], "model.joints.", "non-empty"),
     "control character": ("joints.a\tb", SPEC["joints"]["A"], "model.joints.a\tb", "printable"),
-    "no mapping": ("bodies.rod", 3, "model.bodies.rod", "Body"),
+    "no mapping": ("bodies.rod", 3, "model.bodies.rod", "should be a mapping (`key: value`), not 3"),
     "no bodies": ("bodies", {}, "model.bodies", "at least one body"),
     "gravity in one": ("gravity", [9.81], "model.gravity", "two numbers"),
     "another model": ("name", "double-pendulum", "model.name", "'mechanism'"),
@@ -282,11 +287,14 @@ def test_a_wrong_spec_is_answered_with_its_key_and_what_would_be_right(change):
     assert len(caught.value.message) < 300
 
 
-@pytest.mark.parametrize("missing", ["type", "bodies", "points"])
-def test_a_missing_key_is_named(missing):
+@pytest.mark.parametrize(
+    ("missing", "purpose"),
+    [("type", "selects the kind"), ("bodies", "names of the two"), ("points", "one point in each")],
+)
+def test_a_missing_key_is_named_with_its_purpose(missing, purpose):
     spec = copy.deepcopy(SPEC)
     del spec["joints"]["A"][missing]
-    with pytest.raises(SpecError, match=f"'{missing}' is missing"):
+    with pytest.raises(SpecError, match=rf"model\.joints\.A\.{missing}: is missing: .*{purpose}"):
         Mechanism.from_spec(spec)
 
 
@@ -303,7 +311,7 @@ def test_the_builder_answers_at_once():
         m.revolute("A", m.ground, rod)
     with pytest.raises(SpecError, match=r"either as points= .* or as from_ and to "):
         m.spring_damper("s", m.ground, rod, from_=(0, 0), stiffness=1)
-    with pytest.raises(SpecError, match="'length' is missing"):
+    with pytest.raises(SpecError, match=r"model\.joints\.D\.length: is missing: .*only with from_ and to"):
         m.distance("D", m.ground, rod, points=[(0, 0), (0, 0)])
     with pytest.raises(SpecError, match="use a revolute joint"):
         m.distance("D", m.ground, rod, from_=(1, 1), to=(1, 1))
@@ -311,8 +319,12 @@ def test_the_builder_answers_at_once():
         m.force("f", rod, value=(1, 0), at=(0, 0), point=(0, 0))
     with pytest.raises(SpecError, match=r"model\.gravity"):
         Mechanism(gravity=(0, math.inf))
-    with pytest.raises(SpecError, match="should be the name of a body"):
+    with pytest.raises(SpecError, match=r"model\.joints\.A\.bodies\[0\]: should be text, not 0"):
         m.revolute("A", 0, rod, at=(0, 0))
+    with pytest.raises(SpecError, match=r"model\.joints\.A\.at\[1\]: should be a number"):
+        m.revolute("A", m.ground, rod, at=(0, "1"))
+    with pytest.raises(SpecError, match=r"model\.forces\.s\.to: should be two numbers"):
+        m.spring_damper("s", m.ground, rod, from_=(0, 0), to=1, stiffness=1)
     assert not m.joints
     assert not m.forces
 

@@ -32,8 +32,8 @@ def spec_run(model: Any, integrator: dict[str, Any], time: dict[str, Any], **sec
     return mbdkit.run({"mbdkit": 1, "model": model, "integrator": integrator, "time": time, **sections})
 
 
-def problem_of(m: Mechanism, t0: float = 0.0) -> Workspace:
-    """Return the problem of a mechanism at its assembled start."""
+def workspace_of(m: Mechanism, t0: float = 0.0) -> Workspace:
+    """Return the workspace of a mechanism at its assembled start."""
     return workspace_at_start(m, t0)[0]
 
 

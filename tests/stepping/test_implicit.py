@@ -14,7 +14,7 @@ from mbdkit.methods.kinds import ImplicitRungeKutta
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.start import start_method
 
-from .running import DOUBLE, driven_chain, problem_of, run, spec_run
+from .running import DOUBLE, driven_chain, run, spec_run, workspace_of
 
 
 def change_after(iterations: int, stages: int, step: float, solver: str = "newton", model: Any = None) -> float:
@@ -131,15 +131,15 @@ def pendulum() -> Mechanism:
 def test_the_stepper_run_back_with_turned_velocities_returns_to_its_start(stages: int) -> None:
     # expected: the start; Gauss methods are symmetric, and round-off of a regular motion grows slowly
     method = ImplicitRungeKutta(gauss.tableau(stages))
-    problem = problem_of(pendulum())
-    start = np.concatenate([problem.q0, problem.v0])
+    workspace = workspace_of(pendulum())
+    start = np.concatenate([workspace.q0, workspace.v0])
     for _ in range(2):
-        stepper = start_method(method, problem, Timetable(0.0, 10.0, step=0.01, steps=1000))
+        stepper = start_method(method, workspace, Timetable(0.0, 10.0, step=0.01, steps=1000))
         while not stepper.finished:
             stretch = stepper.advance()
             assert stepper.failure is None
-        problem.q0, problem.v0 = stretch.q[-1].copy(), -stretch.v[-1]
-    np.testing.assert_allclose(np.concatenate([problem.q0, problem.v0]), start, rtol=0, atol=1e-10)
+        workspace.q0, workspace.v0 = stretch.q[-1].copy(), -stretch.v[-1]
+    np.testing.assert_allclose(np.concatenate([workspace.q0, workspace.v0]), start, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("stages", range(1, 7))

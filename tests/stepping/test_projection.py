@@ -94,7 +94,7 @@ def test_a_projected_state_is_the_nearest_one_in_the_mass_metric(name: str) -> N
     p = (
         EquationsOfMotion.of(MODELS[name])
         if isinstance(MODELS[name], mbdkit.Mechanism)
-        else EquationsOfMotion(problem(DOUBLE))
+        else EquationsOfMotion(workspace_of(DOUBLE))
     )
     made, reached = found[0][1], found[1][0]
     gradients = p.constraint_jacobian(0.05, reached.q).toarray().T
@@ -104,7 +104,7 @@ def test_a_projected_state_is_the_nearest_one_in_the_mass_metric(name: str) -> N
         assert np.abs(left).max() < 1e-12
 
 
-def problem(model: Any, stabilization: Stabilization | None = None) -> Workspace:
+def workspace_of(model: Any, stabilization: Stabilization | None = None) -> Workspace:
     sections = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.1}}
     spec = load_spec(model, (), **sections) if isinstance(model, mbdkit.Mechanism) else None
     spec = spec or load_spec({"mbdkit": 1, "model": model, **sections}, ())
@@ -113,7 +113,7 @@ def problem(model: Any, stabilization: Stabilization | None = None) -> Workspace
 
 def defect(method: StepMethod, stabilization: Stabilization) -> float:
     """Return how far a run there and back ends from its start."""
-    start, q, v = problem(DOUBLE, stabilization), np.zeros(0), np.zeros(0)
+    start, q, v = workspace_of(DOUBLE, stabilization), np.zeros(0), np.zeros(0)
     now = start
     for _ in range(2):
         stepper = start_method(method, now, Timetable(0.0, 2.0, step=0.01, steps=200))

@@ -135,7 +135,7 @@ def test_moved_carries_the_rounding_errors_of_its_sums() -> None:
 
 
 def raising(error: BaseException) -> Any:
-    def then(problem: Any, state: StepState) -> Any:
+    def then(equations: Any, state: StepState) -> Any:
         raise error
 
     return then

@@ -89,11 +89,11 @@ def engine(m: Mechanism, t: float, q: np.ndarray, v: np.ndarray) -> dict[str, np
     """Return what the compiled engine has for each of the arrays of `SymbolicSystem.evaluate`."""
     compiled = compile_mechanism(m)
     top, n = compiled.topology, len(q) - 3
-    problem = Workspace(compiled, t, q, v)
-    w = problem.scratch
+    workspace = Workspace(compiled, t, q, v)
+    w = workspace.scratch
     constraints_at(top, w, t, q, v)
-    problem.use_pivots()
-    observer = StateObserver(problem)
+    workspace.use_pivots()
+    observer = StateObserver(workspace)
     found = observer.arrays(1)
     assert observer.observe(np.array([t]), q[None], v[None], found) is None
     acc, lam = found.acc, found.lam

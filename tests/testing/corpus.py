@@ -94,7 +94,7 @@ class ChangesItsInput(RungeKutta):
 
 
 class LyingCounter(RungeKutta):
-    """It takes three of its four evaluations off the bill."""
+    """It counts only one of its four evaluations."""
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         new = super().step(equations, t, state, h)
@@ -103,7 +103,7 @@ class LyingCounter(RungeKutta):
 
 
 class SwallowsNaN(RungeKutta):
-    """Where there are no accelerations it goes on with none."""
+    """Without a solution for the accelerations, it continues with zeros."""
 
     def rates(self, equations: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray) -> Any:
         try:
@@ -127,7 +127,7 @@ class Forgetful(StepMethod):
 
 
 class Alternating(StepMethod):
-    """Symplectic Euler in its two forms by turns; whose turn it is, the object counts, and not the state."""
+    """Symplectic Euler in its two forms by turns; the object, not the state, counts whose turn it is."""
 
     def __init__(self) -> None:
         self.taken = 0
@@ -141,7 +141,7 @@ class Alternating(StepMethod):
 
 
 class Endless(RungeKutta):
-    """It tries again for ever where it meets no number."""
+    """It repeats a failed evaluation for ever."""
 
     def rates(self, equations: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray) -> Any:
         while True:
@@ -152,7 +152,7 @@ class Endless(RungeKutta):
 
 
 class Stabilized(RungeKutta):
-    """It projects after each step, which no spec asked for."""
+    """It projects after each step although the spec does not ask for it."""
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         new = super().step(equations, t, state, h)

@@ -1,1 +1,1 @@
-"""Outside witnesses: reference solutions that share no code with mbdkit, and the tests that hold mbdkit to them."""
+"""Reference solutions that share no code with mbdkit, and the tests that compare mbdkit with them."""

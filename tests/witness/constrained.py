@@ -94,7 +94,7 @@ def radau_step(p: mbdkit.EquationsOfMotion, t: float, z: State, h: float, stages
         mu = x[s * (n + m) :].reshape(s, m) if both else np.zeros((s, m))
         q = z.q + h * np.outer(c, z.v) + h**2 * a2 @ acc
         v = z.v + h * a @ acc
-        for _ in range(20 if both else 0):  # the direction of a correction depends on where it leads
+        for _ in range(20 if both else 0):  # the correction is along the gradients at the corrected state
             push = np.array([p.constraint_forces(t + c[i] * h, q[i], mu[i]) / p.mass for i in range(s)])
             before, q = q, z.q + h * np.outer(c, z.v) + h**2 * a2 @ acc - h * a @ push
             if np.max(np.abs(q - before)) < 1e-17:

@@ -72,7 +72,7 @@ def car_axis() -> dict[str, Any]:
         "name": "mechanism",
         "gravity": [0.0, -1.0],
         "bodies": {
-            # the road's motion is prescribed, so that its mass and inertia act on nothing
+            # the road's motion is prescribed, so its mass and inertia have no effect
             "road": {"mass": 1.0, "inertia": 1.0, "angular_velocity": R * W / L},
             "left": {"mass": K, "position": [0.0, 0.5], "velocity": [-0.5, 0.0]},
             "right": {"mass": K, "position": [1.0, 0.5], "velocity": [-0.5, 0.0]},

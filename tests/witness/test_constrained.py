@@ -47,7 +47,7 @@ def dense_step(method: tuple[dict[str, Any], str]) -> Callable[..., dense.State]
 
 
 def floor_of_multipliers(method: tuple[dict[str, Any], str], h: float) -> float:
-    """Return how far a rounding of Phi carries multipliers of a mechanism of 1 m and 1 kg."""
+    """Return the change of the multipliers by a rounding error of Phi, for a mechanism of 1 m and 1 kg."""
     stages = method[0].get("stages", 2)
     if method[1] != "index-3":
         weights = h * dense.radau(stages)[0]
@@ -62,7 +62,7 @@ def floor_of_multipliers(method: tuple[dict[str, Any], str], h: float) -> float:
 @pytest.mark.parametrize("method", [*RADAU, *PAIRS], ids=str)
 @pytest.mark.parametrize("name", MODELS)
 def test_steps_are_those_of_the_dense_witness_to_round_off(name: str, method: tuple[dict[str, Any], str]) -> None:
-    # expected: the same equations solved with whole Newton matrices
+    # expected: the same equations, solved by Newton's method with the full matrix
     steps, h = 2, 0.02
     result = run(MODELS[name], method, steps * h, h).check()
     p = EquationsOfMotion.of(mbdkit.Mechanism.from_spec(MODELS[name]))
@@ -113,12 +113,12 @@ def test_a_pair_leads_back_to_its_start(method: tuple[dict[str, Any], str]) -> N
     from mbdkit.testing.kit import plugin_under_test
 
     subject = plugin_under_test("integrator", f"mbdkit:{method[0]['name']}", {})
-    problem = subject.workspace(SWINGING)
-    q, v = subject.moved(problem, 5.0, 250)
-    back = Workspace(problem.mechanism, 0.0, q, -v, formulation="index-3")
+    workspace = subject.workspace(SWINGING)
+    q, v = subject.moved(workspace, 5.0, 250)
+    back = Workspace(workspace.mechanism, 0.0, q, -v, formulation="index-3")
     there = subject.moved(back, 5.0, 250)
-    np.testing.assert_allclose(there[0], problem.q0, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(-there[1], problem.v0, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(there[0], workspace.q0, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(-there[1], workspace.v0, rtol=0, atol=1e-10)
 
 
 def stiff(stiffness: float) -> dict[str, Any]:

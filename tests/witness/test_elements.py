@@ -62,7 +62,7 @@ def test_a_driven_rod_has_the_torque_pin_force_and_work_of_its_prescribed_motion
 
 
 def test_a_driver_in_a_chain_has_the_torque_of_the_inverse_dynamics() -> None:
-    # expected: Lagrange's equation of the driven angle, on the DOP853 solution of the other
+    # expected: Lagrange's equation of the driven angle, evaluated on the DOP853 solution for the other angle
     result = run(DRIVEN_PENDULUM.model(), gauss(4), end=2.0, step=0.01, every=10)
     solution = DRIVEN_PENDULUM.solve(np.linspace(0.0, 2.0, 21))
     np.testing.assert_allclose(result["rod2"].angle, solution[:, 1], rtol=0, atol=1e-11)

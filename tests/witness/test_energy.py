@@ -1,4 +1,4 @@
-"""Energy, work and dissipation: booked right, balanced to the order of the method."""
+"""Energy, work and dissipation: correct values, and a balance that closes with the order of the method."""
 
 from __future__ import annotations
 

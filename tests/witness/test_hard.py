@@ -1,4 +1,4 @@
-"""Hard mechanisms: each runs as a witness says, or stops with the right reason; nothing is ever no number."""
+"""Hard mechanisms: each agrees with a reference, or stops with the right reason; no recorded value is NaN."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ METHODS: dict[str, tuple[dict[str, Any], float | None, float]] = {
     "scipy-radau": ({"name": "scipy-radau", "rtol": 1e-8, "atol": 1e-10}, None, 1e-5),
     "scipy-lsoda": ({"name": "scipy-lsoda", "rtol": 1e-10, "atol": 1e-12}, None, 1e-6),
 }
-"""Integrator, step [s], and the error in angles [rad] that is to be met after a second."""
+"""Integrator, step [s], and largest error of the angles after one second [rad]."""
 
 EXPLICIT = ("rk4", "rk-gill")
 IMPLICIT = ("gauss-1", "gauss-2", "gauss-3", "radau-iia-2", "radau-iia-3", "radau-iia-5")
@@ -40,7 +40,7 @@ Array = NDArray[np.floating[Any]]
 
 
 def run(model: dict[str, Any], method: str, end: float = 1.0, step: float | None = None, **sections: Any) -> mbdkit.Run:
-    """Run a model and see that whatever was recorded is a number."""
+    """Run a model and check that all recorded values are finite."""
     integrator, usual, _ = METHODS[method]
     time: dict[str, Any] = {"end": end}
     if usual is not None:
@@ -140,7 +140,7 @@ def on_springs(stiffness: float, damping: float) -> dict[str, Any]:
 
 @pytest.mark.parametrize("method", [name for name in IMPLICIT if name != "gauss-1"])
 def test_rod_on_springs_of_a_hundred_meganewtons_a_metre_swings_as_if_on_a_pin(method):
-    # expected: the pendulum in closed form; 20 N stretch the springs by 2e-7 m
+    # expected: the pendulum in closed form; a force of 20 N stretches the springs by 2e-7 m
     step = 1e-3 if method.endswith("2") else 5e-3
     result = run(on_springs(1e8, 1e4), method, step=step).check()
     expected = Pendulum.rod().motion([1.0])[0][0]

@@ -22,7 +22,7 @@ MODELS: dict[int, dict[str, Any]] = {
 
 @pytest.mark.parametrize(("rods", "stages"), PUBLISHED)
 def test_misalignment_has_the_published_magnitude(rods: int, stages: int) -> None:
-    # expected: the magnitudes stated in the paper, within a factor of three; L = 20 m and 40 degrees are our reading
+    # expected: the magnitudes stated in the paper, within a factor of three; we assume L = 20 m and 40 degrees
     result = run(MODELS[rods], gauss(stages), end=15.0, step=0.1)
     assert PUBLISHED[rods, stages] / 3 <= result.misalignment_max <= 3 * PUBLISHED[rods, stages]
 

@@ -1,4 +1,4 @@
-"""Redundant joints: the motion is that of the mechanism without them, and the reactions are the least that make it."""
+"""Redundant joints: the motion is that of the mechanism without them, and the reactions have the least norm."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def largest_error(result: mbdkit.Run, linkage: Parallelogram, times: np.ndarray,
 
 
 def test_the_motion_keeps_clear_of_the_flat_position_and_its_rods_pass_the_vertical() -> None:
-    # expected: what the tests below need; neither row of a pin could be left out all the way
+    # The tests below need this: neither row of a pin is redundant throughout the motion.
     phi = LINKAGE.solve(PHI, RATE, TIMES)[:, 0]
     assert np.max(np.abs(np.cos(phi))) < 0.95
     assert np.min(phi) < -np.pi / 2 - 0.5
@@ -98,14 +98,14 @@ def test_the_order_of_the_joints_changes_names_and_not_the_motion() -> None:
 
 @pytest.mark.parametrize("integrator", [{"name": "rk4"}, gauss(2), {"name": "scipy-radau"}], ids=lambda x: x["name"])
 def test_the_pivoted_system_gives_motion_and_reactions_of_the_schur_complement(integrator: dict[str, Any]) -> None:
-    # expected: the same linkage without a free crumb, whose mass makes the engine take the pivoted system
+    # expected: the same linkage without the tiny free body, whose mass makes the engine use the pivoted solver
     model = LINKAGE.model(PHI, RATE)
     expected = run(model, integrator, end=0.5, step=0.01, every=10)
     bodies = {**model["bodies"], "crumb": {"mass": 1e-7}}
     assert not compile_mechanism(mbdkit.Mechanism.from_spec({**model, "bodies": bodies})).well_scaled
     result = run({**model, "bodies": bodies}, integrator, end=0.5, step=0.01, every=10)
     assert result.redundancy == expected.redundancy
-    bound = 1e-6 if integrator["name"] == "scipy-radau" else 1e-11  # its steps are chosen with the crumb in view
+    bound = 1e-6 if integrator["name"] == "scipy-radau" else 1e-11  # it also controls the error of the tiny body
     for name in expected.bodies:
         np.testing.assert_allclose(result[name].position[-1], expected[name].position[-1], rtol=0, atol=bound)
     for name in expected.joints:

@@ -1,4 +1,4 @@
-"""Singular positions on the way: Newton stages pass them as the witness says, or the run stops and names the joint."""
+"""Motions through singular positions agree with the reference, or the run stops and names the joint."""
 
 from __future__ import annotations
 
@@ -98,12 +98,12 @@ def test_stages_around_a_flat_position_solve_their_equations_where_one_tangent_f
     angle, h = 0.0017, 0.001
     speed = rod.speed(angle)
     p = EquationsOfMotion.of(n_four_bar.build(n_four_bar.NFourBarOptions(angle=angle, speed=-speed)))
-    problem = p._workspace
+    workspace = p._workspace
     a, b, c = gauss.tableau(3).floats()
-    acc, lam = np.zeros((3, len(problem.q0))), np.zeros((3, len(problem.mechanism.topology.pairs), 2))
-    assert 0 < CoupledNewton(problem, a, a @ a, c).solve(0.0, h, problem.q0, problem.v0, acc, lam) < 10
-    v = problem.v0 + h * (b @ acc)
-    q = problem.q0 + h * problem.v0 + h * h * (b @ a @ acc)
+    acc, lam = np.zeros((3, len(workspace.q0))), np.zeros((3, len(workspace.mechanism.topology.pairs), 2))
+    assert 0 < CoupledNewton(workspace, a, a @ a, c).solve(0.0, h, workspace.q0, workspace.v0, acc, lam) < 10
+    v = workspace.v0 + h * (b @ acc)
+    q = workspace.q0 + h * workspace.v0 + h * h * (b @ a @ acc)
     after = rod.angle(rod.time(angle) + h)
     np.testing.assert_allclose(q[[2, 5, 8]], after, rtol=0, atol=1e-12)
     np.testing.assert_allclose(v[[2, 5, 8]], rod.speed(after), rtol=0, atol=1e-10)
@@ -111,10 +111,10 @@ def test_stages_around_a_flat_position_solve_their_equations_where_one_tangent_f
 
 def test_stages_that_have_no_solution_are_left_as_they_were():
     p = EquationsOfMotion.of(n_four_bar.build(n_four_bar.NFourBarOptions()))
-    problem = p._workspace
+    workspace = p._workspace
     a, _, c = gauss.tableau(2).floats()
-    acc, lam = np.ones((2, len(problem.q0))), np.ones((2, len(problem.mechanism.topology.pairs), 2))
-    assert CoupledNewton(problem, a, a @ a, c).solve(0.0, 50.0, problem.q0, problem.v0, acc, lam) == 0
+    acc, lam = np.ones((2, len(workspace.q0))), np.ones((2, len(workspace.mechanism.topology.pairs), 2))
+    assert CoupledNewton(workspace, a, a @ a, c).solve(0.0, 50.0, workspace.q0, workspace.v0, acc, lam) == 0
     assert np.all(acc == 1)
     assert np.all(lam == 1)
 
@@ -160,7 +160,7 @@ def test_driver_that_pushes_a_rocker_beyond_its_dead_centre_stops_the_run_there(
     result = run(model, method, end=4.0)
     assert result.status == "failed"
     code, _, sentence = result.status_reason.partition(": ")
-    if method in EXPLICIT:  # they are thrown through it, and what comes then is soon too large
+    if method in EXPLICIT:  # they step across it, and then soon overflow
         assert code == "not-finite"
     else:
         assert code in ("newton-failed", "singular", "step-too-small")

@@ -87,7 +87,7 @@ def test_yardstick_four_bar_has_the_equation_of_the_other_witness() -> None:
 
 @linkages
 def test_yardstick_crank_goes_round_and_keeps_clear_of_dead_centres(linkage: Linkage) -> None:
-    # expected: what the tests below need, so that they compare motions and not the growth of round-off
+    # The tests below need this, to compare motions and not the growth of round-off.
     solution = linkage.solve(PHI, RATE, TIMES)
     assert np.all(solution[:, 1] > 1.0)
     assert np.ptp(solution[:, 0]) > 4 * np.pi

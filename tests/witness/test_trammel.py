@@ -1,8 +1,8 @@
-"""A redundant mechanism whose rows take turns: the elliptic trammel with a crank to the middle of its rod.
+"""The elliptic trammel with a crank to the middle of its rod: which rows are redundant changes during the motion.
 
-Two slides guide the ends of a rod along the axes. Its middle then goes round in a circle, so that the crank which
-holds it there holds nothing new. Whenever the rod lies along an axis, one of the slides takes no part in the
-self-stress, and what is left of the mechanism without that slide's row has no unique accelerations.
+Two slides guide the ends of a rod along the axes. Its middle then moves on a circle, so that the crank is redundant.
+Whenever the rod lies along an axis, one of the slides has no part in the self-stress; without the row of that slide,
+the accelerations of the rest are not unique.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ROD, CRANK, SLIDE = (1.0, 1 / 3), (0.5, 0.05), (0.1, 0.01)  # mass and inertia
 
 
 def trammel(order: str) -> mbdkit.Mechanism:
-    """Return the mechanism with its joints written in some order: pins O and P of the crank, slides X and Y."""
+    """Return the mechanism with its joints in the given order: pins O and P of the crank, slides X and Y."""
     c, s = math.cos(ANGLE), math.sin(ANGLE)
     to, turn = np.array([c, s]), RATE * np.array([-s, c])  # the rod's middle and its velocity
     m = mbdkit.Mechanism()

@@ -12,7 +12,8 @@ lam : (K, 2) multipliers
 
 The columns of a Jacobian are (x_a, y_a, theta_a, x_b, y_b, theta_b). A Jacobian of two rows is stored row by row in 12
 columns, a tangent (6, 6) row by row in 36. Entries that are identically zero are never written: the output arrays must
-hold zeros there. The ``*_ENTRIES`` tables list the flat indices of all other entries.
+hold zeros there. The ``*_ENTRIES`` tables list the flat indices of all other entries. All entries of gamma are written,
+because projections and Baumgarte's terms change them.
 """
 
 # fmt: off
@@ -941,6 +942,7 @@ def fixed_angle_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
     """Jacobian Phi_q and right-hand side gamma of Phi_q a = gamma."""
     jac[k, 2] = -1.0
     jac[k, 5] = 1.0
+    gamma[k, 0] = 0.0
 
 
 @subkernel

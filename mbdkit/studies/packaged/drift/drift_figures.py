@@ -18,13 +18,7 @@ DRAWN = ("RK4", "Gauss 2", "Radau IIA 3", "Generalized-alpha", "RATTLE")
 
 
 def errors(found: Sequence[Combination]) -> tuple[Figure, ...]:
-    """Return one figure per mechanism of the errors of positions against the step.
-
-    Parameters
-    ----------
-    found
-        Results by combination.
-    """
+    """Return one figure per mechanism of the errors of positions against the step."""
     figures = []
     for mechanism in dict.fromkeys(one.mechanism for one in found):
         lines = []
@@ -48,15 +42,7 @@ def errors(found: Sequence[Combination]) -> tuple[Figure, ...]:
 
 
 def energies(study: Study, methods: Collection[str]) -> tuple[Figure, ...]:
-    """Return one figure per mechanism of the energy balance of the long runs of some methods.
-
-    Parameters
-    ----------
-    study
-        The study.
-    methods
-        Labels of the methods.
-    """
+    """Return one figure per mechanism of the energy balance of the long runs of some methods."""
     figures = []
     for name in study.families:
         lines = []

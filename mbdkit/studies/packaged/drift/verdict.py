@@ -6,17 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from mbdkit.analysis.verdict import (
-    Answer,
-    Claim,
-    Column,
-    Range,
-    Table,
-    Verdict,
-    exceeds,
-    together,
-    told,
-)
+from mbdkit.analysis.verdict import Answer, Claim, Column, Range, Table, Verdict, exceeds, together, told
 from mbdkit.studies.packaged.drift.combination import Combination, Undetermined, combinations
 from mbdkit.studies.packaged.drift.drift_figures import energies, errors
 

@@ -8,19 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.analysis.number_text import least_most
-from mbdkit.analysis.verdict import (
-    Answer,
-    Axis,
-    Band,
-    Cell,
-    Claim,
-    Column,
-    Figure,
-    Line,
-    Range,
-    Table,
-    together,
-)
+from mbdkit.analysis.verdict import Answer, Axis, Band, Cell, Claim, Column, Figure, Line, Range, Table, together
 from mbdkit.studies.packaged.paper.published_results import GAUSS2, GAUSS3, METHODS, PAPER_STEP
 from mbdkit.studies.point_selection import METHOD, STEP, family
 
@@ -42,8 +30,6 @@ def steps_within(steps: np.ndarray, values: np.ndarray, wanted: Range) -> tuple[
         (K,) ascending steps [s].
     values
         (K,) misalignments; values that are not finite count as outside.
-    wanted
-        The range.
 
     Returns
     -------

@@ -7,19 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.verdict import (
-    Answer,
-    Axis,
-    Cell,
-    Claim,
-    Column,
-    Figure,
-    Line,
-    Range,
-    Table,
-    exceeds,
-    together,
-)
+from mbdkit.analysis.verdict import Answer, Axis, Cell, Claim, Column, Figure, Line, Range, Table, exceeds, together
 from mbdkit.studies.point_selection import METHOD, MODEL, STEP, family, value
 
 if TYPE_CHECKING:

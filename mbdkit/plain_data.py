@@ -104,6 +104,8 @@ def found(value: Any) -> str:
             )
         case list() | tuple():
             return f"a list of {len(value)}" if value else "an empty list"
+    if hasattr(value, "tolist") and not isinstance(value, type):  # a NumPy array or number
+        return found(value.tolist())
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 

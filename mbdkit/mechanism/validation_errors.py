@@ -1,9 +1,8 @@
-"""Conversion of pydantic validation errors to readable error messages about a spec."""
+"""Conversion of pydantic validation errors to readable error messages about a spec or an element."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -11,11 +10,11 @@ from pydantic_core import ErrorDetails
 from pydantic_core.core_schema import ErrorType
 
 from mbdkit.errors import SpecError
+from mbdkit.mechanism import higher_layers
+from mbdkit.mechanism.key_path import walk
+from mbdkit.mechanism.law_element import PluginLookup
 from mbdkit.mechanism.time_expression import Expression
-from mbdkit.registry.item_options import is_of_item, item_of
-from mbdkit.spec.choices import choice_of, registry_of
-from mbdkit.spec.key_path import walk
-from mbdkit.spec.plain_data import Path, found, parse_path, path_text
+from mbdkit.plain_data import Path, found, parse_path, path_text
 from mbdkit.text import did_you_mean, listed
 
 WANTED = {
@@ -45,7 +44,9 @@ MORE = 5
 PYDANTIC_KINDS = frozenset(get_args(ErrorType))
 
 
-def explain(error: ValidationError, root: type[BaseModel]) -> SpecError:
+def spec_error(
+    error: ValidationError, root: Any, *, prefix: str = "", plugins: PluginLookup | None = None
+) -> SpecError:
     """Convert a pydantic validation error to a SpecError.
 
     Parameters
@@ -53,44 +54,49 @@ def explain(error: ValidationError, root: type[BaseModel]) -> SpecError:
     error
         The validation error.
     root
-        The model that was validated.
+        The model or type that was validated.
+    prefix
+        Key path of the validated value in a spec; empty if it is a whole spec.
+    plugins
+        Lookup of the models that plugins add; by default, of the installed plugins.
 
     Returns
     -------
     SpecError
         Error with the key path of the first problem; its message lists the other problems, one per line.
     """
+    lookup: PluginLookup = plugins or higher_layers.installed_plugins()
     complaints: dict[Path, list[str]] = {}
     for details in error.errors(include_url=False):
-        path, sentence = _complaint(details, root)
+        path, sentence = _complaint(details, root, lookup)
         if sentence not in complaints.setdefault(path, []):
             complaints[path].append(sentence)
     # An error inside a value is more specific than the error that no member of a union accepts the value.
     paths = [path for path in complaints if not any(other[: len(path)] == path != other for other in complaints)]
     # Unknown keys come first: a mistyped key explains why another key is missing.
     paths.sort(key=lambda path: not complaints[path][0].startswith("unknown key"))
-    first, *others = [(path, complaints[path]) for path in paths]
-    message = _either(first[1])
-    for path, sentences in others[:MORE]:
-        message += f"\n  also: {path_text(path)}: {_either(sentences)}"
+    above = (prefix,) if prefix else ()
+    (key, message), *others = [(path_text((*above, *path)), _either(complaints[path])) for path in paths]
+    for place, sentence in others[:MORE]:
+        message += f"\n  also: {place}: {sentence}"
     if len(others) > MORE:
         message += f"\n  and {len(others) - MORE} more"
-    return SpecError(message, key=path_text(first[0]))
+    return SpecError(message, key=key)
 
 
-def _complaint(details: ErrorDetails, root: type[BaseModel]) -> tuple[Path, str]:
-    path, owner = walk(details["loc"], root)
+def _complaint(details: ErrorDetails, root: Any, plugins: PluginLookup) -> tuple[Path, str]:
+    path, owner = walk(details["loc"], root, plugins)
     kind, given, context = details["type"], details["input"], details.get("ctx", {})
     inner = context.get("error")
     if isinstance(inner, SpecError):
         return _inner_path(path, parse_path(inner.key)), inner.message
     match kind:
         case "extra_forbidden":
-            return path, _unknown_key(str(path[-1]), owner, root)
+            return path, _unknown_key(str(path[-1]), owner, plugins)
         case "missing":
             return path, f"is missing{_purpose(owner, str(path[-1]))}"
         case "union_tag_not_found":
-            return _without_tag(path, given, root)
+            return (*path, str(context["discriminator"]).strip("'")), "is missing: it selects the kind of element"
         case "union_tag_invalid":
             tags = [tag.strip("' ") for tag in str(context["expected_tags"]).split(",")]
             key, tag = str(context["discriminator"]).strip("'"), str(context["tag"])
@@ -120,20 +126,12 @@ def _inner_path(path: Path, key: Path) -> Path:
     return key if path and key[: len(path)] == path else path + key
 
 
-def _unknown_key(key: str, owner: type[BaseModel] | None, root: type[BaseModel]) -> str:
+def _unknown_key(key: str, owner: type[BaseModel] | None, plugins: PluginLookup) -> str:
     if owner is None:
         return "unknown key"
     fields = owner.model_fields
     known = sorted((info.alias or name for name, info in fields.items()), key=lambda name: name != "name")
-    message = f"unknown key{did_you_mean(key, known)}"
-    if is_of_item(owner):
-        item = item_of(owner)
-        items = registry_of(root).of_kind(item.kind)
-        others = [f"'{other.name}'" for other in items if key in other.plugin.options.model_fields]
-        if others:
-            message = (
-                f"'{key}' belongs to {listed(others, 'and')}, not to the {item.kind.replace('-', ' ')} '{item.name}'"
-            )
+    message = plugins.owners_of(key, owner) or f"unknown key{did_you_mean(key, known)}"
     for name, info in fields.items():
         section = info.annotation
         if isinstance(section, type) and issubclass(section, BaseModel) and key in section.model_fields:
@@ -147,19 +145,6 @@ def _purpose(owner: type[BaseModel] | None, key: str) -> str:
     info = None if owner is None else owner.model_fields.get(key)
     text = " ".join((info.description or "").split()).rstrip(".") if info else ""
     return f": {text[:1].lower()}{text[1:]}" if text else ""
-
-
-def _without_tag(path: Path, given: Any, root: type[BaseModel]) -> tuple[Path, str]:
-    if path not in (("model",), ("integrator",)):
-        return (*path, "type"), "is missing: it selects the kind of element"
-    choice = choice_of(root, "model" if path == ("model",) else "integrator")
-    names = listed(choice.registry.names(choice.kind))
-    if not isinstance(given, Mapping):
-        example = given if isinstance(given, str) and given in choice.registry.names(choice.kind) else "NAME"
-        return path, f"should be a mapping such as `{{name: {example}}}`, not {found(given)}; installed: {names}"
-    if "name" in given:
-        return (*path, "name"), f"should be text, not {found(given['name'])}; installed: {names}"
-    return (*path, "name"), f"is missing: the name of the {choice.kind}; installed: {names}"
 
 
 def _hint(kind: str, given: Any) -> str:

@@ -1,0 +1,72 @@
+"""Kernels are compiled for the types of example bundles; the bundles of runs have exactly these types."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+from collections import defaultdict
+from typing import Any
+
+import numba
+import pytest
+
+import mbdkit
+from mbdkit import stepping
+from mbdkit.engine import kernels
+from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
+from mbdkit.engine.jit.bundle import PinnedBundle
+from mbdkit.run_preparation import build
+from mbdkit.spec import load_spec
+
+RUNS: dict[str, dict[str, Any]] = {
+    "rk4": {"integrator": {"name": "rk4"}},
+    "dopri5, adaptive": {"integrator": {"name": "dopri5", "adaptive": True}},
+    "gauss": {"integrator": {"name": "gauss", "stages": 3}},
+    "gauss, one stage": {"integrator": {"name": "gauss", "stages": 1}},
+    "gauss, adaptive": {"integrator": {"name": "gauss", "adaptive": True}},
+    "gauss, fixed-point": {"integrator": {"name": "gauss", "stage_solver": "fixed-point"}},
+    "gauss, projected": {"integrator": {"name": "gauss"}, "stabilization": {"name": "projection"}},
+    "radau-iia, index-3": {"integrator": {"name": "radau-iia"}, "formulation": "index-3"},
+    "radau-iia, ggl": {"integrator": {"name": "radau-iia"}, "formulation": "ggl"},
+    "lobatto-pair": {"integrator": {"name": "lobatto-pair"}, "formulation": "index-3"},
+}
+
+
+def expected_types() -> dict[str, set[Any]]:
+    """Return the Numba types for which the loaders of bundles are compiled, by the class of the bundle."""
+    expected = defaultdict(set)
+    for room in (kernels, stepping):
+        for info in pkgutil.iter_modules(room.__path__, f"{room.__name__}."):
+            for name, thing in vars(importlib.import_module(info.name)).items():
+                if name.startswith("load_"):
+                    example = inspect.getclosurevars(inspect.unwrap(thing)).nonlocals["example"]()
+                    expected[type(example).__name__].add(numba.typeof(example))
+    return dict(expected)
+
+
+@pytest.fixture
+def pinned(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Bundles whose addresses have been given to kernels."""
+    seen: list[Any] = []
+    replace = PinnedBundle.replace
+
+    def noting(self: PinnedBundle, bundle: Any) -> None:
+        seen.append(bundle)
+        replace(self, bundle)
+
+    monkeypatch.setattr(PinnedBundle, "replace", noting)
+    return seen
+
+
+def test_bundles_of_runs_have_the_types_that_kernels_are_compiled_for(pinned: list[Any]) -> None:
+    for example in ("double-pendulum", "double-wishbone"):
+        for sections in RUNS.values():
+            mbdkit.run(example, **{"events": {}, "time": {"end": 0.02, "step": 0.01}} | sections).check()
+        workspace, _ = build(load_spec(example))
+        call_everything(EquationsOfMotion(workspace))
+        workspace.use_pivots()
+    expected = expected_types()
+    assert {type(bundle).__name__ for bundle in pinned} == set(expected)
+    for bundle in pinned:
+        assert numba.typeof(bundle) in expected[type(bundle).__name__], type(bundle).__name__
