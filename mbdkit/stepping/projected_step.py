@@ -161,13 +161,10 @@ def take(run, method, attempt, t, h, want_error, mode):
 def project(run, t, mode, due, bound):
     """Project the end of a step if a projection is due; return a status and whether the step is projected."""
     c = load_run_state(run)
-    if (
-        mode == NO_PROJECTION
-        or mode == SYMMETRIC
-        or not due
-        or (bound > 0.0 and not _passes_bound(c, t, c.new_q, c.new_v, bound))
-    ):
+    if mode in (NO_PROJECTION, SYMMETRIC) or not due:
         return OK, mode == SYMMETRIC
+    if bound > 0.0 and not _passes_bound(c, t, c.new_q, c.new_v, bound):
+        return OK, False
     status = project_positions(c.still, c.w, c.solver, t, c.new_q, c.shift_q, c.rest, c.x, c.lam)
     if status != OK:
         return status, False

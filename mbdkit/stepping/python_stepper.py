@@ -18,7 +18,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import StepError
 from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.stepping import interface
-from mbdkit.stepping.interface import Failure, StepTaken, Stretch, Timetable
+from mbdkit.stepping.interface import Failure, StepEvidence, StepTaken, Stretch, Timetable
 from mbdkit.stepping.python_projection import StabilizedSteps, Taken
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.kernels.vectors import BEYOND
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.workspace import Workspace
-from mbdkit.stepping.interface import STRETCH, Failure, StepTaken, Stretch, Timetable
+from mbdkit.stepping.interface import STRETCH, Failure, StepEvidence, StepTaken, Stretch, Timetable
 
 if TYPE_CHECKING:
     from mbdkit.methods.kinds import SciPySolver
