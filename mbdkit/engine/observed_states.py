@@ -10,6 +10,7 @@ from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.joint_sums import joint_of_pairs
 from mbdkit.engine.kernels.observe import Observed, SelfStress, observe
 from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.redundant_gaps import unexplained_gaps
 from mbdkit.engine.redundant_reactions import share_evenly
 from mbdkit.engine.singularity import new_vectors
 from mbdkit.engine.workspace import Workspace
@@ -36,6 +37,11 @@ class StateObserver:
     ----------
     workspace
         The mechanism and its solver.
+
+    Attributes
+    ----------
+    gaps, gap_uncertainty : (T, D) arrays
+        Of the states last observed: `unexplained_gaps` of the redundant directions.
     """
 
     def __init__(self, workspace: Workspace):
@@ -46,6 +52,7 @@ class StateObserver:
         self._pair_joint = joint_of_pairs(mechanism)
         self._near = new_vectors(workspace)
         self._stress = SelfStress.zeros(0, self._directions, self._pairs)
+        self.gaps, self.gap_uncertainty = np.zeros((2, 0, self._directions))
 
     def arrays(self, states: int) -> Observed:
         """Return arrays for the results of `observe`, for T = `states`."""
@@ -72,13 +79,16 @@ class StateObserver:
         """
         count = len(times)
         done, repivoted = 0, -1
+        self.gaps, self.gap_uncertainty = np.zeros((2, count, self._directions))
         while done < count:
             part = slice(done, min(done + self._most_states(), count))
             stress, rows = self._self_stress(part.stop - done), out.rows(part)
             engine = self.workspace.engine
             status, reached = observe(engine, times[part], q[part], v[part], rows, stress, self._near)
             if self._directions and reached:
-                self._share(out.rows(slice(done, done + reached)), stress.rows(slice(0, reached)))
+                new = slice(done, done + reached)
+                self._note_gaps(new, q[new], out.rows(new), stress.rows(slice(0, reached)))
+                self._share(out.rows(new), stress.rows(slice(0, reached)))
             done += reached
             if status == OK:
                 continue
@@ -90,6 +100,12 @@ class StateObserver:
                 return SingularState(done, error.index)
             repivoted = done
         return None
+
+    def _note_gaps(self, rows: slice, q: np.ndarray, observed: Observed, stress: SelfStress) -> None:
+        """Compute `gaps` and `gap_uncertainty` of some rows."""
+        distance = observed.singularity_distance
+        found = unexplained_gaps(self.workspace.mechanism, q, observed.phi, distance, stress.lam)
+        self.gaps[rows], self.gap_uncertainty[rows] = found
 
     def _share(self, observed: Observed, stress: SelfStress) -> None:
         """Replace the reactions of redundant joints by those of least norm."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -11,9 +12,51 @@ from typing import Any, Protocol
 import numpy as np
 
 from mbdkit.engine.counters import Counters
+from mbdkit.trust.criteria import BranchSuspicion
 
 STRETCH = 0.1
 """Seconds after which a compiled loop should return to Python, so that it stays well below the promised 0.2 s."""
+
+
+@dataclass(frozen=True)
+class Guards:
+    """Limits that stop a run; by default there are none.
+
+    Parameters
+    ----------
+    misalignment
+        Largest misalignment of a joint [m]; a run that exceeds it stops with the code ``fell-apart``.
+    angle_misalignment
+        The same for misaligned angles [rad].
+    energy_jump
+        Largest change of the energy balance in one step, as a share of the largest kinetic energy so far; a run that
+        exceeds it stops with the code ``energy-jump``.
+    """
+
+    misalignment: float = math.inf
+    angle_misalignment: float = math.inf
+    energy_jump: float = math.inf
+
+
+@dataclass(frozen=True)
+class StepEvidence:
+    """What a stepper has observed over all steps so far, recorded or not.
+
+    Parameters
+    ----------
+    energy_jump, energy_jump_time
+        Largest absolute change of the energy balance in one step [J], without the changes that projections, Baumgarte's
+        terms and impulses make, and the time at the end of that step [s].
+    kinetic
+        Largest kinetic energy [J].
+    branch
+        Sharp turns near singular positions, in order of time.
+    """
+
+    energy_jump: float
+    energy_jump_time: float
+    kinetic: float
+    branch: tuple[BranchSuspicion, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -36,6 +79,8 @@ class Timetable:
         Steps after which the run stops.
     single
         Whether `Stepper.advance` takes one accepted step per call, so that it can be searched for events.
+    guards
+        Limits that stop the run.
     """
 
     start: float
@@ -46,6 +91,7 @@ class Timetable:
     interval: float | None = None
     max_steps: int = 10_000_000
     single: bool = False
+    guards: Guards = Guards()
 
     @property
     def last_step(self) -> float:
@@ -169,6 +215,12 @@ class Advancing(Protocol):
     def last_state(self) -> Stretch:
         """Return the state reached as one row, for a run that is stopped between two recorded states."""
         ...
+
+
+def evidence_of(stepper: Advancing) -> StepEvidence | None:
+    """Return the attribute `evidence` of a stepper; None for steppers that do not watch their steps."""
+    found: StepEvidence | None = getattr(stepper, "evidence", None)
+    return found
 
 
 class Stepper(Advancing, Protocol):

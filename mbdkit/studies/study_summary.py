@@ -6,6 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.studies.study_index import STATUSES
+from mbdkit.trust.criteria import LEVELS
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
@@ -25,9 +26,12 @@ def summary(study: Study) -> str:
     counts = Counter(point.status for point in study.points)
     runs = ", ".join(f"{counts[status]} {status.replace('-', ' ')}" for status in STATUSES if counts[status])
     beside = f"; reference runs: {len(study.references)}" if study.references else ""
+    levels = Counter(point.verdict for point in study.points)
+    verdicts = ", ".join(f"{levels[level]} {level}" for level in LEVELS if levels[level])
     lines = [
         ("study", " ".join(study.spec.title.split())),
         ("runs", f"{len(study.points)}: {runs}{beside}"),
+        ("verdicts", verdicts),
         ("computed", f"{study.computed} now" if study.computed else "nothing now"),
         ("folder", str(study.folder)),
     ]
@@ -55,6 +59,7 @@ def outcome(study: Study) -> dict[str, Any]:
         The study.
     """
     counts = Counter(point.status for point in study.points)
+    levels = Counter(point.verdict for point in study.points)
     return {
         "path": str(study.folder),
         "title": study.spec.title,
@@ -63,6 +68,7 @@ def outcome(study: Study) -> dict[str, Any]:
         "references": len(study.references),
         "computed": study.computed,
         **{status.replace("-", "_"): counts[status] for status in STATUSES},
+        "verdicts": {level: levels[level] for level in LEVELS if levels[level]},
         "failures": [
             {
                 "number": point.number,
