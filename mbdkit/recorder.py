@@ -193,7 +193,8 @@ class Recorder:
                 name, gap = self.workspace.mechanism.joints[joint], f"{values[row, joint]:.3g} {unit}"
                 sentence = (
                     f"joint '{name}' is misaligned by {gap} at {_at(stretch, row)}, more than limits.misalignment "
-                    f"allows ({limit:.3g} {unit}); this state is not recorded; use smaller steps or a method of higher order."
+                    f"allows ({limit:.3g} {unit}); this state is not recorded; use smaller steps or a method of "
+                    "higher order."
                 )
                 found = row, Failure("fell-apart", sentence)
         return found

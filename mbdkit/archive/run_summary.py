@@ -70,7 +70,7 @@ def summary(run: Run) -> str:
         ("archive", "in memory" if run.path is None else str(run.path)),
     ]
     if spec.get("title"):
-        lines.insert(0, ("run", " ".join(str(spec["title"]).split())))
+        lines.insert(len(verdict_lines(run)), ("run", " ".join(str(spec["title"]).split())))
     return "\n".join(f"{label:<13} {text}" for label, text in lines if text)
 
 
