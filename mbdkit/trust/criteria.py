@@ -39,10 +39,19 @@ class Limits:
 
 
 MISALIGNMENT = Limits(1e-4, 1e-3)
-"""Largest misalignment, as a share of the mechanism's size; of angles, in radians."""
+"""Largest misalignment, as a share of the mechanism's size; of angles, in radians.
+
+Measured in 246 runs of 2 to 3 s (eight mechanisms, seven methods, five steps) against Gauss with five stages: a joint
+force was wrong by more than 5 % of its peak in 64 % of the bad runs, in 11 % of those between the limits, in 7 % of
+those down to a tenth of the first limit, and in none below.
+"""
 
 ENERGY = Limits(1e-3, 0.05)
-"""Largest absolute energy balance, as a share of the largest kinetic energy."""
+"""Largest absolute energy balance, as a share of the largest kinetic energy.
+
+In the same runs, a joint force was wrong by more than 5 % of its peak in 97 % of the bad runs, in 35 % of those between
+the limits, in 3 % of those down to a tenth of the first limit, and in none below.
+"""
 
 ENERGY_JUMP = 0.05
 """Change of the energy balance in one step, as a share of the largest kinetic energy, above which a run is bad.
