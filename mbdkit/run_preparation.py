@@ -14,10 +14,11 @@ from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError, PluginError, SpecError
+from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.interface import Guards, Timetable
 from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
 from mbdkit.text import one_line
 
@@ -132,8 +133,24 @@ def optional_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
     ]
 
 
-def timetable(spec: RunSpec) -> Timetable:
-    """Return the timetable of a run: start, end, steps and recorded states."""
+def size_at_start(spec: RunSpec, workspace: Workspace) -> float:
+    """Return the size of the mechanism at its start [m]; its characteristic length if all points coincide."""
+    position = workspace.q0[:-3].reshape(-1, 3)
+    return mechanism_size(spec.mechanism(), position) or workspace.mechanism.length
+
+
+def guards(spec: RunSpec, size: float) -> Guards:
+    """Return the limits that stop a run of a mechanism of a given size [m]."""
+    limits = spec.limits
+    return Guards(
+        misalignment=limits.misalignment * size,
+        angle_misalignment=limits.misalignment,
+        energy_jump=math.inf if limits.energy_jump is None else limits.energy_jump,
+    )
+
+
+def timetable(spec: RunSpec, guards: Guards) -> Timetable:
+    """Return the timetable of a run: start, end, steps, recorded states and limits."""
     return Timetable(
         start=spec.time.start,
         end=spec.time.final,
@@ -143,4 +160,5 @@ def timetable(spec: RunSpec) -> Timetable:
         interval=spec.output.interval,
         max_steps=spec.limits.max_steps,
         single=bool(spec.events),
+        guards=guards,
     )

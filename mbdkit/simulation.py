@@ -24,12 +24,23 @@ from mbdkit.errors import MbdkitError
 from mbdkit.methods.kinds import Method
 from mbdkit.provenance import provenance
 from mbdkit.recorder import Recorder, archive_names, shared_forces
-from mbdkit.run_preparation import build, caution, check_disk_space, make_method, optional_arrays, timetable
+from mbdkit.run_evidence import evidence_of_run
+from mbdkit.run_preparation import (
+    build,
+    caution,
+    check_disk_space,
+    guards,
+    make_method,
+    optional_arrays,
+    size_at_start,
+    timetable,
+)
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch
 from mbdkit.stepping.start import start_method
 from mbdkit.stepping.warm_up import to_stderr
 from mbdkit.text import one_line
+from mbdkit.trust.criteria import judge
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
@@ -103,23 +114,35 @@ def simulate(
         spec.canonical_json(),
         spec.sha256(),
         spec.run_id(),
-        {**provenance(spec), "assembly": start.describe(), **({"warning": warning} if warning else {})},
+        {**provenance(spec), "assembly": start.describe()},
         quantities=spec.output.recorded,
         extra_datasets=optional_arrays(spec, method, workspace.mechanism),
         overwrite=overwrite,
         shared=shared_forces(workspace.mechanism),
     )
     try:
-        return _Simulation(spec, workspace, method, writer, begin).run(progress)
+        warnings = (warning,) if warning else ()
+        return _Simulation(spec, workspace, method, writer, begin, warnings).run(progress)
     except BaseException:
         writer.abandon()
         raise
 
 
 class _Simulation:
-    def __init__(self, spec: RunSpec, workspace: Workspace, method: Method, writer: ArchiveWriter, begin: float):
+    def __init__(
+        self,
+        spec: RunSpec,
+        workspace: Workspace,
+        method: Method,
+        writer: ArchiveWriter,
+        begin: float,
+        warnings: tuple[str, ...],
+    ):
         self.spec, self.workspace, self.method, self.writer, self.begin = spec, workspace, method, writer, begin
-        self.recorder = Recorder(workspace, writer)
+        self.warnings = warnings
+        self.size = size_at_start(spec, workspace)
+        self.guards = guards(spec, self.size)
+        self.recorder = Recorder(workspace, writer, self.guards)
         self.stepper: Advancing | None = None
         self.watch: Watch | None = None
         self.failure: Failure | None = None
@@ -152,7 +175,7 @@ class _Simulation:
     def start(self) -> None:
         """Create the stepper of the method."""
         try:
-            stepper = start_method(self.method, self.workspace, timetable(self.spec))
+            stepper = start_method(self.method, self.workspace, timetable(self.spec, self.guards))
         except SingularSystemError as error:
             name = self.workspace.mechanism.unknown_name(error.index)
             self.failure = Failure("singular", f"the stage equations are singular at the start, near {name}.")
@@ -215,11 +238,13 @@ class _Simulation:
             status, reason = "interrupted", f"interrupted: stopped by the user at t = {stepper.time:.6g} s."
         elif self.watch is not None and self.watch.stopped is not None:
             reason = f"event: {self.watch.stopped}."
+        misalignment_max = self.recorder.misalignment_max(
+            stepper.worst_pairs if stepper is not None else np.zeros(pairs)
+        )
+        ending = status, reason
+        judgement = judge(evidence_of_run(self.recorder, stepper, ending, misalignment_max, self.size, self.warnings))
         file = self.writer.finish(
-            status,
-            reason,
-            {**counters, **timings},
-            self.recorder.misalignment_max(stepper.worst_pairs if stepper is not None else np.zeros(pairs)),
+            status, reason, {**counters, **timings}, misalignment_max, judgement=judgement, warnings=self.warnings
         )
         if file is not None:
             return Run(file)

@@ -17,6 +17,8 @@ from mbdkit.archive.hdf5_errors import DAMAGE, cause
 from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, Array
 from mbdkit.archive.open_archive import open_archive
 from mbdkit.errors import SpecError
+from mbdkit.text import listed
+from mbdkit.trust.criteria import LEVELS
 
 
 def check(path: str | Path) -> list[str]:
@@ -88,6 +90,7 @@ class _Checker:
             if not isinstance(value, str):
                 self.say(f"the attribute {name} {'is missing' if value is None else 'is not a string'}")
             values[name] = value if isinstance(value, str) else ""
+        self.verdict()
         self.status = values["status"]
         if self.status not in layout.STATUSES:
             self.say(f"status is {self.status!r}, not one of {', '.join(layout.STATUSES)}")
@@ -114,6 +117,22 @@ class _Checker:
             self.spec = spec
         else:
             self.say("the attribute spec does not hold a spec in JSON")
+
+    def verdict(self) -> None:
+        """Check the verdict, which archives of earlier versions and of crashed runs lack."""
+        attributes = self.file.attrs
+        present = [name for name in layout.VERDICT_ATTRIBUTES if name in attributes]
+        if not present:
+            return
+        missing = [name for name in layout.VERDICT_ATTRIBUTES if name not in present]
+        if missing:
+            self.say(f"the verdict is incomplete: there is no attribute {listed(missing, 'or')}")
+        if "verdict" in present and attributes["verdict"] not in LEVELS:
+            self.say(f"verdict is {attributes['verdict']!r}, not one of {', '.join(LEVELS)}")
+        for name in layout.VERDICT_ATTRIBUTES[1:]:
+            values = np.atleast_1d(attributes.get(name, ()))
+            if not all(isinstance(value, str) for value in values):
+                self.say(f"the attribute {name} does not hold strings")
 
     def expected(self) -> tuple[Array, ...]:
         """Return the arrays required by the groups in the file and by the spec."""

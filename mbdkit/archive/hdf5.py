@@ -5,6 +5,8 @@ The low-level API of h5py takes half the time of the high-level one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import h5py
 import numpy as np
 from h5py import h5a, h5d, h5ds, h5p, h5s, h5t
@@ -20,6 +22,11 @@ def set_text(target: h5py.Group | h5py.Dataset, name: str, value: str) -> None:
     """Add a variable-length UTF-8 string attribute to a group or an array."""
     attribute = h5a.create(target.id, name.encode(), _STRING, _SCALAR)
     attribute.write(np.array(value, dtype=object), mtype=_STR)
+
+
+def set_texts(target: h5py.Group, name: str, values: Sequence[str]) -> None:
+    """Set an attribute of a group to a one-dimensional array of variable-length UTF-8 strings, which may be empty."""
+    target.attrs.create(name, np.array(values, dtype=object), shape=(len(values),), dtype=h5py.string_dtype())
 
 
 def create(file: h5py.File, array: Array, values: np.ndarray, *, chunks: tuple[int, ...] | None = None) -> h5py.Dataset:

@@ -16,6 +16,9 @@ REASONS = (
     "singular",
     "step-too-small",
     "not-finite",
+    "fell-apart",
+    "energy-jump",
+    "branch-left",
     "event",
     "plugin-error",
 )
@@ -32,6 +35,9 @@ ROOT_ATTRIBUTES = (
     "spec_sha256",
     "data_sha256",
 )
+VERDICT_ATTRIBUTES = ("verdict", "verdict_reasons", "warnings")
+"""Root attributes that say how far a run can be trusted; archives of earlier versions lack them."""
+
 COUNTERS = (
     "steps",
     "accepted",

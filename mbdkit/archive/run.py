@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 from collections.abc import Mapping
 from functools import cached_property
@@ -29,6 +30,7 @@ from mbdkit.archive.history import (
 from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.part_file import Target
 from mbdkit.errors import MbdkitError, RunError, SpecError
+from mbdkit.trust.criteria import LEVELS, Level
 
 if TYPE_CHECKING:
     import xarray
@@ -56,6 +58,10 @@ class Run:
         try:
             with reading("its header", path):
                 self._attributes = {name: str(file.attrs[name]) for name in layout.ROOT_ATTRIBUTES}
+                self._verdict = str(file.attrs.get("verdict", ""))
+                self._reasons, self._warnings = (
+                    tuple(map(str, np.atleast_1d(file.attrs.get(name, ())))) for name in ("verdict_reasons", "warnings")
+                )
                 self._stats = _plain_attributes(file["stats"])
                 self._provenance = _plain_attributes(file["provenance"])
                 self._misalignment_max: np.ndarray | None = file["joints"].attrs.get("misalignment_max")
@@ -95,6 +101,31 @@ class Run:
     def status_reason(self) -> str:
         """Code and sentence saying why the run is not complete or which event ended it; otherwise empty."""
         return self._attributes["status_reason"]
+
+    @property
+    def verdict(self) -> Level:
+        """How far the results can be trusted: ``good``, ``unknown``, ``doubtful`` or ``bad``.
+
+        ``good`` needs an estimate of the error. ``unknown`` means that nothing suspicious was seen. Runs that crashed
+        and archives of versions that did not judge runs are ``unknown`` as well, see `is_judged`.
+        """
+        return next((level for level in LEVELS if level == self._verdict), "unknown")
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether the archive holds a verdict; archives of earlier versions and of crashed runs do not."""
+        return bool(self._verdict)
+
+    @property
+    def verdict_reasons(self) -> list[str]:
+        """Reasons for the verdict, as sentences with their limits, the worst first; empty if there are none."""
+        return list(self._reasons)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings about the spec and the run, as sentences."""
+        before = self.provenance.get("warning")  # where earlier versions wrote it
+        return [*self._warnings, *([str(before)] if before else [])]
 
     @property
     def run_id(self) -> str:
@@ -415,6 +446,10 @@ class Run:
     ) -> None:
         self.close()
 
+    def _repr_html_(self) -> str:
+        """Return the summary for a notebook."""
+        return f"<pre>{html.escape(self.summary() if self._file else repr(self))}</pre>"
+
     def __reduce__(self) -> tuple[Any, ...]:
         if self._path is None:
             raise TypeError("a run in memory cannot be pickled; save it to a file and load that")
@@ -422,7 +457,8 @@ class Run:
 
     def __repr__(self) -> str:
         where = "in memory" if self._path is None else str(self._path)
-        return f"<Run {self.run_id} {self.status}, {len(self._names['trajectory/body'])} bodies, {where}>"
+        bodies = len(self._names["trajectory/body"])
+        return f"<Run {self.run_id} {self.status}, verdict {self.verdict}, {bodies} bodies, {where}>"
 
 
 def _plain_attributes(group: h5py.Group) -> Mapping[str, Any]:

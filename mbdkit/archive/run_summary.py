@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.text import counted
+from mbdkit.trust.criteria import NOTHING_SUSPICIOUS
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -33,7 +34,7 @@ _COUNTERS = {
 
 
 def summary(run: Run) -> str:
-    """Summarize a run: status, model, method, time, speed, misalignment, energy, events, counters and archive.
+    """Summarize a run: verdict, status, model, method, time, speed, misalignment, energy, events, counters and archive.
 
     Returns
     -------
@@ -43,6 +44,7 @@ def summary(run: Run) -> str:
     spec = run.spec
     bodies, joints = len(run.bodies), len(run.joints)
     lines = [
+        *verdict_lines(run),
         ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
         ("model", ", ".join((_named(spec, "model"), counted(bodies, "body", "bodies"), counted(joints, "joint")))),
         (
@@ -52,7 +54,7 @@ def summary(run: Run) -> str:
         ("start", _start(run)),
         ("integrator", _method(spec)),
         ("stabilization", _stabilization(run)),
-        ("warning", run.provenance.get("warning", "")),
+        *(("warning", warning) for warning in run.warnings if warning not in run.verdict_reasons),
         ("time", _time(run)),
         ("speed", _speed(run.stats)),
         ("misalignment", _misalignment(run)),
@@ -63,8 +65,23 @@ def summary(run: Run) -> str:
         ("archive", "in memory" if run.path is None else str(run.path)),
     ]
     if spec.get("title"):
-        lines.insert(0, ("run", " ".join(str(spec["title"]).split())))
+        lines.insert(len(verdict_lines(run)), ("run", " ".join(str(spec["title"]).split())))
     return "\n".join(f"{label:<13} {text}" for label, text in lines if text)
+
+
+def verdict_lines(run: Run) -> list[tuple[str, str]]:
+    """Return the verdict on a run and its reasons as labelled lines; reasons after the first have no label.
+
+    Parameters
+    ----------
+    run
+        The run, complete or not.
+    """
+    if not run.is_judged:
+        why = "the run did not end" if run.status == "running" else "written by a version that did not judge runs"
+        return [("verdict", f"unknown: {why}")]
+    first, *others = run.verdict_reasons or [NOTHING_SUSPICIOUS]
+    return [("verdict", f"{run.verdict}: {first}"), *(("", other) for other in others)]
 
 
 def _named(spec: Mapping[str, Any], kind: str) -> str:

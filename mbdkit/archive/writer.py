@@ -17,11 +17,12 @@ import numpy as np
 from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import digest_lines, line, text_bytes
 from mbdkit.archive.growing_array import Table
-from mbdkit.archive.hdf5 import create, set_text
+from mbdkit.archive.hdf5 import create, set_text, set_texts
 from mbdkit.archive.hdf5_errors import cause
 from mbdkit.archive.layout import Array
 from mbdkit.archive.part_file import LIBVER, Target
 from mbdkit.errors import MbdkitError
+from mbdkit.trust.criteria import Judgement
 
 #: Time between flushes [s]. A crash loses only rows recorded after the last flush.
 FLUSH_INTERVAL = 1.0
@@ -34,6 +35,9 @@ _KEYS = frozenset(array.key for array in layout.LAYOUT)
 
 #: Disk space reserved for attributes.
 _ATTRIBUTE_BYTES = 1 << 15
+
+
+UNJUDGED = Judgement("unknown")
 
 
 @dataclass(frozen=True)
@@ -227,7 +231,14 @@ class ArchiveWriter:
                 self._write_more()
 
     def finish(
-        self, status: str, reason: str, stats: Mapping[str, int | float], misalignment_max: np.ndarray
+        self,
+        status: str,
+        reason: str,
+        stats: Mapping[str, int | float],
+        misalignment_max: np.ndarray,
+        *,
+        judgement: Judgement = UNJUDGED,
+        warnings: Sequence[str] = (),
     ) -> h5py.File | None:
         """Write the remaining rows, the hash and the status, and rename the archive to its final name.
 
@@ -243,6 +254,10 @@ class ArchiveWriter:
             ``finish_s``, its own duration up to the renaming.
         misalignment_max
             Largest misalignment of each joint over all steps, (J,), m.
+        judgement
+            The verdict on the run; ``unknown`` by default.
+        warnings
+            Warnings about the spec and the run, as sentences.
 
         Returns
         -------
@@ -262,6 +277,7 @@ class ArchiveWriter:
             with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(misalignment_max)):
                 self._write_tables(more=False)
                 self._write_end(status, reason, {**stats, "finish_s": 0.0}, np.asarray(misalignment_max, layout.FLOAT))
+                self._write_verdict(judgement, warnings)
             if self._target is None:
                 self._end(started)
                 file.flush()
@@ -345,6 +361,11 @@ class ArchiveWriter:
         self._file.attrs.modify("data_sha256", digest_lines([*self._lines, *filter(None, grown)]))
         self._file.attrs.modify("status_reason", reason)
         self._file.attrs.modify("status", status)
+
+    def _write_verdict(self, judgement: Judgement, warnings: Sequence[str]) -> None:
+        set_text(self._file, "verdict", judgement.level)
+        set_texts(self._file, "verdict_reasons", judgement.reasons)
+        set_texts(self._file, "warnings", warnings)
 
     def _end(self, started: float) -> None:
         self._ended = True

@@ -52,6 +52,8 @@ def run(
             print(json.dumps(_outcome(result)))
         elif not quiet:
             print(result.summary())
+        if (as_json or quiet) and result.status == "complete" and result.verdict in ("doubtful", "bad"):
+            say(f"verdict {result.verdict}: {' '.join(result.verdict_reasons)}")
         _exit_with(result, told=not (as_json or quiet))
 
 
@@ -173,6 +175,9 @@ def _outcome(result: Run) -> dict[str, Any]:
         "path": None if result.path is None else str(result.path),
         "status": result.status,
         "status_reason": result.status_reason,
+        "verdict": result.verdict,
+        "verdict_reasons": result.verdict_reasons,
+        "warnings": result.warnings,
         "run_id": result.run_id,
         "stats": dict(result.stats),
         "misalignment_max": result.misalignment_max,

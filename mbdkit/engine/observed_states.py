@@ -11,6 +11,7 @@ from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.joint_sums import joint_of_pairs
 from mbdkit.engine.kernels.observe import Observed, SelfStress, observe
 from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.redundant_gaps import unexplained_gaps
 from mbdkit.engine.redundant_reactions import share_evenly
 from mbdkit.engine.singularity import new_vectors
 from mbdkit.engine.workspace import Workspace
@@ -37,6 +38,11 @@ class StateObserver:
     ----------
     workspace
         The mechanism and its solver.
+
+    Attributes
+    ----------
+    gaps, gap_uncertainty : (T, D) arrays
+        Of the states last observed: `unexplained_gaps` of the redundant directions.
     """
 
     def __init__(self, workspace: Workspace):
@@ -47,6 +53,7 @@ class StateObserver:
         self._pair_joint = joint_of_pairs(mechanism)
         self._near = new_vectors(workspace)
         self._stress = SelfStress.zeros(0, self._directions, self._pairs)
+        self.gaps, self.gap_uncertainty = np.zeros((2, 0, self._directions))
 
     def arrays(self, states: int) -> Observed:
         """Return arrays for the results of `observe`, for T = `states`."""
@@ -72,6 +79,7 @@ class StateObserver:
             The state that could not be evaluated. Its row of `out` and all later rows are not valid.
         """
         count, done = len(times), 0
+        self.gaps, self.gap_uncertainty = np.zeros((2, count, self._directions))
 
         def evaluate(end: int) -> int:
             """Evaluate the states from `done` to `end`, add their number to `done`, and return a status."""
@@ -80,7 +88,9 @@ class StateObserver:
             stress, rows = self._self_stress(end - done), out.rows(part)
             status, reached = observe(self.workspace.engine, times[part], q[part], v[part], rows, stress, self._near)
             if self._directions and reached:
-                self._share(out.rows(slice(done, done + reached)), stress.rows(slice(0, reached)))
+                new = slice(done, done + reached)
+                self._note_gaps(new, q[new], out.rows(new), stress.rows(slice(0, reached)))
+                self._share(out.rows(new), stress.rows(slice(0, reached)))
             done += reached
             return int(status)
 
@@ -93,6 +103,12 @@ class StateObserver:
             except SingularSystemError as error:
                 return SingularState(done, error.index)
         return None
+
+    def _note_gaps(self, rows: slice, q: np.ndarray, observed: Observed, stress: SelfStress) -> None:
+        """Compute `gaps` and `gap_uncertainty` of some rows."""
+        distance = observed.singularity_distance
+        found = unexplained_gaps(self.workspace.mechanism, q, observed.phi, distance, stress.lam)
+        self.gaps[rows], self.gap_uncertainty[rows] = found
 
     def _share(self, observed: Observed, stress: SelfStress) -> None:
         """Replace the reactions of redundant joints by those of least norm."""

@@ -15,7 +15,7 @@ from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.quantities import QuantityEvaluator
 from mbdkit.stepping import interface
-from mbdkit.stepping.interface import Failure, StepEvidence, Stepper, StepTaken, Stretch, joined
+from mbdkit.stepping.interface import Failure, StepEvidence, Stepper, StepTaken, Stretch, evidence_of, joined
 
 INSIDE = (0.25, 0.5, 0.75)
 """Relative positions in a step at which dense output is evaluated."""
@@ -98,6 +98,7 @@ class Watch:
         self._failure: Failure | None = None
         self._values: list[float] | None = None
         self.stopped: Found | None = None
+        self._worst_before = stepper.worst_pairs.copy()
 
     @property
     def counters(self) -> Counters:
@@ -116,13 +117,13 @@ class Watch:
 
     @property
     def worst_pairs(self) -> np.ndarray:
-        """(P,) largest squared norm of each pair's Phi so far."""
-        return self.stepper.worst_pairs
+        """(P,) largest squared norm of each pair's Phi so far, without the part of a step after a stop."""
+        return self.stepper.worst_pairs if self.stopped is None else self._worst_before
 
     @property
     def evidence(self) -> StepEvidence | None:
-        """What the stepper has seen in every step."""
-        return self.stepper.evidence
+        """What the stepper has observed over its steps; None if it does not watch them."""
+        return evidence_of(self.stepper)
 
     @property
     def time(self) -> float:
@@ -144,6 +145,7 @@ class Watch:
         until = time.perf_counter() + interface.STRETCH
         parts: list[Stretch] = []
         while True:
+            self._worst_before[:] = self.stepper.worst_pairs
             try:
                 part = self._look(self.stepper.advance())
             except Exception as error:

@@ -33,7 +33,7 @@ def run_report(run: Run) -> ReportPage:
     return ReportPage(
         title=head.title,
         settings=head.settings,
-        alarm=head.alarm.partition(": ")[0],  # the verdict states the reason
+        alarm=_alarm(run, head.alarm),
         verdict=run_verdict(run),
         films=(film_data(run, _NUMBERS),),
         methods=methods([run.spec]),
@@ -43,6 +43,12 @@ def run_report(run: Run) -> ReportPage:
         commands=f"mbdkit run run.yaml\nmbdkit rerun {run.path.name if run.path else 'run.h5'}",
         spec=yaml_text(run.spec),
     )
+
+
+def _alarm(run: Run, ending: str) -> str:
+    """Return what must be seen first: that the run did not end, or that its results are not to be trusted."""
+    questioned = f"VERDICT: {run.verdict.upper()}" if run.verdict in ("doubtful", "bad") else ""
+    return ending.partition(": ")[0] or questioned  # the verdict states the reason
 
 
 def environment(provenance: Mapping[str, Any], first: Mapping[str, str]) -> Table:

@@ -1,4 +1,4 @@
-"""The verdict on one run: completion, misalignment of its joints, and energy balance."""
+"""The verdict on one run with its grounds: completion, misalignment of its joints, and energy balance."""
 
 from __future__ import annotations
 
@@ -15,13 +15,10 @@ from mbdkit.plot.joint_quantity import JointQuantity, angle_misalignment, joint_
 from mbdkit.plot.quantity_text import count, duration, length, proportion
 from mbdkit.report.run_charts import run_charts
 from mbdkit.report.run_tables import run_tables
+from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, NOTHING_SUSPICIOUS, Level, rounding
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-
-HOLDS = 1e-3
-"""Limit above which a result is not trusted: misalignment as a share of the mechanism's size, energy error as a share
-of the largest kinetic energy. A misalignment of this share is visible in a picture."""
 
 ROUND_OFF = 1e-12
 """Misalignment, as a share of the mechanism's size, that counts as round-off of double precision."""
@@ -35,7 +32,7 @@ _LAWS = {
 
 def run_verdict(run: Run) -> Verdict:
     """Return the verdict on a run, with its charts and tables."""
-    claims = [_completion(run)]
+    claims = [_trust(run), _completion(run)]
     if run.records("joints/misalignment") and run.joint_names:
         claims.append(_joints(run))
         claims += _angles(run)
@@ -60,6 +57,26 @@ def _notes(run: Run) -> tuple[str, ...]:
         names = str(run.file["joints/reaction_force"].attrs.get("not_unique", ""))
         shared = f" The reactions of {names} are not unique; of all equivalent ones, those of least norm are shown."
     return (f"The mechanism is overconstrained: {run.redundancy}.{shared}",)
+
+
+_ANSWERS: dict[Level | None, Answer] = {
+    None: Answer.YES,
+    "good": Answer.YES,
+    "unknown": Answer.OPEN,
+    "doubtful": Answer.PARTLY,
+    "bad": Answer.NO,
+}
+
+
+def _trust(run: Run) -> Claim:
+    sentence = f"The verdict is {run.verdict}."
+    if run.verdict_reasons:
+        sentence += " " + " ".join(run.verdict_reasons)
+    elif not run.is_judged:
+        sentence += " The archive holds no verdict: a version that did not judge runs wrote it, or the run crashed."
+    elif run.verdict == "unknown":
+        sentence = f"The verdict is unknown: {NOTHING_SUSPICIOUS}."
+    return Claim("trust", "The results can be trusted", "", run.verdict, _ANSWERS[run.verdict], sentence)
 
 
 def _completion(run: Run) -> Claim:
@@ -97,9 +114,9 @@ def _joints(run: Run) -> Claim:
     elif math.isfinite(share):
         parts.append(f"{proportion(share)} of the mechanism's size")
         parts += _growth_words(quantity, list(run.joint_names).index(worst.name))
-    answer = Answer.OPEN if not math.isfinite(share) else Answer.NO if share > HOLDS else Answer.YES
+    answer = Answer.OPEN if not math.isfinite(share) else _ANSWERS[MISALIGNMENT.level(share)]
     advice = " This is too large for reliable forces: use a smaller step or a method of higher order."
-    sentence = ", ".join(parts) + "." + (advice if answer is Answer.NO else "")
+    sentence = ", ".join(parts) + "." + (advice if answer in (Answer.NO, Answer.PARTLY) else "")
     return Claim("misalignment", "The joints stay together", "", f"{most:.3g} m ({worst.name})", answer, sentence)
 
 
@@ -122,7 +139,7 @@ def _angles(run: Run) -> list[Claim]:
     column, most = quantity.largest
     name = quantity.joints[column]
     sentence = f"The largest error of a prescribed angle is {most:.2g} rad, of joint {name}."
-    answer = Answer.NO if most > HOLDS else Answer.YES
+    answer = _ANSWERS[MISALIGNMENT.level(most)]
     return [Claim("angles", "Prescribed angles are met", "", f"{most:.3g} rad ({name})", answer, sentence)]
 
 
@@ -136,10 +153,17 @@ def _energy(run: Run) -> Claim:
         return Claim("energy", "Energy is balanced", "", "not finite", Answer.NO, sentence)
     sentence = f"Energy is balanced to {off:.2g} J"
     sentence += f", {proportion(share)} of the largest kinetic energy." if math.isfinite(share) else "."
-    answer = Answer.OPEN if not math.isfinite(share) else Answer.NO if share > HOLDS else Answer.YES
-    if answer is Answer.NO:
+    is_rounding = off <= rounding(max(most, _largest_energy(run)))
+    answer = Answer.YES if is_rounding else Answer.OPEN if not math.isfinite(share) else _ANSWERS[ENERGY.level(share)]
+    if answer in (Answer.NO, Answer.PARTLY):
         sentence += " This is too large: use a smaller step or a method of higher order."
     return Claim("energy", "Energy is balanced", "", f"{off:.3g} J", answer, sentence)
+
+
+def _largest_energy(run: Run) -> float:
+    """Return the largest absolute value of the recorded energies [J]."""
+    names = ("potential", "work", "dissipated")
+    return max(float(np.max(np.abs(run.dataset(f"energy/{name}")[:]), initial=0.0)) for name in names)
 
 
 def mechanism_size(run: Run) -> float:

@@ -18,11 +18,12 @@ from mbdkit.report.methods_used import methods
 from mbdkit.report.player_data import film_data
 from mbdkit.report.report_page import NO_FAILURES, ReportPage
 from mbdkit.report.run_report import environment
-from mbdkit.report.run_verdict import HOLDS, mechanism_size
+from mbdkit.report.run_verdict import mechanism_size
 from mbdkit.report.study_figures import study_figures
 from mbdkit.studies.judge import judge
 from mbdkit.studies.point_selection import value
 from mbdkit.text import listed
+from mbdkit.trust.criteria import MISALIGNMENT
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
@@ -71,7 +72,9 @@ def _settings(study: Study, states: Mapping[str, int]) -> str:
     if len(study.families) > 1:
         parts.append(count(len(study.families), "family", "families"))
     told = [name for name in ("complete", "failed", "left-out") if states[name]]
-    return " \u00b7 ".join([*parts, *(f"{states[name]} {name.replace('-', ' ')}" for name in told)])
+    levels = Counter(point.verdict for point in study.points)
+    verdicts = [f"{levels[level]} {level}" for level in ("doubtful", "bad") if levels[level]]
+    return " \u00b7 ".join([*parts, *(f"{states[name]} {name.replace('-', ' ')}" for name in told), *verdicts])
 
 
 def _verdict(study: Study) -> Verdict:
@@ -85,13 +88,18 @@ def _runs(study: Study) -> Table:
         (column, name) for column, name in _COLUMNS if any(not math.isnan(value(point, name)) for point in study.points)
     ]
     rows: list[tuple[Cell, ...]] = [
-        (point.number, point.family, point.label, point.status, *(_cell(point, name) for _, name in shown))
+        (*_named(point), point.status, point.verdict, *(_cell(point, name) for _, name in shown))
         for point in study.points
     ]
-    columns = (Column("run"), Column("family"), Column("axes"), Column("status"), *(column for column, _ in shown))
+    named = (Column("run"), Column("family"), Column("axes"), Column("status"), Column("verdict"))
+    columns = (*named, *(column for column, _ in shown))
     if len(study.families) == 1:
         rows, columns = [(row[0], *row[2:]) for row in rows], (columns[0], *columns[2:])
     return Table("runs", "All runs", columns, tuple(rows))
+
+
+def _named(point: StudyPoint) -> tuple[Cell, ...]:
+    return point.number, point.family, point.label
 
 
 def _cell(point: StudyPoint, name: str) -> Cell:
@@ -110,7 +118,7 @@ def _failures(study: Study) -> Table:
 
 
 def _films(study: Study) -> Iterable[dict[str, Any]]:
-    """Yield the animation of one run of each family: the largest misalignment that is within the limit `HOLDS`."""
+    """Yield the animation of one run of each family: the largest misalignment that does not make it bad."""
     for name in list(study.families)[:_FILMS]:
         ranked = [point for point in study.family(name) if value(point, "misalignment_max") >= 0 and point.path]
         ranked.sort(key=lambda point: -value(point, "misalignment_max"))
@@ -118,7 +126,7 @@ def _films(study: Study) -> Iterable[dict[str, Any]]:
             run = study.run(point)
             assert run is not None
             with run:
-                if run.misalignment_max <= HOLDS * mechanism_size(run) or point is ranked[-1]:
+                if run.misalignment_max <= MISALIGNMENT.bad * mechanism_size(run) or point is ranked[-1]:
                     yield film_data(run, _NUMBERS, ": ".join(filter(None, [name, point.label])))
                     break
 

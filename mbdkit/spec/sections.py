@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -141,7 +141,15 @@ def named_events(events: dict[str, Event]) -> dict[str, Event]:
 class Limits(Section):
     """Limits that stop a run early."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("misalignment", "energy_jump")
+
     wall_time: Positive | None = None
     """Largest elapsed real time of the run [s]; unlimited by default."""
     max_steps: Count = 10_000_000
     """Largest number of steps."""
+    misalignment: Positive = 1.0
+    """Largest misalignment of a joint, as a share of the mechanism's size, and of an angle [rad]; a run in which a
+    joint exceeds it stops with the reason `fell-apart`."""
+    energy_jump: Positive | None = None
+    """Largest change of the energy balance in one step, as a share of the largest kinetic energy so far; a run that
+    exceeds it stops with the reason `energy-jump`. Unlimited by default."""

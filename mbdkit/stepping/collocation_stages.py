@@ -59,8 +59,8 @@ class StageKernels(NamedTuple):
     """
 
     tangents: Any
-    """``(c, m, h, at_start)``: evaluate and factorize the stage matrices at ``m.tangent``, which may be the start of the
-    step; its multipliers are then those of all pairs."""
+    """``(c, m, h, at_start)``: evaluate and factorize the stage matrices at ``m.tangent``. If that is the start of the
+    step, its multipliers are those of all pairs."""
     changes: Any
     """``(c, m, t, h, rough)``: write the change of the stages by one iteration into ``m.change``; multipliers that are
     unknowns are changed at once. `rough`: accelerations need not be refined."""

@@ -15,7 +15,7 @@ from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPI
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping import driver
-from mbdkit.stepping.interface import Failure, Pace, StepEvidence, StepTaken, Stretch, Timetable, Turn, joined
+from mbdkit.stepping.interface import Failure, Pace, StepEvidence, StepTaken, Stretch, Timetable, joined
 from mbdkit.stepping.run_plan import (
     NEAR_SINGULARITY,
     PLAIN,
@@ -36,6 +36,7 @@ from mbdkit.stepping.run_state import (
     new_run_state,
 )
 from mbdkit.stepping.step_control import SOLVER_FAILURE_FACTOR, Control, first_step
+from mbdkit.trust.criteria import BranchSuspicion
 
 if TYPE_CHECKING:
     from mbdkit.stepping.compiled_method import CompiledMethod
@@ -84,7 +85,7 @@ class CompiledStepper:
         rows = max(2, min(MAX_ROWS, MAX_ROW_BYTES // (16 * workspace.mechanism.size)))
         self.run_state = new_run_state(workspace, rows, own_multipliers=method.carries_multipliers)
         self._pinned_state = PinnedBundle(self.run_state)
-        limits = guard_limits(workspace.mechanism, timetable.misalignment, timetable.energy_jump)
+        limits = guard_limits(workspace.mechanism, timetable.guards)
         self.plan = new_plan(timetable, control, workspace.stabilization, limits)
         self._plan = PinnedBundle(self.plan)
         self.worst_pairs = self.run_state.worst
@@ -172,7 +173,10 @@ class CompiledStepper:
         guards = self.run_state.guards
         turns = guards.turns[: int(guards.turn_count[0])].tolist()
         return StepEvidence(
-            float(guards.jump[0]), float(guards.jump_time[0]), float(guards.kinetic[0]), tuple(Turn(*x) for x in turns)
+            float(guards.jump[0]),
+            float(guards.jump_time[0]),
+            float(guards.kinetic[0]),
+            tuple(BranchSuspicion(*x) for x in turns),
         )
 
     def _attempts(self) -> int:
@@ -379,17 +383,17 @@ class CompiledStepper:
                 "energy-jump",
                 f"the step to t = {self.time:.6g} s changed the energy balance by {float(guards.jump[0]):.3g} J, "
                 f"{share:.3g} of the largest kinetic energy so far, more than limits.energy_jump = "
-                f"{self.timetable.energy_jump:g}; {hint}.",
+                f"{self.timetable.guards.energy_jump:g}; {hint}.",
             )
         pair = int(np.argmax(self.worst_pairs / self.plan.limits.squared_misalignment))
         joint = next(name for name, pairs in zip(mechanism.joints, mechanism.joint_pairs, strict=True) if pair in pairs)
         unit = next(row.unit for row in mechanism.rows if row.pair == pair)
         gap = float(np.sqrt(self.worst_pairs[pair]))
-        whole = f"times the size of the mechanism, {mechanism.length:.3g} m" if unit == "m" else "rad"
         return Failure(
             "fell-apart",
-            f"joint {joint} is misaligned by {gap:.3g} {unit} at t = {self.time:.6g} s, more than "
-            f"limits.misalignment = {self.timetable.misalignment:g} {whole}; {hint}, or stabilization: projection.",
+            f"joint '{joint}' is misaligned by {gap:.3g} {unit} at t = {self.time:.6g} s, more than the "
+            f"{float(np.sqrt(self.plan.limits.squared_misalignment[pair])):.3g} {unit} of limits.misalignment; {hint}, "
+            "or `stabilization: projection`.",
         )
 
     def _failure(self, status: int, singular: SingularSystemError | None, where: str) -> Failure:

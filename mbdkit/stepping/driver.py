@@ -166,8 +166,10 @@ def _energy_is_kept(c, plan, t):
     The terms of Baumgarte stabilization do work that is not booked, so that there is no balance to check.
     """
     prepare(c.top, c.w, t, c.new_q)
-    jump, total, kinetic, most = energy_jump(c, c.new_q, c.new_v)
-    if plan.control.controlled[0] and plan.baumgarte[0] == 0 and not abs(jump) <= most:
+    jump, total, kinetic, most = energy_jump(c, c.new_q, c.new_v, plan.limits.rejected_jump[0])
+    if plan.baumgarte[0]:
+        jump = 0.0
+    if plan.control.controlled[0] and not abs(jump) <= most:
         return False
     note_jump(c, t, jump, total, kinetic)
     return True
@@ -179,8 +181,9 @@ def _check_limits(c, plan, t):
     limits, guards = plan.limits, c.guards
     mode = plan.projection.mode[0]
     if not plan.control.controlled[0] and mode != PLAIN:
-        jump, total, kinetic, _ = energy_jump(c, c.q, c.v)
-        note_jump(c, t, jump, total, kinetic)
+        jump, total, kinetic, _ = energy_jump(c, c.q, c.v, 0.0)
+        booked = mode == NO_PROJECTION and plan.baumgarte[0] == 0  # else stabilization changes the energy as well
+        note_jump(c, t, jump if booked else 0.0, total, kinetic)
     elif c.base_state[0] == MODIFIED:  # projected; else the energy is that of the attempt
         kinetic, potential, _ = energies(c.top, c.w, c.q, c.v)
         guards.energy[0] = kinetic + potential

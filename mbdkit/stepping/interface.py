@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -11,9 +12,51 @@ from typing import Any, Protocol
 import numpy as np
 
 from mbdkit.engine.counters import Counters
+from mbdkit.trust.criteria import BranchSuspicion
 
 STRETCH = 0.1
 """Seconds after which a compiled loop should return to Python, so that it stays well below the promised 0.2 s."""
+
+
+@dataclass(frozen=True)
+class Guards:
+    """Limits that stop a run; by default there are none.
+
+    Parameters
+    ----------
+    misalignment
+        Largest misalignment of a joint [m]; a run that exceeds it stops with the code ``fell-apart``.
+    angle_misalignment
+        The same for misaligned angles [rad].
+    energy_jump
+        Largest change of the energy balance in one step, as a share of the largest kinetic energy so far; a run that
+        exceeds it stops with the code ``energy-jump``.
+    """
+
+    misalignment: float = math.inf
+    angle_misalignment: float = math.inf
+    energy_jump: float = math.inf
+
+
+@dataclass(frozen=True)
+class StepEvidence:
+    """What a stepper has observed over all steps so far, recorded or not.
+
+    Parameters
+    ----------
+    energy_jump, energy_jump_time
+        Largest absolute change of the energy balance in one step [J], without the changes that projections, Baumgarte's
+        terms and impulses make, and the time at the end of that step [s].
+    kinetic
+        Largest kinetic energy [J].
+    branch
+        Sharp turns near singular positions, in order of time.
+    """
+
+    energy_jump: float
+    energy_jump_time: float
+    kinetic: float
+    branch: tuple[BranchSuspicion, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -36,11 +79,8 @@ class Timetable:
         Steps after which the run stops.
     single
         Whether `Stepper.advance` takes one accepted step per call, so that it can be searched for events.
-    misalignment
-        Misalignment at which the run stops, as a share of the size of the mechanism.
-    energy_jump
-        Change of the energy balance in a step at which the run stops, as a share of the largest kinetic energy so far;
-        None: never.
+    guards
+        Limits that stop the run.
     """
 
     start: float
@@ -51,8 +91,7 @@ class Timetable:
     interval: float | None = None
     max_steps: int = 10_000_000
     single: bool = False
-    misalignment: float = 1.0
-    energy_jump: float | None = None
+    guards: Guards = Guards()
 
     @property
     def last_step(self) -> float:
@@ -138,47 +177,6 @@ class Failure:
     sentence: str
 
 
-@dataclass(frozen=True)
-class Turn:
-    """A sharp turn of the velocity near a singular position, which suggests that the run left its branch there.
-
-    Parameters
-    ----------
-    time
-        Time of the smallest distance to singularity [s].
-    angle
-        Angle between the velocities before and after, as lines in the mass metric [rad].
-    path
-        Path between them in the mass metric, as a share of the size of the mechanism.
-    """
-
-    time: float
-    angle: float
-    path: float
-
-
-@dataclass(frozen=True)
-class StepEvidence:
-    """What a stepper has seen in every step, recorded or not.
-
-    Parameters
-    ----------
-    energy_jump
-        Largest change of the energy balance in one step [J]; projections do not count.
-    energy_jump_time
-        End of that step [s].
-    kinetic
-        Largest kinetic energy at the end of a step [J].
-    turns
-        Sharp turns near singular positions, at most 16.
-    """
-
-    energy_jump: float
-    energy_jump_time: float
-    kinetic: float
-    turns: tuple[Turn, ...] = ()
-
-
 class Advancing(Protocol):
     """An object that advances a run: a `Stepper`, or the watch for events around one."""
 
@@ -207,11 +205,6 @@ class Advancing(Protocol):
         """Time reached [s]."""
         ...
 
-    @property
-    def evidence(self) -> StepEvidence | None:
-        """What was seen in every step; None if the stepper does not watch its steps."""
-        ...
-
     def advance(self) -> Stretch:
         """Advance for about `STRETCH` seconds, to the end or to a failure, and return the recorded states.
 
@@ -222,6 +215,12 @@ class Advancing(Protocol):
     def last_state(self) -> Stretch:
         """Return the state reached as one row, for a run that is stopped between two recorded states."""
         ...
+
+
+def evidence_of(stepper: Advancing) -> StepEvidence | None:
+    """Return the attribute `evidence` of a stepper; None for steppers that do not watch their steps."""
+    found: StepEvidence | None = getattr(stepper, "evidence", None)
+    return found
 
 
 class Stepper(Advancing, Protocol):

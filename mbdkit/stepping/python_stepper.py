@@ -18,7 +18,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import StepError
 from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.stepping import interface
-from mbdkit.stepping.interface import Failure, StepEvidence, StepTaken, Stretch, Timetable
+from mbdkit.stepping.interface import Failure, StepTaken, Stretch, Timetable
 from mbdkit.stepping.python_projection import StabilizedSteps, Taken
 
 if TYPE_CHECKING:
@@ -88,11 +88,6 @@ class PythonStepper:
         self.time = timetable.start
         self._before = self.now
         _load_kernels()
-
-    @property
-    def evidence(self) -> StepEvidence | None:
-        """See `Stepper.evidence`: steps are not watched."""
-        return None
 
     def advance(self) -> Stretch:
         """See `Stepper.advance`. An exception of the method is raised by the next call, so that no rows are lost."""

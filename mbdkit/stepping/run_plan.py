@@ -11,8 +11,9 @@ import numpy as np
 
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.stabilization import NONE
-from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.interface import Guards, Timetable
 from mbdkit.stepping.step_control import ControlData, control_data
+from mbdkit.trust.criteria import ENERGY_JUMP
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -82,6 +83,8 @@ class GuardLimits(NamedTuple):
     """(P,) for each pair [m^2, rad^2]."""
     energy_jump: np.ndarray
     """(1,) change of the energy balance in a step, as a share of the largest kinetic energy so far; infinite: off."""
+    rejected_jump: np.ndarray
+    """(1,) the same change from which step size control rejects a step."""
 
 
 class RunPlan(NamedTuple):
@@ -113,23 +116,13 @@ def projection_mode(stabilization: Stabilization, *, controlled: bool) -> int:
     return SYMMETRIC if stabilization.symmetric else PLAIN
 
 
-def guard_limits(mechanism: CompiledMechanism, misalignment: float, energy_jump: float | None) -> GuardLimits:
-    """Return the limits of the guards; misalignments of angles are compared with a radian instead of the size.
-
-    Parameters
-    ----------
-    mechanism
-        The mechanism.
-    misalignment
-        Largest misalignment, as a share of the size of the mechanism.
-    energy_jump
-        Largest jump of the energy balance in a step, as a share of the largest kinetic energy so far; None: no limit.
-    """
-    size = np.full(len(mechanism.topology.pairs), mechanism.length)
+def guard_limits(mechanism: CompiledMechanism, guards: Guards) -> GuardLimits:
+    """Return the limits at which a run of a mechanism stops, as the kernels read them."""
+    largest = np.full(len(mechanism.topology.pairs), guards.misalignment)
     for row in mechanism.rows:
         if row.unit == "rad":
-            size[row.pair] = 1.0
-    return GuardLimits((misalignment * size) ** 2, _real(np.inf if energy_jump is None else energy_jump))
+            largest[row.pair] = guards.angle_misalignment
+    return GuardLimits(largest**2, _real(guards.energy_jump), _real(ENERGY_JUMP))
 
 
 def new_plan(
@@ -173,7 +166,7 @@ def single_step(plan: RunPlan, t: float, h: float, *, projected: bool) -> RunPla
 
 
 def _example() -> RunPlan:
-    no_limits = GuardLimits(np.zeros(0), _real(np.inf))
+    no_limits = GuardLimits(np.zeros(0), _real(np.inf), _real(np.inf))
     return new_plan(Timetable(0.0, 1.0, step=1.0, steps=1), None, NONE, no_limits)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.kernels.system import Scratch, Solver, Topology
-from mbdkit.stepping.step_guards import Guards, new_guards
+from mbdkit.stepping.step_guards import GuardState, new_guard_state
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
@@ -153,7 +153,7 @@ class RunState(NamedTuple):
     """(3,) on divergence: largest change, its coordinate, number of iterations."""
     progress: Progress
     interval: Interval
-    guards: Guards
+    guards: GuardState
     row_time: np.ndarray
     """Recorded rows: (R,) times, (R, 3 (B + 1)) states, (R, 2) energies, (R, 9) intervals, (R, P, 2) multipliers."""
     row_q: np.ndarray
@@ -199,7 +199,7 @@ def new_run_state(workspace: Workspace, rows: int, *, own_multipliers: bool = Fa
         mu=by_pair(), nu=by_pair(), rest=vector(), x=vector(), lam=by_pair(), miss=by_pair(),
         before_q=q.copy(), before_v=v.copy(),
         worst=np.zeros(pairs), counts=np.zeros(5, dtype=np.int64), report=np.zeros(3),
-        progress=new_progress(), interval=new_interval(), guards=new_guards(workspace),
+        progress=new_progress(), interval=new_interval(), guards=new_guard_state(workspace),
         row_time=np.zeros(rows), row_q=np.zeros((rows, size)), row_v=np.zeros((rows, size)),
         row_energy=np.zeros((rows, 2)), row_interval=np.zeros((rows, len(INTERVAL_FIELDS))),
         row_lam=np.zeros((rows if own_multipliers else 0, pairs, 2)),

@@ -23,7 +23,7 @@ from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.kernels.vectors import BEYOND
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.workspace import Workspace
-from mbdkit.stepping.interface import STRETCH, Failure, StepEvidence, StepTaken, Stretch, Timetable
+from mbdkit.stepping.interface import STRETCH, Failure, StepTaken, Stretch, Timetable
 
 if TYPE_CHECKING:
     from mbdkit.methods.kinds import SciPySolver
@@ -144,11 +144,6 @@ class SciPyStepper:
         out[n3 : 2 * n3, : 2 * n3] = np.linalg.solve(parts[0], right)[:n3]
         self._finite = self._finite and bool(np.all(np.isfinite(out)))
         return out
-
-    @property
-    def evidence(self) -> StepEvidence | None:
-        """See `Stepper.evidence`: steps are not watched."""
-        return None
 
     def advance(self) -> Stretch:
         """See `Stepper.advance`."""

@@ -21,16 +21,10 @@ import numpy as np
 from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels.applied_forces import evaluate_tension, path_rate, pathway_lengths, potential_energy
 from mbdkit.engine.kernels.vectors import copy
+from mbdkit.trust.criteria import BRANCH_ANGLE, BRANCH_RATIO
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
-
-LARGEST_JUMP = 0.05
-"""Share of the largest kinetic energy so far by which the energy balance may change in one step.
-
-Of 971 regular runs, 2 exceeded it, both wrong by more than 1e-3; of 61 runs that accepted a wrong solution of stiff
-stage equations, all did.
-"""
 
 ROUNDING = 1e-11
 """Share of the sum of all energies, taken as positive, that round-off may add to a jump.
@@ -50,13 +44,6 @@ SPACING = 0.002
 SAMPLES = 16
 """Number of samples kept; more than ``WINDOW / SPACING``."""
 
-LARGEST_TURN, LARGEST_BEND = 0.25, 4.0
-"""A branch was left if the velocity turned by more than the first [rad] within the window, and by more than the second
-per path as a share of the size.
-
-Of 140 runs that left their branch, this or `LARGEST_JUMP` found all; of 1,671 others it flagged one.
-"""
-
 AT_REST = 1e-6
 """Share of the largest speed so far below which a velocity has no direction to compare."""
 
@@ -64,7 +51,7 @@ MOST_TURNS = 16
 """Number of turns that are reported."""
 
 
-class Guards(NamedTuple):
+class GuardState(NamedTuple):
     """What the guards know of a run. Arrays have one element unless a shape is given."""
 
     energy: np.ndarray
@@ -106,27 +93,30 @@ class Guards(NamedTuple):
     dip_direction: np.ndarray
     """(3 (B + 1),) direction of the velocity before the dip, and the path there."""
     dip_begin: np.ndarray
+    sharp: np.ndarray
+    """(2,) smallest turn that is reported [rad], and the same per path."""
     turns: np.ndarray
     """(MOST_TURNS, 3) time of the dip [s], turn of the velocity [rad], and the path it took, as a share of the size."""
     turn_count: np.ndarray
 
 
-def new_guards(workspace: Workspace) -> Guards:
-    """Return the guards of a run at its start."""
+def new_guard_state(workspace: Workspace) -> GuardState:
+    """Return what the guards know at the start of a run."""
+    size = workspace.mechanism.length
     vectors = workspace.mechanism.size
 
     def one(x: float = 0.0) -> np.ndarray:
         return np.array([x])
 
     counts = (np.zeros(1, dtype=np.int64) for _ in range(2))
-    return Guards(
+    return GuardState(
         energy=one(np.nan), kinetic=one(), jump=one(), jump_time=one(), jumped=one(),
-        size=one(workspace.mechanism.length),
+        size=one(size),
         total_mass=one(float(np.sum(workspace.mechanism.topology.mass[:-1, 0]))),
         path=one(), speed=one(), distance=one(1.0), farthest=one(), nearest=one(np.inf),
         samples=next(counts), sample_path=np.zeros(SAMPLES), sample_direction=np.zeros((SAMPLES, vectors)),
         armed=one(1.0), dip_path=one(np.nan), dip_distance=one(), dip_time=one(), dip_direction=np.zeros(vectors),
-        dip_begin=one(), turns=np.zeros((MOST_TURNS, 3)), turn_count=next(counts),
+        dip_begin=one(), sharp=np.array([BRANCH_ANGLE, BRANCH_RATIO]), turns=np.zeros((MOST_TURNS, 3)), turn_count=next(counts),
     )  # fmt: skip
 
 
@@ -150,15 +140,15 @@ def energies(top, w, q, v):
 
 
 @subkernel
-def energy_jump(c, q, v):
+def energy_jump(c, q, v, share):
     """Return the jump of the balance by an attempt that led to `q, v`; total and kinetic energy there; and a limit [J].
 
-    The limit is the largest jump that step size control accepts. Requires `prepare` at `q`.
+    The limit is `share` of the largest kinetic energy so far, or rounding. Requires `prepare` at `q`.
     """
     kinetic, potential, level = energies(c.top, c.w, q, v)
     total = kinetic + potential
     jump = total - c.guards.energy[0] - (c.gain[0] - c.gain[1])
-    return jump, total, kinetic, LARGEST_JUMP * max(kinetic, c.guards.kinetic[0]) + ROUNDING * level
+    return jump, total, kinetic, share * max(kinetic, c.guards.kinetic[0]) + ROUNDING * level
 
 
 @subkernel
@@ -216,7 +206,7 @@ def _close_dip(guards, path, direction):
     if before == 0.0 or after == 0.0:
         return
     turn = np.arccos(min(1.0, abs(cosine)))
-    if turn >= LARGEST_TURN and turn >= LARGEST_BEND * way:
+    if turn >= guards.sharp[0] and turn >= guards.sharp[1] * way:
         n = guards.turn_count[0]
         if n < MOST_TURNS:
             guards.turns[n, 0], guards.turns[n, 1], guards.turns[n, 2] = guards.dip_time[0], turn, way

@@ -137,6 +137,8 @@ class _Collector:
                 worst_joint=worst_joint(run),
                 data_sha256=run.data_sha256,
                 values=values,
+                verdict=run.verdict,
+                verdict_reasons=" ".join(run.verdict_reasons),
             )
 
     def values(self, run: Run, reference: Run | None) -> dict[str, float]:

@@ -59,9 +59,13 @@ class KnownRuns:
         return self._by_run[run_id] if self.is_unchanged(run_id) and self._by_run[run_id].second_run else None
 
     def measured(self, run_id: str, reference_id: str) -> Row | None:
-        """Return the indexed row of a run if its archive and that of its reference are unchanged; else None."""
+        """Return the indexed row of a run if its archive and that of its reference are unchanged; else None.
+
+        Rows of the index formats before 1.2, which have no verdict, are not used.
+        """
+        row = self._measured.get((run_id, reference_id))
         unchanged = all(self.is_unchanged(name) for name in (run_id, reference_id) if name)
-        return self._measured.get((run_id, reference_id)) if unchanged else None
+        return row if unchanged and row is not None and row.verdict else None
 
     def is_done(self, run_id: str) -> bool:
         """Return whether a run is complete, or has failed for a reason that would recur.

@@ -79,6 +79,16 @@ class StudyPoint:
         return self.row.reason
 
     @property
+    def verdict(self) -> str:
+        """Verdict on the run: ``good``, ``unknown``, ``doubtful`` or ``bad``; empty without an archive."""
+        return self.row.verdict
+
+    @property
+    def verdict_reasons(self) -> str:
+        """Reasons for the verdict, joined by spaces; empty if there are none."""
+        return self.row.verdict_reasons
+
+    @property
     def values(self) -> Mapping[str, float]:
         """Measures, counters and timings by column; nan if not available."""
         return self.row.values
@@ -212,6 +222,8 @@ class Study:
             "reference_id": [point.reference_id for point in points],
             "status": [point.status for point in points],
             "status_reason": [point.reason for point in points],
+            "verdict": [point.verdict for point in points],
+            "verdict_reasons": [point.verdict_reasons for point in points],
             "second_run": [point.row.second_run for point in points],
             "worst_joint": [point.row.worst_joint for point in points],
             **{name: [point.values.get(name, float("nan")) for point in points] for name in names},
@@ -219,7 +231,7 @@ class Study:
         }
 
     def to_frame(self, family: str | None = None) -> pandas.DataFrame:
-        """Return a table with one row per point: number, family, axes, run, status, measures, counters, timings.
+        """Return a table with one row per point: number, family, axes, run, status, verdict, measures, counters, times.
 
         Parameters
         ----------

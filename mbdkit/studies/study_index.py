@@ -22,7 +22,7 @@ from mbdkit.studies.measures import MEASURES, SECOND
 from mbdkit.studies.planned_points import Label
 
 FORMAT = "mbdkit-study"
-FORMAT_VERSION = "1.1"
+FORMAT_VERSION = "1.2"
 STATUSES = ("complete", "failed", "missing", "left-out")
 
 #: Minimum, quartiles and median of the repeated timings.
@@ -34,6 +34,8 @@ _TEXTS = {
     "reference_id": "reference run for its errors",
     "status": "complete, failed, missing or left-out",
     "status_reason": "why it is not complete",
+    "verdict": "good, unknown, doubtful or bad; empty without an archive",
+    "verdict_reasons": "reasons for the verdict, joined by spaces",
     "second_run": "complete if a second run for measures was made, or the reason why it has no result; else empty",
     "worst_joint": "joint with the largest misalignment",
     "data_sha256": "hash of the recorded data",
@@ -62,6 +64,8 @@ class Row:
         Modification time of its file, s since 1970; nan if there is no file.
     second_run
         ``complete`` if a second run for measures was made, or the reason why it has no result; empty if none was made.
+    verdict, verdict_reasons
+        Verdict on the run and its reasons, from the archive; empty without an archive.
     """
 
     run_id: str
@@ -76,6 +80,8 @@ class Row:
     repeats: tuple[float, ...] = ()
     modified: float = math.nan
     second_run: str = ""
+    verdict: str = ""
+    verdict_reasons: str = ""
 
 
 @dataclass(frozen=True)
@@ -138,6 +144,8 @@ def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row]) -> N
         "reference_id": [row.reference_id for row in rows],
         "status": [row.status for row in rows],
         "status_reason": [row.reason for row in rows],
+        "verdict": [row.verdict for row in rows],
+        "verdict_reasons": [row.verdict_reasons for row in rows],
         "second_run": [row.second_run for row in rows],
         "worst_joint": [row.worst_joint for row in rows],
         "data_sha256": [row.data_sha256 for row in rows],
@@ -237,6 +245,8 @@ def _read_rows(group: h5py.Group, dim: str) -> tuple[Row, ...]:
             tuple(float(value) for value in repeats[number] if not math.isnan(value)),
             float(modified[number]),
             texts["second_run"][number],
+            texts["verdict"][number],
+            texts["verdict_reasons"][number],
         )
         for number in range(len(group[dim]))
     )

@@ -6,6 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.studies.study_index import STATUSES
+from mbdkit.trust.criteria import LEVELS
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
@@ -19,9 +20,12 @@ def summary(study: Study) -> str:
     counts = Counter(point.status for point in study.points)
     runs = ", ".join(f"{counts[status]} {status.replace('-', ' ')}" for status in STATUSES if counts[status])
     beside = f"; reference runs: {len(study.references)}" if study.references else ""
+    levels = Counter(point.verdict for point in study.points)
+    verdicts = ", ".join(f"{levels[level]} {level}" for level in LEVELS if levels[level])
     lines = [
         ("study", " ".join(study.spec.title.split())),
         ("runs", f"{len(study.points)}: {runs}{beside}"),
+        ("verdicts", verdicts),
         ("computed", f"{study.computed} now" if study.computed else "nothing now"),
         ("folder", str(study.folder)),
     ]
@@ -43,6 +47,7 @@ def _named(point: StudyPoint) -> str:
 def outcome(study: Study) -> dict[str, Any]:
     """Return the results of a study run as values for JSON."""
     counts = Counter(point.status for point in study.points)
+    levels = Counter(point.verdict for point in study.points)
     return {
         "path": str(study.folder),
         "title": study.spec.title,
@@ -51,6 +56,7 @@ def outcome(study: Study) -> dict[str, Any]:
         "references": len(study.references),
         "computed": study.computed,
         **{status.replace("-", "_"): counts[status] for status in STATUSES},
+        "verdicts": {level: levels[level] for level in LEVELS if levels[level]},
         "failures": [
             {
                 "number": point.number,

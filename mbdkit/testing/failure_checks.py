@@ -17,7 +17,17 @@ from mbdkit.testing.check_result import Result, failed, passed, skipped
 from mbdkit.testing.integrator_under_test import IntegratorUnderTest
 from mbdkit.testing.trial_models import CANNOT_MEET, FORCED_PENDULUM, NO_NUMBER, OUT_OF_REACH, SWINGING
 
-TYPED = ("newton-failed", "singular", "step-too-small", "not-finite", "max-steps", "wall-time")
+TYPED = (
+    "newton-failed",
+    "singular",
+    "step-too-small",
+    "not-finite",
+    "fell-apart",
+    "energy-jump",
+    "branch-left",
+    "max-steps",
+    "wall-time",
+)
 
 
 def _fault(run: Run, *, allowed: tuple[str, ...] = TYPED) -> str:

@@ -175,7 +175,7 @@ def test_saved_run_is_the_same_run(run: Run, tmp_path: Path) -> None:
 
 
 def test_repr_is_short(run: Run) -> None:
-    assert repr(run).startswith("<Run run-1 complete, 2 bodies, ")
+    assert repr(run).startswith("<Run run-1 complete, verdict unknown, 2 bodies, ")
     assert repr(run.joints) == "<2 of joint: J1, J2>"
     assert repr(run["rod1"]) == "<BodyHistory rod1>"
 

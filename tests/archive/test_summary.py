@@ -23,6 +23,7 @@ def test_summary_of_a_complete_run(tmp_path: Path) -> None:
     most = rows(11, names())["energy/kinetic"].max()
     turned = np.abs(rows(11, names())["joints/angle_misalignment"]).max(axis=0)
     assert lines == [
+        "verdict       unknown: nothing suspicious seen; error not estimated",
         "run           two rods",
         "status        complete",
         "model         double-pendulum, 2 bodies, 2 joints",
@@ -45,7 +46,7 @@ def test_summary_of_a_failed_run_says_why() -> None:
 def test_summary_leaves_out_what_was_not_recorded() -> None:
     with Run(make(None, quantities=frozenset(), named=names(1, 0))) as run:
         labels = [line.split()[0] for line in run.summary().splitlines()]
-    assert labels == ["status", "model", "integrator", "time", "speed", "counters", "archive"]
+    assert labels == ["verdict", "status", "model", "integrator", "time", "speed", "counters", "archive"]
 
 
 def test_summary_tells_of_stabilization_and_of_its_corrections() -> None:
@@ -66,8 +67,9 @@ def test_summary_tells_of_stabilization_and_of_its_corrections() -> None:
             _ = run.steps.acceleration_correction
 
 
-def test_summary_repeats_the_warning() -> None:
+def test_summary_repeats_the_warning_of_an_earlier_version() -> None:
     with Run(make(None, provenance={**PROVENANCE, "warning": "alpha is stiff"})) as run:
+        assert run.warnings == ["alpha is stiff"]
         assert "warning       alpha is stiff" in run.summary()
 
 

@@ -27,7 +27,9 @@ def test_json_prints_one_object_with_the_keys_of_the_contract(mbdkit, small, in_
     (in_tmp_path / "spec.yaml").write_text(small)
     result = mbdkit("run", "spec.yaml", "--json", "-o", "out.h5")
     answer = json.loads(result.stdout)
-    assert set(answer) == {"path", "status", "status_reason", "run_id", "stats", "misalignment_max", "events"}
+    told = {"path", "status", "status_reason", "run_id", "stats", "misalignment_max", "events"}
+    assert set(answer) == told | {"verdict", "verdict_reasons", "warnings"}
+    assert (answer["verdict"], answer["verdict_reasons"], answer["warnings"]) == ("unknown", [], [])
     assert (answer["path"], answer["status"]) == ("out.h5", "complete")
     assert answer["stats"]["steps"] == 100
     with h5py.File("out.h5") as file:

@@ -47,14 +47,15 @@ def test_the_summary_counts_runs_and_names_what_failed(mbdkit, in_tmp_path):
     assert result.stderr == ""
     assert sorted(os.listdir(in_tmp_path)) == ["sweep", "sweep.yaml"]
     lines = result.stdout.splitlines()
-    assert lines[:4] == [
+    assert lines[:5] == [
         "study      A sweep",
         "runs       4: 2 complete, 2 failed",
+        "verdicts   2 unknown, 2 bad",
         "computed   4 now",
         "folder     sweep",
     ]
-    assert lines[4].startswith("failed     run 2 (model.length 1; limits.max_steps 3): max-steps: ")
-    assert len(lines) == 6
+    assert lines[5].startswith("failed     run 2 (model.length 1; limits.max_steps 3): max-steps: ")
+    assert len(lines) == 7
 
 
 def test_json_is_one_object(mbdkit, in_tmp_path):
@@ -72,6 +73,7 @@ def test_json_is_one_object(mbdkit, in_tmp_path):
         "failed": 2,
         "missing": 0,
         "left_out": 0,
+        "verdicts": {"unknown": 2, "bad": 2},
     }
     assert [failure["number"] for failure in failures] == [2, 4]
     assert failures[0]["axes"] == {"model.length": 1.0, "limits.max_steps": 3}

@@ -212,7 +212,7 @@ def test_a_run_warns_where_baumgarte_is_stiff_and_keeps_the_warning(capsys: pyte
     words = "with 'mine' each step multiplies constraint errors by 1.38"
     assert words in capsys.readouterr().err
     assert words in run.summary()
-    assert "warning" not in run_with(RungeKutta(), DOUBLE, {"steps": 3, "step": 0.01}).provenance
+    assert run_with(RungeKutta(), DOUBLE, {"steps": 3, "step": 0.01}).warnings == []
 
 
 def test_a_state_that_no_projection_can_reach_ends_the_run() -> None:

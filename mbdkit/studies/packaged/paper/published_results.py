@@ -92,8 +92,9 @@ def ranking(study: Study) -> tuple[Claim, Claim, Table]:
         "Largest misalignment of the paper's three methods, every model and step",
         columns,
         tuple(rows),
-        "Empty: the run failed by overflow, or because Newton's method found no solution of the stage equations. A "
-        "method that overflows counts as worse than one that does not. Open: both failed, or both are at round-off.",
+        "Empty: the run failed because its joints fell apart or numbers overflowed, or because Newton's method found "
+        "no solution of the stage equations. A method that fell apart or overflowed counts as worse than one that did "
+        "not. Open: both failed, or both are at round-off.",
     )
     but = f" Exceptions: {'; '.join(exceptions)}." if exceptions else ""
     yes, decided = worst.count(Answer.YES), len(worst) - worst.count(Answer.OPEN)
@@ -120,8 +121,8 @@ def ranking(study: Study) -> tuple[Claim, Claim, Table]:
 
 
 def method_overflowed(point: StudyPoint | None) -> bool:
-    """Return whether the run of a point failed by floating-point overflow."""
-    return point is not None and point.status == "failed" and point.reason.startswith("not-finite")
+    """Return whether the run of a point failed because its joints fell apart or its numbers overflowed."""
+    return point is not None and point.status == "failed" and point.reason.startswith(("fell-apart", "not-finite"))
 
 
 def _model(point: StudyPoint) -> str:

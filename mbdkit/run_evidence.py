@@ -1,0 +1,72 @@
+"""Collects the evidence from which a finished run is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbdkit.recorder import Recorder
+from mbdkit.stepping.interface import Advancing, evidence_of
+from mbdkit.trust.criteria import Evidence
+
+
+def evidence_of_run(
+    recorder: Recorder,
+    stepper: Advancing | None,
+    ending: tuple[str, str],
+    misalignment_max: np.ndarray,
+    size: float,
+    warnings: Sequence[str],
+) -> Evidence:
+    """Return the evidence of a run that has ended.
+
+    Steps are judged by what the stepper has observed. For steppers that do not watch their steps, the energy jump is
+    that between recorded rows; it is not judged in stabilized runs, whose balance contains the energy that the
+    stabilization adds.
+
+    Parameters
+    ----------
+    recorder
+        The recorder, with all rows written.
+    stepper
+        The stepper, or None if it could not be started.
+    ending
+        Status and reason.
+    misalignment_max
+        (J,) largest misalignment of each joint over all steps [m].
+    size
+        Size of the mechanism [m].
+    warnings
+        Warnings that question the result.
+    """
+    steps = None if stepper is None else evidence_of(stepper)
+    energies, angles = recorder.energies, recorder.largest_angle
+    if steps is not None:
+        jump, jump_time = steps.energy_jump, steps.energy_jump_time
+    elif recorder.workspace.stabilization.kind == "none":
+        jump, jump_time = energies.jump, energies.jump_time
+    else:
+        jump = jump_time = 0.0
+    return Evidence(
+        status=ending[0],
+        status_reason=ending[1],
+        end=recorder.last_time,
+        size=size,
+        misalignment=float(np.max(misalignment_max, initial=0.0)),
+        joint=_name_of_largest(recorder, misalignment_max),
+        angle_misalignment=float(np.max(angles, initial=0.0)),
+        angle_joint=_name_of_largest(recorder, angles),
+        kinetic=energies.kinetic if steps is None else max(energies.kinetic, steps.kinetic),
+        energy=energies.energy,
+        balance=energies.balance,
+        energy_jump=jump,
+        energy_jump_time=jump_time,
+        branch=() if steps is None else steps.branch,
+        warnings=warnings,
+    )
+
+
+def _name_of_largest(recorder: Recorder, values: np.ndarray) -> str:
+    """Return the name of the joint with the largest of the values (J,); empty without joints."""
+    return recorder.workspace.mechanism.joints[int(np.argmax(values))] if len(values) else ""

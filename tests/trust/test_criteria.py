@@ -1,0 +1,121 @@
+"""Each criterion alone decides the level it should, and says so with its limit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mbdkit.trust.criteria import LEVELS, Accuracy, BranchSuspicion, Evidence, judge
+from mbdkit.trust.energy_record import EnergyRecord
+
+SOUND = Evidence(
+    end=5.0,
+    size=2.0,
+    misalignment=1e-9,
+    joint="A",
+    angle_misalignment=1e-12,
+    angle_joint="motor",
+    kinetic=10.0,
+    energy=50.0,
+    balance=1e-6,
+    energy_jump=1e-7,
+    energy_jump_time=1.0,
+)
+KNOWN = Accuracy(position=1e-6, reaction=1e-4, known_until=5.0)
+
+
+def test_a_run_without_an_estimate_of_its_error_is_unknown_at_best() -> None:
+    assert judge(SOUND).level == "unknown"
+    assert judge(SOUND).reasons == ()
+
+
+def test_good_is_earned_by_an_estimate_over_the_whole_run() -> None:
+    assert judge(SOUND, KNOWN).level == "good"
+    short = judge(SOUND, replace(KNOWN, known_until=4.2))
+    assert short.level == "doubtful"
+    assert "until t = 4.2 s only" in short.reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("error", "level"), [(0.005, "good"), (0.05, "doubtful"), (0.3, "bad"), (math.nan, "bad"), (math.inf, "bad")]
+)
+@pytest.mark.parametrize("what", ["position", "reaction"])
+def test_an_estimate_is_judged_by_its_size(what: str, error: float, level: str) -> None:
+    assert judge(SOUND, replace(KNOWN, **{what: error})).level == level
+
+
+CASES = {
+    # size 2 m: limits 0.2 mm and 2 mm; kinetic energy 10 J: 10 mJ, 0.5 J and 0.5 J in one step
+    "joint opens": ({"misalignment": 3e-4}, "doubtful", "Joint 'A' is misaligned by up to 0.0003 m, 0.00015 of"),
+    "joint apart": ({"misalignment": 3e-3}, "bad", "doubtful above 0.0001, bad above 0.001"),
+    "joint at infinity": ({"misalignment": math.inf}, "bad", "misaligned by up to inf m"),
+    "angle off": ({"angle_misalignment": 2e-4}, "doubtful", "The angle of joint 'motor' is misaligned by up to"),
+    "angle far off": ({"angle_misalignment": 0.1}, "bad", "0.1 rad"),
+    "energy off": ({"balance": 0.02}, "doubtful", "off by up to 0.02 J, 0.002 of the largest kinetic energy"),
+    "energy from nowhere": ({"balance": 1.0}, "bad", "bad above 0.05"),
+    "energy not a number": ({"balance": math.nan}, "bad", "off by up to nan J"),
+    "energy jumps": ({"energy_jump": 0.6}, "bad", "changes by 0.6 J in one step at t = 1 s"),
+    "failed": (
+        {"status": "failed", "status_reason": "singular: it binds."},
+        "bad",
+        "stopped at t = 5 s, before its end",
+    ),
+    "warned": ({"warnings": ("the motion has a corner",)}, "doubtful", "the motion has a corner"),
+    "branch left": ({"branch": (BranchSuspicion(2.0, 1.0, 0.02),)}, "bad", "`stabilization: projection`"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_each_criterion_alone_decides(case: str) -> None:
+    change, level, words = CASES[case]
+    verdict = judge(replace(SOUND, **change))
+    assert verdict.level == level
+    (reason,) = verdict.reasons
+    assert words in reason
+    assert judge(replace(SOUND, **change), KNOWN).level == level
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"status": "interrupted", "status_reason": "interrupted: stopped by the user."},
+        {"branch": (BranchSuspicion(2.0, 0.2, 0.02), BranchSuspicion(3.0, 0.5, 0.2))},
+        {"energy_jump": 0.4, "balance": 1e-3},
+        {"kinetic": 1e-30, "balance": 1e-13, "energy_jump": 1e-13},
+    ],
+    ids=["interrupted", "gentle turns", "below the limits", "at rest but for rounding"],
+)
+def test_what_is_no_reason(change: dict[str, object]) -> None:
+    assert judge(replace(SOUND, **change)).reasons == ()
+
+
+def test_energy_errors_of_a_mechanism_at_rest_are_bad_above_rounding() -> None:
+    assert judge(replace(SOUND, kinetic=0.0, balance=1e-6)).level == "bad"
+
+
+def test_the_worst_reason_comes_first() -> None:
+    verdict = judge(replace(SOUND, misalignment=3e-4, balance=1.0, warnings=("a corner",)))
+    assert verdict.level == "bad"
+    assert [reason.split()[0] for reason in verdict.reasons] == ["The", "Joint", "a"]
+    assert LEVELS[-1] == "bad"
+
+
+def test_jumps_are_found_across_calls_and_shared_among_the_steps_of_an_interval() -> None:
+    record = EnergyRecord()
+    none = np.zeros((1, 2))
+    record.add(np.array([0.0, 1.0]), np.array([1.0, 3.0]), none, np.array([0.0, 0.5]), np.array([0.0, 1.0]))
+    assert (record.jump, record.jump_time) == (0.5, 1.0)
+    record.add(np.array([2.0, 3.0]), np.array([1.0, 2.0]), none - 7.0, np.array([-0.5, 3.5]), np.array([1.0, 8.0]))
+    assert (record.jump, record.jump_time) == (1.0, 2.0)  # 4 J in 8 steps are half a joule in one
+    assert (record.kinetic, record.energy, record.balance) == (3.0, 7.0, 3.5)
+
+
+def test_a_jump_is_measured_against_the_kinetic_energy_so_far() -> None:
+    record = EnergyRecord()
+    kinetic, steps = np.array([0.1, 1.0, 10.0]), np.ones(3)
+    assert record.first_jump(kinetic, np.array([0.0, 0.2, 0.4]), steps, 0.1) == 1
+    assert record.first_jump(kinetic, np.array([0.0, 0.05, 0.4]), steps, 0.1) is None
+    assert record.first_jump(0 * kinetic, np.array([0.0, 1e-16, 0.0]), steps, 0.1) == 1  # nothing to round

@@ -1,0 +1,259 @@
+"""Wrong runs stop or are flagged with their cause, right ones are not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.archive.archive_check import check
+from mbdkit.archive.info import describe
+from mbdkit.errors import StepError
+from mbdkit.methods.step_method import StepMethod, StepState
+from mbdkit.report.run_report import run_report
+from mbdkit.run_preparation import guards, size_at_start
+from mbdkit.spec import example_names, load_spec
+
+from .mechanisms import cranks, guided_tip, spec, two_cranks
+
+DOUBLE = {"name": "double-pendulum"}
+RK4 = {"name": "rk4"}
+LSODA = {"name": "scipy-lsoda", "rtol": 0.1, "atol": 0.1}
+DOPRI5 = {"name": "dopri5", "adaptive": True}
+
+
+@pytest.mark.parametrize("name", example_names())
+def test_no_example_is_flagged(name: str) -> None:
+    with mbdkit.run(name) as run:
+        assert (run.verdict, run.verdict_reasons, run.warnings) == ("unknown", [], [])
+
+
+@pytest.mark.parametrize(("integrator", "step"), [(RK4, 0.1), (LSODA, None)], ids=["rk4", "scipy-lsoda"])
+def test_a_run_whose_joints_fall_apart_stops_before_that_row(integrator: dict[str, Any], step: float | None) -> None:
+    # these runs were complete, with misalignments of 2.4 and 13.7 m; joints and centres of the two rods span 1.5 m
+    with mbdkit.run(spec(DOUBLE, integrator, 10.0, step)) as run:
+        assert run.status == "failed"
+        assert run.status_reason.startswith("fell-apart: joint 'J")
+        assert "more than limits.misalignment allows (1.5 m); this state is not recorded" in run.status_reason
+        recorded = run.array("joints/misalignment").max()
+        assert recorded <= run.misalignment_max <= 1.5
+        assert run.verdict == "bad"
+    with mbdkit.run(spec(DOUBLE, integrator, 10.0, step, limits={"misalignment": 1e6})) as run:
+        assert (run.status, run.verdict) == ("complete", "bad")
+        assert run.misalignment_max > 2.0
+
+
+class Exploding(StepMethod):
+    """Doubles all positions in every step, as an unstable method does in the end."""
+
+    def step(self, problem: Any, t: float, state: StepState, h: float) -> StepState:
+        if t > 1.0:
+            raise StepError("newton-failed", "no step beyond t = 1 s")
+        return StepState(2 * state.q, state.v)
+
+
+@pytest.mark.parametrize(("every", "code"), [(1, "fell-apart"), (1000, "newton-failed")])
+def test_a_stopped_run_reports_no_misalignment_from_beyond_its_last_row(every: int, code: str) -> None:
+    # a state between rows is recorded when a run stops there: it is refused too if its joints are apart
+    from mbdkit.archive.writer import ArchiveWriter
+    from mbdkit.recorder import archive_names
+    from mbdkit.run_preparation import build
+    from mbdkit.simulation import _Simulation
+
+    given = load_spec(spec(DOUBLE, RK4, 2.0, 0.01, output={"every": every}), ())
+    workspace, _ = build(given)
+    names = archive_names(workspace.mechanism)
+    writer = ArchiveWriter(None, names, given.canonical_json(), given.sha256(), "a-run", {})
+    with _Simulation(given, workspace, Exploding(), writer, 0.0, ()).run(None) as run:
+        assert run.status_reason.startswith(f"{code}: ")
+        assert run.misalignment_max == run.array("joints/misalignment").max() <= 1.5
+        assert run.verdict == "bad"
+
+
+def test_an_event_that_stops_a_run_ends_its_misalignment() -> None:
+    # the joints are worst at the end of the step in which the event is found: one step is the whole run
+    given = spec(DOUBLE, RK4, 0.4, 0.4, events={"soon": {"when": "t - 0.01", "action": "stop"}})
+    with mbdkit.run(given) as run:
+        assert run.time[-1] == pytest.approx(0.01)
+        assert run.misalignment_max == run.array("joints/misalignment").max() < 1e-6
+
+
+PARTING = {
+    # rk4 ended complete with joints 4.5 m apart, the others 0.7 m
+    "cranks, rk4": (two_cranks("0.7+0.5*t+3*max(0,t-0.25)**2"), RK4, 2.0, 0.05, 0.25, "B1"),
+    "cranks, dopri5": (two_cranks("0.7+0.5*t+0.3*max(0,t-0.15)**2"), DOPRI5, 2.0, None, 0.16, "B1"),
+    "tip, dopri5": (guided_tip("sin(t+0.3)+0.3*max(0,t-0.15)**3"), {**DOPRI5, "rtol": 1e-3}, 1.4, None, 0.15, "A"),
+}
+
+
+@pytest.mark.parametrize("case", PARTING)
+def test_drivers_that_part_stop_the_run_at_once(case: str) -> None:
+    model, integrator, end, step, latest, joint = PARTING[case]
+    with mbdkit.run(spec(model, integrator, end, step)) as run:
+        assert run.status_reason.startswith(f"singular: joint '{joint}' is misaligned by ")
+        assert run.time[-1] <= latest
+        assert run.misalignment_max < 1e-9
+        assert run.verdict == "bad"
+
+
+COARSE = [
+    *((name, step) for name in ("rk4", "rk-gill", "dopri5") for step in (0.02, 0.05)),
+    *((name, step) for name in ("gauss 1", "gauss 2", "radau-iia 2") for step in (0.05, 0.1, 0.2)),
+]
+
+
+@pytest.mark.parametrize(("name", "step"), COARSE)
+@pytest.mark.parametrize("spares", [1, 3])
+def test_joints_that_agree_are_not_stopped_in_coarse_steps(name: str, step: float, spares: int) -> None:
+    method, _, stages = name.partition(" ")
+    integrator: dict[str, Any] = {"name": method, **({"stages": int(stages)} if stages else {})}
+    model = cranks((0.0, 2.0, 0.7, 1.3, 2.5)[: 2 + spares])
+    with mbdkit.run(spec(model, integrator, 4.0, step)) as run:
+        assert run.redundancy
+        assert run.status == "complete"
+
+
+@pytest.mark.parametrize("motion", ["0.7+0.5*t", "0.7+0.5*t+3*max(0,t-0.25)**2"])
+@pytest.mark.parametrize("integrator", [RK4, {"name": "gauss", "stages": 1}], ids=["rk4", "gauss-1"])
+def test_drivers_that_agree_are_not_stopped_in_coarse_steps(motion: str, integrator: dict[str, Any]) -> None:
+    with mbdkit.run(spec(two_cranks(motion, motion), integrator, 1.0, 0.1)) as run:
+        assert run.status == "complete"
+
+
+def corner() -> dict[str, Any]:
+    body = {"a": {"mass": 1.0, "inertia": 1.0}}
+    guide = {"type": "prismatic", "bodies": ["ground", "a"], "points": [[0, 0], [0, 0]], "axis": [1, 0]}
+    driver = {"type": "driver", "bodies": ["ground", "a"], "coordinate": "x", "motion": "min(t,1)"}
+    return {"name": "mechanism", "gravity": [0, 0], "bodies": body, "joints": {"p": guide, "d": driver}}
+
+
+def test_a_driver_left_behind_by_a_corner_is_flagged() -> None:
+    # the block keeps its old rate after t = 1 s; at t = 2 s it is 1 m ahead of its motion
+    with mbdkit.run(spec(corner(), {"name": "gauss", "stages": 3}, 1.9, 0.01)) as run:
+        assert (run.status, run.verdict) == ("complete", "bad")
+        assert run.verdict_reasons[0].startswith("Joint 'd' is misaligned by up to 0.9 m")
+
+
+def hinged(stiffness: float) -> dict[str, Any]:
+    """Return a rod on a pin with a torsion spring, released with a deflection."""
+    body = {"rod": {"mass": 1.0, "inertia": 0.1, "position": [0.5, 0.0]}}
+    pin = {"type": "revolute", "bodies": ["ground", "rod"], "points": [[0, 0], [-0.5, 0]]}
+    spring = {"type": "torsion-spring", "bodies": ["ground", "rod"], "stiffness": stiffness, "free_angle": 0.3}
+    return {"name": "mechanism", "bodies": body, "joints": {"pin": pin}, "forces": {"spring": spring}}
+
+
+def test_energy_from_nowhere_is_flagged_and_ends_the_run_only_under_its_limit() -> None:
+    # at h omega = 2.4, below the limit 2.83 of rk4, each step loses a sixth of the energy
+    stiffness = 0.35 * 240.0**2
+    given = spec(hinged(stiffness), RK4, 0.2, 0.01, limits={"misalignment": 1e6})
+    with mbdkit.run(given) as run:
+        assert (run.status, run.verdict) == ("complete", "bad")
+        assert any("in one step at t = " in reason for reason in run.verdict_reasons)
+    given["limits"]["energy_jump"] = 0.05
+    with mbdkit.run(given) as run:
+        assert run.status_reason.startswith("energy-jump: the energy balance changes by ")
+        assert len(run.time) < 21
+        assert run.verdict == "bad"
+
+
+def test_stabilization_is_not_blamed_for_the_energy_it_takes_in_a_step() -> None:
+    given = spec(DOUBLE, {"name": "gauss", "stages": 1}, 2.0, 0.05, limits={"energy_jump": 1e-9})
+    with mbdkit.run(given) as run:
+        assert run.status_reason.startswith("energy-jump: ")
+    for stabilization in ("projection", {"name": "baumgarte", "alpha": 5, "beta": 5}):
+        with mbdkit.run({**given, "stabilization": stabilization}) as run:
+            assert run.status == "complete"
+            assert not any("in one step" in reason for reason in run.verdict_reasons)
+
+
+def test_a_mechanism_at_rest_is_not_flagged_for_rounding() -> None:
+    hanging = {"name": "n-pendulum", "n": 3, "angle": -np.pi / 2}
+    for integrator in (RK4, {"name": "gauss", "stages": 2}, {"name": "scipy-radau"}):
+        with mbdkit.run(spec(hanging, integrator, 1.0, 0.01)) as run:
+            assert run.verdict_reasons == []
+
+
+def test_a_warning_is_kept_and_makes_the_run_doubtful_at_least(capfd: pytest.CaptureFixture[str]) -> None:
+    given = spec(DOUBLE, RK4, 0.02, 0.01, stabilization={"name": "baumgarte", "alpha": 400, "beta": 400})
+    with mbdkit.run(given) as run:
+        (warning,) = run.warnings
+        assert warning.startswith("Baumgarte's alpha = 400")
+        assert warning in run.verdict_reasons
+        assert run.verdict in ("doubtful", "bad")
+        assert run.summary().count(warning) == 1
+    assert f"warning: {warning}" in capfd.readouterr().err
+
+
+def test_the_verdict_leads_every_account_of_a_run(tmp_path: Path) -> None:
+    path = tmp_path / "apart.h5"
+    with mbdkit.run(spec(DOUBLE, RK4, 10.0, 0.1, title="two rods"), archive=path) as run:
+        first = run.verdict_reasons[0]
+        assert run.summary().splitlines()[0] == f"verdict       bad: {first}"
+        assert "verdict bad" in repr(run)
+        assert "verdict       bad" in run._repr_html_()
+        page = run_report(run)
+        assert page.verdict.claims[0].computed == "bad"
+        assert page.verdict.sentence.startswith("The verdict is bad. The run stopped at")
+    told = describe(path)
+    assert (told["verdict"], told["verdict_reasons"][0]) == ("bad", first)
+    assert check(path) == []
+
+
+def test_a_run_that_is_doubtful_has_an_alarm_in_its_report() -> None:
+    with mbdkit.run(spec(DOUBLE, {"name": "rk-gill"}, 2.0, 0.05)) as run:
+        assert (run.status, run.verdict) == ("complete", "bad")
+        assert run_report(run).alarm == "VERDICT: BAD"
+
+
+def test_archives_of_earlier_versions_are_unknown_and_valid(tmp_path: Path) -> None:
+    path = tmp_path / "old.h5"
+    mbdkit.run(spec(DOUBLE, RK4, 0.1, 0.01), archive=path).close()
+    with h5py.File(path, "r+") as file:
+        assert file.attrs["verdict"] == "unknown"
+        assert file.attrs["verdict_reasons"].shape == file.attrs["warnings"].shape == (0,)
+        del file.attrs["warnings"]
+    assert check(path) == ["the verdict is incomplete: there is no attribute warnings"]
+    with h5py.File(path, "r+") as file:
+        del file.attrs["verdict"], file.attrs["verdict_reasons"]
+    assert check(path) == []
+    with mbdkit.load(path) as run:
+        assert (run.verdict, run.verdict_reasons, run.warnings, run.is_judged) == ("unknown", [], [], False)
+        assert "verdict       unknown: written by a version that did not judge runs" in run.summary()
+        assert "The archive holds no verdict" in run_report(run).verdict.sentence
+
+
+def test_the_verdict_is_no_part_of_the_data_hash(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    mbdkit.run(spec(DOUBLE, RK4, 0.1, 0.01), archive=path).close()
+    with h5py.File(path, "r+") as file:
+        file.attrs["verdict"] = "good"
+    assert check(path) == []
+    with h5py.File(path, "r+") as file:
+        file.attrs["verdict"] = "fine"
+    assert check(path) == ["verdict is 'fine', not one of good, unknown, doubtful, bad"]
+
+
+def test_specs_from_before_the_limits_keep_their_canonical_form_and_hash() -> None:
+    given = spec(DOUBLE, RK4, 0.1, 0.01)
+    plain = load_spec(given, ())
+    written = load_spec({**given, "limits": {"misalignment": 1.0, "energy_jump": None}}, ())
+    assert json.loads(plain.canonical_json())["limits"] == {"max_steps": 10_000_000, "wall_time": None}
+    assert plain.sha256() == written.sha256()
+    other = load_spec({**given, "limits": {"misalignment": 2.0}}, ())
+    assert json.loads(other.canonical_json())["limits"]["misalignment"] == 2.0
+
+
+def test_limits_reach_the_stepper_in_metres_and_radians() -> None:
+    from mbdkit.run_preparation import build
+
+    given = load_spec(spec(DOUBLE, RK4, 0.1, 0.01, limits={"misalignment": 0.1, "energy_jump": 0.2}), ())
+    size = size_at_start(given, build(given)[0])
+    found = guards(given, size)
+    assert size == 1.5
+    assert found.misalignment == pytest.approx(0.15)
+    assert (found.angle_misalignment, found.energy_jump) == (0.1, 0.2)
