@@ -160,8 +160,8 @@ def _begin_guards(c, t):
 
 
 @subkernel
-def _energy_is_kept(c, plan, t):
-    """Return whether the energy balance of an attempt that ends at `t` is acceptable, before a projection.
+def _energy_change(c, plan, t):
+    """Return the jump by an attempt that ends at `t`, before a projection, its energies, and whether it is acceptable.
 
     The terms of Baumgarte stabilization do work that is not booked, so that there is no balance to check.
     """
@@ -169,10 +169,7 @@ def _energy_is_kept(c, plan, t):
     jump, total, kinetic, most = energy_jump(c, c.new_q, c.new_v, plan.limits.rejected_jump[0])
     if plan.baumgarte[0]:
         jump = 0.0
-    if plan.control.controlled[0] and not abs(jump) <= most:
-        return False
-    note_jump(c, t, jump, total, kinetic)
-    return True
+    return jump, total, kinetic, abs(jump) <= most
 
 
 @subkernel
@@ -219,6 +216,7 @@ def _try_step(run, method, attempt, plan):
     iterations = c.counts[ITERATIONS] - before
     error = 0.0
     projected = jumped = False
+    at = jump = total = kinetic = 0.0
     if status == OK and control.controlled[0]:
         error = _local_error(c, plan)
     if status == OK and error <= 1.0:
@@ -229,7 +227,8 @@ def _try_step(run, method, attempt, plan):
         if mode == NEAR_SINGULARITY:
             due = distance < plan.projection.near[0] * c.guards.farthest[0]
         if control.controlled[0] or mode == PLAIN:
-            jumped = not _energy_is_kept(c, plan, at)
+            jump, total, kinetic, kept = _energy_change(c, plan, at)
+            jumped = control.controlled[0] != 0 and not kept
     if status == OK and error <= 1.0 and not jumped:
         status, projected = project(run, at, mode, due, plan.projection.bound[0])
     interval.iterations[0] += iterations
@@ -241,6 +240,8 @@ def _try_step(run, method, attempt, plan):
         c.base_state[0] = MODIFIED
         return status
     interval.iterations_max[0] = max(interval.iterations_max[0], iterations)
+    if control.controlled[0] or mode == PLAIN:  # else it is checked when the state is advanced
+        note_jump(c, at, jump, total, kinetic)
     if projected:
         _note_projection(c)
     _accept(c, plan, t, h, error)

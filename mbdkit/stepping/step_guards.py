@@ -116,7 +116,8 @@ def new_guard_state(workspace: Workspace) -> GuardState:
         path=one(), speed=one(), distance=one(1.0), farthest=one(), nearest=one(np.inf),
         samples=next(counts), sample_path=np.zeros(SAMPLES), sample_direction=np.zeros((SAMPLES, vectors)),
         armed=one(1.0), dip_path=one(np.nan), dip_distance=one(), dip_time=one(), dip_direction=np.zeros(vectors),
-        dip_begin=one(), sharp=np.array([BRANCH_ANGLE, BRANCH_RATIO]), turns=np.zeros((MOST_TURNS, 3)), turn_count=next(counts),
+        dip_begin=one(),
+        sharp=np.array([BRANCH_ANGLE, BRANCH_RATIO]), turns=np.zeros((MOST_TURNS, 3)), turn_count=next(counts),
     )  # fmt: skip
 
 
