@@ -144,3 +144,21 @@ def test_a_chain_too_large_for_dense_matrices_hangs_or_stands_too(angle: float, 
     found = mbdkit.equilibrium(spec({"name": "n-pendulum", "n": n, "length": 1.0 / n, "mass": 1.0 / n, "angle": angle}))
     assert found.stability == stability
     assert found.stiffness == pytest.approx(sign * (2.404825557695773 / 2) ** 2 * G, rel=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_column_that_buckles_ends_beside_its_upright_position(seed: int) -> None:
+    # a search that starts near the upright position ends on it, a saddle, as if it were stable: the weight exceeds what
+    # the soft hinges carry
+    random = np.random.default_rng(seed)
+    m = mbdkit.Mechanism()
+    below = m.ground
+    for i in range(3):
+        tilt = math.pi / 2 + random.normal() * 10 ** random.uniform(-5, -1)
+        rod = m.body(f"b{i}", mass=1.0, inertia=1 / 12, position=(0.0, 0.5 + i), angle=tilt)
+        m.revolute(f"j{i}", below, rod, points=[(0.0, 0.0) if i == 0 else (0.5, 0.0), (-0.5, 0.0)])
+        m.torsion_spring(f"t{i}", below, rod, stiffness=10.0, free_angle=math.pi / 2 if i == 0 else 0.0)
+        below = rod
+    found = mbdkit.equilibrium(m)
+    assert found.stability == "stable"
+    assert found.stiffness > 0
