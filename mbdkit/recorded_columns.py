@@ -78,7 +78,7 @@ class RecordedStates:
         """(T,) kinetic and potential energy [J]."""
         return np.asarray(self.observed.kinetic + self.observed.potential)
 
-    @property
+    @cached_property
     def balance(self) -> np.ndarray:
         """(T,) change of total energy since the start, plus dissipated energy, minus work [J]."""
         return np.asarray(self.total_energy + self.stretch.dissipated - self.stretch.work - self.start_energy)

@@ -177,6 +177,9 @@ class Recorder:
 
     def _fallen_apart(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
         """Return the row of the first state in which a joint exceeds the limits of misalignment, and the failure."""
+        smallest = min(self.guards.misalignment, self.guards.angle_misalignment)
+        if np.max(np.abs(observed.phi), initial=0.0) <= smallest / 4:  # a joint has at most three rows; saves time
+            return None
         found: tuple[int, Failure] | None = None
         for values, limit, unit in (
             (self._joints.misalignment(observed.phi), self.guards.misalignment, "m"),
@@ -191,8 +194,8 @@ class Recorder:
                 name, gap = self.workspace.mechanism.joints[joint], f"{values[row, joint]:.3g} {unit}"
                 sentence = (
                     f"joint '{name}' is misaligned by {gap} at {_at(stretch, row)}, more than limits.misalignment "
-                    f"allows ({limit:.3g} {unit}); this state is not recorded; use smaller steps or a method of "
-                    "higher order."
+                    f"allows ({limit:.3g} {unit}); this state is not recorded; use smaller steps or, with stiff "
+                    "springs or dampers, an implicit method."
                 )
                 found = row, Failure("fell-apart", sentence)
         return found
@@ -222,8 +225,8 @@ class Recorder:
             self._start_energy = float(observed.kinetic[0] + observed.potential[0])
         states = RecordedStates(stretch, observed, elapsed, self._start_energy, self._rows, self._joints)
         self.largest = np.maximum(self.largest, states.misalignment.max(axis=0, initial=0.0))
-        angles = np.abs(self._joints.angle_misalignment(observed.phi))
-        self.largest_angle = np.maximum(self.largest_angle, angles.max(axis=0, initial=0.0))
+        peaks = np.abs(observed.phi).max(axis=0, keepdims=True)  # of each pair, and a joint has one pair with an angle
+        self.largest_angle = np.maximum(self.largest_angle, self._joints.angle_misalignment(peaks)[0])
         others = np.array([observed.potential, stretch.work, stretch.dissipated])
         self.last_time = float(stretch.time[-1])
         self.energies.add(stretch.time, observed.kinetic, others, states.balance, stretch.intervals[:, 1])

@@ -152,8 +152,8 @@ def test_explicit_methods_fail_on_stiff_springs_and_name_what_may_help(method):
     # expected: h |lambda| = 1e-3 * 1e5 is far outside any explicit method's stability region
     result = run(on_springs(1e8, 1e4), method, step=1e-3)
     assert result.status == "failed"
-    assert result.status_reason.startswith("not-finite: numbers overflowed in step ")
-    assert "implicit integrator may help" in result.status_reason
+    assert result.status_reason.startswith(("fell-apart: ", "not-finite: numbers overflowed in step "))
+    assert "an implicit method" in result.status_reason or "implicit integrator may help" in result.status_reason
     assert result.time[-1] < 0.2
 
 

@@ -160,8 +160,8 @@ def test_driver_that_pushes_a_rocker_beyond_its_dead_centre_stops_the_run_there(
     result = run(model, method, end=4.0)
     assert result.status == "failed"
     code, _, sentence = result.status_reason.partition(": ")
-    if method in EXPLICIT:  # they step across it, and then soon overflow
-        assert code == "not-finite"
+    if method in EXPLICIT:  # they step across it, and the values after that are soon too large
+        assert code in ("fell-apart", "not-finite")
     else:
         assert code in ("newton-failed", "singular", "step-too-small")
         assert "singular position" in sentence
