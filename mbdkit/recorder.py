@@ -14,7 +14,7 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import SingularState, StateObserver
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.workspace import Workspace
-from mbdkit.recorded_columns import COLUMNS, ConstraintRows, RecordedStates
+from mbdkit.recorded_columns import COLUMNS, ConstraintRows, ObservedRows, RecordedStates
 from mbdkit.stepping.interface import Failure, Stretch
 from mbdkit.text import listed
 
@@ -64,6 +64,8 @@ class Recorder:
     ----------
     largest : (J,) array
         Largest misalignment [m] of the recorded states.
+    kept : list of ObservedRows or None
+        If a list, recorded rows are also appended to it.
     """
 
     def __init__(self, workspace: Workspace, writer: ArchiveWriter):
@@ -76,6 +78,7 @@ class Recorder:
         self._redundant = np.isin(np.arange(len(mechanism.topology.pairs)), mechanism.topology.spare[:, 0])
         self._start_energy: float | None = None
         self.largest = np.zeros(len(mechanism.joints))
+        self.kept: list[ObservedRows] | None = None
 
     def record(self, stretch: Stretch, elapsed: tuple[float, float], *, start: bool = False) -> Failure | None:
         """Write the rows of a stretch.
@@ -165,6 +168,8 @@ class Recorder:
         states = RecordedStates(stretch, observed, elapsed, self._start_energy, self._rows, self._joints)
         self.largest = np.maximum(self.largest, states.misalignment.max(axis=0, initial=0.0))
         self.writer.append({key: COLUMNS[key](states) for key in self.writer.row_keys})
+        if self.kept is not None:
+            self.kept.append(states.essence)
 
     def _write_intervals(self, stretch: Stretch) -> None:
         time, steps, size, iterations, iterations_max, rejected = stretch.intervals.T

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.accuracy.check_run import check_run
+from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
@@ -23,6 +25,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError
 from mbdkit.methods.kinds import Method
 from mbdkit.provenance import provenance
+from mbdkit.recorded_columns import ObservedRows
 from mbdkit.recorder import Recorder, archive_names, shared_forces
 from mbdkit.run_preparation import build, caution, check_disk_space, make_method, optional_arrays, timetable
 from mbdkit.spec import RunSpec, load_spec
@@ -126,6 +129,9 @@ class _Simulation:
         self.watch: Watch | None = None
         self.failure: Failure | None = None
         self.interrupted = False
+        self.accuracy: Accuracy | None = None
+        if spec.check:
+            self.recorder.kept = []
 
     def run(self, progress: Progress | None) -> Run:
         """Record the initial state, integrate to the end, and finish the archive."""
@@ -143,6 +149,7 @@ class _Simulation:
                 "wall_s": time.perf_counter() - wall,
                 "cpu_s": time.process_time() - cpu,
             }
+            self.check_accuracy()
             return self.finish(timings)
 
     def record_start(self) -> None:
@@ -204,6 +211,14 @@ class _Simulation:
         if recorded < stepper.time and not stepper.finished and not unrecordable:
             self.recorder.record(stepper.last_state(), (elapsed, elapsed))
 
+    def check_accuracy(self) -> None:
+        """Estimate the errors of the recorded rows if the spec asks for it."""
+        kept = self.recorder.kept
+        if not kept:
+            return
+        rows, steps = ObservedRows.joined(kept), self.stepper.counters.steps if self.stepper is not None else 0
+        self.accuracy = check_run(self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted)
+
     def finish(self, timings: dict[str, float]) -> Run:
         """Finish the archive with the final status, and return the run."""
         stepper = self.stepper
@@ -222,6 +237,7 @@ class _Simulation:
             reason,
             {**counters, **timings},
             self.recorder.misalignment_max(stepper.worst_pairs if stepper is not None else np.zeros(pairs)),
+            self.accuracy,
         )
         if file is not None:
             return Run(file)
