@@ -95,7 +95,7 @@ def _sentence(chosen: Chosen, told: list[tuple[Companion, CompanionRows]]) -> st
     first, second = (companion.name for companion in chosen.finer)
     text = (
         f"Richardson extrapolation from companion runs with {first} and {second}, confirmed by a run with "
-        f"{told[-1][0].name}; nan where the differences do not fall with the {chosen.what}, or the last run disagrees."
+        f"{told[-1][0].name}; nan where neither the differences fall with the {chosen.what} nor the runs approach the last one."
     )
     for companion, found in told:
         if found.failure:
@@ -104,6 +104,6 @@ def _sentence(chosen: Chosen, told: list[tuple[Companion, CompanionRows]]) -> st
 
 
 def _no_errors(rows: ObservedRows) -> ErrorEstimate:
-    """Return the estimates of a run that recorded no row, or only its start, which has no error."""
-    zero = [np.zeros_like(x) for x in (rows.position, rows.velocity, rows.torque, rows.torque)]
-    return ErrorEstimate(*zero, float(rows.time[0]) if len(rows.time) else math.nan, math.nan)
+    """Return the estimates of a run that recorded only its start, which has no error."""
+    position, velocity, torque = (np.zeros_like(x) for x in (rows.position, rows.velocity, rows.torque))
+    return ErrorEstimate(position, velocity, torque, torque.copy(), float(rows.time[0]), math.nan)

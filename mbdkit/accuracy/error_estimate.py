@@ -4,19 +4,23 @@ Three runs of one method with steps h, h/2 and h/4 differ by d01 and d12. If the
 and the error of the first run is ``|y0 - y2| / (1 - (d12 / d01)^2)`` (Richardson 1911; Hairer, Norsett and Wanner 1993,
 II.4). Nothing is assumed about p: stabilization, stiffness or dense output change it, and it differs between positions
 and reactions. It is observed, for every body and every joint. What is required is that the differences fall at all, to
-`LARGEST_RATIO` or less; where they do not (chaos, another branch, a step too large for the motion), the estimate is nan.
-The same holds for adaptive methods, with tolerances instead of steps.
+`LARGEST_RATIO` or less. The same holds for adaptive methods, with tolerances instead of steps.
 
 Runs of one method may share an error, such as a pulse between two steps. A run by another method, the guard, must
-therefore agree with the most accurate one.
+therefore agree with the most accurate one. Conversely, the step may be too long for the order to show, as in the sudden
+turns of a pendulum; then it is sufficient that the most accurate run is closer to the guard than the first one, by
+`CONFIRMED`.
 
-All differences are replaced by their running maxima, because a difference passes through zero where its sign changes.
+Where neither holds (chaos, another branch, a step too long for the motion), the estimate is nan. All differences are
+replaced by their running maxima, because a difference passes through zero where its sign changes.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +28,10 @@ from mbdkit.recorded_columns import ObservedRows
 
 LARGEST_RATIO = 0.5
 """Largest d12 / d01 of differences that count as falling: those of a method of order 1."""
+
+CONFIRMED = 0.25
+"""Largest distance of the most accurate run from the guard, relative to that of the first one, that replaces an
+observed order: that of a method of order 1."""
 
 ROUND_OFF = 1e-9
 """Differences below this share of the size of a quantity need not fall: rounding and stopped iterations explain them.
@@ -162,17 +170,18 @@ class _Quantity:
             common = np.where(all01 > 0, all12 / all01, np.where(all12 > 0, np.inf, 0.0))
         spread = np.fmax(np.fmax(d01, d12), d02)
         tiny, minor = spread <= floor, (spread <= MINOR * all02) & (common <= LARGEST_RATIO)
-        falls = ratio <= LARGEST_RATIO
+        falls, confirmed = ratio <= LARGEST_RATIO, d2g <= CONFIRMED * d0g
         #: Factor of Richardson's extrapolation (T, U).
         self._factor = 1.0 / (1.0 - np.where(falls, ratio, 0.0) ** 2)
         self._falls = falls
-        estimate = np.where(falls, self._factor * d02, spread)
+        estimate = np.where(falls, self._factor * d02, np.where(confirmed, np.fmax(d02, d0g), spread))
+        self._confirmed = confirmed
         agrees = d2g <= np.maximum(GUARD_RATIO * estimate, np.maximum(floor, MINOR * all02))
         #: Whether the guard is too inaccurate to confirm the estimate closely, so that its difference is included.
         self._widened = (d2g > 0.5 * estimate) & (d2g > floor)
         finite = np.isfinite(d02) & np.isfinite(d2g)
         small = np.where(self._widened, np.fmax(estimate, d0g), estimate) <= max(LARGEST_ERROR * size, floor)
-        seen = finite & (falls | tiny | minor) & agrees & small
+        seen = finite & (falls | confirmed | tiny | minor) & agrees & small
         self._seen = np.minimum.accumulate(seen, axis=0)
         self._all = (all01, all12, floor)
 
@@ -183,20 +192,22 @@ class _Quantity:
 
     def errors(self) -> np.ndarray:
         """Return the errors of the components, (T, U, K)."""
-        return self._estimates(lambda difference: np.abs(difference), np.s_[:, :, None])
+        return self._estimates(np.abs, np.s_[:, :, None])
 
     def norm_errors(self, part: slice) -> np.ndarray:
         """Return the errors of the norm of some of the components, (T, U)."""
         return self._estimates(lambda difference: np.linalg.norm(difference[..., part], axis=-1), np.s_[:, :])
 
-    def _estimates(self, size: object, axes: object) -> np.ndarray:
+    def _estimates(self, size: Callable[[np.ndarray], np.ndarray], axes: Any) -> np.ndarray:
         first, second, third, guard = self._values
         d01, d12, d02, d0g = (
-            np.maximum.accumulate(size(difference), axis=0)  # type: ignore[operator]
+            np.maximum.accumulate(size(difference), axis=0)
             for difference in (first - second, second - third, first - third, first - guard)
         )
-        falls, factor, widened, seen = (x[axes] for x in (self._falls, self._factor, self._widened, self._seen))  # type: ignore[index]
-        estimate = np.where(falls, factor * d02, np.fmax(np.fmax(d01, d12), d02))
+        known = (self._falls, self._confirmed, self._factor, self._widened, self._seen)
+        falls, confirmed, factor, widened, seen = (x[axes] for x in known)
+        spread = np.where(confirmed, np.fmax(d02, d0g), np.fmax(np.fmax(d01, d12), d02))
+        estimate = np.where(falls, factor * d02, spread)
         estimate = np.where(widened, np.fmax(estimate, d0g), estimate)
         return np.where(seen, np.maximum.accumulate(np.nan_to_num(estimate), axis=0), np.nan)
 

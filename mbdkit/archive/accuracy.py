@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import h5py
 import numpy as np
@@ -149,11 +150,11 @@ class Accuracy:
     @classmethod
     def read(cls, group: h5py.Group) -> Accuracy:
         """Read the group ``/accuracy`` of an archive."""
-        values = {name: group[name][:] for name in _VALUES}
+        values: dict[str, Any] = {name: group[name][:] for name in _VALUES}
         for array in values.values():
             array.flags.writeable = False
-        numbers = {name: float(group.attrs.get(name, math.nan)) for name in _NUMBERS}
-        return cls(**values, **numbers, method=str(group.attrs["method"]))
+        values |= {name: float(group.attrs.get(name, math.nan)) for name in _NUMBERS}
+        return cls(**values, method=str(group.attrs["method"]))
 
 
 _VALUES = ("time", "position_error", "velocity_error", "reaction_error", "torque_error")

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 
-from tests.witness.error_bars import FACTORS, FIXED, NEVER, TOLERANCES, Case, Truth, run_case, share_inside
+from tests.witness.error_bars import FACTORS, FIXED, HIGH, NEVER, TOLERANCES, Case, Truth, run_case, share_inside
 from tests.witness.known_motions import known_motions
 
 
@@ -39,7 +39,7 @@ def main() -> None:
         every += cases
         print(line(known.name, cases), flush=True)
         for case in cases:
-            if wanted or share_inside([case]) < 0.95 or np.any(case.ratios > HIGH_SHOWN):
+            if wanted or share_inside([case]) < 0.95 or np.any(case.ratios > HIGH):
                 print(
                     f"    {case.method:<12} {case.setting:<8.3g} {case.status:<9} until {case.known_until:.4g} of "
                     f"{case.end:.4g} s, inside {share_inside([case]):.1%}, good {case.good}, true share "
@@ -50,8 +50,6 @@ def main() -> None:
     for method in [*FIXED, "dop853"]:
         print(line(method, [case for case in every if case.method == method]))
 
-
-HIGH_SHOWN = 3.0
 
 if __name__ == "__main__":
     main()
