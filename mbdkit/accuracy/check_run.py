@@ -95,7 +95,8 @@ def _sentence(chosen: Chosen, told: list[tuple[Companion, CompanionRows]]) -> st
     first, second = (companion.name for companion in chosen.finer)
     text = (
         f"Richardson extrapolation from companion runs with {first} and {second}, confirmed by a run with "
-        f"{told[-1][0].name}; nan where neither the differences fall with the {chosen.what} nor the runs approach the last one."
+        f"{told[-1][0].name}; nan where neither the differences fall with the {chosen.what} nor the runs approach the "
+        "last one."
     )
     for companion, found in told:
         if found.failure:

@@ -46,7 +46,7 @@ AT_REST = 1e-12
 MINOR = 0.05
 """A body or joint whose differences are below this share of those of all bodies or joints need not show an order."""
 
-LARGEST_ERROR = 0.25
+LARGEST_ERROR = 0.1
 """Errors above this share of the size of a quantity count as unknown: they are no longer linear in the error before."""
 
 GUARD_RATIO = 3.0
@@ -129,8 +129,10 @@ def estimate_errors(
     main = runs[0]
     length, every = units.length, (*runs, guard)
     scale = np.array([1.0, 1.0, length])
-    start = main.position[:1]
-    position = _Quantity([(run.position - start) * scale for run in every], length)
+    moved = (main.position - main.position[:1]) * scale
+    across = float(np.max(np.linalg.norm(moved[..., :2], axis=-1), initial=0.0))
+    around = min(float(np.max(np.abs(moved[..., 2]), initial=0.0)), length)
+    position = _Quantity([run.position * scale for run in every], length, max(across, around))
     velocity = _Quantity([run.velocity * scale for run in every], units.speed)
     wrenches = [np.concatenate([run.force, run.torque[..., None] / length], axis=-1) for run in every]
     reaction = _Quantity(wrenches, units.force)
@@ -155,21 +157,26 @@ class _Quantity:
         Four arrays (T, B or J, K) in one unit of measurement.
     unit
         Natural unit of the quantity.
+    size
+        Size of the quantity; by default its largest norm in the first run.
     """
 
-    def __init__(self, values: list[np.ndarray], unit: float):
+    def __init__(self, values: list[np.ndarray], unit: float, size: float | None = None):
         first, second, third, guard = values
         self._values = values
-        size = float(np.max(np.linalg.norm(first, axis=-1), initial=0.0))
+        if size is None:
+            size = float(np.max(np.linalg.norm(first, axis=-1), initial=0.0))
         d01, d12, d02 = _norms(first - second), _norms(second - third), _norms(first - third)
         d0g, d2g = _norms(first - guard), _norms(third - guard)
         all01, all12, all02 = (np.max(d, axis=1, initial=0.0, keepdims=True) for d in (d01, d12, d02))
         floor = max(ROUND_OFF * size, AT_REST * unit)
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where(d01 > 0, d12 / d01, np.where(d12 > 0, np.inf, 0.0))
-            common = np.where(all01 > 0, all12 / all01, np.where(all12 > 0, np.inf, 0.0))
-        spread = np.fmax(np.fmax(d01, d12), d02)
-        tiny, minor = spread <= floor, (spread <= MINOR * all02) & (common <= LARGEST_RATIO)
+            ratio, common = np.where(d01 > 0, d12 / d01, np.inf), np.where(all01 > 0, all12 / all01, np.inf)
+        spread = _largest(d01, d12, d02, d0g)
+        tiny, minor = (
+            _largest(d01, d12, d02) <= floor,
+            (_largest(d01, d12, d02) <= MINOR * all02) & (common <= LARGEST_RATIO),
+        )
         falls, confirmed = ratio <= LARGEST_RATIO, d2g <= CONFIRMED * d0g
         #: Factor of Richardson's extrapolation (T, U).
         self._factor = 1.0 / (1.0 - np.where(falls, ratio, 0.0) ** 2)
@@ -206,7 +213,7 @@ class _Quantity:
         )
         known = (self._falls, self._confirmed, self._factor, self._widened, self._seen)
         falls, confirmed, factor, widened, seen = (x[axes] for x in known)
-        spread = np.where(confirmed, np.fmax(d02, d0g), np.fmax(np.fmax(d01, d12), d02))
+        spread = np.where(confirmed, np.fmax(d02, d0g), _largest(d01, d12, d02, d0g))
         estimate = np.where(falls, factor * d02, spread)
         estimate = np.where(widened, np.fmax(estimate, d0g), estimate)
         return np.where(seen, np.maximum.accumulate(np.nan_to_num(estimate), axis=0), np.nan)
@@ -218,6 +225,11 @@ class _Quantity:
             return math.nan
         before, after = float(all01[count - 1, 0]), float(all12[count - 1, 0])
         return math.log(before / after) / math.log(refinement) if after > 0 and before > floor else math.nan
+
+
+def _largest(*arrays: np.ndarray) -> np.ndarray:
+    """Return the largest of several arrays, element by element; nan counts as smallest."""
+    return np.asarray(np.fmax.reduce(arrays))
 
 
 def _norms(difference: np.ndarray) -> np.ndarray:

@@ -42,6 +42,36 @@ class JointAccuracy:
     share: float
 
 
+@dataclass(frozen=True)
+class AccuracyFigures:
+    """The figures on which a verdict on a run is based.
+
+    Attributes
+    ----------
+    known_until, end
+        Time until which the errors are known, and time of the last row [s]; nan if unknown.
+    position_error
+        Largest error of the position of a body until then [m].
+    joints
+        Accuracy of the reaction force of each joint.
+    """
+
+    known_until: float
+    end: float
+    position_error: float
+    joints: tuple[JointAccuracy, ...]
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the errors of all rows are known."""
+        return self.known_until == self.end
+
+    @property
+    def worst_joint(self) -> JointAccuracy | None:
+        """The joint with the largest `JointAccuracy.share`; None without joints."""
+        return max(self.joints, key=lambda joint: math.inf if math.isnan(joint.share) else joint.share, default=None)
+
+
 @dataclass(frozen=True, eq=False)
 class Accuracy:
     """Estimated errors of the T recorded rows; nan where unknown. They are envelopes, which never decrease with time.
@@ -115,9 +145,10 @@ class Accuracy:
             found.append(JointAccuracy(name, float(peak), float(reached), float(error), float(share)))
         return tuple(found)
 
-    def worst_share(self, names: Sequence[str], force: np.ndarray) -> float:
-        """Return the largest `JointAccuracy.share`; 0 without joints, nan if nothing is known."""
-        return float(np.max([joint.share for joint in self.of_joints(names, force)], initial=0.0))
+    def figures(self, names: Sequence[str], force: np.ndarray) -> AccuracyFigures:
+        """Return the figures for a verdict; see `of_joints` for the arguments."""
+        end = float(self.time[-1]) if len(self.time) else math.nan
+        return AccuracyFigures(self.known_until, end, self.position_error_max, self.of_joints(names, force))
 
     @property
     def size_in_bytes(self) -> int:

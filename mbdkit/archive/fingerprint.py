@@ -65,7 +65,7 @@ def datasets(group: h5py.Group) -> Iterator[h5py.Dataset]:
 
 
 def data_sha256(file: h5py.File) -> str:
-    """Return the hash of all arrays of an open archive except timings and estimated errors, in lower-case hexadecimal digits."""
+    """Return the hash of all arrays of an archive except timings and estimated errors, in lower-case hexadecimal."""
     return digest_lines(dataset_line(item) for item in datasets(file) if is_hashed(item.name))
 
 

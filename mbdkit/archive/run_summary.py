@@ -141,16 +141,17 @@ def accuracy_sentence(run: Run) -> str:
         return ""
     if not accuracy.rows_known:
         return "errors unknown: the companion runs of the check do not agree with this run and each other"
-    until = "to the end" if accuracy.is_complete else f"until {accuracy.known_until:.4g} s, unknown afterwards"
+    until = "" if accuracy.is_complete else f" until {accuracy.known_until:.4g} s"
+    afterwards = "" if accuracy.is_complete else "; errors unknown afterwards"
     position = f"positions known to {accuracy.position_error_max:.2g} m"
     if run.joints and run.records("joints/reaction_force"):
         joints = accuracy.of_joints(run.joint_names, run.array("joints/reaction_force"))
         largest = max(joints, key=lambda joint: joint.peak_known)
         if largest.peak_known > 0:
-            of_run = "" if accuracy.is_complete else ", up to then"
-            force = f"largest force in {largest.name}{of_run} {plus_minus(largest.peak_known, largest.error)} N"
-            return f"{force}; {position} {until}"
-    return f"{position} {until}"
+            value = plus_minus(largest.peak_known, largest.error).partition(" ")[0]
+            known = f"largest force in {largest.name} {value} N, known to {largest.error:.2g} N{until}"
+            return f"{known}; {position}{afterwards}"
+    return f"{position}{until}{afterwards}"
 
 
 def plus_minus(value: float, error: float) -> str:
@@ -166,7 +167,7 @@ def plus_minus(value: float, error: float) -> str:
     if error <= 0:
         return f"{value:.6g} +- 0"
     digits = max(0, min(15, math.floor(math.log10(max(abs(value), error))) - math.floor(math.log10(error)) + 1))
-    return f"{value:.{max(digits, 1)}g} +- {error:.2g}"
+    return f"{value:.{max(digits, 3)}g} +- {error:.2g}"
 
 
 def _time(run: Run) -> str:

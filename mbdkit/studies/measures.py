@@ -196,7 +196,8 @@ def _known_until(run: Run, reference: Run | None) -> float:
 def _reaction_error_share(run: Run, reference: Run | None) -> float:
     if run.accuracy is None or not run.records("joints/reaction_force"):
         return math.nan
-    return run.accuracy.worst_share(run.joint_names, run.array("joints/reaction_force"))
+    worst = run.accuracy.figures(run.joint_names, run.array("joints/reaction_force")).worst_joint
+    return 0.0 if worst is None else worst.share
 
 
 def _position_error(run: Run, reference: Run | None) -> float:

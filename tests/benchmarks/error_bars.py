@@ -18,8 +18,8 @@ def line(name: str, cases: list[Case]) -> str:
     wrong = sum(case.good and case.worst_true_share > 0.05 for case in cases)
     good = sum(case.good for case in cases)
     return (
-        f"{name:<26} {len(cases):>4} {known:>6.0%} {len(ratios):>8} {share_inside(cases):>8.2%} {low:>8.3g} {high:>8.3g} "
-        f"{int(np.sum(ratios > NEVER)):>6} {good:>5} {wrong:>6}"
+        f"{name:<26} {len(cases):>4} {known:>6.0%} {len(ratios):>8} {share_inside(cases):>8.2%} {low:>8.3g} "
+        f"{high:>8.3g} {int(np.sum(ratios > NEVER)):>6} {good:>5} {wrong:>6}"
     )
 
 
@@ -27,9 +27,8 @@ def main() -> None:
     """Print the table."""
     wanted = sys.argv[1:]
     every: list[Case] = []
-    print(
-        f"{'problem':<26} {'runs':>4} {'known':>6} {'values':>8} {'inside':>8} {'least':>8} {'most':>8} {'>10':>6} {'good':>5} {'wrong':>6}"
-    )
+    heads = ("runs", 4), ("known", 6), ("values", 8), ("inside", 8), ("least", 8), ("most", 8), (">10", 6), ("good", 5)
+    print(f"{'problem':<26} " + " ".join(f"{head:>{width}}" for head, width in (*heads, ("wrong", 6))))
     for known in known_motions():
         if wanted and known.name not in wanted:
             continue

@@ -160,16 +160,15 @@ def compare(run: mbdkit.Run, accuracy: Accuracy, truth: Truth, names: tuple[str,
             for pick in (np.argmax, np.argmin):
                 masked = np.where(compared, ratio, 1.0)
                 at = np.unravel_index(pick(masked), masked.shape)
-                tops.append(
-                    (
-                        abs(math.log(max(masked[at], 1e-30))),
-                        f"{name}{list(map(int, at[1:]))} at {run.time[at[0]]:.3g} s: {masked[at]:.3g} of {estimate[at]:.2g}",
-                    )
-                )
+                value, place = masked[at], list(map(int, at[1:]))
+                told = f"{name}{place} at {run.time[at[0]]:.3g} s: {value:.3g} of {estimate[at]:.2g}"
+                tops.append((abs(math.log(max(value, 1e-30))), told))
     force = run.array("joints/reaction_force")
     peaks = np.max(np.linalg.norm(force, axis=-1), axis=0, initial=0.0)
     share = np.max(true[2], axis=0, initial=0.0) / np.where(peaks > 1e-9 * np.max(peaks, initial=0.0), peaks, np.inf)
-    good = run.status == "complete" and accuracy.is_complete and accuracy.worst_share(run.joint_names, force) < 0.05
+    figures = accuracy.figures(run.joint_names, force)
+    worst = figures.worst_joint
+    good = run.status == "complete" and figures.is_complete and (worst is None or worst.share < 0.05)
     return Case(
         *names,
         run.status,
