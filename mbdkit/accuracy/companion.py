@@ -16,6 +16,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError
 from mbdkit.methods.kinds import Method
 from mbdkit.recorded_columns import ObservedRows
+from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.interface import Stepper, Timetable
 from mbdkit.stepping.start import start_method
 from mbdkit.text import one_line
@@ -41,6 +42,8 @@ class Companion:
         Formulation and stabilization of the equations.
     within_steps
         See `timetable`.
+    longest_step
+        Upper bound of the step size [s], if it takes its rows within steps; None: not limited.
     """
 
     name: str
@@ -49,6 +52,7 @@ class Companion:
     formulation: str
     stabilization: Stabilization
     within_steps: bool
+    longest_step: float | None = None
 
 
 @dataclass(frozen=True)
@@ -154,6 +158,9 @@ def _advance(stepper: Stepper, companion: Companion, found: _States, stopped: Ca
             return why
         if stepper.failure is not None:
             return stepper.failure.sentence
+        if companion.longest_step is not None and isinstance(stepper, CompiledStepper):
+            size = stepper.common.progress.next_size
+            size[0] = min(size[0], companion.longest_step)
         stretch = stepper.advance()
         if companion.within_steps:
             found.take_within(stepper)

@@ -36,6 +36,14 @@ GUARD_STEPS = (20_000, 40)
 """Most steps of a guard: a number, plus this number times the steps of the run. Stiff problems exceed it in explicit
 steps, and the next guard is tried. A limit on wall time would make the result depend on the machine."""
 
+SINGLE_STEPS = (5_000, 10)
+"""The same for companions that stop after each step, each of which takes about 0.1 ms more."""
+
+
+LOOKS = 2_000
+"""Least number of steps of a guard, unless the run itself has as many fixed steps. Adaptive steps of a body at rest
+grow without bound, and pass over a pulse at any tolerance."""
+
 
 @dataclass(frozen=True)
 class Chosen:
@@ -128,9 +136,10 @@ def _guards(
     pass singular positions on the right branch.
     """
     name = method.tableau.name if isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) else ""
-    most = GUARD_STEPS[0] + GUARD_STEPS[1] * steps
-    within = _steps_within(times, most)
-    dense = replace(within, every=1, interval=interval, single=False) if interval is not None else within
+    within = _steps_within(times, LOOKS + _most(SINGLE_STEPS, steps))
+    dense, longest = within, (within.end - within.start) / LOOKS
+    if interval is not None and steps >= LOOKS:
+        dense = replace(within, every=1, interval=interval, single=False, max_steps=_most(GUARD_STEPS, steps))
     tight = Tolerances(GUARD_TOLERANCE, GUARD_TOLERANCE)
     loose = Tolerances(IMPLICIT_GUARD_TOLERANCE, IMPLICIT_GUARD_TOLERANCE)
     candidates: Sequence[tuple[str, str, Callable[[], Method], Timetable]] = (
@@ -140,10 +149,22 @@ def _guards(
     )
     stiff = isinstance(method, ImplicitRungeKutta | LobattoPair | SciPySolver)
     return tuple(
-        Companion(f"adaptive {told}", create, table, "index-1", _projected(workspace), within_steps=table is within)
+        Companion(
+            f"adaptive {told}",
+            create,
+            table,
+            "index-1",
+            _projected(workspace),
+            within_steps=table is within,
+            longest_step=longest if table is within else None,
+        )
         for family, told, create, table in candidates
         if not name.startswith(family) and (family != "gauss" or stiff)
     )
+
+
+def _most(limits: tuple[int, int], steps: int) -> int:
+    return limits[0] + limits[1] * steps
 
 
 def _projected(workspace: Workspace) -> Stabilization:
