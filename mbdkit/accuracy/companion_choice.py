@@ -23,6 +23,9 @@ HALVINGS = (2, 4)
 TENTHS = (10.0, 100.0)
 """Factors by which the tolerances of the companions of an adaptive run are tighter."""
 
+OTHER_TENTHS = (1e3, 1e5)
+"""The same for companions of another method than the run's: SciPy's Radau is up to 100 times as accurate as asked."""
+
 TIGHTEST = 1e-13
 """Smallest tolerance of a companion; below it, rounding errors dominate."""
 
@@ -96,7 +99,9 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
         interval = row_interval(plan)
         return Chosen((first, second), _guards(method, workspace, times, steps, interval), 2.0, "step")
     first, second = _tighter(spec, method, workspace, times, steps)
-    return Chosen((first, second), _guards(method, workspace, times, steps, None), TENTHS[1] / TENTHS[0], "tolerance")
+    own = _has_tolerances(spec, method)
+    rough, fine = TENTHS if own else OTHER_TENTHS
+    return Chosen((first, second), _guards(method, workspace, times, steps, None), fine / rough, "tolerance")
 
 
 def _tighter(
@@ -108,11 +113,11 @@ def _tighter(
     tolerances are not known. Their companions are runs of the adaptive Radau IIA method.
     """
     options = spec.integrator
-    own = isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) and "rtol" in type(options).model_fields
+    own = _has_tolerances(spec, method)
     rtol = getattr(options, "rtol", None) or 1e-6
     atol = getattr(options, "atol", None) or rtol
     found = []
-    for factor in TENTHS:
+    for factor in TENTHS if own else OTHER_TENTHS:
         tolerances = Tolerances(max(rtol / factor, TIGHTEST), max(atol / factor, TIGHTEST * atol / rtol))
         table = replace(_steps_within(times, spec.limits.max_steps * int(factor)), step=spec.time.step if own else None)
         if own:
@@ -125,6 +130,12 @@ def _tighter(
             name = f"adaptive radau-iia with tolerance {tolerances.rtol:.2g}"
             found.append(Companion(name, create, table, "index-1", _projected(workspace), within_steps=True))
     return found[0], found[1]
+
+
+def _has_tolerances(spec: RunSpec, method: Method) -> bool:
+    """Return whether the companions of an adaptive run can be runs of its own method."""
+    known = "rtol" in type(spec.integrator).model_fields
+    return known and isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta)
 
 
 def _guards(

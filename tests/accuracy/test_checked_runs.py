@@ -104,12 +104,14 @@ def test_an_archive_with_errors_is_sound_and_reads_back(tmp_path):
     path = tmp_path / "a.h5"
     made = mbdkit.run(given, check=True, archive=path)
     assert check(path) == []
-    found = mbdkit.load(path).accuracy
+    with mbdkit.load(path) as loaded:
+        found = loaded.accuracy
     assert found is not None
     assert found.known_until == made.accuracy.known_until < 12.0
     np.testing.assert_array_equal(found.reaction_error, made.accuracy.reaction_error)
     tree = made.to_xarray()
     assert tree["accuracy/position_error"].dims == ("time", "body", "coordinate")
+    made.close()
     with h5py.File(path, "r+") as file:
         file["accuracy/reaction_error"][3] = -1.0
     assert check(path) == ["accuracy/reaction_error is negative or decreases"]

@@ -93,7 +93,7 @@ def test_an_error_as_large_as_the_motion_is_unknown():
     assert np.isnan(found.position[-1, 0, 0])
 
 
-@pytest.mark.parametrize("which", [1, 2, 3])
+@pytest.mark.parametrize("which", [2, 3])
 def test_a_companion_that_stops_ends_the_estimate(which):
     runs = [rows(1e-6 * TIME * 16.0**-k, until=3.0 if k == which else math.inf) for k in range(4)]
     found = estimate_errors((runs[0], runs[1], runs[2]), runs[3], UNITS)
