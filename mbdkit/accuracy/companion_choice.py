@@ -29,7 +29,7 @@ OTHER_TENTHS = (1e3, 1e5)
 TIGHTEST = 1e-13
 """Smallest tolerance of a companion; below it, rounding errors dominate."""
 
-GUARD_TOLERANCE = 1e-12
+GUARD_TOLERANCE = 1e-13
 """Tolerance of the guard DOP853. Its error must be small beside that of the run, or the guard widens the estimate."""
 
 IMPLICIT_GUARD_TOLERANCE = 1e-11

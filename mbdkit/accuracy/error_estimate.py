@@ -34,11 +34,13 @@ CONFIRMED = 0.25
 observed order: that of a method of order 1."""
 
 ROUND_OFF = 1e-9
-"""Differences below this share of the size of a quantity need not fall: rounding and stopped iterations explain them.
+"""Differences from the guard below this share of the size of a quantity are explained by its own tolerance, and left
+out of the estimate."""
 
-A double pendulum in 1e5 steps of RK4 or Gauss has rounding errors of 1e-13 to 1e-11 of its size, which its own
-instability multiplies.
-"""
+AGREED = 1e-5
+"""Differences of all four runs below this share need not fall. The step no longer matters where rounding errors
+dominate; chaos multiplies them, from 1e-13 at the start. The largest difference is then the estimate. For the same
+reason, the guard may then be less accurate than the run, and the difference from it widens the estimate."""
 
 AT_REST = 1e-12
 """The same share of the natural unit of the quantity (`Units`), for mechanisms that hardly move."""
@@ -169,7 +171,7 @@ class _Quantity:
         d01, d12, d02 = _norms(first - second), _norms(second - third), _norms(first - third)
         d0g, d2g = _norms(first - guard), _norms(third - guard)
         all01, all12, all02 = (np.max(d, axis=1, initial=0.0, keepdims=True) for d in (d01, d12, d02))
-        floor = max(ROUND_OFF * size, AT_REST * unit)
+        floor, agreed = (max(share * size, AT_REST * unit) for share in (ROUND_OFF, AGREED))
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio, common = np.where(d01 > 0, d12 / d01, np.inf), np.where(all01 > 0, all12 / all01, np.inf)
         spread = _largest(d01, d12, d02, d0g)
@@ -183,7 +185,7 @@ class _Quantity:
         self._falls = falls
         estimate = np.where(falls, self._factor * d02, np.where(confirmed, np.fmax(d02, d0g), spread))
         self._confirmed = confirmed
-        agrees = d2g <= np.maximum(GUARD_RATIO * estimate, np.maximum(floor, MINOR * all02))
+        agrees = d2g <= np.maximum(GUARD_RATIO * estimate, np.maximum(agreed, MINOR * all02))
         #: Whether the guard is too inaccurate to confirm the estimate closely, so that its difference is included.
         self._widened = (d2g > 0.5 * estimate) & (d2g > floor)
         finite = np.isfinite(d02) & np.isfinite(d2g)

@@ -166,7 +166,7 @@ def plus_minus(value: float, error: float) -> str:
         return f"{value:.4g} (error unknown)"
     if error <= 0:
         return f"{value:.6g} +- 0"
-    digits = max(0, min(15, math.floor(math.log10(max(abs(value), error))) - math.floor(math.log10(error)) + 1))
+    digits = max(0, min(8, math.floor(math.log10(max(abs(value), error))) - math.floor(math.log10(error)) + 1))
     return f"{value:.{max(digits, 3)}g} +- {error:.2g}"
 
 

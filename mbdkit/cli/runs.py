@@ -36,7 +36,7 @@ def run(
     assignments: Set = None,
     overwrite: Overwrite = False,
     check: Annotated[
-        bool, typer.Option("--check", help="Estimate the errors of all rows by companion runs; takes 10 times as long.")
+        bool, typer.Option("--check", help="Estimate errors by companion runs; about ten times as slow.")
     ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,

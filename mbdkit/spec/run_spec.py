@@ -76,7 +76,7 @@ class RunSpec(StrictSpec):
     limits: Limits = Limits()
     """Limits that stop the run early."""
     check: bool = False
-    """Estimate the errors of the recorded rows by companion runs, which take several times as long as the run."""
+    """Estimate the errors of the recorded rows by companion runs, which take about ten times as long as the run."""
 
     _mechanism: Any = PrivateAttr(default=None)
     _watched: Any = PrivateAttr(default=None)
