@@ -5,8 +5,8 @@ To add an array, add its entry to `mbdkit.archive.layout` and its value to `COLU
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,34 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.stepping.interface import Stretch
+
+
+@dataclass(frozen=True)
+class ObservedRows:
+    """States and reactions of B bodies and J joints at T times.
+
+    Parameters
+    ----------
+    time
+        (T,) [s].
+    position, velocity
+        (T, B, 3) [m, rad] and [m/s, rad/s].
+    force
+        (T, J, 2) reaction forces [N].
+    torque
+        (T, J) reaction torques [N m].
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    force: np.ndarray
+    torque: np.ndarray
+
+    @classmethod
+    def joined(cls, parts: Sequence[ObservedRows]) -> ObservedRows:
+        """Return consecutive rows as one."""
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
 
 class ConstraintRows:
@@ -67,6 +95,14 @@ class RecordedStates:
     def reactions(self) -> np.ndarray:
         """(T, J, 3) reaction force (x, y) [N] and torque [N m] of each joint."""
         return self.joints.sum(self.observed.reactions)
+
+    @property
+    def essence(self) -> ObservedRows:
+        """States and reactions, which the estimate of their errors compares with those of other runs."""
+        q, v, reactions = self.stretch.q, self.stretch.v, self.reactions
+        return ObservedRows(
+            self.stretch.time, self.by_body(q), self.by_body(v), reactions[:, :, :2], reactions[:, :, 2]
+        )
 
     @cached_property
     def multiplier(self) -> np.ndarray:

@@ -15,7 +15,7 @@ from mbdkit.engine.observed_states import SingularState, StateObserver
 from mbdkit.engine.redundant_gaps import units_of_pairs
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.workspace import Workspace
-from mbdkit.recorded_columns import COLUMNS, ConstraintRows, RecordedStates
+from mbdkit.recorded_columns import COLUMNS, ConstraintRows, ObservedRows, RecordedStates
 from mbdkit.stepping.interface import Failure, Guards, Stretch
 from mbdkit.text import listed
 from mbdkit.trust.energy_record import EnergyRecord
@@ -78,6 +78,8 @@ class Recorder:
         Largest energies, energy errors and jumps of the recorded states.
     last_time : float
         Time of the last recorded state [s].
+    kept : list of ObservedRows or None
+        If a list, recorded rows are also appended to it.
     """
 
     def __init__(self, workspace: Workspace, writer: ArchiveWriter, guards: Guards = NO_GUARDS):
@@ -92,6 +94,7 @@ class Recorder:
         self.largest, self.largest_angle = np.zeros((2, len(mechanism.joints)))
         self.energies = EnergyRecord()
         self.last_time = workspace.t0
+        self.kept: list[ObservedRows] | None = None
 
     def record(self, stretch: Stretch, elapsed: tuple[float, float], *, start: bool = False) -> Failure | None:
         """Write the rows of a stretch.
@@ -231,6 +234,8 @@ class Recorder:
         self.last_time = float(stretch.time[-1])
         self.energies.add(stretch.time, observed.kinetic, others, states.balance, stretch.intervals[:, 1])
         self.writer.append({key: COLUMNS[key](states) for key in self.writer.row_keys})
+        if self.kept is not None:
+            self.kept.append(states.essence)
 
     def _write_intervals(self, stretch: Stretch) -> None:
         time, steps, size, iterations, iterations_max, rejected = stretch.intervals.T

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mbdkit.archive.accuracy import Accuracy
+from mbdkit.recorded_columns import ObservedRows
 from mbdkit.recorder import Recorder
 from mbdkit.stepping.interface import Advancing, evidence_of
-from mbdkit.trust.criteria import Evidence
+from mbdkit.trust.criteria import EstimatedErrors, Evidence
 
 
 def evidence_of_run(
@@ -64,6 +66,28 @@ def evidence_of_run(
         energy_jump_time=jump_time,
         branch=() if steps is None else steps.branch,
         warnings=warnings,
+    )
+
+
+def estimated_errors(recorder: Recorder, accuracy: Accuracy, size: float) -> EstimatedErrors:
+    """Return the estimated errors of a checked run, as they are judged.
+
+    Parameters
+    ----------
+    recorder
+        The recorder, which has kept the rows.
+    accuracy
+        The estimates.
+    size
+        Size of the mechanism [m].
+    """
+    rows = ObservedRows.joined(recorder.kept or [])
+    figures = accuracy.figures(recorder.workspace.mechanism.joints, rows.force)
+    worst = figures.worst_joint
+    return EstimatedErrors(
+        position=figures.position_error / size,
+        reaction=0.0 if worst is None else worst.share,
+        known_until=figures.known_until,
     )
 
 

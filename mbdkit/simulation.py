@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.accuracy.check_run import check_run
+from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
@@ -23,8 +25,9 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError
 from mbdkit.methods.kinds import Method
 from mbdkit.provenance import provenance
+from mbdkit.recorded_columns import ObservedRows
 from mbdkit.recorder import Recorder, archive_names, shared_forces
-from mbdkit.run_evidence import evidence_of_run
+from mbdkit.run_evidence import estimated_errors, evidence_of_run
 from mbdkit.run_preparation import (
     build,
     caution,
@@ -147,6 +150,9 @@ class _Simulation:
         self.watch: Watch | None = None
         self.failure: Failure | None = None
         self.interrupted = False
+        self.accuracy: Accuracy | None = None
+        if spec.check:
+            self.recorder.kept = []
 
     def run(self, progress: Progress | None) -> Run:
         """Record the initial state, integrate to the end, and finish the archive."""
@@ -164,6 +170,7 @@ class _Simulation:
                 "wall_s": time.perf_counter() - wall,
                 "cpu_s": time.process_time() - cpu,
             }
+            self.check_accuracy()
             return self.finish(timings)
 
     def record_start(self) -> None:
@@ -225,6 +232,14 @@ class _Simulation:
         if recorded < stepper.time and not stepper.finished and not unrecordable:
             self.recorder.record(stepper.last_state(), (elapsed, elapsed))
 
+    def check_accuracy(self) -> None:
+        """Estimate the errors of the recorded rows if the spec asks for it."""
+        kept = self.recorder.kept
+        if not kept:
+            return
+        rows, steps = ObservedRows.joined(kept), self.stepper.counters.steps if self.stepper is not None else 0
+        self.accuracy = check_run(self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted)
+
     def finish(self, timings: dict[str, float]) -> Run:
         """Finish the archive with the final status, and return the run."""
         stepper = self.stepper
@@ -242,9 +257,17 @@ class _Simulation:
             stepper.worst_pairs if stepper is not None else np.zeros(pairs)
         )
         ending = status, reason
-        judgement = judge(evidence_of_run(self.recorder, stepper, ending, misalignment_max, self.size, self.warnings))
+        evidence = evidence_of_run(self.recorder, stepper, ending, misalignment_max, self.size, self.warnings)
+        errors = None if self.accuracy is None else estimated_errors(self.recorder, self.accuracy, self.size)
+        judgement = judge(evidence, errors)
         file = self.writer.finish(
-            status, reason, {**counters, **timings}, misalignment_max, judgement=judgement, warnings=self.warnings
+            status,
+            reason,
+            {**counters, **timings},
+            misalignment_max,
+            accuracy=self.accuracy,
+            judgement=judgement,
+            warnings=self.warnings,
         )
         if file is not None:
             return Run(file)

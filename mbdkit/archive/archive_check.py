@@ -59,6 +59,8 @@ class _Checker:
             self.times()
         with self.reading("the events"):
             self.events()
+        with self.reading("the estimated errors"):
+            self.accuracy()
         with self.reading("the names of axes"):
             self.names()
         with self.reading("misalignment_max"):
@@ -145,6 +147,8 @@ class _Checker:
         extra = frozenset(path for path, array in BY_PATH.items() if array.optional and path in self.file)
         if self.spec.get("events") or "events" in self.file:
             extra |= frozenset(layout.EVENTS)
+        if "accuracy" in self.file:
+            extra |= frozenset(layout.ACCURACY)
         return layout.recorded((wanted & layout.QUANTITIES) | present, extra)
 
     def array(self, array: Array) -> None:
@@ -169,7 +173,8 @@ class _Checker:
                 self.say(f"{path} is not a dimension scale")
         else:
             self.scales(array, dataset)
-        if self.status != "running" and dtype == layout.FLOAT:
+        unknown_is_nan = array.group == "accuracy"
+        if self.status != "running" and dtype == layout.FLOAT and not unknown_is_nan:
             bad = sum(int(np.count_nonzero(~np.isfinite(block))) for block in blocks(dataset))
             if bad:
                 self.say(f"{path} has {bad} values that are not finite")
@@ -202,7 +207,7 @@ class _Checker:
         time = self.file["trajectory/time"][:]
         if np.any(np.diff(time) <= 0):
             self.say("trajectory/time does not increase from row to row")
-        for group in ("joints", "constraints", "energy"):
+        for group in ("joints", "constraints", "energy", "accuracy"):
             if f"{group}/time" in self.file and not np.array_equal(self.file[f"{group}/time"][:], time):
                 self.say(f"{group}/time differs from trajectory/time")
         elapsed = self.file.get("trajectory/elapsed_s")
@@ -230,8 +235,27 @@ class _Checker:
         if isinstance(known, dict) and (strange := set(group["name"].asstr()[:]) - set(known)):
             self.say(f"events/name has {', '.join(sorted(strange))}, which the spec does not have")
 
+    def accuracy(self) -> None:
+        group = self.file.get("accuracy")
+        if group is None or any(path not in self.file for path in layout.ACCURACY):
+            return
+        for name, kind in (("known_until", np.floating), ("order_observed", np.floating), ("method", str)):
+            if not isinstance(group.attrs.get(name), kind):
+                self.say(f"the attribute {name} of accuracy is missing or has the wrong type")
+                return
+        known = group.attrs["known_until"]
+        count = 0 if np.isnan(known) else int(np.searchsorted(group["time"][:], known, side="right"))
+        for path in layout.ACCURACY:
+            if path.endswith("_error"):
+                values = self.file[path][:]
+                if not np.all(np.isfinite(values[:count])):
+                    self.say(f"{path} has unknown values before known_until")
+                if np.any(values < 0) or np.any(np.diff(values, axis=0) < 0):
+                    self.say(f"{path} is negative or decreases")
+
     def names(self) -> None:
         fixed = (
+            ("accuracy/coordinate", layout.COORDINATES),
             ("trajectory/coordinate", layout.COORDINATES),
             ("events/coordinate", layout.COORDINATES),
             ("joints/axis", layout.AXES),
@@ -244,9 +268,13 @@ class _Checker:
                 names = list(self.file[path].asstr()[:])
                 if len(set(names)) < len(names):
                     self.say(f"{path} has a name twice")
-        ours = self.file.get("events/body")
-        if ours is not None and list(ours[:]) != list(self.file["trajectory/body"][:]):
-            self.say("events/body differs from trajectory/body")
+        for path, of in (
+            ("events/body", "trajectory/body"),
+            ("accuracy/body", "trajectory/body"),
+            ("accuracy/joint", "joints/joint"),
+        ):
+            if path in self.file and list(self.file[path][:]) != list(self.file[of][:]):
+                self.say(f"{path} differs from {of}")
 
     def misalignment(self) -> None:
         if self.status == "running" or "joints/joint" not in self.file:

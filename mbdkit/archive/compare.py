@@ -10,7 +10,7 @@ import numpy as np
 
 from mbdkit.archive.fingerprint import blocks, datasets, is_text
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.layout import is_timing
+from mbdkit.archive.layout import is_hashed
 from mbdkit.archive.run import Run
 
 #: Provenance attributes that cannot affect the results.
@@ -89,7 +89,7 @@ def compare(first: Run, second: Run) -> Comparison:
 
 
 def _arrays(run: Run) -> dict[str, h5py.Dataset]:
-    return {item.name.lstrip("/"): item for item in datasets(run.file) if not is_timing(item.name)}
+    return {item.name.lstrip("/"): item for item in datasets(run.file) if is_hashed(item.name)}
 
 
 def _difference(one: h5py.Dataset | None, two: h5py.Dataset | None) -> float:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 import h5py
 import numpy as np
 
-from mbdkit.archive.layout import TEXT, is_timing
+from mbdkit.archive.layout import TEXT, is_hashed
 
 BLOCK_BYTES = 1 << 23
 
@@ -65,8 +65,8 @@ def datasets(group: h5py.Group) -> Iterator[h5py.Dataset]:
 
 
 def data_sha256(file: h5py.File) -> str:
-    """Return the hash of all arrays of an open archive except timings, in lower-case hexadecimal digits."""
-    return digest_lines(dataset_line(item) for item in datasets(file) if not is_timing(item.name))
+    """Return the hash of all arrays of an archive except timings and estimated errors, in lower-case hexadecimal."""
+    return digest_lines(dataset_line(item) for item in datasets(file) if is_hashed(item.name))
 
 
 def spec_sha256(spec_json: str) -> str:

@@ -32,6 +32,8 @@ class NotRecordedError(MbdkitError, KeyError):
         why = "`output.quantities` in its spec selects the recorded quantities"
         if what in BY_PATH and BY_PATH[what].optional:
             why = "its method, stabilization and events do not produce it"
+        if what.startswith("accuracy/"):
+            why = "`check: true` in its spec, or `--check`, estimates errors"
         super().__init__(f"this run did not record {what}; {why}")
 
     def __str__(self) -> str:

@@ -14,7 +14,7 @@ from mbdkit.archive.hdf5 import dims
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import COUNTERS, TEXT, TIMINGS
 from mbdkit.archive.reader import load
-from mbdkit.archive.run_summary import corrections
+from mbdkit.archive.run_summary import accuracy_sentence, corrections
 
 #: Maximum number of items of a list to print.
 NAMES_SHOWN = 32
@@ -54,6 +54,7 @@ def describe(path: str | Path) -> dict[str, Any]:
             "formulation": run.spec.get("formulation"),
             "stabilization": run.spec.get("stabilization"),
             "corrections": corrections(run),
+            "accuracy": accuracy_sentence(run),
             "rows": len(time),
             "start": float(time[0]) if len(time) else None,
             "end": float(time[-1]) if len(time) else None,

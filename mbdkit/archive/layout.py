@@ -142,6 +142,14 @@ def _events(name: str, dims: tuple[str, ...], units: str, what: str, dtype: str 
     return Array(f"events/{name}", dims, units, what, dtype, row_units, optional=True)
 
 
+def _accuracy(name: str, dims: tuple[str, ...], units: str, what: str, row_units: str = "") -> Array:
+    return Array(f"accuracy/{name}", dims, units, what, row_units=row_units, optional=True)
+
+
+def _accuracy_names(name: str, what: str, dim: str = "") -> Array:
+    return Array(f"accuracy/{name}", (dim or name,), "1", what, TEXT, optional=True)
+
+
 _TBC = ("time", "body", "coordinate")
 _TJ = ("time", "joint")
 _TM = ("time", "constraint")
@@ -277,10 +285,42 @@ LAYOUT: tuple[Array, ...] = (
     _events("direction", _E, "1", "1 where it crossed zero upwards, -1 downwards", INTEGER),
     _events("position", _EBC, MIXED, "position and angle of the body then", row_units="row_units"),
     _events("velocity", _EBC, MIXED, "velocity and angular velocity then", row_units="velocity_row_units"),
+    _accuracy("time", _T, "s", "time of the recorded row"),
+    _accuracy_names("body", "name of the body"),
+    _accuracy_names("coordinate", "coordinate of a body: its centre of mass in the global frame, and its angle"),
+    _accuracy_names("row_units", "units of position_error, row by row", "coordinate"),
+    _accuracy_names("velocity_row_units", "units of velocity_error, row by row", "coordinate"),
+    _accuracy_names("joint", "name of the joint"),
+    _accuracy(
+        "position_error",
+        _TBC,
+        MIXED,
+        "estimated error of position and angle so far, nan where unknown",
+        "row_units",
+    ),
+    _accuracy(
+        "velocity_error",
+        _TBC,
+        MIXED,
+        "estimated error of velocity and angular velocity so far, nan where unknown",
+        "velocity_row_units",
+    ),
+    _accuracy("reaction_error", _TJ, "N", "estimated norm of the error of reaction_force so far, nan where unknown"),
+    _accuracy("torque_error", _TJ, "N m", "estimated error of reaction_torque so far, nan where unknown"),
 )
 
 #: Paths of the arrays of events; all of them are present if the spec has events.
 EVENTS = tuple(array.path for array in LAYOUT if array.group == "events")
+
+#: Paths of the arrays of estimated errors; all of them are present after a check of accuracy.
+ACCURACY = tuple(array.path for array in LAYOUT if array.group == "accuracy")
+
+#: Values of the arrays of `ACCURACY` along the axis ``coordinate``.
+AXIS_NAMES: Mapping[str, tuple[str, ...]] = {
+    "coordinate": COORDINATES,
+    "row_units": ("m", "m", "rad"),
+    "velocity_row_units": ("m/s", "m/s", "rad/s"),
+}
 
 #: Paths of the arrays of corrections, by the kind of stabilization.
 CORRECTIONS: Mapping[str, tuple[str, ...]] = {
@@ -293,12 +333,17 @@ CORRECTIONS: Mapping[str, tuple[str, ...]] = {
 ALWAYS = frozenset(("joints/joint", "joints/first_body", "joints/second_body"))
 
 BY_PATH: Mapping[str, Array] = {array.path: array for array in LAYOUT}
-GROUPS = ("trajectory", "joints", "constraints", "energy", "steps", "events")
+GROUPS = ("trajectory", "joints", "constraints", "energy", "steps", "events", "accuracy")
 
 
 def is_timing(path: str) -> bool:
     """Whether the array at `path` holds wall time (name ending in ``_s``), which the hashes exclude."""
     return path.endswith("_s")
+
+
+def is_hashed(path: str) -> bool:
+    """Whether the array at `path` is part of the data of a run: no wall time, and no estimate of its errors."""
+    return not is_timing(path) and not path.lstrip("/").startswith("accuracy/")
 
 
 def recorded(quantities: frozenset[str], extra: frozenset[str] = frozenset()) -> tuple[Array, ...]:

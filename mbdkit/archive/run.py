@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
+from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import cause, reading
 from mbdkit.archive.history import (
@@ -265,6 +266,13 @@ class Run:
     def events(self) -> Events:
         """Crossings of the spec's events in order of time; empty if the spec has no events."""
         return Events.of(self, tuple(self.spec.get("events") or ()), len(self.bodies))
+
+    @cached_property
+    def accuracy(self) -> Accuracy | None:
+        """Estimated errors of the recorded rows; None if the run was not checked (``check: true`` in its spec)."""
+        with reading("accuracy", self.path):
+            group = self.file.get("accuracy")
+            return None if group is None else Accuracy.read(group)
 
     @cached_property
     def _largest_misalignments(self) -> np.ndarray:

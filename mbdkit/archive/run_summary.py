@@ -64,6 +64,8 @@ def summary(run: Run) -> str:
         ("counters", _counters(run.stats)),
         ("archive", "in memory" if run.path is None else str(run.path)),
     ]
+    if run.accuracy is not None:
+        lines.insert(1, ("accuracy", accuracy_sentence(run)))
     if spec.get("title"):
         lines.insert(len(verdict_lines(run)), ("run", " ".join(str(spec["title"]).split())))
     return "\n".join(f"{label:<13} {text}" for label, text in lines if text)
@@ -130,6 +132,48 @@ def corrections(run: Run) -> str:
     if run.records("steps/acceleration_correction"):
         told.append(f"terms of at most {np.max(run.steps.acceleration_correction, initial=0.0):.3g} m/s^2")
     return ", ".join(told)
+
+
+def accuracy_sentence(run: Run) -> str:
+    """Return a sentence on the estimated errors of a run: the largest reaction, or position, and how well it is known.
+
+    Parameters
+    ----------
+    run
+        The run; the sentence is empty if its errors were not estimated.
+    """
+    accuracy = run.accuracy
+    if accuracy is None or not len(run.time):
+        return ""
+    if not accuracy.rows_known:
+        return "errors unknown: the companion runs of the check do not agree with this run and each other"
+    until = "" if accuracy.is_complete else f" until {accuracy.known_until:.4g} s"
+    afterwards = "" if accuracy.is_complete else "; errors unknown afterwards"
+    position = f"positions known to {accuracy.position_error_max:.2g} m"
+    if run.joints and run.records("joints/reaction_force"):
+        joints = accuracy.of_joints(run.joint_names, run.array("joints/reaction_force"))
+        largest = max(joints, key=lambda joint: joint.peak_known)
+        if largest.peak_known > 0:
+            value = plus_minus(largest.peak_known, largest.error).partition(" ")[0]
+            known = f"largest force in {largest.name} {value} N, known to {largest.error:.2g} N{until}"
+            return f"{known}; {position}{afterwards}"
+    return f"{position}{until}{afterwards}"
+
+
+def plus_minus(value: float, error: float) -> str:
+    """Return a value and its error, such as ``368.2 +- 0.3``, with the digits that the error leaves.
+
+    Parameters
+    ----------
+    value, error
+        In one unit; the error may be nan, for unknown.
+    """
+    if not math.isfinite(error):
+        return f"{value:.4g} (error unknown)"
+    if error <= 0:
+        return f"{value:.6g} +- 0"
+    digits = max(0, min(8, math.floor(math.log10(max(abs(value), error))) - math.floor(math.log10(error)) + 1))
+    return f"{value:.{max(digits, 3)}g} +- {error:.2g}"
 
 
 def _time(run: Run) -> str:

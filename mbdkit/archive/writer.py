@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
+from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import digest_lines, line, text_bytes
 from mbdkit.archive.growing_array import Table
 from mbdkit.archive.hdf5 import create, set_text, set_texts
@@ -141,7 +142,7 @@ class ArchiveWriter:
         events = [array for array in growing if array.dims[0] == "event"]
         self._events = Table(events, sizes, self._write_more) if events else None
         self._tables = tuple(filter(None, (self._rows, self._steps, self._events)))
-        self._shared = shared
+        self._shared, self._names = shared, names
         self._lines: list[str] = []
         self._flushed: float | None = None
         self._kept = False
@@ -239,6 +240,7 @@ class ArchiveWriter:
         *,
         judgement: Judgement = UNJUDGED,
         warnings: Sequence[str] = (),
+        accuracy: Accuracy | None = None,
     ) -> h5py.File | None:
         """Write the remaining rows, the hash and the status, and rename the archive to its final name.
 
@@ -254,6 +256,8 @@ class ArchiveWriter:
             ``finish_s``, its own duration up to the renaming.
         misalignment_max
             Largest misalignment of each joint over all steps, (J,), m.
+        accuracy
+            Estimated errors of the rows, if they were checked.
         judgement
             The verdict on the run; ``unknown`` by default.
         warnings
@@ -274,8 +278,11 @@ class ArchiveWriter:
             raise ValueError(f"a run ends as complete, failed or interrupted, not {status!r}")
         file = self._file
         with self._storing():
-            with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(misalignment_max)):
+            errors = 0 if accuracy is None else accuracy.size_in_bytes + _ATTRIBUTE_BYTES
+            with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(misalignment_max) + errors):
                 self._write_tables(more=False)
+                if accuracy is not None:
+                    accuracy.write(file, self._names.bodies, self._names.joints)
                 self._write_end(status, reason, {**stats, "finish_s": 0.0}, np.asarray(misalignment_max, layout.FLOAT))
                 self._write_verdict(judgement, warnings)
             if self._target is None:

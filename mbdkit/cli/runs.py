@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -18,6 +19,7 @@ from mbdkit.terminal import progress_bar, say, silence
 from mbdkit.text import table
 
 if TYPE_CHECKING:
+    from mbdkit.archive.accuracy import Accuracy
     from mbdkit.archive.run import Run
     from mbdkit.engine.assembly import AssembledState
     from mbdkit.engine.workspace import Workspace
@@ -33,16 +35,23 @@ def run(
     ] = None,
     assignments: Set = None,
     overwrite: Overwrite = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Estimate errors by companion runs; about ten times as slow.")
+    ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Run a spec and write its archive."""
+    """Run a spec and write its archive.
+
+    With --check, companion runs estimate the errors of positions, velocities and
+    reactions, and tell until when they are known.
+    """
     path = output if output is not None else Path(f"{stem(spec)}.h5")
     check_new(path, spec, overwrite)
     from mbdkit.spec import load_spec
 
-    checked = load_spec(spec, assignments or ())
+    checked = load_spec(spec, [*(assignments or ()), *(["check=true"] if check else [])])
     from mbdkit.simulation import simulate  # compiled code: not needed to refuse a spec
 
     with _placing(checked), progress_bar(path.name, quiet) as progress:
@@ -182,7 +191,30 @@ def _outcome(result: Run) -> dict[str, Any]:
         "stats": dict(result.stats),
         "misalignment_max": result.misalignment_max,
         "events": [asdict(event) for event in result.events],
+        **({} if result.accuracy is None else {"accuracy": _accuracy(result, result.accuracy)}),
     }
+
+
+def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, Any]:
+    """Return the estimated errors in numbers; None where they are unknown."""
+    joints = {}
+    if result.records("joints/reaction_force"):
+        force = result.array("joints/reaction_force")
+        joints = {
+            joint.name: {"largest_force": joint.peak, "error": _number(joint.error)}
+            for joint in accuracy.of_joints(result.joint_names, force)
+        }
+    return {
+        "known_until": _number(accuracy.known_until),
+        "order_observed": _number(accuracy.order_observed),
+        "position_error": _number(accuracy.position_error_max),
+        "joints": joints,
+        "method": accuracy.method,
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _exit_with(result: Run, *, told: bool = False) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,12 +24,28 @@ SMALLEST = 1e-18
 
 @dataclass(frozen=True)
 class JointQuantity:
-    """A quantity of every joint over time."""
+    """A quantity of every joint over time.
+
+    Parameters
+    ----------
+    name, unit
+        Name and unit for labels.
+    joints
+        Names of the J joints.
+    data
+        One curve for each joint.
+    errors
+        (K, J) estimated errors at the times of `data`, nan where unknown; None if they were not estimated.
+    known_until
+        Time until which the errors are known [s]; nan if they are known to the end, or were not estimated.
+    """
 
     name: str
     unit: str
     joints: Sequence[str]
     data: Bands
+    errors: Array | None = None
+    known_until: float = math.nan
 
     @property
     def zero(self) -> bool:
@@ -50,7 +67,9 @@ class JointQuantity:
         """Return the same quantity of some of the joints."""
         data = self.data
         part = Bands(data.time, data.low[:, columns], data.high[:, columns], data.peaks[columns], data.exact)
-        return JointQuantity(self.name, self.unit, [self.joints[column] for column in columns], part)
+        errors = None if self.errors is None else self.errors[:, columns]
+        joints = [self.joints[column] for column in columns]
+        return JointQuantity(self.name, self.unit, joints, part, errors, self.known_until)
 
 
 def joint_quantity(
@@ -84,10 +103,27 @@ def angle_misalignment(run: Run) -> JointQuantity:
 
 
 def reaction_force(run: Run) -> JointQuantity:
-    """Return the magnitude of the reaction force of every joint [N]."""
-    return joint_quantity(
+    """Return the magnitude of the reaction force of every joint [N], with its estimated error."""
+    force = joint_quantity(
         run, "reaction force", "joints/reaction_force", "N", lambda force: np.hypot(force[..., 0], force[..., 1])
     )
+    return _with_errors(run, force, "reaction_error")
+
+
+def reaction_torque(run: Run) -> JointQuantity:
+    """Return the reaction torque of every joint [N m], with its estimated error."""
+    return _with_errors(run, joint_quantity(run, "reaction torque", "joints/reaction_torque", "N m"), "torque_error")
+
+
+def _with_errors(run: Run, quantity: JointQuantity, name: str) -> JointQuantity:
+    """Add the estimated errors of a run to a quantity, if they were estimated."""
+    accuracy = run.accuracy
+    if accuracy is None:
+        return quantity
+    errors: Array = getattr(accuracy, name)
+    rows = np.searchsorted(accuracy.time, quantity.data.time, side="right") - 1
+    until = math.nan if accuracy.is_complete else accuracy.known_until
+    return replace(quantity, errors=errors[rows], known_until=until)
 
 
 def joint_lines(quantity: JointQuantity) -> tuple[Line, ...]:
@@ -132,6 +168,22 @@ def draw_joints(axes: Axes, quantity: JointQuantity, *, log: bool = False, title
         (line,) = axes.plot(time, values, color=color, linewidth=1.1, marker=single_row_marker(time))
         handles.append(line)
         labels.append(joints[chosen])
+        if quantity.errors is not None and not log:
+            error = quantity.errors[:, chosen]
+            low, high = data.low[:, chosen] - error, data.high[:, chosen] + error
+            axes.fill_between(data.time, low, high, color=color, alpha=0.25, linewidth=0)
+    if np.isfinite(quantity.known_until):
+        axes.axvline(quantity.known_until, color=FAINT, linewidth=1.0, linestyle=":")
+        axes.annotate(
+            "errors unknown afterwards",
+            (quantity.known_until, 0.98),
+            xycoords=("data", "axes fraction"),
+            xytext=(3, 0),
+            textcoords="offset points",
+            size=7.5,
+            color=FAINT,
+            va="top",
+        )
     legend(axes, handles, labels)
     if log:
         axes.set_yscale("log")

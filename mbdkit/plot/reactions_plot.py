@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Axis, Figure
-from mbdkit.plot.joint_quantity import draw_joints, joint_lines, joint_quantity, reaction_force
+from mbdkit.analysis.verdict import Axis, Figure, Mark
+from mbdkit.plot.joint_quantity import draw_joints, joint_lines, reaction_force, reaction_torque
 from mbdkit.plot.panel import Panel
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ _ROUND_OFF = 1e-10
 def panels(run: Run) -> list[Panel]:
     """Return the panel of the forces and, if there are torques, that of the joints which carry them."""
     force = reaction_force(run)
-    torque = joint_quantity(run, "reaction torque", "joints/reaction_torque", "N m")
+    torque = reaction_torque(run)
     largest = np.nan_to_num(torque.data.peaks)
     size = float(np.max(largest, initial=0.0))
     found = [Panel(partial(draw_joints, quantity=force))]
@@ -36,5 +37,9 @@ def charts(run: Run) -> list[Figure]:
     if not (run.records("joints/reaction_force") and run.joint_names):
         return []
     caption = "Magnitude of the force that the first body of each joint exerts on the second."
-    lines = joint_lines(reaction_force(run))
-    return [Figure("reactions", "Joint forces", caption, Axis("time", "s"), Axis("force", "N"), lines)]
+    force = reaction_force(run)
+    marks: tuple[Mark, ...] = ()
+    if math.isfinite(force.known_until):
+        marks = (Mark("errors unknown afterwards", force.known_until),)
+    lines = joint_lines(force)
+    return [Figure("reactions", "Joint forces", caption, Axis("time", "s"), Axis("force", "N"), lines, marks=marks)]

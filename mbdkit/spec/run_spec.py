@@ -43,7 +43,7 @@ class RunSpec(StrictSpec):
     """
 
     model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("events",)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("events", "check")
     """Keys that the canonical form omits if empty, so that specs written before they existed keep hash and run id."""
 
     mbdkit: Literal[1]
@@ -67,6 +67,8 @@ class RunSpec(StrictSpec):
     """Events by name: zero crossings of expressions in the state of the run, which are recorded or stop the run."""
     limits: Limits = Limits()
     """Limits that stop the run early."""
+    check: bool = False
+    """Estimate the errors of the recorded rows by companion runs, which take about ten times as long as the run."""
 
     _mechanism: Any = PrivateAttr(default=None)
     _watched: Any = PrivateAttr(default=None)

@@ -12,7 +12,7 @@ from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.reader import load
 from mbdkit.spec.study_spec import ERRORS, StudySpec
 from mbdkit.studies.known_runs import KnownRuns
-from mbdkit.studies.measures import MEASURES, SECOND, worst_joint
+from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, worst_joint
 from mbdkit.studies.planned_points import PlannedPoint
 from mbdkit.studies.pool import Outcome
 from mbdkit.studies.study_index import Index, Row, quartiles
@@ -143,4 +143,6 @@ class _Collector:
 
     def values(self, run: Run, reference: Run | None) -> dict[str, float]:
         taken = {name: MEASURES[name].take(run, reference) for name in self.measures}
+        if run.accuracy is not None:
+            taken |= {name: measure.take(run, reference) for name, measure in OF_CHECKED_RUNS.items()}
         return taken | {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}

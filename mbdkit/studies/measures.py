@@ -178,6 +178,35 @@ MEASURES: Mapping[str, Measure] = {
         "m", "longer side of the bounding box of joint points and centres of mass at the start", _size
     ),
 }
+
+
+def _known_until(run: Run, reference: Run | None) -> float:
+    return math.nan if run.accuracy is None else run.accuracy.known_until
+
+
+def _reaction_error_share(run: Run, reference: Run | None) -> float:
+    if run.accuracy is None or not run.records("joints/reaction_force"):
+        return math.nan
+    worst = run.accuracy.figures(run.joint_names, run.array("joints/reaction_force")).worst_joint
+    return 0.0 if worst is None else worst.share
+
+
+def _position_error(run: Run, reference: Run | None) -> float:
+    return math.nan if run.accuracy is None else run.accuracy.position_error_max
+
+
+#: Measures of runs whose spec has ``check: true``, in addition to those that the study asks for.
+OF_CHECKED_RUNS: Mapping[str, Measure] = {
+    "known_until": Measure("s", "time until which the estimated errors are known", _known_until),
+    "reaction_error_share": Measure(
+        "1",
+        "largest estimated error of a reaction force until then, relative to the joint's largest force",
+        _reaction_error_share,
+    ),
+    "position_error_estimate": Measure(
+        "m", "largest estimated error of the position of a body until then", _position_error
+    ),
+}
 #: Measures that need a second run: units and description.
 SECOND: Mapping[str, tuple[str, str]] = {
     "reversibility_defect": (

@@ -18,7 +18,7 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import COUNTERS, FLOAT, INTEGER, TEXT, TIMINGS, Array
 from mbdkit.archive.part_file import LIBVER
 from mbdkit.errors import SpecError
-from mbdkit.studies.measures import MEASURES, SECOND
+from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND
 from mbdkit.studies.planned_points import Label
 
 FORMAT = "mbdkit-study"
@@ -187,6 +187,8 @@ def described(name: str) -> tuple[str, str]:
     """
     if name in MEASURES:
         return MEASURES[name].units, MEASURES[name].long_name
+    if name in OF_CHECKED_RUNS:
+        return OF_CHECKED_RUNS[name].units, OF_CHECKED_RUNS[name].long_name
     if name in SECOND:
         return SECOND[name]
     if name in COUNTERS:
@@ -227,7 +229,7 @@ def read(path: Path) -> Index:
 def _read_rows(group: h5py.Group, dim: str) -> tuple[Row, ...]:
     empty = [""] * len(group[dim])  # for columns that earlier versions of the format lack
     texts = {name: list(group[name].asstr()[:]) if name in group else empty for name in _TEXTS}
-    known = (*MEASURES, *SECOND, *COUNTERS, *TIMINGS, *QUARTILES)
+    known = (*MEASURES, *OF_CHECKED_RUNS, *SECOND, *COUNTERS, *TIMINGS, *QUARTILES)
     values = {name: group[name][:] for name in known if name in group}
     modified = group["file_modified_s"][:]
     repeats = group["wall_repeats_s"][:] if "wall_repeats_s" in group else np.empty((len(modified), 0))

@@ -96,7 +96,7 @@ class BranchSuspicion:
 
 
 @dataclass(frozen=True)
-class Accuracy:
+class EstimatedErrors:
     """Estimated errors of a run, over the rows up to `known_until`.
 
     Parameters
@@ -106,7 +106,7 @@ class Accuracy:
     reaction
         Largest error of a joint's force, as a share of the largest force in that joint.
     known_until
-        Time up to which the errors are known [s].
+        Time up to which the errors are known [s]; nan if none is.
     """
 
     position: float
@@ -178,7 +178,7 @@ class Judgement:
     reasons: tuple[str, ...] = field(default=())
 
 
-def judge(evidence: Evidence, accuracy: Accuracy | None = None) -> Judgement:
+def judge(evidence: Evidence, accuracy: EstimatedErrors | None = None) -> Judgement:
     """Return the verdict on a run.
 
     Parameters
@@ -255,7 +255,10 @@ def _branches(evidence: Evidence) -> Found:
             yield "bad", f"The motion turns in a singular position at t = {one.time:.6g} s, {turn}: {advice}."
 
 
-def _errors(evidence: Evidence, accuracy: Accuracy) -> Found:
+def _errors(evidence: Evidence, accuracy: EstimatedErrors) -> Found:
+    if math.isnan(accuracy.known_until):
+        yield "doubtful", "The error could not be estimated: the companion runs do not approach each other."
+        return
     if accuracy.known_until < evidence.end:
         yield (
             "doubtful",

@@ -1,0 +1,1 @@
+"""Estimates of the error of a run, from companion runs of the same mechanism."""

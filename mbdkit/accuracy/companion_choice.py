@@ -1,0 +1,200 @@
+"""Chooses the companions of a run: two finer runs of its own method, and guards of other methods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from mbdkit.accuracy.companion import NEVER, Companion, finer, row_interval
+from mbdkit.engine.stabilization import NONE, Stabilization
+from mbdkit.engine.workspace import Workspace
+from mbdkit.methods import dop853, gauss, radau_iia
+from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, LobattoPair, Method, SciPySolver, Tolerances
+from mbdkit.run_preparation import make_method, timetable
+from mbdkit.spec import RunSpec
+from mbdkit.stepping.interface import Timetable
+
+HALVINGS = (2, 4)
+"""Factors by which the steps of the companions of a fixed-step run are shorter."""
+
+TENTHS = (10.0, 100.0)
+"""Factors by which the tolerances of the companions of an adaptive run are tighter."""
+
+OTHER_TENTHS = (1e3, 1e5)
+"""The same for companions of another method than the run's: SciPy's Radau is up to 100 times as accurate as asked."""
+
+TIGHTEST = 1e-13
+"""Smallest tolerance of a companion; below it, rounding errors dominate."""
+
+GUARD_TOLERANCE = 1e-13
+"""Tolerance of the guard DOP853. Its error must be small beside that of the run, or the guard widens the estimate."""
+
+IMPLICIT_GUARD_TOLERANCE = 1e-11
+"""Tolerance of an implicit guard, which takes more steps for it."""
+
+GUARD_STEPS = (20_000, 40)
+"""Most steps of a guard: a number, plus this number times the steps of the run. Stiff problems exceed it in explicit
+steps, and the next guard is tried. A limit on wall time would make the result depend on the machine."""
+
+SINGLE_STEPS = (5_000, 10)
+"""The same for companions that stop after each step, each of which takes about 0.1 ms more."""
+
+
+LOOKS = 2_000
+"""Least number of steps of a guard, unless the run itself has as many fixed steps. Adaptive steps of a body at rest
+grow without bound, and pass over a pulse at any tolerance."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The companions of a run.
+
+    Attributes
+    ----------
+    finer
+        Two runs of increasing accuracy.
+    guards
+        Runs by other methods; the first one that reaches the end is used.
+    refinement
+        Factor between their steps or tolerances; base of the observed order.
+    what
+        What is divided by that factor: ``step`` or ``tolerance``.
+    """
+
+    finer: tuple[Companion, Companion]
+    guards: tuple[Companion, ...]
+    refinement: float
+    what: str
+
+
+def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times: np.ndarray, steps: int) -> Chosen:
+    """Choose the companions of a run.
+
+    Parameters
+    ----------
+    spec, method, workspace
+        The run.
+    times
+        (T,) times of its recorded rows [s].
+    steps
+        Number of its steps.
+    """
+    if not spec.claims.adaptive:
+        plan = timetable(spec)
+        tables = [finer(plan, times, factor) for factor in HALVINGS]
+        first, second = (
+            Companion(
+                f"step {table.step:.4g} s",
+                partial(make_method, spec),
+                table,
+                spec.formulation,
+                spec.stabilized,
+                within_steps=False,
+            )
+            for table in tables
+        )
+        interval = row_interval(plan)
+        return Chosen((first, second), _guards(method, workspace, times, steps, interval), 2.0, "step")
+    first, second = _tighter(spec, method, workspace, times, steps)
+    own = _has_tolerances(spec, method)
+    rough, fine = TENTHS if own else OTHER_TENTHS
+    return Chosen((first, second), _guards(method, workspace, times, steps, None), fine / rough, "tolerance")
+
+
+def _tighter(
+    spec: RunSpec, method: Method, workspace: Workspace, times: np.ndarray, steps: int
+) -> tuple[Companion, Companion]:
+    """Return two companions of an adaptive run with tighter tolerances.
+
+    Methods of SciPy have no states inside steps that are as accurate as their ends, and of plugins the names of the
+    tolerances are not known. Their companions are runs of the adaptive Radau IIA method.
+    """
+    options = spec.integrator
+    own = _has_tolerances(spec, method)
+    rtol = getattr(options, "rtol", None) or 1e-6
+    atol = getattr(options, "atol", None) or rtol
+    found = []
+    for factor in TENTHS if own else OTHER_TENTHS:
+        tolerances = Tolerances(max(rtol / factor, TIGHTEST), max(atol / factor, TIGHTEST * atol / rtol))
+        table = replace(_steps_within(times, spec.limits.max_steps * int(factor)), step=spec.time.step if own else None)
+        if own:
+            update = {"rtol": tolerances.rtol, "atol": tolerances.atol}
+            create: Callable[[], Method] = partial(spec.integrator_plugin.create, options.model_copy(update=update))
+            name = f"tolerance {tolerances.rtol:.2g}"
+            found.append(Companion(name, create, table, spec.formulation, spec.stabilized, within_steps=True))
+        else:
+            create = partial(_radau, tolerances)
+            name = f"adaptive radau-iia with tolerance {tolerances.rtol:.2g}"
+            found.append(Companion(name, create, table, "index-1", _projected(workspace), within_steps=True))
+    return found[0], found[1]
+
+
+def _has_tolerances(spec: RunSpec, method: Method) -> bool:
+    """Return whether the companions of an adaptive run can be runs of its own method."""
+    known = "rtol" in type(spec.integrator).model_fields
+    return known and isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta)
+
+
+def _guards(
+    method: Method, workspace: Workspace, times: np.ndarray, steps: int, interval: float | None
+) -> tuple[Companion, ...]:
+    """Return guards by methods other than that of the run: explicit first, then implicit.
+
+    Guards solve the index-1 equations and are projected onto the constraints, so that they also differ in drift, and
+    pass singular positions on the right branch.
+    """
+    name = method.tableau.name if isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) else ""
+    within = _steps_within(times, LOOKS + _most(SINGLE_STEPS, steps))
+    dense, longest = within, (within.end - within.start) / LOOKS
+    if interval is not None and steps >= LOOKS:
+        dense = replace(within, every=1, interval=interval, single=False, max_steps=_most(GUARD_STEPS, steps))
+    tight = Tolerances(GUARD_TOLERANCE, GUARD_TOLERANCE)
+    loose = Tolerances(IMPLICIT_GUARD_TOLERANCE, IMPLICIT_GUARD_TOLERANCE)
+    candidates: Sequence[tuple[str, str, Callable[[], Method], Timetable]] = (
+        ("dop853", "dop853", partial(_dop853, tight), dense),
+        ("radau-iia", "radau-iia of order 9", partial(_radau, loose), within),
+        ("gauss", "gauss of order 10", partial(_gauss, loose), within),
+    )
+    stiff = isinstance(method, ImplicitRungeKutta | LobattoPair | SciPySolver)
+    return tuple(
+        Companion(
+            f"adaptive {told}",
+            create,
+            table,
+            "index-1",
+            _projected(workspace),
+            within_steps=table is within,
+            longest_step=longest if table is within else None,
+        )
+        for family, told, create, table in candidates
+        if not name.startswith(family) and (family != "gauss" or stiff)
+    )
+
+
+def _most(limits: tuple[int, int], steps: int) -> int:
+    return limits[0] + limits[1] * steps
+
+
+def _projected(workspace: Workspace) -> Stabilization:
+    """Return projection after every step, if there is anything to project onto."""
+    return Stabilization("projection") if len(workspace.mechanism.rows) else NONE
+
+
+def _steps_within(times: np.ndarray, most: int) -> Timetable:
+    """Return the timetable of an adaptive run over `times` that stops after each step."""
+    return Timetable(float(times[0]), float(times[-1]), every=NEVER, max_steps=most, single=True)
+
+
+def _dop853(tolerances: Tolerances) -> Method:
+    return ExplicitRungeKutta(dop853.tableau(), dop853.pair(), tolerances)
+
+
+def _radau(tolerances: Tolerances) -> Method:
+    return ImplicitRungeKutta(radau_iia.tableau(5), tolerances=tolerances)
+
+
+def _gauss(tolerances: Tolerances) -> Method:
+    return ImplicitRungeKutta(gauss.tableau(5), tolerances=tolerances)

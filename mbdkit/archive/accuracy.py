@@ -1,0 +1,192 @@
+"""Estimated errors of a run: the group ``/accuracy``, and the figures that summary and verdict take from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import h5py
+import numpy as np
+
+from mbdkit.archive.hdf5 import create, set_text
+from mbdkit.archive.layout import ACCURACY, AXIS_NAMES, BY_PATH
+
+SMALL_FORCE = 1e-9
+"""Joints whose largest force is below this share of the largest of all joints carry rounding errors only."""
+
+
+@dataclass(frozen=True)
+class JointAccuracy:
+    """Accuracy of the reaction force of one joint.
+
+    Attributes
+    ----------
+    name
+        Name of the joint.
+    peak
+        Largest reaction force over the run [N].
+    peak_known
+        Largest reaction force up to `Accuracy.known_until` [N]; nan if nothing is known.
+    error
+        Its largest estimated error up to then [N]; nan if nothing is known.
+    share
+        `error` over `peak`; over the largest peak of all joints if the joint carries rounding errors only.
+    """
+
+    name: str
+    peak: float
+    peak_known: float
+    error: float
+    share: float
+
+
+@dataclass(frozen=True)
+class AccuracyFigures:
+    """The figures on which a verdict on a run is based.
+
+    Attributes
+    ----------
+    known_until, end
+        Time until which the errors are known, and time of the last row [s]; nan if unknown.
+    position_error
+        Largest error of the position of a body until then [m].
+    joints
+        Accuracy of the reaction force of each joint.
+    """
+
+    known_until: float
+    end: float
+    position_error: float
+    joints: tuple[JointAccuracy, ...]
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the errors of all rows are known."""
+        return self.known_until == self.end
+
+    @property
+    def worst_joint(self) -> JointAccuracy | None:
+        """The joint with the largest `JointAccuracy.share`; None without joints."""
+        return max(self.joints, key=lambda joint: math.inf if math.isnan(joint.share) else joint.share, default=None)
+
+
+@dataclass(frozen=True, eq=False)
+class Accuracy:
+    """Estimated errors of the T recorded rows; nan where unknown. They are envelopes, which never decrease with time.
+
+    Attributes
+    ----------
+    time
+        (T,) time of the rows [s].
+    position_error, velocity_error
+        (T, B, 3) errors of x, y [m] and angle [rad] of the bodies, and of their rates.
+    reaction_error
+        (T, J) norm of the error of the reaction forces [N].
+    torque_error
+        (T, J) error of the reaction torques [N m].
+    known_until
+        Time until which all errors are known [s]; nan if none is.
+    order_observed
+        Observed order of the positions in the step, for adaptive methods in the tolerance; nan if the differences
+        between the companion runs were rounding errors.
+    method
+        How the estimates were made.
+    check_s
+        Duration of the check [s].
+    """
+
+    time: np.ndarray
+    position_error: np.ndarray
+    velocity_error: np.ndarray
+    reaction_error: np.ndarray
+    torque_error: np.ndarray
+    known_until: float
+    order_observed: float
+    method: str
+    check_s: float
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the errors of all rows are known."""
+        return len(self.time) > 0 and self.known_until == self.time[-1]
+
+    @property
+    def rows_known(self) -> int:
+        """Number of leading rows whose errors are all known."""
+        return 0 if math.isnan(self.known_until) else int(np.searchsorted(self.time, self.known_until, side="right"))
+
+    @property
+    def position_error_max(self) -> float:
+        """Largest error of the position of a body [m] up to `known_until`; nan if nothing is known."""
+        count = self.rows_known
+        return float(np.max(np.linalg.norm(self.position_error[count - 1, :, :2], axis=-1))) if count else math.nan
+
+    def of_joints(self, names: Sequence[str], force: np.ndarray) -> tuple[JointAccuracy, ...]:
+        """Return the accuracy of each joint.
+
+        Parameters
+        ----------
+        names
+            Names of the J joints.
+        force
+            (T, J, 2) reaction forces [N].
+        """
+        count, size = self.rows_known, np.linalg.norm(force, axis=-1)
+        peaks = np.max(size, axis=0, initial=0.0)
+        known = np.max(size[:count], axis=0) if count else np.full(len(names), np.nan)
+        errors = self.reaction_error[count - 1] if count else np.full(len(names), np.nan)
+        least = SMALL_FORCE * float(np.max(peaks, initial=0.0))
+        found = []
+        for name, peak, reached, error in zip(names, peaks, known, errors, strict=True):
+            over = peak if peak > least else float(np.max(peaks))
+            share = error / over if over > 0 else 0.0 * error
+            found.append(JointAccuracy(name, float(peak), float(reached), float(error), float(share)))
+        return tuple(found)
+
+    def figures(self, names: Sequence[str], force: np.ndarray) -> AccuracyFigures:
+        """Return the figures for a verdict; see `of_joints` for the arguments."""
+        end = float(self.time[-1]) if len(self.time) else math.nan
+        return AccuracyFigures(self.known_until, end, self.position_error_max, self.of_joints(names, force))
+
+    @property
+    def size_in_bytes(self) -> int:
+        """Size of the arrays."""
+        return sum(getattr(self, name).nbytes for name in _VALUES)
+
+    def write(self, file: h5py.File, bodies: Sequence[str], joints: Sequence[str]) -> None:
+        """Write the group ``/accuracy``.
+
+        Parameters
+        ----------
+        file
+            The archive.
+        bodies, joints
+            Names, in the order of the arrays.
+        """
+        group = file.create_group("accuracy")
+        values = {
+            **{f"accuracy/{name}": np.array(text, object) for name, text in AXIS_NAMES.items()},
+            "accuracy/body": np.array(bodies, object),
+            "accuracy/joint": np.array(joints, object),
+            **{f"accuracy/{name}": np.ascontiguousarray(getattr(self, name), np.float64) for name in _VALUES},
+        }
+        for path in sorted(ACCURACY, key=lambda path: not BY_PATH[path].is_scale):
+            create(file, BY_PATH[path], values[path])
+        for name in _NUMBERS:
+            group.attrs[name] = np.float64(getattr(self, name))
+        set_text(group, "method", self.method)
+
+    @classmethod
+    def read(cls, group: h5py.Group) -> Accuracy:
+        """Read the group ``/accuracy`` of an archive."""
+        values: dict[str, Any] = {name: group[name][:] for name in _VALUES}
+        for array in values.values():
+            array.flags.writeable = False
+        values |= {name: float(group.attrs.get(name, math.nan)) for name in _NUMBERS}
+        return cls(**values, method=str(group.attrs["method"]))
+
+
+_VALUES = ("time", "position_error", "velocity_error", "reaction_error", "torque_error")
+_NUMBERS = ("known_until", "order_observed", "check_s")

@@ -1,0 +1,1 @@
+"""Estimated errors of runs."""
