@@ -159,7 +159,7 @@ def _advance(stepper: Stepper, companion: Companion, found: _States, stopped: Ca
         if stepper.failure is not None:
             return stepper.failure.sentence
         if companion.longest_step is not None and isinstance(stepper, CompiledStepper):
-            size = stepper.common.progress.next_size
+            size = stepper.run_state.progress.next_size
             size[0] = min(size[0], companion.longest_step)
         stretch = stepper.advance()
         if companion.within_steps:

@@ -15,7 +15,7 @@ from mbdkit.methods import dop853, gauss, radau_iia
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, LobattoPair, Method, SciPySolver, Tolerances
 from mbdkit.run_preparation import make_method, timetable
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.interface import Guards, Timetable
 
 HALVINGS = (2, 4)
 """Factors by which the steps of the companions of a fixed-step run are shorter."""
@@ -83,7 +83,7 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
         Number of its steps.
     """
     if not spec.claims.adaptive:
-        plan = timetable(spec)
+        plan = timetable(spec, Guards())
         tables = [finer(plan, times, factor) for factor in HALVINGS]
         first, second = (
             Companion(
