@@ -41,6 +41,14 @@ class Timetable:
     energy_jump
         Change of the energy balance in a step at which the run stops, as a share of the largest kinetic energy so far;
         None: never.
+    stops
+        Times of knots and corners of motions and loads, in order, strictly between `start` and `end` [s]. Steps end
+        there, and the step after a stop uses nothing of the step before. A fixed step is split; N, `every` and the
+        rows then still are those of the whole steps, while `max_steps` and the counters count the parts.
+    stop_margin
+        A step ends this time before a stop, and the next begins this time after it, so that both see one side only.
+    impacts
+        Stops at which the rate of a driver jumps, so that an impulse changes the velocities.
     """
 
     start: float
@@ -53,6 +61,9 @@ class Timetable:
     single: bool = False
     misalignment: float = 1.0
     energy_jump: float | None = None
+    stops: tuple[float, ...] = ()
+    stop_margin: float = 0.0
+    impacts: tuple[float, ...] = ()
 
     @property
     def last_step(self) -> float:
@@ -158,6 +169,25 @@ class Turn:
 
 
 @dataclass(frozen=True)
+class Impact:
+    """An impulse of the drivers, because the rate of one of them jumps.
+
+    Parameters
+    ----------
+    time
+        Time of the jump [s].
+    energy
+        Work of the impulse [J], which is the change of the kinetic energy; it is part of the recorded work.
+    velocity
+        Change of the velocities, as a root mean square over the mass [m/s].
+    """
+
+    time: float
+    energy: float
+    velocity: float
+
+
+@dataclass(frozen=True)
 class StepEvidence:
     """What a stepper has seen in every step, recorded or not.
 
@@ -171,12 +201,15 @@ class StepEvidence:
         Largest kinetic energy at the end of a step [J].
     turns
         Sharp turns near singular positions, at most 16.
+    impacts
+        Impulses of the drivers, which are no part of the energy jumps.
     """
 
     energy_jump: float
     energy_jump_time: float
     kinetic: float
     turns: tuple[Turn, ...] = ()
+    impacts: tuple[Impact, ...] = ()
 
 
 class Advancing(Protocol):
