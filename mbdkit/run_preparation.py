@@ -16,14 +16,15 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError, PluginError, SpecError
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
+from mbdkit.run_corners import corner_warnings, stops_of
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
 from mbdkit.text import one_line
 
 
-def caution(spec: RunSpec, method: Method | None = None) -> str:
-    """Return a warning about settings that are valid but unlikely to work; empty if there is none.
+def caution(spec: RunSpec, method: Method | None = None) -> tuple[str, ...]:
+    """Return warnings about settings that are valid but unlikely to work, as sentences.
 
     Parameters
     ----------
@@ -38,7 +39,8 @@ def caution(spec: RunSpec, method: Method | None = None) -> str:
         If the plugin fails to create the method.
     """
     method = method if method is not None else make_method(spec)
-    return stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
+    unstable = stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
+    return (*([unstable] if unstable else []), *corner_warnings(spec))
 
 
 def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Workspace, AssembledState]:
@@ -137,7 +139,8 @@ def optional_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
 
 
 def timetable(spec: RunSpec) -> Timetable:
-    """Return the timetable of a run: start, end, steps and recorded states."""
+    """Return the timetable of a run: start, end, steps, stops and recorded states."""
+    stops = stops_of(spec)
     return Timetable(
         start=spec.time.start,
         end=spec.time.final,
@@ -147,4 +150,7 @@ def timetable(spec: RunSpec) -> Timetable:
         interval=spec.output.interval,
         max_steps=spec.limits.max_steps,
         single=bool(spec.events),
+        stops=stops.times,
+        stop_margin=stops.margin,
+        impacts=stops.impacts,
     )

@@ -24,6 +24,7 @@ from mbdkit.errors import MbdkitError
 from mbdkit.methods.kinds import Method
 from mbdkit.provenance import provenance
 from mbdkit.recorder import Recorder, archive_names, shared_forces
+from mbdkit.run_corners import check_jumps
 from mbdkit.run_preparation import build, caution, check_disk_space, make_method, optional_arrays, timetable
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch
@@ -94,8 +95,9 @@ def simulate(
     if path is not None:
         check_target(path, overwrite=overwrite)
     method = make_method(spec)
-    warning = caution(spec, method)
-    if warning:
+    check_jumps(spec)
+    warnings = caution(spec, method)
+    for warning in warnings:
         notify(f"warning: {warning}")
     workspace, start = build(spec, notify)
     check_disk_space(spec, workspace.mechanism, path)
@@ -105,7 +107,7 @@ def simulate(
         spec.canonical_json(),
         spec.sha256(),
         spec.run_id(),
-        {**provenance(spec), "assembly": start.describe(), **({"warning": warning} if warning else {})},
+        {**provenance(spec), "assembly": start.describe(), **({"warning": "; ".join(warnings)} if warnings else {})},
         quantities=spec.output.recorded,
         extra_datasets=optional_arrays(spec, method, workspace.mechanism),
         overwrite=overwrite,

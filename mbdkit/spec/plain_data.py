@@ -67,7 +67,7 @@ def plain(value: Any, path: Path = ()) -> Any:
 def canonical(value: Any) -> Any:
     """Convert models to dicts with sorted keys; mappings whose keys are names given by the user keep their order.
 
-    Keys listed in the model's ``ABSENT_BY_DEFAULT`` are omitted if they are empty.
+    Keys listed in the model's ``ABSENT_BY_DEFAULT`` are omitted if they are empty or have their default.
     """
     match value:
         case BaseModel():
@@ -75,7 +75,7 @@ def canonical(value: Any) -> Any:
             names = {
                 name: info.serialization_alias or info.alias or name
                 for name, info in fields.items()
-                if name not in absent or getattr(value, name)
+                if name not in absent or (getattr(value, name) and getattr(value, name) != info.default)
             }
             return {names[name]: canonical(getattr(value, name)) for name in sorted(names, key=lambda n: names[n])}
         case Mapping():

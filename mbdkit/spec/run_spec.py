@@ -51,8 +51,8 @@ class RunSpec(StrictSpec):
     """
 
     model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("events",)
-    """Keys that the canonical form omits if empty, so that specs written before they existed keep hash and run id."""
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("events", "impacts")
+    """Keys that the canonical form omits if empty or default, so that specs written before they existed keep hash and run id."""
 
     mbdkit: Literal[1]
     """Version of the spec format."""
@@ -75,6 +75,9 @@ class RunSpec(StrictSpec):
     """Events by name: zero crossings of expressions in the state of the run, which are recorded or stop the run."""
     limits: Limits = Limits()
     """Limits that stop the run early."""
+    impacts: Literal["refuse", "allow"] = "refuse"
+    """Whether the rate of a driver may jump: `refuse` reports it as an error of the motion; `allow` changes velocities
+    there by the smallest impulse that satisfies the constraints, whose work is recorded."""
 
     _mechanism: Any = PrivateAttr(default=None)
     _watched: Any = PrivateAttr(default=None)
