@@ -6,9 +6,9 @@ The sampling starts with the quarters of the step and is refined in three ways.
 2. Where the argument of ``abs``, or the difference of the operands of ``min`` or ``max``, changes sign, that place is
    a sample, because it may be an extremum.
 3. Through every five samples goes a polynomial p of degree 4. Its error is estimated by its difference to the
-   polynomial of degree 3 through four of them. Where both p and its derivative are below their errors, there may be a
-   double root, and samples are added between these five. Where p changes sign between two samples of equal sign, the
-   place of its largest opposite value becomes a sample.
+   polynomial of degree 3 through four of them, and by the difference of that to one of degree 2. Where both p and its
+   derivative are below their errors, there may be a double root, and samples are added between these five. Where p
+   changes sign between two samples of equal sign, the place of its largest opposite value becomes a sample.
 
 States within the step are those of dense output, polynomials of a degree up to 11, so that an expression without poles
 and without large factors in its exponents is smooth on this scale. `MOST_SAMPLES` limits the effort.
@@ -40,8 +40,12 @@ DEEPEST = 10
 NOISE = 1e-12
 """Values below this share of the largest one so far are rounding errors, whose roots are not searched for."""
 
-SAFETY = 2.0
-"""Factor of the estimated errors of a polynomial."""
+SAFETY, LOWER_SHARE = 4.0, 0.1
+"""Factor of the estimated errors of a polynomial, and share of the estimate of the polynomial of degree 3 in them.
+
+Of 1000 polynomials of degree 5 to 7 whose roots are spread evenly over 1.6 steps, crossings of 6 are missed. With a
+factor of 2 and without the second estimate 47 are, for three quarters of the samples.
+"""
 
 Values = Sequence[float]
 Scalar = Callable[[Values], float]
@@ -144,15 +148,24 @@ def _root(function: Callable[[float], float], a: float, b: float) -> float:
 def _interpolation(nodes: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return what five values at `nodes` (from 0 to 1) are multiplied by, for their polynomial of degree 4.
 
-    Returns a matrix (5, 5) for its coefficients in ascending powers, and one (2, 5) for the largest difference to the
-    polynomial through all but the middle node, and that of the derivatives.
+    Returns a matrix (5, 5) for its coefficients in ascending powers, and one (4, 5) for the largest difference to the
+    polynomial through all but the middle node, and that of the derivatives; then the same for this polynomial and the
+    parabola through three nodes.
     """
     x = np.array(nodes)
     inverse = np.linalg.inv(np.vander(x, increasing=True))
     fine = np.linspace(0.0, 1.0, 33)
-    product = np.poly(np.delete(x, 2))  # the difference is this polynomial times the coefficient of theta^4
-    bend = [np.max(np.abs(np.polyval(power, fine))) for power in (product, np.polyder(product))]
-    return inverse, np.outer(bend, inverse[4])
+
+    def largest(roots: np.ndarray) -> list[float]:
+        # the difference of two interpolants is the leading coefficient of one times this polynomial
+        product = np.poly(roots)
+        return [float(np.max(np.abs(np.polyval(power, fine)))) for power in (product, np.polyder(product))]
+
+    outer = np.array([0, 1, 3, 4])
+    cubic = np.zeros(5)
+    cubic[outer] = np.linalg.inv(np.vander(x[outer], increasing=True))[3]
+    estimates = np.outer(largest(x[outer]), inverse[4]), LOWER_SHARE * np.outer(largest(x[::2]), cubic)
+    return inverse, SAFETY * np.vstack(estimates)
 
 
 def _roots_are_clear(five: Sequence[float], values: Sequence[float]) -> tuple[bool, list[float]]:
@@ -166,7 +179,7 @@ def _roots_are_clear(five: Sequence[float], values: Sequence[float]) -> tuple[bo
         return True, []
     inverse, error = _interpolation(tuple(nodes))
     f = np.array(values)
-    value_error, slope_error = (SAFETY * np.abs(error @ f)).tolist()
+    value_error, slope_error = np.max(np.abs(error @ f).reshape(2, 2), axis=0).tolist()
     coefficients: list[float] = (inverse @ f).tolist()
     slope = _derivative(coefficients)
     places = sorted({*nodes, *_quadratic_roots(*_derivative(slope))})  # the slope is monotone between these
