@@ -17,14 +17,15 @@ from mbdkit.errors import MbdkitError, PluginError, SpecError
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
+from mbdkit.run_corners import corner_warnings, stops_of
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Guards, Timetable
 from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
 from mbdkit.text import one_line
 
 
-def caution(spec: RunSpec, method: Method | None = None) -> str:
-    """Return a warning about settings that are valid but unlikely to work; empty if there is none.
+def caution(spec: RunSpec, method: Method | None = None) -> tuple[str, ...]:
+    """Return warnings about settings that are valid but unlikely to work, as sentences.
 
     Parameters
     ----------
@@ -37,7 +38,8 @@ def caution(spec: RunSpec, method: Method | None = None) -> str:
         If the plugin fails to create the method.
     """
     method = method if method is not None else make_method(spec)
-    return stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
+    unstable = stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
+    return (*([unstable] if unstable else []), *corner_warnings(spec))
 
 
 def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Workspace, AssembledState]:
@@ -150,7 +152,8 @@ def guards(spec: RunSpec, size: float) -> Guards:
 
 
 def timetable(spec: RunSpec, guards: Guards) -> Timetable:
-    """Return the timetable of a run: start, end, steps, recorded states and limits."""
+    """Return the timetable of a run: start, end, steps, stops, recorded states and limits."""
+    stops = stops_of(spec)
     return Timetable(
         start=spec.time.start,
         end=spec.time.final,
@@ -161,4 +164,7 @@ def timetable(spec: RunSpec, guards: Guards) -> Timetable:
         max_steps=spec.limits.max_steps,
         single=bool(spec.events),
         guards=guards,
+        stops=stops.times,
+        stop_margin=stops.margin,
+        impacts=stops.impacts,
     )

@@ -27,6 +27,7 @@ from mbdkit.methods.kinds import Method
 from mbdkit.provenance import provenance
 from mbdkit.recorded_columns import ObservedRows
 from mbdkit.recorder import Recorder, archive_names, shared_forces
+from mbdkit.run_corners import check_jumps
 from mbdkit.run_evidence import estimated_errors, evidence_of_run
 from mbdkit.run_preparation import (
     build,
@@ -106,8 +107,9 @@ def simulate(
     if path is not None:
         check_target(path, overwrite=overwrite)
     method = make_method(spec)
-    warning = caution(spec, method)
-    if warning:
+    check_jumps(spec)
+    warnings = caution(spec, method)
+    for warning in warnings:
         notify(f"warning: {warning}")
     workspace, start = build(spec, notify)
     check_disk_space(spec, workspace.mechanism, path)
@@ -124,7 +126,6 @@ def simulate(
         shared=shared_forces(workspace.mechanism),
     )
     try:
-        warnings = (warning,) if warning else ()
         return _Simulation(spec, workspace, method, writer, begin, warnings).run(progress)
     except BaseException:
         writer.abandon()

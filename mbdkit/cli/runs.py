@@ -75,11 +75,13 @@ def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> N
     from mbdkit.spec import load_spec
 
     checked = load_spec(spec, assignments or ())
+    from mbdkit.run_corners import check_jumps
     from mbdkit.run_preparation import build, caution
 
     mechanism = checked.mechanism()
+    check_jumps(checked)
     problem, start = build(checked)
-    if warning := caution(checked):
+    for warning in caution(checked):
         say(f"warning: {warning}")
     print(f"{spec}: this spec is valid")
     print(f"model        {checked.model_item.id}: {mechanism.description()}")

@@ -20,6 +20,7 @@ from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Pathway
 from mbdkit.mechanism.time_expression import Expression, Program
+from mbdkit.mechanism.time_jets import curve_of
 from mbdkit.mechanism.values import Motion, Table
 
 Numbers = tuple[float, ...]
@@ -64,14 +65,14 @@ class _Motions:
 
 
 def _piecewise_cubic(table: Table) -> list[float]:
-    """Return the cubic spline of a table for the kernel: number of pieces, breakpoints, coefficients of the pieces."""
-    from scipy.interpolate import CubicSpline
-
-    times, values = (np.array(column) for column in table.table)
+    """Return the curve of a table for the kernel: number of pieces, breakpoints, coefficients of the pieces."""
+    times = np.array(table.table[0])
     coefficients = np.full((len(times) - 1, 4), np.nan)  # reported later, by `check_motions` of assembly
     with np.errstate(all="ignore"), suppress(ValueError, np.linalg.LinAlgError):
-        found = CubicSpline(times, values).c[::-1].T
-        coefficients = found if np.all(np.isfinite(found)) else coefficients
+        curve = curve_of(table).c[::-1].T
+        if np.all(np.isfinite(curve)):
+            coefficients[:] = 0.0
+            coefficients[:, : curve.shape[1]] = curve
     return [float(len(times) - 1), *times.tolist(), *coefficients.ravel().tolist()]
 
 

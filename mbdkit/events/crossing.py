@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 from scipy.optimize import brentq
 
@@ -80,7 +80,7 @@ def crossings(
     full = _with_turns([point for point in shown if math.isfinite(point[1])], dense)
     ends = _changes(before, points)
     if _changes(before, full) > ends:  # a double crossing on dense output; verify it on exact values
-        points = [shown[0], *((place, _defined(exact, place)) for place, _ in full[1:-1]), shown[-1]]
+        points = [shown[0], *((place, _defined(exact, place)) for place in _summits(full[1:-1])), shown[-1]]
     found = []
     now = before or sign(shown[0][1])
     for left, right in pairwise(points):
@@ -97,6 +97,12 @@ def _changes(before: int, points: Sequence[Point]) -> int:
     """Return the number of sign changes, ignoring zeros."""
     signs = [s for s in (before, *(sign(value) for _, value in points)) if s]
     return sum(a != b for a, b in pairwise(signs))
+
+
+def _summits(points: Sequence[Point]) -> list[float]:
+    """Return the position of the largest absolute value in each series of values of the same sign."""
+    series = groupby((point for point in points if sign(point[1])), key=lambda point: sign(point[1]))
+    return [max(group, key=lambda point: abs(point[1]))[0] for _, group in series]
 
 
 def _with_turns(points: list[Point], dense: Scalar) -> list[Point]:

@@ -20,7 +20,7 @@ import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import GROUND
@@ -45,6 +45,21 @@ class Quantity:
     kind: str
     name: str
     attribute: str
+
+
+Function = Callable[[Sequence[float]], float]
+"""A function of the time and the quantities of an expression."""
+
+
+class CompiledExpression(NamedTuple):
+    """An expression as a function, the arguments of its periodic functions, and the scalars whose roots are its kinks.
+
+    These are the arguments of ``abs`` and the differences of the operands of ``min`` and ``max``.
+    """
+
+    value: Function
+    phases: tuple[Function, ...]
+    kinks: tuple[Function, ...]
 
 
 @dataclass(frozen=True)
@@ -88,7 +103,13 @@ class RunExpression:
         places
             Index of each quantity in the argument of the function; index 0 is the time.
         """
-        stack: list[Callable[[Sequence[float]], float]] = []
+        return self.compiled(places).value
+
+    def compiled(self, places: Mapping[Quantity, int]) -> CompiledExpression:
+        """Return the expression and the parts of it that determine how closely it has to be sampled; see `function`."""
+        stack: list[Function] = []
+        phases: list[Function] = []
+        kinks: list[Function] = []
         for operation, number in self.program:
             if operation == "const":
                 stack.append(_constant(number))
@@ -99,11 +120,18 @@ class RunExpression:
             elif operation == "powi":
                 stack.append(_power(stack.pop(), int(number)))
             elif operation in _BINARY:
-                right = stack.pop()
-                stack.append(_binary(_BINARY[operation], stack.pop(), right))
+                right, left = stack.pop(), stack.pop()
+                stack.append(_binary(_BINARY[operation], left, right))
+                if operation in ("min", "max"):
+                    kinks.append(_total(_binary(operator.sub, left, right)))
             else:
-                stack.append(_unary(_UNARY[operation], stack.pop()))
-        return _total(stack.pop())
+                argument = stack.pop()
+                stack.append(_unary(_UNARY[operation], argument))
+                if operation == "abs":
+                    kinks.append(_total(argument))
+                elif operation in ("sin", "cos", "tan"):
+                    phases.append(_total(argument))
+        return CompiledExpression(_total(stack.pop()), tuple(phases), tuple(kinks))
 
 
 Values = Sequence[float]

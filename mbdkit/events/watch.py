@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,13 +13,11 @@ import numpy as np
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.workspace import Workspace
 from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings
-from mbdkit.events.event_expression import RunExpression
+from mbdkit.events.event_expression import CompiledExpression, RunExpression
 from mbdkit.events.quantities import QuantityEvaluator
+from mbdkit.events.sampling import INSIDE, refined
 from mbdkit.stepping import interface
 from mbdkit.stepping.interface import Failure, StepEvidence, Stepper, StepTaken, Stretch, evidence_of, joined
-
-INSIDE = (0.25, 0.5, 0.75)
-"""Relative positions in a step at which dense output is evaluated."""
 
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
 
@@ -60,18 +59,18 @@ class Found:
 
 def values_at_start(expressions: Mapping[str, RunExpression], workspace: Workspace) -> dict[str, float]:
     """Return the values of expressions at the start of a run; nan for undefined ones."""
-    evaluator, functions = _prepared(list(expressions.values()), workspace)
+    evaluator, compiled = _prepared(list(expressions.values()), workspace)
     values = evaluator.values([workspace.t0], workspace.q0[None], workspace.v0[None])[0]
-    return {name: function(values) for name, function in zip(expressions, functions, strict=True)}
+    return {name: one.value(values) for name, one in zip(expressions, compiled, strict=True)}
 
 
 def _prepared(
     expressions: Sequence[RunExpression], workspace: Workspace
-) -> tuple[QuantityEvaluator, list[Callable[[Sequence[float]], float]]]:
+) -> tuple[QuantityEvaluator, list[CompiledExpression]]:
     """Return an evaluator of the quantities of all expressions, and the expressions as functions of its values."""
     quantities = list(dict.fromkeys(quantity for one in expressions for quantity in one.quantities))
     places = {quantity: place for place, quantity in enumerate(quantities, start=1)}
-    return QuantityEvaluator(workspace, quantities), [one.function(places) for one in expressions]
+    return QuantityEvaluator(workspace, quantities), [one.compiled(places) for one in expressions]
 
 
 class Watch:
@@ -90,13 +89,15 @@ class Watch:
 
     def __init__(self, stepper: Stepper, workspace: Workspace, events: Sequence[Watched]):
         self.stepper, self.events = stepper, events
-        self._quantities, self._functions = _prepared([event.when for event in events], workspace)
+        self._quantities, self._expressions = _prepared([event.when for event in events], workspace)
         self._signs = [0] * len(events)
         self._recorded = workspace.t0
         self._found: list[Found] = []
         self._raised: Exception | None = None
         self._failure: Failure | None = None
         self._values: list[float] | None = None
+        self._ended: np.ndarray | None = None  # velocities at the end of the last step
+        self._largest = [0.0] * len(events)
         self.stopped: Found | None = None
         self._worst_before = stepper.worst_pairs.copy()
 
@@ -190,25 +191,34 @@ class Watch:
         return stretch
 
     def _shown(self, step: StepTaken) -> list[list[tuple[float, float]]]:
-        """Return, for each event, points (position, value) of its scalar at the start, inside and end of a step."""
-        if self._values is None:
+        """Return, for each event, samples (position, value) of its scalar from the start to the end of a step."""
+        if self._values is None or self._ended is None or not np.array_equal(self._ended, step.v0):  # after an impulse
             self._values = self._quantities.values([step.t0], step.q0[None], step.v0[None])[0]
         states = [*(self.stepper.inside(theta) for theta in INSIDE), (step.q1, step.v1)]
         q, v = (np.array([state[part] for state in states]) for part in range(2))
         rows = [self._values, *self._quantities.values([step.time(theta) for theta in (*INSIDE, 1.0)], q, v)]
-        self._values = rows[-1]
-        return [list(zip((0.0, *INSIDE, 1.0), map(function, rows), strict=True)) for function in self._functions]
+        self._values, self._ended = rows[-1], step.v1
+        points = list(zip((0.0, *INSIDE, 1.0), rows, strict=True))
+        shown = []
+        for number, (value, phases, kinks) in enumerate(self._expressions):
+            samples = refined(points, self._values_inside, value, phases, kinks, self._largest[number])
+            self._largest[number] = max(self._largest[number], *(abs(x) for _, x in samples if math.isfinite(x)), 0.0)
+            shown.append(samples)
+        return shown
+
+    def _values_inside(self, theta: float) -> list[float]:
+        """Return the quantities at a position in the last step, by dense output."""
+        return self._values_of(theta, self.stepper.inside)
+
+    def _values_of(self, theta: float, state: Callable[[float], tuple[np.ndarray, np.ndarray]]) -> list[float]:
+        step = self.stepper.last_step
+        assert step is not None
+        q, v = state(theta)
+        return self._quantities.values([step.time(theta)], q[None], v[None])[0]
 
     def _scalar(self, number: int, state: Callable[[float], tuple[np.ndarray, np.ndarray]]) -> Callable[[float], float]:
         """Return the scalar of an event as a function of the position in the last step, with states from `state`."""
-        step = self.stepper.last_step
-        assert step is not None
-
-        def scalar(theta: float) -> float:
-            q, v = state(theta)
-            return self._functions[number](self._quantities.values([step.time(theta)], q[None], v[None])[0])
-
-        return scalar
+        return lambda theta: self._expressions[number].value(self._values_of(theta, state))
 
     def _cut(self, stretch: Stretch, theta: float) -> Stretch:
         """End the run at `theta`; return the rows before it and the row of the end, unless it is recorded already."""

@@ -11,7 +11,7 @@ from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import Assembly
-from mbdkit.mechanism.values import Table
+from mbdkit.mechanism.values import Motion, Table
 from mbdkit.plain_data import found
 from mbdkit.text import did_you_mean, listed
 
@@ -46,11 +46,16 @@ def check_mechanism(
         check_known(name, bodies, f"model.assembly.fix[{index}]")
 
 
-def check_tables(joints: Mapping[str, Joint], forces: Mapping[str, Force], start: float, end: float) -> None:
-    """Raise a SpecError for the first table that does not cover the times from `start` to `end` [s]."""
+def motions_by_key(joints: Mapping[str, Joint], forces: Mapping[str, Force]) -> list[tuple[str, Motion]]:
+    """Return (key path, motion) of every driver and load."""
     used = [(f"model.joints.{name}.{key}", value) for name, joint in joints.items() for key, value in joint.motions()]
     used += [(f"model.forces.{name}.{key}", value) for name, force in forces.items() for key, value in force.motions()]
-    for key, motion in used:
+    return used
+
+
+def check_tables(joints: Mapping[str, Joint], forces: Mapping[str, Force], start: float, end: float) -> None:
+    """Raise a SpecError for the first table that does not cover the times from `start` to `end` [s]."""
+    for key, motion in motions_by_key(joints, forces):
         if not isinstance(motion, Table):
             continue
         first, last = motion.span

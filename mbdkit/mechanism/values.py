@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field
 
@@ -46,11 +46,14 @@ def _motion(value: Any) -> Any:
     if isinstance(value, str):
         Expression.parse(value)
     elif isinstance(value, Mapping):
-        if list(value) != ["table"]:
+        if "table" not in value or not {*value} <= {"table", "interpolation"}:
             raise SpecError(
                 f"should be {{table: [[t, ...], [value, ...]]}}, not a mapping with the keys {_shown([*value])}"
             )
-        return Table(table=columns_of(value["table"], "table"))
+        interpolation = value.get("interpolation", "cubic")
+        if interpolation not in ("cubic", "linear"):
+            raise SpecError(f"should be cubic or linear, not {_shown(interpolation)}", key="interpolation")
+        return Table(table=columns_of(value["table"], "table"), interpolation=interpolation)
     elif isinstance(value, Table):
         return value
     elif isinstance(value, bool) or not isinstance(value, int | float):
@@ -118,15 +121,19 @@ Columns = Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidat
 
 
 class Table(StrictModel):
-    """A function of time given by points and interpolated by a cubic spline with not-a-knot end conditions.
+    """A function of time given by points and interpolated by a cubic spline with not-a-knot ends, or by lines.
 
-    Three points give a parabola, and two points give a line. The first and second derivatives are continuous. The third
-    derivative jumps at the points, so a high-order method keeps its order only if its steps end there. The table must
-    cover the time span of the run.
+    Three points give a parabola, and two points give a line. The first and second derivatives of a spline are
+    continuous; the third derivative jumps at the points, and that of lines the first. Steps end at the points. The
+    table must cover the time span of the run.
     """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("interpolation",)
 
     table: Columns
     """Strictly increasing times [s] and the value at each time: ``[[t, ...], [value, ...]]``."""
+    interpolation: Literal["cubic", "linear"] = "cubic"
+    """A cubic spline, or lines between the points, whose rate jumps there: for loads, not for drivers."""
 
     @property
     def span(self) -> tuple[float, float]:

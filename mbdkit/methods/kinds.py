@@ -23,10 +23,13 @@ class Tolerances:
     ----------
     rtol, atol
         Relative, and absolute [m, rad, m/s, rad/s].
+    max_step
+        Largest step [s]; None: no limit.
     """
 
     rtol: float
     atol: float
+    max_step: float | None = None
 
 
 @dataclass(frozen=True)
@@ -116,12 +119,15 @@ class SciPySolver:
         Name of the `OdeSolver` subclass in ``scipy.integrate``, or the class itself.
     needs_jacobian
         Whether the solver uses the Jacobian of the right side; it is then given the exact one.
+    max_step
+        Largest step [s], passed to the solver unless it is None.
     """
 
     solver: str | type[Any]
     rtol: float
     atol: float
     needs_jacobian: bool = False
+    max_step: float | None = None
 
 
 Method = ExplicitRungeKutta | ImplicitRungeKutta | LobattoPair | SciPySolver | StepMethod

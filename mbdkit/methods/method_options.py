@@ -14,6 +14,8 @@ from mbdkit.methods.kinds import ImplicitRungeKutta, Tolerances
 from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.strict_model import StrictModel
 
+MaxStep = Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
+
 
 class Options(StrictModel):
     """Base of the options of the built-in methods."""
@@ -26,7 +28,7 @@ class ExplicitOptions(Options):
 class ControlledOptions(Options):
     """A method that goes in fixed steps, or chooses its own."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("adaptive", "rtol", "atol")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("adaptive", "rtol", "atol", "max_step")
 
     adaptive: bool = False
     """Choose steps by an estimate of their error; `time.step`, which may be left out, is then the first one."""
@@ -35,10 +37,15 @@ class ControlledOptions(Options):
     out."""
     atol: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
     """Absolute error tolerance of adaptive steps [m, rad, m/s, rad/s]; left out: the number that `rtol` is."""
+    max_step: MaxStep = None
+    """Largest adaptive step [s], so that no short, smooth pulse is missed; unlimited if left out.
+
+    Steps end at knots and corners of motions and loads in any case.
+    """
 
     @model_validator(mode="after")
     def _tolerances_need_adaptive_steps(self) -> ControlledOptions:
-        for name in ("rtol", "atol"):
+        for name in ("rtol", "atol", "max_step"):
             if getattr(self, name) is not None and not self.adaptive:
                 raise PydanticCustomError("mbdkit", f"takes `{name}` only with `adaptive: true`")
         return self
@@ -48,7 +55,7 @@ class ControlledOptions(Options):
         if not self.adaptive:
             return None
         rtol = self.rtol if self.rtol is not None else 1e-6
-        return Tolerances(rtol, self.atol if self.atol is not None else rtol)
+        return Tolerances(rtol, self.atol if self.atol is not None else rtol, self.max_step)
 
 
 class ImplicitOptions(ControlledOptions):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import Field
 
 from mbdkit.methods.common_claims import HAIRER_NORSETT_WANNER, HAIRER_WANNER, TOLERANCE_DRIFT
 from mbdkit.methods.kinds import SciPySolver
-from mbdkit.methods.method_options import Options
+from mbdkit.methods.method_options import MaxStep, Options
 from mbdkit.registry.items import Claims, IntegratorPlugin
 
 SCIPY = """@article{scipy2020,
@@ -25,10 +25,14 @@ PETZOLD = """@article{petzold1983,
 class AdaptiveOptions(Options):
     """A method of SciPy that controls its own error."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("max_step",)
+
     rtol: Annotated[float, Field(ge=2.3e-14, lt=1, allow_inf_nan=False)] = 1e-8
     """Relative error tolerance of a step; SciPy takes none below 100 roundings, 2.3e-14."""
     atol: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1e-10
     """Absolute error tolerance of a step [m, rad, m/s, rad/s]."""
+    max_step: MaxStep = None
+    """Largest step [s]; unlimited if left out."""
 
 
 def _scipy(name: str, solver: str, summary: str, reference: str, *, jacobian: bool = False) -> IntegratorPlugin:
@@ -38,7 +42,7 @@ def _scipy(name: str, solver: str, summary: str, reference: str, *, jacobian: bo
         name=name,
         summary=summary,
         options=AdaptiveOptions,
-        create=lambda options: SciPySolver(solver, options.rtol, options.atol, needs_jacobian=jacobian),
+        create=lambda options: SciPySolver(solver, options.rtol, options.atol, jacobian, options.max_step),
         claims=lambda options: Claims(
             adaptive=True, drift=TOLERANCE_DRIFT, needs=needs, stabilizations=("none", "baumgarte")
         ),

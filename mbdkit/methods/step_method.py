@@ -22,9 +22,10 @@ class StepState:
         (n,) positions [m, rad] and velocities [m/s, rad/s], n = 3 B: x, y, theta of each body in turn.
     multipliers
         (m,) multipliers computed by the method itself, in the order of ``/constraints``; None before the first step,
-        and for methods that compute none.
+        before a step that begins at a corner of a motion or load, and for methods that compute none.
     memory
-        Anything else that the method needs in its next step; None before the first step. Never changed in place.
+        Anything else that the method needs in its next step; None before the first step, and before a step that begins
+        at a corner of a motion or load. Never changed in place.
     work, dissipated
         Work of loads and drivers, and dissipated energy, during the step that ends here, integrated with the weights
         of the method [J]; with None the framework integrates them.
@@ -105,8 +106,9 @@ class StepMethod(ABC):
         state
             State at `t`. It may be used for another step, so it must not be changed.
         h
-            Size of the step [s]. The last step of a run may be shorter than the others, and so are the steps that
-            locate an event; those begin at the beginning of the last step.
+            Size of the step [s]. The last step of a run may be shorter than the others, and so are steps that begin or
+            end at a corner of a motion or load, and those that locate an event; the latter begin at the beginning of
+            the last step.
 
         Returns
         -------

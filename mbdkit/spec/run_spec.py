@@ -43,8 +43,8 @@ class RunSpec(StrictSpec):
     """
 
     model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("events", "check")
-    """Keys that the canonical form omits if empty, so that specs written before they existed keep hash and run id."""
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("events", "check", "impacts")
+    """Keys that the canonical form omits by default, so that specs written before they existed keep hash and run id."""
 
     mbdkit: Literal[1]
     """Version of the spec format."""
@@ -69,6 +69,9 @@ class RunSpec(StrictSpec):
     """Limits that stop the run early."""
     check: bool = False
     """Estimate the errors of the recorded rows by companion runs, which take about ten times as long as the run."""
+    impacts: Literal["refuse", "allow"] = "refuse"
+    """Whether the rate of a driver may jump: `refuse` reports it as an error of the motion; `allow` changes velocities
+    there by the smallest impulse that satisfies the constraints, whose work is recorded."""
 
     _mechanism: Any = PrivateAttr(default=None)
     _watched: Any = PrivateAttr(default=None)

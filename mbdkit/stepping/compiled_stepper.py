@@ -14,8 +14,10 @@ from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
 from mbdkit.engine.workspace import Workspace
+from mbdkit.errors import StepError
 from mbdkit.stepping import driver
-from mbdkit.stepping.interface import Failure, Pace, StepEvidence, StepTaken, Stretch, Timetable, joined
+from mbdkit.stepping.impulse import impulse
+from mbdkit.stepping.interface import Failure, Impact, Pace, StepEvidence, StepTaken, Stretch, Timetable, joined
 from mbdkit.stepping.run_plan import (
     NEAR_SINGULARITY,
     PLAIN,
@@ -103,6 +105,7 @@ class CompiledStepper:
         self.mode = projection_mode(workspace.stabilization, controlled=control is not None)
         iterates = method.carries_stages or self.mode == SYMMETRIC
         self.pace = Pace(max(1, min(16 if iterates else 256, 100_000 // workspace.mechanism.size)))
+        self.impacts: list[Impact] = []
         self.last_step: StepTaken | None = None
         self._before: list[np.ndarray] = []
         self._row_times = np.zeros(0)
@@ -136,6 +139,7 @@ class CompiledStepper:
         if not self.timetable.single:
             return self._advance(self.pace.steps)
         accepted, t0 = self._accepted, self.time
+        self._begin_after_stop()
         self.last_step, self._before = None, [x.copy() for x in self._memory()]
         stretches = [self._advance(1)]
         while self._is_pending and self.failure is None:
@@ -151,21 +155,58 @@ class CompiledStepper:
         begin = time.perf_counter()
         progress = self.run_state.progress
         before = self._attempts()
-        if self._allowed > 0 or self._is_pending:
-            status, rows = self._drive(self._plan, min(budget, max(self._allowed, 0)))
-        else:
+        stretches: list[Stretch] = []
+        while True:
+            self._begin_after_stop()
+            left = min(budget - self._attempts() + before, self._allowed)
+            if left <= 0 and not self._is_pending and stretches:
+                status = OK
+                break
             status, rows = OK, 0
+            if self.failure is None and (self._allowed > 0 or self._is_pending):
+                status, rows = self._drive(self._plan, max(left, 0))
+            stretches.append(self._collect(rows))
+            if status != driver.AT_STOP:
+                break
+            status = OK
         if not self.timetable.single:
             self.pace.timed(self._attempts() - before, begin)
         self._count()
-        stretch = self._collect(rows)
+        stretch = joined(stretches)
         if status != OK:
             self._handle(status)
+        elif self.failure is not None:
+            pass
         elif self.time >= self.timetable.end and not progress.pending[0]:
             self.finished, self.time = True, self.timetable.end
         elif self._allowed <= 0 and not progress.pending[0]:
             self.failure = Failure("max-steps", f"stopped after limits.max_steps = {self.timetable.max_steps} steps.")
         return stretch
+
+    def _begin_after_stop(self) -> None:
+        """At a stop, discard what the method keeps for the next step, and apply the impulse if there is one.
+
+        Repeated before another attempt at the first step after the stop, without effect.
+        """
+        c, table = self.run_state, self.timetable
+        progress = c.progress
+        if not progress.after_stop[0] or progress.pending[0] or progress.retrying[0]:
+            return
+        c.base_state[0] = MODIFIED
+        self.method.forget()
+        stop = table.stops[int(progress.passed[0]) - 1]
+        if stop in table.impacts and not (self.impacts and self.impacts[-1].time == stop):
+            try:
+                impact, v = impulse(self.workspace, float(progress.restart[0]), c.q, c.v, stop)
+            except StepError as error:
+                self.failure = Failure(error.code, f"{error} at the impulse of a driver at t = {stop:.6g} s.")
+                return
+            self._take_up_pivots()
+            c = self.run_state
+            c.v[:], c.v_low[:] = v, 0.0
+            c.energy[0] += impact.energy
+            c.guards.energy[0] = np.nan
+            self.impacts.append(impact)
 
     @property
     def evidence(self) -> StepEvidence:
@@ -177,6 +218,7 @@ class CompiledStepper:
             float(guards.jump_time[0]),
             float(guards.kinetic[0]),
             tuple(BranchSuspicion(*x) for x in turns),
+            tuple(self.impacts),
         )
 
     def _attempts(self) -> int:
@@ -202,10 +244,8 @@ class CompiledStepper:
         assert step is not None
         if self._dense == 0 or not self.method.has_dense_output or self.mode == SYMMETRIC:
             return step.hermite(theta)
-        h = float(c.progress.last_size[0])
-        status = driver.look_inside(
-            self._pinned_state.address, self.method.pinned.address, self._dense, step.t0, h, theta
-        )
+        t, h = float(c.progress.tried_begin[0]), float(c.progress.last_size[0])
+        status = driver.look_inside(self._pinned_state.address, self.method.pinned.address, self._dense, t, h, theta)
         if status != OK:
             return step.hermite(theta)
         q, v = c.point_q.copy(), c.point_v.copy()
@@ -233,12 +273,12 @@ class CompiledStepper:
         The records of the run's progress are those before the step, apart from the time; `worst` is unchanged.
         """
         c, progress = self.run_state, self.run_state.progress
-        size = theta * float(progress.last_size[0])
+        begin, size = float(progress.tried_begin[0]), theta * float(progress.last_size[0])
         self._recall(self._before)
         c.base_state[0] = MODIFIED
         due = (self._accepted + 1) % self.workspace.stabilization.every == 0
-        plan: RunPlan = single_step(self.plan, step.t0, size, projected=due)
-        kept = (progress.accepted, progress.rejected, progress.pending, progress.retrying)
+        plan: RunPlan = single_step(self.plan, begin, size, projected=due)
+        kept = progress.counts
         worst, before = c.worst.copy(), [x.copy() for x in kept]
         for x in kept:
             x[0] = 0
@@ -288,11 +328,7 @@ class CompiledStepper:
 
     def _size_tried(self) -> float:
         """Return the size of the step that failed."""
-        if self.controlled:
-            return float(self.run_state.progress.next_size[0])
-        table = self.timetable
-        assert table.step is not None
-        return table.step if self._accepted < table.steps - 1 else table.last_step
+        return float(self.run_state.progress.tried_size[0])
 
     def _handle(self, status: int) -> None:
         """React to a failed step: choose new pivots once per step, try a smaller step, or set `failure`."""
@@ -318,7 +354,8 @@ class CompiledStepper:
         apart = (done, -1)
         if status not in (driver.TOO_SMALL, NOT_FINITE) and self.mode != SYMMETRIC and apart not in self._renewed:
             self._renewed.add(apart)
-            solved = self.method.solve_apart(self.run_state, self.time, self._size_tried())
+            begin = float(self.run_state.progress.tried_begin[0])
+            solved = self.method.solve_apart(self.run_state, begin, self._size_tried())
             self._take_up_pivots()
             if solved:
                 return

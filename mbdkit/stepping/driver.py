@@ -57,6 +57,12 @@ TOO_SMALL = 5
 FELL_APART, ENERGY_JUMP = 6, 7
 """Status: a limit of the guards was exceeded, see `mbdkit.stepping.run_plan.GuardLimits`."""
 
+AT_STOP = 8
+"""Status: a step has ended at a stop; what the method keeps from it is not valid for the next."""
+
+SAME_TIME = 16.0
+"""A stop and the end of a fixed step are the same if their distance is below this many margins of a stop."""
+
 ROW_MARGIN = 1e-9
 """A row by interval that is nearer to the end than this share of the interval is replaced by the row of the end."""
 
@@ -66,31 +72,56 @@ def _has_ended(plan, progress):
     """Return whether all steps have been taken."""
     if plan.control.controlled[0]:
         return progress.time[0] >= plan.times.end[0]
-    return progress.accepted[0] >= plan.times.steps[0]
+    return progress.whole[0] >= plan.times.steps[0]
+
+
+@subkernel
+def _next_stop(plan, progress):
+    """Return the time of the next stop; infinity if there is none."""
+    n = progress.passed[0]
+    return plan.times.stops[n] if n < len(plan.times.stops) else np.inf
+
+
+@subkernel
+def _end_of_whole_step(plan, progress):
+    """Return the end of the fixed step of which the next step is a part, or the whole."""
+    times, n = plan.times, progress.whole[0] + 1
+    return times.start[0] + n * times.step[0] if n < times.steps[0] else times.end[0]
+
+
+@subkernel
+def _is_end_of_whole_step(plan, progress, stop):
+    """Return whether a stop and the end of a fixed step are the same but for rounding errors."""
+    return abs(stop - _end_of_whole_step(plan, progress)) <= SAME_TIME * plan.times.margin[0]
 
 
 @subkernel
 def _chosen_step(plan, progress):
-    """Return the start and the size of the next step."""
+    """Return the start and the size of the next step, and whether it ends at a stop."""
     times = plan.times
+    stop = _next_stop(plan, progress)
+    last = stop - times.margin[0]
     if plan.control.controlled[0]:
-        t = progress.time[0]
-        return t, fitted_size(t, progress.next_size[0], times.end[0])
+        t = progress.restart[0] if progress.after_stop[0] != 0 else progress.time[0]
+        target = min(last, times.end[0])
+        h = fitted_size(t, min(progress.next_size[0], plan.control.max_size[0]), target)
+        return t, h, last < times.end[0] and h == last - t
     # a product, since the rounding errors of a sum would grow with the number of steps
-    t = times.start[0] + progress.accepted[0] * times.step[0]
-    return t, times.step[0] if progress.accepted[0] < times.steps[0] - 1 else times.last_step[0]
+    t = progress.restart[0] if progress.after_stop[0] != 0 else times.start[0] + progress.whole[0] * times.step[0]
+    if stop < np.inf and (stop < _end_of_whole_step(plan, progress) or _is_end_of_whole_step(plan, progress, stop)):
+        return t, last - t, True
+    if progress.after_stop[0] != 0:
+        return t, _end_of_whole_step(plan, progress) - t, False
+    return t, times.step[0] if progress.whole[0] < times.steps[0] - 1 else times.last_step[0], False
 
 
 @subkernel
 def _end_of_step(plan, progress):
     """Return start, size and end of the step just accepted, and whether it is the last."""
-    times, h = plan.times, progress.last_size[0]
-    if plan.control.controlled[0]:
-        t = progress.time[0]
-        last = t + h >= times.end[0]
-    else:
-        t = times.start[0] + progress.accepted[0] * times.step[0]
-        last = progress.accepted[0] + 1 >= times.steps[0]
+    times, t, h = plan.times, progress.tried_begin[0], progress.last_size[0]
+    if progress.at_stop[0] != 0:
+        return t, h, _next_stop(plan, progress), False
+    last = t + h >= times.end[0] if plan.control.controlled[0] else progress.whole[0] + 1 >= times.steps[0]
     return t, h, times.end[0] if last else t + h, last
 
 
@@ -123,17 +154,23 @@ def _reject(c, plan, h, solved, error):
 
 
 @subkernel
-def _accept(c, plan, t, h, error):
-    """Accept a step of size `h` from `t`, and choose the size of the next."""
+def _accept(c, plan, t, h, error, at_stop):
+    """Accept a step of size `h` from `t`, and choose the size of the next.
+
+    The size of a step that ends at a stop says little about the next, and so does its error, which is forgotten.
+    """
     progress, interval = c.progress, c.interval
     interval.steps[0] += 1
     interval.last_size[0] = h
     if plan.control.controlled[0]:
         factor = factor_after_acceptance(plan.control, error, progress.last_error[0], progress.retrying[0])
-        if t + h < plan.times.end[0]:  # the last step is shortened, so its size says nothing about the next
+        if at_stop:
+            progress.next_size[0] = factor * h if factor < 1.0 else max(progress.next_size[0], factor * h)
+        elif t + h < plan.times.end[0]:  # the last step is shortened, so its size says nothing about the next
             progress.next_size[0] = factor * h
-        progress.last_error[0] = max(error, MIN_LAST_ERROR)
+        progress.last_error[0] = 0.0 if at_stop else max(error, MIN_LAST_ERROR)
     progress.retrying[0] = 0
+    progress.at_stop[0] = at_stop
     progress.last_size[0] = h
     progress.pending[0] = 1
 
@@ -153,10 +190,10 @@ def _note_projection(c):
 
 @subkernel
 def _begin_guards(c, t):
-    """Evaluate the energy of the initial state."""
+    """Evaluate the energy of the initial state, or of a state that an impulse has changed."""
     prepare(c.top, c.w, t, c.q)
     kinetic, potential, _ = energies(c.top, c.w, c.q, c.v)
-    c.guards.energy[0], c.guards.kinetic[0] = kinetic + potential, kinetic
+    c.guards.energy[0], c.guards.kinetic[0] = kinetic + potential, max(kinetic, c.guards.kinetic[0])
 
 
 @subkernel
@@ -200,9 +237,10 @@ def _try_step(run, method, attempt, plan):
     """
     c = load_run_state(run)
     progress, interval, control, mode = c.progress, c.interval, plan.control, plan.projection.mode[0]
-    t, h = _chosen_step(plan, progress)
-    if control.controlled[0] and is_too_small(control, t, h, plan.times.end[0]):
+    t, h, at_stop = _chosen_step(plan, progress)
+    if control.controlled[0] and not at_stop and is_too_small(control, t, h, plan.times.end[0]):
         return TOO_SMALL
+    progress.tried_begin[0], progress.tried_size[0] = t, h
     if mode != SYMMETRIC and progress.retrying[0] == 0:
         copy(c.q, c.from_q)
         copy(c.v, c.from_v)
@@ -221,8 +259,11 @@ def _try_step(run, method, attempt, plan):
         error = _local_error(c, plan)
     if status == OK and error <= 1.0:
         distance = c.guards.distance[0] = distance_to_singularity(c)
-        ends = control.controlled[0] and t + h >= plan.times.end[0]
-        at = plan.times.end[0] if ends or progress.accepted[0] + 1 == plan.times.steps[0] else t + h
+        if control.controlled[0]:
+            ends = t + h >= plan.times.end[0]
+        else:
+            ends = not at_stop and progress.whole[0] + 1 == plan.times.steps[0]
+        at = plan.times.end[0] if ends else t + h
         due = (progress.accepted[0] + 1) % plan.projection.every[0] == 0
         if mode == NEAR_SINGULARITY:
             due = distance < plan.projection.near[0] * c.guards.farthest[0]
@@ -244,8 +285,8 @@ def _try_step(run, method, attempt, plan):
         note_jump(c, at, jump, total, kinetic)
     if projected:
         _note_projection(c)
-    _accept(c, plan, t, h, error)
-    c.base_state[0] = MODIFIED if projected else AT_END_OF_LAST
+    _accept(c, plan, t, h, error, at_stop)
+    c.base_state[0] = MODIFIED if projected or at_stop else AT_END_OF_LAST
     return OK
 
 
@@ -327,11 +368,33 @@ def _add_energies(c):
 
 
 @subkernel
+def _pass_stop(plan, progress):
+    """Move the time to the stop at which the pending step ends; return whether a fixed step is complete."""
+    stop = _next_stop(plan, progress)
+    complete = plan.control.controlled[0] != 0 or _is_end_of_whole_step(plan, progress, stop)
+    progress.time[0], progress.time_low[0] = stop, 0.0
+    if complete:
+        if not plan.control.controlled[0]:
+            progress.time[0] = _end_of_whole_step(plan, progress)
+        progress.whole[0] += 1
+    progress.restart[0] = stop + plan.times.margin[0]
+    progress.passed[0] += 1
+    return complete
+
+
+@subkernel
 def _advance_time(plan, progress):
-    """Move the time to the end of the pending step; return whether that is the end of the run."""
+    """Move the time to the end of the pending step.
+
+    Returns whether that is the end of the run, and whether it is the end of a whole step.
+    """
     t, h, reached, last = _end_of_step(plan, progress)
     progress.accepted[0] += 1
     progress.pending[0] = 0
+    progress.after_stop[0] = progress.at_stop[0]
+    if progress.at_stop[0] != 0:
+        return False, _pass_stop(plan, progress)
+    progress.whole[0] += 1
     if plan.control.controlled[0]:  # a compensated sum
         y = h + progress.time_low[0]
         progress.time[0] = t + y
@@ -339,15 +402,18 @@ def _advance_time(plan, progress):
         if last:
             progress.time[0] = plan.times.end[0]
     else:
-        progress.time[0] = reached if last else plan.times.start[0] + progress.accepted[0] * plan.times.step[0]
-    return last
+        progress.time[0] = reached if last else plan.times.start[0] + progress.whole[0] * plan.times.step[0]
+    return last, True
 
 
 @subkernel
 def _advance(c, plan):
-    """Add the increments of the pending step to the state; return a status and whether the run has ended."""
+    """Add the increments of the pending step to the state.
+
+    Returns a status, whether the run has ended, and whether this is the end of a whole step.
+    """
     if not (stays_finite(c.q, c.dq) and stays_finite(c.v, c.dv)):
-        return NOT_FINITE, False
+        return NOT_FINITE, False, False
     if plan.recording.start_of_step[0]:
         copy(c.q, c.before_q)
         copy(c.v, c.before_v)
@@ -359,11 +425,11 @@ def _advance(c, plan):
     add_compensated(c.v, c.v_low, c.dv)
     if c.has_power[0] != 0:
         _add_energies(c)
-    last = _advance_time(plan, c.progress)
+    last, whole = _advance_time(plan, c.progress)
     t = c.progress.time[0]
     watch_branch(c, t, c.dq, c.v, c.guards.distance[0])
     raise_misalignments(c.still, c.w, t, c.q, c.worst)
-    return _check_limits(c, plan, t), last
+    return _check_limits(c, plan, t), last, whole
 
 
 @kernel
@@ -404,12 +470,14 @@ def drive(run, method, attempt, dense, plan, budget):
             status, rows = _write_inner_rows(run, method, dense, planned, rows)
             if status != OK or rows >= len(c.row_time):
                 return status, rows
-        status, last = _advance(c, planned)
+        status, last, whole = _advance(c, planned)
         if status == NOT_FINITE:
             return status, rows
-        if last or (every > 0 and progress.accepted[0] % every == 0):
+        if last or (every > 0 and whole and progress.whole[0] % every == 0):
             c.point_gain[0] = c.point_gain[1] = 0.0
             _write_row(c, rows, progress.time[0], c.q, c.v, c.point_gain, c.own_lam)
             rows += 1
+        if status == OK and progress.after_stop[0] != 0:
+            return AT_STOP, rows
         if status != OK:
             return status, rows

@@ -39,6 +39,25 @@ class Guards:
 
 
 @dataclass(frozen=True)
+class Impact:
+    """An impulse of the drivers, because the rate of one of them jumps.
+
+    Parameters
+    ----------
+    time
+        Time of the jump [s].
+    energy
+        Work of the impulse [J], which is the change of the kinetic energy; it is part of the recorded work.
+    velocity
+        Change of the velocities, as a root mean square over the mass [m/s].
+    """
+
+    time: float
+    energy: float
+    velocity: float
+
+
+@dataclass(frozen=True)
 class StepEvidence:
     """What a stepper has observed over all steps so far, recorded or not.
 
@@ -51,12 +70,15 @@ class StepEvidence:
         Largest kinetic energy [J].
     branch
         Sharp turns near singular positions, in order of time.
+    impacts
+        Impulses of the drivers, which are no part of the energy jumps.
     """
 
     energy_jump: float
     energy_jump_time: float
     kinetic: float
     branch: tuple[BranchSuspicion, ...] = ()
+    impacts: tuple[Impact, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -81,6 +103,14 @@ class Timetable:
         Whether `Stepper.advance` takes one accepted step per call, so that it can be searched for events.
     guards
         Limits that stop the run.
+    stops
+        Times of knots and corners of motions and loads, in order, strictly between `start` and `end` [s]. Steps end
+        there, and the step after a stop uses nothing of the step before. A fixed step is split; N, `every` and the
+        rows then still are those of the whole steps, while `max_steps` and the counters count the parts.
+    stop_margin
+        A step ends this time before a stop, and the next begins this time after it, so that both see one side only.
+    impacts
+        Stops at which the rate of a driver jumps, so that an impulse changes the velocities.
     """
 
     start: float
@@ -92,6 +122,9 @@ class Timetable:
     max_steps: int = 10_000_000
     single: bool = False
     guards: Guards = Guards()
+    stops: tuple[float, ...] = ()
+    stop_margin: float = 0.0
+    impacts: tuple[float, ...] = ()
 
     @property
     def last_step(self) -> float:

@@ -18,7 +18,9 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import StepError
 from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.stepping import interface
-from mbdkit.stepping.interface import Failure, StepTaken, Stretch, Timetable
+from mbdkit.stepping.driver import SAME_TIME
+from mbdkit.stepping.impulse import impulse
+from mbdkit.stepping.interface import Failure, Impact, StepTaken, Stretch, Timetable
 from mbdkit.stepping.python_projection import StabilizedSteps, Taken
 
 if TYPE_CHECKING:
@@ -55,12 +57,29 @@ class Reached:
 
     done: int
     """Number of steps so far."""
+    whole: int
+    """Number of steps in which a fixed step that is split at stops counts once."""
+    passed: int
+    """Number of stops passed."""
+    restart: float | None
+    """Start of the next step if this is a stop."""
     time: float
     state: StepState
     energy: np.ndarray
     """(2,) work of loads and drivers, and dissipated energy [J]; `energy_low` are the low parts of these sums."""
     energy_low: np.ndarray
     interval: Interval
+
+
+@dataclass(frozen=True, slots=True)
+class _Planned:
+    """The next step: start, size and end [s], whether it ends at a stop, and whether it completes a fixed step."""
+
+    begin: float
+    size: float
+    reached: float
+    is_at_stop: bool
+    is_whole: bool
 
 
 class PythonStepper:
@@ -84,10 +103,26 @@ class PythonStepper:
         self.equations.counters = self.counters
         self.stabilized = StabilizedSteps(self._own_step, self.equations)
         begin = StepState(self.equations.q0.copy(), self.equations.v0.copy())
-        self.now = Reached(0, timetable.start, begin, np.zeros(2), np.zeros(2), Interval())
+        self.now = Reached(0, 0, 0, None, timetable.start, begin, np.zeros(2), np.zeros(2), Interval())
+        self.impacts: list[Impact] = []
         self.time = timetable.start
         self._before = self.now
         _load_kernels()
+
+    def _begin_after_stop(self) -> None:
+        """At a stop, discard what the method keeps for the next step, and apply the impulse if there is one."""
+        now, table = self.now, self.timetable
+        if now.restart is None:
+            return
+        state, energy = StepState(now.state.q, now.state.v, low=now.state.low), now.energy
+        stop = table.stops[now.passed - 1]
+        if stop in table.impacts and not (self.impacts and self.impacts[-1].time == stop):
+            q, v = self._with_ground(state)
+            impact, new = impulse(self.workspace, now.restart, q, v, stop)
+            self.impacts.append(impact)
+            state = StepState(state.q, new[: self.equations.n], low=(state.low[0], 0.0))
+            energy = energy + np.array([impact.energy, 0.0])
+        self.now = replace(now, state=state, energy=energy)
 
     def advance(self) -> Stretch:
         """See `Stepper.advance`. An exception of the method is raised by the next call, so that no rows are lost."""
@@ -102,6 +137,8 @@ class PythonStepper:
                 break
             before = self.now
             try:
+                self._begin_after_stop()
+                before = self.now
                 self._go_to(self._after(before, 1.0, self.worst_pairs))
             except StepError as error:
                 where = f"in step {before.done + 1} from t = {before.time:.6g} s"
@@ -110,7 +147,8 @@ class PythonStepper:
             except Exception as error:
                 self.raised = error
                 break
-            if self.now.done % table.every == 0 or self.finished:
+            is_whole = self.now.whole > before.whole
+            if (is_whole and self.now.whole % table.every == 0) or self.finished:
                 rows.append(self._recorded())
             if table.single:
                 self._before = before
@@ -145,7 +183,7 @@ class PythonStepper:
                 after,
                 state=replace(before.state, q=q, v=v),
                 energy=before.energy + theta * (after.energy - before.energy),
-                interval=before.interval.after(theta * self._size(before), 0, np.zeros(4)),
+                interval=before.interval.after(theta * self._next(before).size, 0, np.zeros(4)),
             )
         self._go_to(replace(there, time=self.last_step.time(theta)))
         self.finished, self.failure = True, None
@@ -155,11 +193,20 @@ class PythonStepper:
         """See `Stepper.last_state`."""
         return self._stretch([self._recorded()])
 
-    def _size(self, begin: Reached) -> float:
-        """Return the size of the step from `begin`."""
+    def _next(self, begin: Reached) -> _Planned:
+        """Return the step from `begin`."""
         table = self.timetable
         assert table.step is not None
-        return table.last_step if begin.done == table.steps - 1 else table.step
+        n = begin.whole + 1
+        end = table.start + n * table.step if n < table.steps else table.end
+        t = begin.time if begin.restart is None else begin.restart
+        if begin.passed < len(table.stops):
+            stop = table.stops[begin.passed]
+            is_end = abs(stop - end) <= SAME_TIME * table.stop_margin
+            if stop < end or is_end:
+                return _Planned(t, stop - table.stop_margin - t, end if is_end else stop, True, is_end)
+        size = table.last_step if n == table.steps else table.step
+        return _Planned(t, size if begin.restart is None else end - t, end, False, True)
 
     def _after(self, begin: Reached, theta: float, worst: np.ndarray) -> Reached:
         """Return the result of the fraction `theta` of the step from `begin`; update the maxima `worst` (P,).
@@ -170,19 +217,24 @@ class PythonStepper:
         """
         table, equations, iterations = self.timetable, self.equations, self.counters.newton_iterations
         assert table.step is not None
-        done, h = begin.done + 1, theta * self._size(begin)
-        end = (
-            table.start + done * table.step if h == table.step else begin.time + h
-        )  # a sum of steps would accumulate rounding errors
-        taken = self.stabilized.take(begin.time, end, begin.state, h, done)
+        done, plan = begin.done + 1, self._next(begin)
+        t, h = plan.begin, theta * plan.size
+        # a sum of steps would accumulate rounding errors
+        end = table.start + (begin.whole + 1) * table.step if h == table.step else t + h
+        taken = self.stabilized.take(t, end, begin.state, h, done)
         new = taken.reached
         if not equations.arrive(end, new.q, new.v, worst):
             raise StepError("not-finite", "positions or velocities overflowed")
         energy, low = begin.energy, begin.energy_low
         if self.has_power:
-            energy, low = self._booked(begin, h, taken)
+            energy, low = self._booked(begin, t, h, taken)
         interval = begin.interval.after(h, self.counters.newton_iterations - iterations, taken.correction)
-        return Reached(done, table.end if done == table.steps else end, new, energy, low, interval)
+        if not plan.is_at_stop or theta < 1.0:
+            whole = begin.whole + 1
+            reached = table.end if whole == table.steps else end
+            return Reached(done, whole, begin.passed, None, reached, new, energy, low, interval)
+        whole, restart = begin.whole + plan.is_whole, table.stops[begin.passed] + table.stop_margin
+        return Reached(done, whole, begin.passed + 1, restart, plan.reached, new, energy, low, interval)
 
     def _again(self, theta: float) -> Reached | None:
         """Repeat the last step with the fraction `theta` of its size; None if this fails with a StepError.
@@ -197,7 +249,7 @@ class PythonStepper:
     def _go_to(self, there: Reached) -> None:
         self.now, self.time = there, there.time
         self.counters.steps = self.counters.accepted = there.done
-        self.finished = there.done == self.timetable.steps
+        self.finished = there.whole == self.timetable.steps
 
     def _recorded(self) -> Reached:
         """Return the current point for recording, and start a new interval."""
@@ -230,11 +282,11 @@ class PythonStepper:
             raise StepError("not-finite", "multipliers overflowed")
         return new if found[0] is new.q and found[1] is new.v else replace(new, q=found[0], v=found[1])
 
-    def _booked(self, begin: Reached, h: float, taken: Taken) -> tuple[np.ndarray, np.ndarray]:
+    def _booked(self, begin: Reached, t: float, h: float, taken: Taken) -> tuple[np.ndarray, np.ndarray]:
         """Return work and dissipated energy after the step of the method, computed by compensated summation."""
         gains: Sequence[float | None] = (taken.made.work, taken.made.dissipated)
         if None in gains:
-            ours = self._gains(begin.time, h, taken)
+            ours = self._gains(t, h, taken)
             gains = [own if own is not None else gain for own, gain in zip(gains, ours, strict=True)]
         y = np.array(gains) + begin.energy_low
         total = begin.energy + y

@@ -50,6 +50,10 @@ class Times(NamedTuple):
     """Size of the last fixed step [s]."""
     steps: np.ndarray
     """Number of fixed steps."""
+    stops: np.ndarray
+    """(S,) times at which steps end, in order [s]."""
+    margin: np.ndarray
+    """Distance of the end of a step before a stop, and of the start of the next step after it [s]."""
 
 
 class Recording(NamedTuple):
@@ -134,7 +138,15 @@ def new_plan(
     last = step if control is not None else table.last_step
     largest_time = max(abs(table.start), abs(table.end), table.end - table.start)
     return RunPlan(
-        times=Times(_real(table.start), _real(table.end), _real(step), _real(last), _whole(table.steps)),
+        times=Times(
+            _real(table.start),
+            _real(table.end),
+            _real(step),
+            _real(last),
+            _whole(table.steps),
+            np.array(table.stops, dtype=np.float64),
+            _real(table.stop_margin),
+        ),
         recording=Recording(
             every=_whole(0 if table.interval is not None else table.every),
             interval=_real(table.interval or 0.0),
@@ -156,7 +168,7 @@ def single_step(plan: RunPlan, t: float, h: float, *, projected: bool) -> RunPla
     """Return the plan of a run of one fixed step of size `h` from `t` with the projection of `plan`."""
     never = 2  # of one step
     return RunPlan(
-        times=Times(_real(t), _real(t + h), _real(h), _real(h), _whole(1)),
+        times=Times(_real(t), _real(t + h), _real(h), _real(h), _whole(1), np.zeros(0), _real(0.0)),
         recording=Recording(every=_whole(never), interval=_real(0.0), start_of_step=_whole(0)),
         control=control_data(None, 0.0),
         projection=plan.projection._replace(every=_whole(1 if projected else never)),

@@ -39,6 +39,11 @@ class Progress(NamedTuple):
     """Scaled error of the last accepted step; 0 before the first."""
     next_row: np.ndarray
     """Number of the next row to be recorded at equidistant times."""
+    tried_begin: np.ndarray
+    """Start and size of the last attempt [s]."""
+    tried_size: np.ndarray
+    restart: np.ndarray
+    """Start of the next step after a stop [s]."""
     accepted: np.ndarray
     """Number of accepted steps."""
     rejected: np.ndarray
@@ -47,6 +52,19 @@ class Progress(NamedTuple):
     """Whether a step has been accepted whose rows are not yet written; the state is then still that of its start."""
     retrying: np.ndarray
     """Whether the last attempt was rejected."""
+    whole: np.ndarray
+    """Number of accepted steps in which a fixed step that is split at a stop counts once."""
+    passed: np.ndarray
+    """Number of stops passed."""
+    at_stop: np.ndarray
+    """Whether the step accepted last ends at a stop."""
+    after_stop: np.ndarray
+    """Whether the next step begins at a stop."""
+
+    @property
+    def counts(self) -> tuple[np.ndarray, ...]:
+        """The integer fields."""
+        return self[-8:]
 
 
 class Interval(NamedTuple):
@@ -75,7 +93,7 @@ INTERVAL_FIELDS = Interval._fields[1:]
 
 def new_progress() -> Progress:
     """Return the progress at the start of a run."""
-    reals, counts = np.zeros((6, 1)), np.zeros((4, 1), dtype=np.int64)
+    reals, counts = np.zeros((9, 1)), np.zeros((8, 1), dtype=np.int64)
     return Progress(*reals, *counts)
 
 

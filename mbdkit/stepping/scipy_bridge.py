@@ -23,7 +23,9 @@ from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.kernels.vectors import BEYOND
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.workspace import Workspace
-from mbdkit.stepping.interface import STRETCH, Failure, StepTaken, Stretch, Timetable
+from mbdkit.errors import StepError
+from mbdkit.stepping.impulse import impulse
+from mbdkit.stepping.interface import STRETCH, Failure, Impact, StepTaken, Stretch, Timetable
 
 if TYPE_CHECKING:
     from mbdkit.methods.kinds import SciPySolver
@@ -64,16 +66,19 @@ class SciPyStepper:
         y0 = np.concatenate([workspace.q0[: self.n3], workspace.v0[: self.n3], np.zeros(2 * self.has_power)])
         solver = getattr(scipy.integrate, method.solver) if isinstance(method.solver, str) else method.solver
         options: dict[str, Any] = {"rtol": method.rtol, "atol": method.atol}
+        if method.max_step is not None:
+            options["max_step"] = method.max_step
         if method.needs_jacobian:
             options["jac"] = self.jacobian
         if timetable.step is not None:
             options["first_step"] = min(timetable.step, timetable.end - timetable.start)
+        self._new_solver, self._options = solver, options
+        self._passed = 0  # stops
+        self._stopped = False
+        self.impacts: list[Impact] = []
         self.solver: Any = None
-        try:
-            self.solver = solver(self.rates, timetable.start, y0, timetable.end, **options)
-        except _StoppedError as stop:
-            self.failure = stop.failure
         self.y = y0
+        self._start_solver(timetable.start)
         self._since = np.zeros(6)  # steps, -, -, iterations, most iterations, rejected since the last row
         self._stabilized = workspace.stabilization.kind == "baumgarte"
         self._pull = 0.0  # largest Baumgarte term since the last row
@@ -83,6 +88,40 @@ class SciPyStepper:
         self._y0 = y0
         self._row_times: list[float] = []
         self._effort_so_far = self._since.copy()
+
+    def _start_solver(self, t: float) -> None:
+        """Start the solver from `t` to the next stop, or to the end."""
+        table = self.timetable
+        more = self._passed < len(table.stops)
+        end = table.stops[self._passed] - table.stop_margin if more else table.end
+        if "first_step" in self._options:
+            self._options["first_step"] = min(self._options["first_step"], end - t)
+        try:
+            self.solver = self._new_solver(self.rates, t, self.y, end, **self._options)
+        except _StoppedError as stop:
+            self.failure = stop.failure
+        self._options.pop("first_step", None)  # after a stop the solver chooses it
+
+    def _restart(self) -> bool:
+        """Start the solver anew after a stop, and apply the impulse if there is one; return whether that succeeded."""
+        table = self.timetable
+        stop = table.stops[self._passed]
+        t = stop + table.stop_margin
+        if stop in table.impacts:
+            try:
+                impact, v = impulse(self.workspace, t, *self._state(self.y), stop)
+            except StepError as error:
+                self.failure = Failure(error.code, f"{error} at the impulse of a driver at t = {stop:.6g} s.")
+                return False
+            self.impacts.append(impact)
+            self.y = self.y.copy()
+            self.y[self.n3 : 2 * self.n3] = v[: self.n3]
+            if self.has_power:
+                self.y[2 * self.n3] += impact.energy
+        self._passed += 1
+        self._stopped = False
+        self._start_solver(t)
+        return self.failure is None
 
     def rates(self, t: float, y: np.ndarray) -> np.ndarray:
         """Return dy/dt; raises `_StoppedError` if the mechanism is singular."""
@@ -154,6 +193,8 @@ class SciPyStepper:
         while self.failure is None and not self.finished and time.perf_counter() < until:
             if self.counters.steps >= table.max_steps:
                 self.failure = Failure("max-steps", f"stopped after limits.max_steps = {table.max_steps} steps.")
+                break
+            if self._stopped and not self._restart():
                 break
             t0, y0 = self.time, self.y
             if not self._step():
@@ -252,9 +293,12 @@ class SciPyStepper:
         self._since[2] = solver.t - before
         self._since[4] = max(self._since[4], iterations)
         self.time, self.y = float(solver.t), solver.y.copy()
-        self.finished = solver.status == "finished"
+        self._stopped = solver.status == "finished" and self._passed < len(self.timetable.stops)
+        self.finished = solver.status == "finished" and not self._stopped
         if self.finished:
             self.time = self.timetable.end
+        elif self._stopped:
+            self.time = self.timetable.stops[self._passed]
         q, _ = self._state(self.y)
         note_all(self.workspace.engine, np.array([self.time]), q[None], self.worst_pairs)
         if self._stabilized:

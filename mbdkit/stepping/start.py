@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import singledispatch
 
 from mbdkit.engine.workspace import Workspace
@@ -11,6 +12,7 @@ from mbdkit.methods.kinds import (
     LobattoPair,
     Method,
     SciPySolver,
+    Tolerances,
 )
 from mbdkit.methods.step_method import StepMethod
 from mbdkit.methods.tableau import TableauError
@@ -22,6 +24,11 @@ from mbdkit.stepping.lobatto_iiia_iiib import CompiledLobattoPair
 from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.stepping.scipy_bridge import SciPyStepper
 from mbdkit.stepping.step_control import Control
+
+
+def _largest(tolerances: Tolerances) -> float:
+    """Return the largest step [s]; infinity without a limit."""
+    return math.inf if tolerances.max_step is None else tolerances.max_step
 
 
 @singledispatch
@@ -58,6 +65,7 @@ def _(method: ExplicitRungeKutta, workspace: Workspace, timetable: Timetable) ->
             estimate_order=method.pair.estimate_order,
             estimates=len(method.pair.error),
             memory=0.2,
+            max_step=_largest(method.tolerances),
         )
     return CompiledStepper(CompiledExplicit(method, workspace), workspace, timetable, control)
 
@@ -67,7 +75,11 @@ def _(method: ImplicitRungeKutta, workspace: Workspace, timetable: Timetable) ->
     tableau, control = method.tableau, None
     if method.tolerances is not None:
         control = Control(
-            method.tolerances.rtol, method.tolerances.atol, order=tableau.order, estimate_order=tableau.stages + 1
+            method.tolerances.rtol,
+            method.tolerances.atol,
+            order=tableau.order,
+            estimate_order=tableau.stages + 1,
+            max_step=_largest(method.tolerances),
         )
     if workspace.formulation != "index-1" and not (tableau.is_stiffly_accurate and method.stage_solver == "newton"):
         raise TableauError(

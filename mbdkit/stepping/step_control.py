@@ -17,6 +17,7 @@ The functions that work on numbers are kernels; their ``py_func`` can be called 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -79,6 +80,8 @@ class Control:
     memory
         beta k, the share of the last error in the choice of a step. 0.2 keeps explicit methods stable at the limit of
         their stability (DOPRI5). Implicit methods have no such limit; with 0 their errors follow the tolerance best.
+    max_step
+        Largest step [s]; a step that reaches a stop or the end of the run may be 1 % longer.
     """
 
     rtol: float = 1e-6
@@ -88,6 +91,7 @@ class Control:
     estimates: int = 1
     scale: float = 1.0
     memory: float = 0.0
+    max_step: float = math.inf
 
     @property
     def inner_rtol(self) -> float:
@@ -123,7 +127,8 @@ class ControlData(NamedTuple):
     estimates: np.ndarray
     """Number of estimates of the error, 1 or 2."""
     min_size: np.ndarray
-    """Smallest step size [s]."""
+    """Smallest and largest step size [s]."""
+    max_size: np.ndarray
 
 
 def control_data(control: Control | None, min_size: float) -> ControlData:
@@ -139,6 +144,7 @@ def control_data(control: Control | None, min_size: float) -> ControlData:
         beta=beta,
         estimates=np.array([c.estimates]),
         min_size=np.array([min_size], dtype=np.float64),
+        max_size=np.array([c.max_step], dtype=np.float64),
     )
 
 

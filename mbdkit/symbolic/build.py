@@ -28,6 +28,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Pathway
 from mbdkit.mechanism.symbolic_system import SymbolicSystem
 from mbdkit.mechanism.time_expression import Expression
+from mbdkit.mechanism.time_jets import curve_of
 from mbdkit.mechanism.values import Table
 from mbdkit.symbolic import definitions as d
 from mbdkit.symbolic.symbolic_law import LENGTH, RATE, law_expressions
@@ -346,14 +347,14 @@ def _jet(motion: Any) -> Jet:
 
 
 def _spline(table: Table) -> sp.Expr:
-    """Return the cubic spline of a table; the first and last pieces extrapolate it."""
-    from scipy.interpolate import CubicSpline
-
-    times, values = table.table
+    """Return the piecewise polynomial of a table; the first and last pieces extrapolate it."""
+    times = table.table[0]
+    curve = curve_of(table)
+    degree = len(curve.c) - 1
     pieces = []
-    for begin, end, coefficients in zip(times, times[1:], CubicSpline(times, values).c.T, strict=False):
-        cubic = sum(_number(c) * (TIME - _number(begin)) ** (3 - i) for i, c in enumerate(coefficients))
-        pieces.append((cubic, sp.true if end == times[-1] else sp.Lt(TIME, _number(end))))
+    for begin, end, coefficients in zip(times, times[1:], curve.c.T, strict=False):
+        piece = sum(_number(c) * (TIME - _number(begin)) ** (degree - i) for i, c in enumerate(coefficients))
+        pieces.append((piece, sp.true if end == times[-1] else sp.Lt(TIME, _number(end))))
     return sp.Piecewise(*pieces)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -111,7 +112,7 @@ def _of_solver(integrator: IntegratorUnderTest, made: SciPySolver) -> Result:
             options["jac"] = counted_jacobian
         return base(counted, t0, y0, end, **options)
 
-    method = SciPySolver(instrumented, made.rtol, made.atol, made.needs_jacobian)  # type: ignore[arg-type]
+    method = replace(made, solver=instrumented)  # type: ignore[arg-type]
     stepper = integrator.stepper(integrator.workspace(FORCED_PENDULUM), 1.0, STEPS, method=method)
     drive(stepper)
     wrong = [

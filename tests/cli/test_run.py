@@ -130,6 +130,31 @@ def test_validate_says_what_the_mechanism_is_and_that_its_start_is_consistent(mb
     assert os.listdir() == ["spec.yaml"]
 
 
+def test_a_table_that_overshoots_is_warned_of_but_runs(mbdkit, in_tmp_path):
+    table = "{table: [[0.0, 0.5, 0.51, 1.0], [0.0, 0.0, 1.0, 1.0]]}"
+    (in_tmp_path / "spec.yaml").write_text(
+        "mbdkit: 1\nintegrator: {name: rk4}\ntime: {end: 1.0, step: 0.1}\nmodel:\n  name: mechanism\n"
+        "  bodies: {a: {mass: 1.0, inertia: 1.0}}\n"
+        f"  forces: {{m: {{type: torque, body: a, value: {table}}}}}\n"
+    )
+    for command in ("validate", "run"):
+        result = mbdkit(command, "spec.yaml")
+        assert result.exit_code == 0
+        assert "warning: the cubic spline of the table at model.forces.m.value leaves the range" in result.stderr
+
+
+def test_validate_refuses_a_driver_with_a_corner(mbdkit, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(
+        "mbdkit: 1\nintegrator: {name: rk4}\ntime: {end: 1.0, step: 0.1}\nmodel:\n  name: mechanism\n"
+        "  bodies: {a: {mass: 1.0, inertia: 1.0}}\n  joints:\n"
+        '    d: {type: driver, bodies: [ground, a], coordinate: angle, motion: "min(t, 0.5)"}\n'
+    )
+    result = mbdkit("validate", "spec.yaml")
+    assert result.exit_code == 2
+    assert "spec.yaml:8: model.joints.d.motion: the rate of this motion jumps from 1 to 0 rad/s" in result.stderr
+    assert mbdkit("validate", "spec.yaml", "--set", "impacts=allow").exit_code == 0
+
+
 def test_validate_names_the_stabilization_and_warns_where_it_is_stiff(mbdkit, small, in_tmp_path):
     stiff = small.replace("{name: gauss, stages: 2}", "{name: rk4}")
     (in_tmp_path / "spec.yaml").write_text(stiff + "stabilization: {name: baumgarte, alpha: 300}\n")

@@ -42,8 +42,21 @@ def table(columns: str) -> str:
     return free('"0.1*cos(t)"', f"{{table: {columns}}}")
 
 
+def driver(motion: str) -> str:
+    bodies = "bodies: [ground, crank], coordinate: angle"
+    return free("  forces:\n", f"    D: {{type: driver, {bodies}, motion: {motion}}}\n  forces:\n")
+
+
 #: What is wrong: the spec, the line of the message (None where it names none), the key, and words of the message.
 WRONG = {
+    "a driver with a corner": (driver('"min(t, 0.5)"'), 12, "model.joints.D.motion", "round the corner"),
+    "a driver that wraps": (driver('"atan2(sin(7*t), cos(7*t))"'), 12, "model.joints.D.motion", "no driver can follow"),
+    "neither cubic nor linear": (
+        free('"0.1*cos(t)"', "{table: [[0, 1], [0, 1]], interpolation: steps}"),
+        13,
+        "model.forces.m.value.interpolation",
+        "cubic or linear",
+    ),
     "unknown key at the top": (small("time:", "tiem:"), 6, "tiem", "did you mean 'time'?"),
     "unknown key below": (small("step:", "stpe:"), 8, "time.stpe", "did you mean 'step'?"),
     "unknown model": (small("double-pendulum", "duoble-pendulum"), 3, "model.name", "did you mean 'double-pendulum'?"),

@@ -330,3 +330,47 @@ def test_wrong_events_are_refused_by_their_key(events: Any, key: str, why: str) 
         )
     assert error.value.key == key
     assert why in error.value.message
+
+
+THROWN = {
+    "name": "mechanism",
+    "gravity": [0, -9.81],
+    "bodies": {"a": {"mass": 1.0, "inertia": 1.0, "velocity": [1.0, 5.0]}},
+}
+
+
+def thrown(when: str, integrator: dict[str, Any], end: float = 2.0, **event: str) -> mbdkit.Run:
+    """Run a thrown body, whose x is the time and y = 5 t - 9.81 t^2 / 2, in a few long steps."""
+    sections = {"model": THROWN, "integrator": integrator, "time": {"end": end}}
+    return mbdkit.run({"mbdkit": 1, **sections, "events": {"e": {"when": when, **event}}})
+
+
+LONG_STEPS = [
+    {"name": "dop853", "adaptive": True}, {"name": "gauss", "stages": 3, "adaptive": True}, {"name": "scipy-dop853"},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("integrator", LONG_STEPS, ids=lambda one: one["name"])
+def test_every_crossing_of_a_fast_expression_is_found_in_long_steps(integrator: dict[str, Any]) -> None:
+    with thrown("sin(40*a.x)", integrator) as there:
+        assert there.check().stats["steps"] < 30
+        assert there.events.time == pytest.approx(np.arange(1, 26) * np.pi / 40, abs=1e-9)
+
+
+@pytest.mark.parametrize("integrator", LONG_STEPS, ids=lambda one: one["name"])
+def test_a_dip_below_zero_is_found_in_long_steps(integrator: dict[str, Any]) -> None:
+    with thrown("abs(a.x - 0.55) - 0.03", integrator, action="stop") as there:
+        assert there.check().time[-1] == pytest.approx(0.52, abs=1e-9)
+    with thrown("abs(a.x - 1.61803) - 1e-6", integrator) as there:
+        assert there.events.time == pytest.approx([1.618029, 1.618031], abs=1e-9)
+    top = 5.0**2 / (2 * 9.81)
+    with thrown(f"a.y - {top - 1e-7!r}", integrator) as there:  # above for 2 sqrt(2e-7 / g)
+        half = np.sqrt(2e-7 / 9.81)
+        assert there.events.time == pytest.approx([5 / 9.81 - half, 5 / 9.81 + half], abs=1e-8)
+    with thrown(f"a.y - {top + 1e-9!r}", integrator) as there:
+        assert len(there.events.time) == 0
+
+
+def test_an_expression_whose_period_divides_the_samples_is_not_mistaken_for_zero() -> None:
+    with thrown("sin(2*pi*t)", {"name": "dop853", "adaptive": True}, end=64.2) as there:
+        assert len(there.events.time) == 128

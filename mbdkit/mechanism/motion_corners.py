@@ -1,0 +1,225 @@
+"""Knots and corners of motions and loads: the times at which one of their derivatives jumps.
+
+*Knots* are the points of a table: the third derivative of a cubic spline jumps there, the rate of a linear table.
+*Corners* are the times at which ``abs``, ``min`` or ``max`` change their form, and the jumps of ``atan2``.
+
+The arguments of these functions are sampled over the span of the run, at `SAMPLES` times and at all corners of
+functions inside them. Changes of sign between two samples are bisected; where the rate shows an extremum towards zero
+between two samples of equal sign, the extremum is bisected first. Two changes of sign are therefore missed only if they
+are closer together than two samples and there is more than one extremum between these. Jumps without such a function,
+such as the poles of ``tan``, are not found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.mechanism.time_expression import Expression
+from mbdkit.mechanism.time_jets import EPS, Jet, curve_of, jet_and_switches, jet_of
+from mbdkit.mechanism.values import Motion, Table
+
+if TYPE_CHECKING:
+    from mbdkit.mechanism.time_expression import Program
+
+SAMPLES = 10_000
+"""Number of samples over the span of a run; of long expressions, fewer."""
+
+MOST_OPERATIONS = 50_000_000
+"""Largest number of operations of one sampling."""
+
+BISECTIONS = 80
+"""More than enough to bisect any interval to adjacent numbers."""
+
+JUMP, JUMP_OF_LARGEST = 1e-9, 1e-13
+"""Differences below this share of the larger side, or of the largest value over the run, are rounding, not jumps."""
+
+WIDEST_MARGIN = 1e-10
+"""Largest margin of a corner, as a share of the span."""
+
+
+@dataclass(frozen=True)
+class Corner:
+    """A time at which a derivative of a motion jumps.
+
+    Parameters
+    ----------
+    time
+        The time [s].
+    margin
+        Distance from the corner [s] beyond which rounding errors cannot lead to the wrong side of it.
+    is_knot
+        Whether it is a point of a table.
+    before, after
+        Value, rate and acceleration on both sides.
+    jumps
+        Which of these three differ.
+    """
+
+    time: float
+    margin: float
+    is_knot: bool
+    before: tuple[float, float, float]
+    after: tuple[float, float, float]
+    jumps: tuple[bool, bool, bool]
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether value, rate and acceleration are continuous."""
+        return not any(self.jumps)
+
+
+@lru_cache(maxsize=256)
+def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES) -> tuple[Corner, ...]:
+    """Return the knots and corners of a motion from `start` to `end` [s], both included, in order of time.
+
+    Parameters
+    ----------
+    motion
+        A number, an expression of t or a table.
+    start, end
+        The span of the run [s].
+    samples
+        Number of samples over the span.
+    """
+    rounding = 4.0 * EPS * max(abs(start), abs(end))
+    widest = WIDEST_MARGIN * (end - start)
+    if isinstance(motion, Table):
+        inner = [t for t in motion.table[0][1:-1] if start <= t <= end]
+        found = [(t, rounding) for t in inner] if _has_curve(motion) else []
+        return _described(motion, found, start, end, is_knot=True)
+    if not isinstance(motion, str):
+        return ()
+    program = Expression.parse(motion).program
+    if not any(operation in ("abs", "min", "max", "atan2") for operation, _ in program):
+        return ()
+    roots = _switching_times(program, start, end, max(1000, min(samples, MOST_OPERATIONS // len(program))))
+    found = [(t, min(rounding + noise, widest)) for t, noise in roots]
+    corners = _described(motion, found, start, end, is_knot=False)
+    # a zero of the first operand of atan2 is no corner if the second is positive, nor is sin(atan2(y, x)) anywhere
+    wraps = any(operation == "atan2" for operation, _ in program)
+    return tuple(corner for corner in corners if not wraps or not corner.is_smooth)
+
+
+def overshoot(table: Table) -> float:
+    """Return by how much the curve of a table leaves the range of its values, as a share of this range."""
+    values = np.array(table.table[1])
+    low, high = values.min(), values.max()
+    if not _has_curve(table) or low == high:
+        return 0.0
+    curve = curve_of(table)
+    turns = np.asarray(curve.derivative().roots(extrapolate=False))
+    reached = np.concatenate([values, curve(turns[np.isfinite(turns)])])
+    return float(max(low - reached.min(), reached.max() - high) / (high - low))
+
+
+def _has_curve(table: Table) -> bool:
+    try:
+        with np.errstate(all="ignore"):
+            return bool(np.all(np.isfinite(curve_of(table).c)))
+    except (ValueError, np.linalg.LinAlgError):
+        return False
+
+
+def _described(
+    motion: Motion, found: Iterable[tuple[float, float]], start: float, end: float, *, is_knot: bool
+) -> tuple[Corner, ...]:
+    """Return the corners at (time, margin), with the motion on both sides."""
+    places = sorted(found)
+    if not places:
+        return ()
+    times, margins = (np.array(column) for column in zip(*places, strict=True))
+    before, after = (jet_of(motion, times + side * margins).derivatives for side in (-1.0, 1.0))
+    with np.errstate(all="ignore"):
+        over = np.abs(jet_of(motion, np.linspace(start, end, 201)).derivatives)
+        largest = np.max(np.where(np.isfinite(over), over, 0.0), axis=0)
+        difference = after - before  # of which the next derivative explains a part
+        difference[:, :2] -= margins[:, None] * (before + after)[:, 1:]
+        floor = JUMP * np.maximum(np.abs(before), np.abs(after)) + JUMP_OF_LARGEST * largest
+        jumps = ~(np.abs(difference) <= floor)
+    corners: list[Corner] = []
+    for k in range(len(times)):
+        if corners and times[k] - corners[-1].time <= margins[k] + corners[-1].margin:
+            continue  # the same corner, of two functions
+        sides = tuple(before[k].tolist()), tuple(after[k].tolist())
+        corners.append(Corner(float(times[k]), float(margins[k]), is_knot, *sides, tuple(jumps[k].tolist())))
+    return tuple(corners)
+
+
+def _switching_times(program: Program, start: float, end: float, samples: int) -> list[tuple[float, float]]:
+    """Return the times at which a switch of a program changes its form, and the rounding error of each [s]."""
+    times = np.linspace(start, end, samples + 1)
+    found: dict[float, float] = {}
+    level = 0
+    while True:
+        level += 1
+        _, switches = jet_and_switches(program, times)
+        new: dict[float, float] = {}
+        for number, switch in enumerate(switches):
+            if switch.level == level:
+                new.update(_changes(_argument_of(program, number), times, switch.argument))
+        found.update(new)
+        if level >= max(switch.level for switch in switches):
+            return sorted(found.items())
+        times = np.unique(np.concatenate([times, list(new)]))
+
+
+def _argument_of(program: Program, number: int) -> Callable[[np.ndarray], Jet]:
+    """Return the argument of a switch as a function of times (T,)."""
+    return lambda times: jet_and_switches(program, times)[1][number].argument
+
+
+def _changes(argument: Callable[[np.ndarray], Jet], times: np.ndarray, sampled: Jet) -> dict[float, float]:
+    """Return the times at which an argument changes its sign, each with its rounding error [s]."""
+    known = np.isfinite(sampled.value)
+    times, g, rate = times[known], sampled.value[known], sampled.rate[known]
+    sign = np.sign(g)
+    zeros, others = sign == 0.0, np.flatnonzero(sign != 0.0)
+    left, right = others[:-1], others[1:]
+    opposite = sign[left] != sign[right]
+    # an argument that is zero over several samples changes at the corners of a function inside it
+    isolated = right - left <= 2
+    brackets = [(times[left[opposite & isolated]], times[right[opposite & isolated]])]
+    adjacent = right - left == 1
+    heads_to_zero = adjacent & ~opposite & (sign[left] * rate[left] < 0.0) & (sign[right] * rate[right] > 0.0)
+    if heads_to_zero.any():
+        a, b = times[left[heads_to_zero]], times[right[heads_to_zero]]
+        middle = _bisected(lambda t: argument(t).rate, a, b)
+        across = np.sign(argument(middle).value) == -sign[left[heads_to_zero]]
+        brackets += [(a[across], middle[across]), (middle[across], b[across])]
+    low, high = (np.concatenate(ends) for ends in zip(*brackets, strict=True))
+    edges = [k for k in (0, len(times) - 1) if len(times) and zeros[k]]  # a zero at an end of the run
+    if not len(low) and not edges:
+        return {}
+    roots = np.concatenate([_bisected(lambda t: argument(t).value, low, high), times[edges]])
+    at = argument(roots)
+    ends = np.maximum(np.abs(argument(low).value), np.abs(argument(high).value))
+    with np.errstate(all="ignore"):
+        noise = 2.0 * at.rounding / np.abs(at.rate)
+    found = {}
+    for k, root in enumerate(roots):
+        if k < len(low) and not abs(at.value[k]) <= ends[k]:
+            continue  # a pole
+        found[float(root)] = float(noise[k]) if np.isfinite(noise[k]) else 0.0
+    return found
+
+
+def _bisected(function: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return where `function` changes its sign between `low` and `high` (K,), to adjacent numbers."""
+    a, b = low.copy(), high.copy()
+    if not len(a):
+        return a
+    sign = np.sign(function(a))
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (a + b)
+        if np.all((middle <= a) | (middle >= b)):
+            break
+        now = np.sign(function(middle))
+        stays = now == sign
+        a = np.where(stays | (now == 0.0), middle, a)
+        b = np.where(~stays, middle, b)
+    return b

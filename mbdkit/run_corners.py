@@ -1,0 +1,148 @@
+"""Knots and corners of the motions and loads of a run: where its steps end, what is refused, and warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.checks import motions_by_key
+from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, overshoot
+from mbdkit.mechanism.time_jets import EPS, jet_of
+from mbdkit.mechanism.values import Motion, Table
+
+if TYPE_CHECKING:
+    from mbdkit.spec import RunSpec
+
+MOST_STOPS = 5000
+"""Largest number of knots or corners of one motion at which steps end."""
+
+ON_GRID = 1e-4
+"""A knot without a jump of the acceleration needs no stop if it is nearer to the end of a fixed step than this share of
+the step."""
+
+OVERSHOOT = 0.1
+"""Share of the range of its values by which a table may leave it without a warning."""
+
+
+@dataclass(frozen=True)
+class Stops:
+    """Times at which steps end [s], their margin [s], and those of them at which the rate of a driver jumps."""
+
+    times: tuple[float, ...] = ()
+    margin: float = 0.0
+    impacts: tuple[float, ...] = ()
+
+
+def stops_of(spec: RunSpec) -> Stops:
+    """Return where the steps of a run end, apart from the fixed grid; raises the errors of `RunSpec.mechanism`."""
+    start, end = spec.time.start, spec.time.final
+    found: list[tuple[Corner, bool]] = []
+    for key, motion in _motions(spec):
+        corners = corners_of(motion, start, end)
+        for corner in corners:
+            is_impact = _is_driver(key) and corner.jumps[1]
+            if is_impact or (len(corners) <= MOST_STOPS and _needs_stop(spec, corner)):
+                found.append((corner, is_impact))
+    margin = max([4.0 * EPS * max(abs(start), abs(end)), *(corner.margin for corner, _ in found)])
+    times: list[float] = []
+    impacts: list[float] = []
+    for corner, is_impact in sorted(found, key=lambda item: item[0].time):
+        if not start + 4.0 * margin < corner.time < end - 4.0 * margin:
+            continue
+        if not times or corner.time - times[-1] > 4.0 * margin:
+            times.append(corner.time)
+        if is_impact and times[-1] not in impacts:
+            impacts.append(times[-1])
+    return Stops(tuple(times), margin, tuple(impacts))
+
+
+def check_jumps(spec: RunSpec) -> None:
+    """Check that the motions of all drivers are continuous, and their rates too unless the spec allows impacts.
+
+    Raises
+    ------
+    SpecError
+        With the key path of the first motion that is not.
+    """
+    for name, joint in spec.mechanism().joints.items():
+        for key, motion in joint.motions():
+            try:
+                _check_driver(spec, motion, joint.units[0])
+            except SpecError as error:
+                raise spec.placed(error.located(prefix=f"model.joints.{name}.{key}")) from None
+
+
+def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:
+    """Raise SpecError if the value or the rate of the motion of a driver jumps."""
+    start, end = spec.time.start, spec.time.final
+    for corner in corners_of(motion, start, end):
+        if min(corner.time - start, end - corner.time) <= 4.0 * corner.margin:
+            _check_end(motion, corner, start, end, unit)
+        elif corner.jumps[0]:
+            raise SpecError(
+                f"the value of this motion jumps from {corner.before[0]:.6g} to {corner.after[0]:.6g} {unit} "
+                f"at t = {corner.time:.6g} s, which no driver can follow; write it without the jump "
+                "(atan2 jumps by 2 pi where its first argument changes sign and the second is negative)",
+            )
+        elif corner.jumps[1] and spec.impacts == "refuse":
+            raise SpecError(
+                f"the rate of this motion jumps from {corner.before[1]:.6g} to {corner.after[1]:.6g} {unit}/s "
+                f"at t = {corner.time:.6g} s, which takes an impulse; round the corner, for example by a "
+                "smooth ramp such as 0.5*(1 - cos(pi*t)) or a table with a few points around it, or set "
+                "`impacts: allow` to change the velocities there by an impulse",
+            )
+
+
+def corner_warnings(spec: RunSpec) -> tuple[str, ...]:
+    """Return warnings about tables that overshoot, and motions with too many corners."""
+    warnings = []
+    for key, motion in _motions(spec):
+        if isinstance(motion, Table) and (share := overshoot(motion)) > OVERSHOOT:
+            warnings.append(
+                f"the cubic spline of the table at {key} leaves the range of its values by {share:.3g} times this "
+                "range; use points closer together where the values change quickly, or `interpolation: linear`"
+            )
+        count = len(corners_of(motion, spec.time.start, spec.time.final))
+        if count > MOST_STOPS and not isinstance(motion, Table):
+            warnings.append(
+                f"the expression at {key} has {count} corners, more than {MOST_STOPS}, so that steps do not end there; "
+                "methods of high order lose their order"
+            )
+    return tuple(warnings)
+
+
+def _motions(spec: RunSpec) -> Iterator[tuple[str, Motion]]:
+    mechanism = spec.mechanism()
+    yield from motions_by_key(mechanism.joints, mechanism.forces)
+
+
+def _is_driver(key: str) -> bool:
+    return key.startswith("model.joints.")
+
+
+def _needs_stop(spec: RunSpec, corner: Corner) -> bool:
+    """Return whether steps have to end at a corner: not at knots that are close to the fixed grid."""
+    step = spec.time.step
+    if spec.claims.adaptive or step is None or not (corner.is_knot and corner.is_smooth):
+        return True
+    place = (corner.time - spec.time.start) / step
+    return abs(place - round(place)) > ON_GRID
+
+
+def _check_end(motion: Motion, corner: Corner, start: float, end: float, unit: str) -> None:
+    """Raise SpecError if a motion jumps at the start or the end of the run and has the outer value there."""
+    is_start = corner.time - start <= end - corner.time
+    inner = corner.after if is_start else corner.before
+    here = jet_of(motion, np.array([start if is_start else end])).derivatives[0]
+    for k, (what, per) in enumerate((("value", ""), ("rate", "/s"))):
+        scale = max(abs(corner.before[k]), abs(corner.after[k]))
+        if corner.jumps[k] and not abs(here[k] - inner[k]) <= 1e3 * JUMP * scale:
+            where, side = ("start", "after") if is_start else ("end", "before")
+            raise SpecError(
+                f"the {what} of this motion jumps from {corner.before[k]:.6g} to {corner.after[k]:.6g} {unit}{per} at "
+                f"the {where} of the run, t = {corner.time:.6g} s; write the motion that holds {side} it"
+            )

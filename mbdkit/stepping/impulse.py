@@ -1,0 +1,45 @@
+"""The impulse of drivers whose rate jumps: the nearest velocities that satisfy the constraints after the jump."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.nearest_state import nearest_velocities
+from mbdkit.stepping.interface import Impact
+
+if TYPE_CHECKING:
+    from mbdkit.engine.workspace import Workspace
+
+
+def impulse(workspace: Workspace, t: float, q: np.ndarray, v: np.ndarray, stop: float) -> tuple[Impact, np.ndarray]:
+    """Return the impulse at a stop, and the velocities after it (3 (B + 1),), ground last.
+
+    The impulse Lambda of the constraints leads to ``M (v+ - v) + Phi_q^T Lambda = 0`` with ``Phi_q v+ + Phi_t+ = 0``:
+    v+ is nearest to v in the mass metric. Its work is the change of the kinetic energy.
+
+    Parameters
+    ----------
+    workspace
+        The mechanism; new pivots may be chosen.
+    t
+        Time just after the jump [s].
+    q, v
+        (3 (B + 1),) positions, and velocities before the jump.
+    stop
+        Time of the jump [s].
+
+    Raises
+    ------
+    mbdkit.errors.StepError
+        If the position is singular.
+    """
+    p = EquationsOfMotion(workspace)
+    old = v[: p.n].copy()
+    new = nearest_velocities(p, t, q[: p.n].copy(), old)
+    work = 0.5 * float((new - old) @ (p.mass * (new + old)))
+    moved = float(np.sqrt((new - old) @ (p.mass * (new - old)) / np.sum(p.mass[::3])))
+    return Impact(stop, work, moved), with_ground(new)
