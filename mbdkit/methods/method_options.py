@@ -13,8 +13,8 @@ from pydantic_core import PydanticCustomError
 from mbdkit.methods.kinds import Tolerances
 from mbdkit.strict_model import StrictModel
 
-
 MaxStep = Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
+"""Largest step [s]; None: no limit."""
 
 
 class Options(StrictModel):
@@ -38,8 +38,8 @@ class ControlledOptions(Options):
     atol: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
     """Absolute error tolerance of adaptive steps [m, rad, m/s, rad/s]; left out: the number that `rtol` is."""
     max_step: MaxStep = None
-    """Largest adaptive step [s], so that no short, smooth pulse is missed; unlimited if left out. Steps end at knots and
-    corners of motions and loads in any case."""
+    """Largest adaptive step [s], against short, smooth pulses between two steps; unlimited if left out. Steps end at
+    knots and corners of motions and loads in any case."""
 
     @model_validator(mode="after")
     def _tolerances_need_adaptive_steps(self) -> ControlledOptions:

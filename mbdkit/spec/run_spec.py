@@ -52,7 +52,7 @@ class RunSpec(StrictSpec):
 
     model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("events", "impacts")
-    """Keys that the canonical form omits if empty or default, so that specs written before they existed keep hash and run id."""
+    """Keys that the canonical form omits if empty or default, so that older specs keep hash and run id."""
 
     mbdkit: Literal[1]
     """Version of the spec format."""
