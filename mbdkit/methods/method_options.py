@@ -15,6 +15,7 @@ from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.strict_model import StrictModel
 
 MaxStep = Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
+"""Largest step [s]; None: no limit."""
 
 
 class Options(StrictModel):

@@ -120,7 +120,7 @@ def _end_of_step(plan, progress):
     """Return start, size and end of the step just accepted, and whether it is the last."""
     times, t, h = plan.times, progress.tried_begin[0], progress.last_size[0]
     if progress.at_stop[0] != 0:
-        return t, h, _next_stop(plan, progress), False
+        return t, h, _next_stop(plan, progress) - times.margin[0], False
     last = t + h >= times.end[0] if plan.control.controlled[0] else progress.whole[0] + 1 >= times.steps[0]
     return t, h, times.end[0] if last else t + h, last
 
@@ -369,10 +369,13 @@ def _add_energies(c):
 
 @subkernel
 def _pass_stop(plan, progress):
-    """Move the time to the stop at which the pending step ends; return whether a fixed step is complete."""
+    """Move the time to the stop at which the pending step ends; return whether a fixed step is complete.
+
+    The time is that before the stop, so that a row there shows this side of it, but for rows of the fixed grid.
+    """
     stop = _next_stop(plan, progress)
     complete = plan.control.controlled[0] != 0 or _is_end_of_whole_step(plan, progress, stop)
-    progress.time[0], progress.time_low[0] = stop, 0.0
+    progress.time[0], progress.time_low[0] = stop - plan.times.margin[0], 0.0
     if complete:
         if not plan.control.controlled[0]:
             progress.time[0] = _end_of_whole_step(plan, progress)

@@ -204,7 +204,8 @@ class PythonStepper:
             stop = table.stops[begin.passed]
             is_end = abs(stop - end) <= SAME_TIME * table.stop_margin
             if stop < end or is_end:
-                return _Planned(t, stop - table.stop_margin - t, end if is_end else stop, True, is_end)
+                left = stop - table.stop_margin  # so that a row there shows this side of the stop
+                return _Planned(t, left - t, end if is_end else left, True, is_end)
         size = table.last_step if n == table.steps else table.step
         return _Planned(t, size if begin.restart is None else end - t, end, False, True)
 

@@ -297,8 +297,6 @@ class SciPyStepper:
         self.finished = solver.status == "finished" and not self._stopped
         if self.finished:
             self.time = self.timetable.end
-        elif self._stopped:
-            self.time = self.timetable.stops[self._passed]
         q, _ = self._state(self.y)
         note_all(self.workspace.engine, np.array([self.time]), q[None], self.worst_pairs)
         if self._stabilized:
