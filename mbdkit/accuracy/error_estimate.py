@@ -175,10 +175,8 @@ class _Quantity:
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio, common = np.where(d01 > 0, d12 / d01, np.inf), np.where(all01 > 0, all12 / all01, np.inf)
         spread = _largest(d01, d12, d02, d0g)
-        tiny, minor = (
-            _largest(d01, d12, d02) <= floor,
-            (_largest(d01, d12, d02) <= MINOR * all02) & (common <= LARGEST_RATIO),
-        )
+        tiny = spread <= agreed
+        minor = (_largest(d01, d12, d02) <= MINOR * all02) & (common <= LARGEST_RATIO)
         falls, confirmed = ratio <= LARGEST_RATIO, d2g <= CONFIRMED * d0g
         #: Factor of Richardson's extrapolation (T, U).
         self._factor = 1.0 / (1.0 - np.where(falls, ratio, 0.0) ** 2)

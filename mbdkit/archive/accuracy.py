@@ -32,7 +32,7 @@ class JointAccuracy:
     error
         Its largest estimated error up to then [N]; nan if nothing is known.
     share
-        `error` over `peak`; over the largest peak of all joints if the joint carries rounding errors only.
+        `error` over `peak_known`; over that of the joint with the largest if this one carries rounding errors only.
     """
 
     name: str
@@ -137,10 +137,10 @@ class Accuracy:
         peaks = np.max(size, axis=0, initial=0.0)
         known = np.max(size[:count], axis=0) if count else np.full(len(names), np.nan)
         errors = self.reaction_error[count - 1] if count else np.full(len(names), np.nan)
-        least = SMALL_FORCE * float(np.max(peaks, initial=0.0))
+        most = float(np.max(known, initial=0.0)) if count else math.nan
         found = []
         for name, peak, reached, error in zip(names, peaks, known, errors, strict=True):
-            over = peak if peak > least else float(np.max(peaks))
+            over = reached if reached > SMALL_FORCE * most else most
             share = error / over if over > 0 else 0.0 * error
             found.append(JointAccuracy(name, float(peak), float(reached), float(error), float(share)))
         return tuple(found)

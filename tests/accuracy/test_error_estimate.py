@@ -72,13 +72,13 @@ def test_a_guard_confirms_what_the_order_does_not_show():
     np.testing.assert_allclose(found.position[:, 0, 0], 1e-4 * TIME, rtol=0.05)
 
 
-def test_rounding_errors_need_not_fall():
-    noise = np.random.default_rng(1).normal(size=(4, len(TIME))) * 1e-13
+@pytest.mark.parametrize("size", [1e-13, 1e-7])
+def test_rounding_errors_need_not_fall_even_where_chaos_has_multiplied_them(size):
+    noise = np.random.default_rng(1).normal(size=(4, len(TIME))) * size
     runs = [rows(x) for x in noise]
     found = estimate_errors((runs[0], runs[1], runs[2]), runs[3], UNITS)
     assert found.known_until == TIME[-1]
-    assert 1e-13 < found.position[-1, 0, 0] < 1e-12
-    assert math.isnan(found.order)
+    assert size < found.position[-1, 0, 0] < 10 * size
 
 
 def test_equal_runs_are_known_to_their_distance_from_the_guard():
