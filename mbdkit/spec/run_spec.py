@@ -234,6 +234,8 @@ class RunSpec(StrictSpec):
                 mechanism.check_span(self.time.start, self.time.final)
         except SpecError as error:
             raise error if error.key.startswith("model") else error.located(prefix="model") from None
+        except OverflowError:
+            raise SpecError("a parameter is so large or so small that numbers overflow", key="model") from None
         except Exception as error:
             raise PluginError(f"model {self.model_item.id} failed to build: {one_line(error)}") from error
         if not isinstance(mechanism, Mechanism):

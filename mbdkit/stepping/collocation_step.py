@@ -235,6 +235,7 @@ def try_step(c, m, t, h, want_error, kernels):
     """
     _keep_first_acceleration(c, m)
     careful = want_error != 0.0
+    change = coordinate = iterations = 0.0
     while True:
         if careful:
             status = _first_acceleration(c, m, t)
@@ -244,6 +245,9 @@ def try_step(c, m, t, h, want_error, kernels):
         if status != DIVERGED or careful or m.settings.solver[0] != NEWTON:
             break
         careful = True
+        change, coordinate, iterations = c.report[0], c.report[1], c.report[2]
+    if status == DIVERGED and iterations > 0.0:  # the fast iteration is the one to report
+        c.report[0], c.report[1], c.report[2] = change, coordinate, iterations
     if status != OK:
         return status
     if c.has_power[0] != 0:

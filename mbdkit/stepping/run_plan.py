@@ -126,7 +126,9 @@ def guard_limits(mechanism: CompiledMechanism, guards: Guards) -> GuardLimits:
     for row in mechanism.rows:
         if row.unit == "rad":
             largest[row.pair] = guards.angle_misalignment
-    return GuardLimits(largest**2, _real(guards.energy_jump), _real(ENERGY_JUMP))
+    with np.errstate(over="ignore"):  # an infinite limit is none
+        squared = largest**2
+    return GuardLimits(squared, _real(guards.energy_jump), _real(ENERGY_JUMP))
 
 
 def new_plan(

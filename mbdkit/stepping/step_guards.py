@@ -20,7 +20,9 @@ import numpy as np
 
 from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels.applied_forces import evaluate_tension, path_rate, pathway_lengths, potential_energy
+from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.vectors import copy
+from mbdkit.engine.singularity import new_vectors
 from mbdkit.trust.criteria import BRANCH_ANGLE, BRANCH_RATIO
 
 if TYPE_CHECKING:
@@ -73,6 +75,8 @@ class GuardState(NamedTuple):
     """Largest speed so far in the mass metric [m/s]."""
     distance: np.ndarray
     """Distance to singularity in the last attempt."""
+    vectors: np.ndarray
+    """(P, 11) vectors of its inverse iteration, see `mbdkit.engine.kernels.singularity_kernels`."""
     farthest: np.ndarray
     """Largest distance to singularity so far."""
     nearest: np.ndarray
@@ -103,7 +107,7 @@ class GuardState(NamedTuple):
 def new_guard_state(workspace: Workspace) -> GuardState:
     """Return what the guards know at the start of a run."""
     size = workspace.mechanism.length
-    vectors = workspace.mechanism.size
+    entries = workspace.mechanism.size
 
     def one(x: float = 0.0) -> np.ndarray:
         return np.array([x])
@@ -113,9 +117,9 @@ def new_guard_state(workspace: Workspace) -> GuardState:
         energy=one(np.nan), kinetic=one(), jump=one(), jump_time=one(), jumped=one(),
         size=one(size),
         total_mass=one(float(np.sum(workspace.mechanism.topology.mass[:-1, 0]))),
-        path=one(), speed=one(), distance=one(1.0), farthest=one(), nearest=one(np.inf),
-        samples=next(counts), sample_path=np.zeros(SAMPLES), sample_direction=np.zeros((SAMPLES, vectors)),
-        armed=one(1.0), dip_path=one(np.nan), dip_distance=one(), dip_time=one(), dip_direction=np.zeros(vectors),
+        path=one(), speed=one(), distance=one(1.0), vectors=new_vectors(workspace), farthest=one(), nearest=one(np.inf),
+        samples=next(counts), sample_path=np.zeros(SAMPLES), sample_direction=np.zeros((SAMPLES, entries)),
+        armed=one(1.0), dip_path=one(np.nan), dip_distance=one(), dip_time=one(), dip_direction=np.zeros(entries),
         dip_begin=one(),
         sharp=np.array([BRANCH_ANGLE, BRANCH_RATIO]), turns=np.zeros((MOST_TURNS, 3)), turn_count=next(counts),
     )  # fmt: skip
@@ -166,10 +170,11 @@ def note_jump(c, t, jump, total, kinetic):
 def distance_to_singularity(c):
     """Return an estimate of the distance to singularity at the last solution for the accelerations.
 
-    It is the square root of the largest reduction of a pivot block by elimination, and 1 without a Schur complement.
+    It is the square root of the largest reduction of a pivot block by elimination. Where pivots are chosen instead,
+    inverse iteration gives the distance itself.
     """
     if c.solver.pivoted[0] != 0:
-        return 1.0
+        return singularity_distance(c.top, c.w, c.solver, c.guards.vectors)
     diagonal, whole = c.solver.schur.diagonal, c.solver.schur.whole
     largest = 1.0
     for k in range(len(diagonal)):

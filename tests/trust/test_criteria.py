@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mbdkit.trust.criteria import LEVELS, Accuracy, BranchSuspicion, Evidence, judge
+from mbdkit.trust.criteria import LEVELS, EstimatedErrors, BranchSuspicion, Evidence, judge
 from mbdkit.trust.energy_record import EnergyRecord
 
 SOUND = Evidence(
@@ -24,7 +24,7 @@ SOUND = Evidence(
     energy_jump=1e-7,
     energy_jump_time=1.0,
 )
-KNOWN = Accuracy(position=1e-6, reaction=1e-4, known_until=5.0)
+KNOWN = EstimatedErrors(position=1e-6, reaction=1e-4, known_until=5.0)
 
 
 def test_a_run_without_an_estimate_of_its_error_is_unknown_at_best() -> None:

@@ -108,7 +108,7 @@ def test_no_stiff_run_is_wrong(seed: int) -> None:
     assert not wrong
 
 
-@pytest.mark.parametrize(("hold", "step"), itertools.product(HOLDS, (0.02, 0.05)))
+@pytest.mark.parametrize(("hold", "step"), list(itertools.product(HOLDS, (0.02, 0.05))))
 def test_fixed_steps_at_a_stiff_spring_are_right_or_flagged_or_stopped(hold: str, step: float) -> None:
     for name, stages in METHODS:
         build, length, pull = HOLDS[hold]
