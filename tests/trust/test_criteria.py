@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mbdkit.trust.criteria import LEVELS, EstimatedErrors, BranchSuspicion, Evidence, judge
+from mbdkit.trust.criteria import LEVELS, BranchSuspicion, EstimatedErrors, Evidence, judge
 from mbdkit.trust.energy_record import EnergyRecord
 
 SOUND = Evidence(
