@@ -1,6 +1,6 @@
 """Chooses method and step for an accuracy that is asked, from pilot runs and a model of error and work.
 
-The error of a fixed-step method of order p is C h^p, that of an adaptive method C tol^p with p = 1 nearly; C is the
+The error of a fixed-step method of order p is C h^p, that of an adaptive method C tol^p with p near 1; C is the
 difference of two pilots, and p is observed where the model is used far from them. Work is the number of evaluations.
 
 Without a given integrator, DOP853 in adaptive steps is the first candidate. On smooth mechanisms no other built-in
@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from mbdkit.accuracy.pilot_run import SAMPLES, PilotRun, difference, run_pilot
+from mbdkit.accuracy.pilot_run import IMPLICIT_WORK, SAMPLES, PilotRun, difference, run_pilot
 from mbdkit.accuracy.position_measure import PositionMeasure
 from mbdkit.engine.workspace import Workspace
 from mbdkit.plain_data import canonical
@@ -29,8 +29,13 @@ MARGIN = 0.3
 """The expected error, as a share of the error asked. A third costs 15 % more work in order 8; errors of regular motions
 follow the tolerance within this factor."""
 
-SATURATED = 0.02
-"""Differences above this share of the size say nothing about smaller steps."""
+SATURATED = 0.2
+"""Differences above this share of the size say nothing about smaller steps. Those a little below are larger than the
+model expects, so that the choice is on the safe side."""
+
+FOLLOWS = 0.93
+"""Expected exponent of the error of an adaptive method in its tolerance; below 1, because the prediction often spans
+several decades, and a missed accuracy costs another run."""
 
 TIGHTEST, LOOSEST = 1e-13, 1e-3
 """Range of the tolerance: below the first, rounding errors dominate; above the second, errors do not follow it."""
@@ -44,6 +49,9 @@ accuracy alone makes it 10^(1/8) = 1.33."""
 
 FIRST_STEPS = 20_000
 """Most steps of the first pilots of a candidate; those of stiff mechanisms exceed it."""
+
+IMPLICIT_STEP = 20.0 * IMPLICIT_WORK
+"""Least work of a step of Radau IIA with 5 stages, which iterates at least four times: 20 evaluations."""
 
 MOST_ATTEMPTS = 3
 """Most runs of the chosen method, if the check does not confirm the accuracy at once."""
@@ -64,7 +72,7 @@ class Candidate:
     adaptive
         Whether the setting is a tolerance; otherwise it is the step [s].
     order
-        Exponent of the error in the setting, expected: 1 for a tolerance.
+        Expected exponent of the error in the setting.
     """
 
     integrator: Mapping[str, Any]
@@ -75,7 +83,9 @@ class Candidate:
     def of(cls, spec: RunSpec) -> Candidate:
         """Return the integrator of a spec as the candidate."""
         claims = spec.claims
-        return cls(canonical(spec.integrator), claims.adaptive, 1.0 if claims.adaptive else float(claims.order or 2))
+        return cls(
+            canonical(spec.integrator), claims.adaptive, FOLLOWS if claims.adaptive else float(claims.order or 2)
+        )
 
     def settle(self, spec: RunSpec, setting: float, size: float) -> RunSpec:
         """Return the spec with this method and a setting; absolute tolerances are relative to small mechanisms."""
@@ -184,19 +194,16 @@ class _Search:
         pilots = self.two(explicit, FIRST_STEPS)
         if pilots[-1].failure != "max-steps" and pilots[-1].steps > STIFF * pilots[0].steps:
             return self.of(explicit, pilots)
-        others = self.two(implicit, FIRST_STEPS)
-        if others[-1].failure == "max-steps":
-            return self.of(explicit)
-        if pilots[-1].failure == "max-steps":
-            why = f"{explicit.integrator['name']} would take more than {FIRST_STEPS} steps"
-            return self.of(implicit, others, f"{why}: the mechanism is stiff. ")
-        told = (
-            f"Stability limits the steps of {explicit.integrator['name']}, whose pilot costs {pilots[-1].work:.3g} "
-            f"evaluations; that of {implicit.integrator['name']} costs {others[-1].work:.3g}. "
-        )
-        if others[-1].work < pilots[-1].work:
-            return self.of(implicit, others, told)
-        return self.of(explicit, pilots, told)
+        # stopped as soon as it cannot need less work than the explicit one any more
+        budget = max(8, int(pilots[-1].work / IMPLICIT_STEP))
+        other = self.pilot(implicit, pilots[-1].setting, budget)
+        name, rival = explicit.integrator["name"], implicit.integrator["name"]
+        if other.failure or other.work >= pilots[-1].work:
+            told = f"Stability limits the steps of {name}, but {rival} would cost more. "
+            return self.of(explicit, None if pilots[-1].failure == "max-steps" else pilots, told)
+        costs = f"a pilot run costs {other.work:.3g} evaluations instead of {pilots[-1].work:.3g}"
+        more = " or more" if pilots[-1].failure == "max-steps" else ""
+        return self.of(implicit, None, f"Stability limits the steps of {name}; with {rival}, {costs}{more}. ")
 
     def two(self, candidate: Candidate, most_steps: int | None = None) -> list[PilotRun]:
         """Return the first two pilots of a candidate."""

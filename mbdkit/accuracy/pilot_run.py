@@ -14,8 +14,9 @@ from mbdkit.run_preparation import guards, make_method, timetable
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.start import start_method
 
-SAMPLES = 32
-"""Intervals of equal length between the kept positions; fixed steps of pilots divide them."""
+SAMPLES = 16
+"""Intervals of equal length between the kept positions; fixed steps of pilots divide them. Dense output takes further
+evaluations in every adaptive step with a sample, so that more samples would cost as much as they tell."""
 
 IMPLICIT_WORK = 2.0
 """Work of an implicit method for each of its evaluations, in evaluations of an explicit one: its linear systems cost as

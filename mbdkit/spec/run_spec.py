@@ -71,12 +71,12 @@ class RunSpec(StrictSpec):
     check: bool = False
     """Estimate the errors of the recorded rows by companion runs, which take about ten times as long as the run."""
     accuracy: Annotated[float, Field(ge=SMALLEST, le=LARGEST)] | None = None
-    """Accuracy of positions over the whole run, as a share of the mechanism's size. Pilot runs choose the method, or the
-    step or tolerance of the given integrator, and a check confirms it, so `check` is true."""
+    """Accuracy of positions over the whole run, as a share of the mechanism's size. Pilot runs choose the method, or
+    the step or tolerance of the given integrator, and a check confirms it, so `check` is true."""
     choose: Literal["method", "step", "nothing"] | None = None
-    """What is chosen for `accuracy`: `method` and step (the default if `integrator` is left out); only the `step` or the
-    tolerance of `integrator`, where given ones are the first try (the default otherwise); or `nothing`: the spec runs as
-    it is, and its verdict says whether the accuracy is reached. Archives store the choice with `nothing`."""
+    """What is chosen for `accuracy`: `method` and step (the default if `integrator` is left out); only the `step` or
+    the tolerance of `integrator`, where given ones are the first try (the default otherwise); or `nothing`: the spec
+    runs as it is, and its verdict says whether the accuracy is reached. Archives store the choice with `nothing`."""
     impacts: Literal["refuse", "allow"] = "refuse"
     """Whether the rate of a driver may jump: `refuse` reports it as an error of the motion; `allow` changes velocities
     there by the smallest impulse that satisfies the constraints, whose work is recorded."""

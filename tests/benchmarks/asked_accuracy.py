@@ -100,8 +100,7 @@ class Tuned:
 
 def grid(known: Known) -> list[Tuned]:
     """Return all runs of the grid that reach the end."""
-    times = np.linspace(0.0, known.end, pilot_run.SAMPLES + 1)
-    true = known.solve(times)[0]
+    true = known.solve(np.linspace(0.0, known.end, pilot_run.SAMPLES + 1))[0]
     found = []
     settings = [(name, {**method, "adaptive": True}, x) for name, method in ADAPTIVE.items() for x in TOLERANCES]
     settings += [(name, method, x * known.step) for name, method in FIXED.items() for x in STEPS]
