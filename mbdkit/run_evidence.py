@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -69,7 +70,7 @@ def evidence_of_run(
     )
 
 
-def estimated_errors(recorder: Recorder, accuracy: Accuracy, size: float) -> EstimatedErrors:
+def estimated_errors(recorder: Recorder, accuracy: Accuracy, size: float, missed: str = "") -> EstimatedErrors:
     """Return the estimated errors of a checked run, as they are judged.
 
     Parameters
@@ -80,6 +81,8 @@ def estimated_errors(recorder: Recorder, accuracy: Accuracy, size: float) -> Est
         The estimates.
     size
         Size of the mechanism [m].
+    missed
+        Why the accuracy that was asked is not reached, as a clause.
     """
     rows = ObservedRows.joined(recorder.kept or [])
     figures = accuracy.figures(recorder.workspace.mechanism.joints, rows.force)
@@ -88,6 +91,8 @@ def estimated_errors(recorder: Recorder, accuracy: Accuracy, size: float) -> Est
         position=figures.position_error / size,
         reaction=0.0 if worst is None else worst.share,
         known_until=figures.known_until,
+        **({} if math.isnan(accuracy.asked) else {"asked": accuracy.asked, "reached": accuracy.reached}),
+        missed=missed,
     )
 
 

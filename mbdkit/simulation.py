@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.accuracy.asked_accuracy_result import missed_because, with_asked
 from mbdkit.accuracy.check_run import check_run
+from mbdkit.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
@@ -50,6 +54,9 @@ if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
 
 Progress = Callable[[float, float], None]
+
+_FINAL = ("wall-time", "max-steps", "plugin-error")
+"""Failures that smaller steps do not avoid."""
 
 
 def run(source: Any, *, archive: str | Path | None = None, overwrite: bool = False, **sections: Any) -> Run:
@@ -106,6 +113,59 @@ def simulate(
     begin = time.perf_counter()
     if path is not None:
         check_target(path, overwrite=overwrite)
+    prepare = partial(_prepared, path=path, overwrite=overwrite, notify=notify, begin=begin)
+    if spec.is_to_be_chosen:
+        return _with_accuracy(spec, prepare, notify, progress)
+    with _finished_or_abandoned(prepare(spec)) as simulation:
+        simulation.integrate(progress)
+        return simulation.finish()
+
+
+def _with_accuracy(
+    spec: RunSpec, prepare: Callable[..., _Simulation], notify: Callable[[str], None], progress: Progress | None
+) -> Run:
+    """Choose method and step for the accuracy of a spec, and run it; again with smaller steps while it is missed.
+
+    If no attempt reaches the accuracy, the best one is returned, and its verdict says so.
+    """
+    check_jumps(spec)
+    workspace, _ = build(spec, notify)
+    choice = choose_method(spec, workspace)
+    tried: list[tuple[tuple[float, float], Choice]] = []
+    while True:
+        with _finished_or_abandoned(prepare(choice.settle(spec), choice=choice)) as simulation:
+            simulation.integrate(progress)
+            tried.append((simulation.merit(), choice))
+            is_last = len(tried) >= MOST_ATTEMPTS or bool(choice.limited)
+            best = max(tried, key=lambda attempt: attempt[0])[1]
+            simulation.attempts = len(tried)
+            if simulation.is_settled or (is_last and best is choice):
+                return simulation.finish()
+        prepare = partial(prepare, notify=_silent)  # the warnings would be the same
+        if is_last:
+            # repeated, because only one archive is written at a time; the same settings give the same numbers
+            with _finished_or_abandoned(prepare(best.settle(spec), choice=best)) as simulation:
+                simulation.integrate(progress)
+                simulation.attempts = len(tried)
+                return simulation.finish()
+        assert spec.accuracy is not None
+        choice = choice.tightened(spec, spec.accuracy, simulation.reached)
+
+
+def _silent(message: str) -> None:
+    """Discard a message."""
+
+
+def _prepared(
+    spec: RunSpec,
+    *,
+    path: Path | None,
+    overwrite: bool,
+    notify: Callable[[str], None],
+    begin: float,
+    choice: Choice | None = None,
+) -> _Simulation:
+    """Return a simulation whose archive is begun; see `simulate`."""
     method = make_method(spec)
     check_jumps(spec)
     warnings = caution(spec, method)
@@ -126,10 +186,20 @@ def simulate(
         shared=shared_forces(workspace.mechanism),
     )
     try:
-        return _Simulation(spec, workspace, method, writer, begin, warnings).run(progress)
+        return _Simulation(spec, workspace, method, writer, begin, warnings, choice)
     except BaseException:
         writer.abandon()
         raise
+
+
+@contextmanager
+def _finished_or_abandoned(simulation: _Simulation) -> Iterator[_Simulation]:
+    """Remove the archive of a simulation that is not finished; handle Ctrl-C by ending the run."""
+    try:
+        with _interrupts(simulation):
+            yield simulation
+    finally:
+        simulation.writer.abandon()
 
 
 class _Simulation:
@@ -141,9 +211,12 @@ class _Simulation:
         writer: ArchiveWriter,
         begin: float,
         warnings: tuple[str, ...],
+        choice: Choice | None,
     ):
         self.spec, self.workspace, self.method, self.writer, self.begin = spec, workspace, method, writer, begin
-        self.warnings = warnings
+        self.warnings, self.choice = warnings, choice
+        self.attempts = 1
+        self.timings: dict[str, float] = {}
         self.size = size_at_start(spec, workspace)
         self.guards = guards(spec, self.size)
         self.recorder = Recorder(workspace, writer, self.guards)
@@ -155,24 +228,40 @@ class _Simulation:
         if spec.check:
             self.recorder.kept = []
 
-    def run(self, progress: Progress | None) -> Run:
-        """Record the initial state, integrate to the end, and finish the archive."""
+    def integrate(self, progress: Progress | None) -> None:
+        """Record the initial state, integrate to the end, and check the accuracy."""
         self.record_start()
-        with _interrupts(self):
-            with self._blaming_the_plugin():
-                if self.failure is None:
-                    self.start()
-            setup = time.perf_counter() - self.begin
-            wall, cpu = time.perf_counter(), time.process_time()
-            if self.stepper is not None:
-                self.advance(self.stepper, progress, wall)
-            timings = {
-                "setup_s": setup,
-                "wall_s": time.perf_counter() - wall,
-                "cpu_s": time.process_time() - cpu,
-            }
-            self.check_accuracy()
-            return self.finish(timings)
+        with self._blaming_the_plugin():
+            if self.failure is None:
+                self.start()
+        setup = time.perf_counter() - self.begin
+        wall, cpu = time.perf_counter(), time.process_time()
+        if self.stepper is not None:
+            self.advance(self.stepper, progress, wall)
+        self.timings = {
+            "setup_s": setup,
+            "wall_s": time.perf_counter() - wall,
+            "cpu_s": time.process_time() - cpu,
+        }
+        self.check_accuracy()
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether smaller steps would not help: the accuracy is reached, or the user or a limit has ended the run."""
+        if self.interrupted or (self.failure is not None and self.failure.code in _FINAL):
+            return True
+        return self.failure is None and self.accuracy is not None and self.accuracy.is_reached
+
+    @property
+    def reached(self) -> float:
+        """Estimated error of positions in the measure of the accuracy asked; nan if it is not known to the end."""
+        return self.accuracy.reached if self.accuracy is not None and self.accuracy.is_complete else math.nan
+
+    def merit(self) -> tuple[float, float]:
+        """Return a merit that orders attempts: the time until which errors are known, and their negative size."""
+        if self.accuracy is None or math.isnan(self.accuracy.known_until):
+            return -math.inf, -math.inf
+        return self.accuracy.known_until, -self.accuracy.reached
 
     def record_start(self) -> None:
         """Record the initial state."""
@@ -239,9 +328,10 @@ class _Simulation:
         if not kept:
             return
         rows, steps = ObservedRows.joined(kept), self.stepper.counters.steps if self.stepper is not None else 0
-        self.accuracy = check_run(self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted)
+        found = check_run(self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted)
+        self.accuracy = with_asked(found, self.spec, self.workspace, self.choice)
 
-    def finish(self, timings: dict[str, float]) -> Run:
+    def finish(self) -> Run:
         """Finish the archive with the final status, and return the run."""
         stepper = self.stepper
         counters = asdict(stepper.counters) if stepper is not None else asdict(Counters())
@@ -259,12 +349,15 @@ class _Simulation:
         )
         ending = status, reason
         evidence = evidence_of_run(self.recorder, stepper, ending, misalignment_max, self.size, self.warnings)
-        errors = None if self.accuracy is None else estimated_errors(self.recorder, self.accuracy, self.size)
+        errors = None
+        if self.accuracy is not None:
+            missed = missed_because(self.accuracy, self.choice, self.attempts)
+            errors = estimated_errors(self.recorder, self.accuracy, self.size, missed)
         judgement = judge(evidence, errors)
         file = self.writer.finish(
             status,
             reason,
-            {**counters, **timings},
+            {**counters, **self.timings},
             misalignment_max,
             accuracy=self.accuracy,
             judgement=judgement,

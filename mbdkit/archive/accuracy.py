@@ -95,6 +95,12 @@ class Accuracy:
         How the estimates were made.
     check_s
         Duration of the check [s].
+    asked
+        Accuracy of positions that was asked (`accuracy` of the spec), as a share of the mechanism's size; nan if none.
+    reached
+        Largest estimated error of positions in the same measure, up to `known_until`; nan if unknown or none was asked.
+    chosen, why
+        Method and step that were chosen for it, and the reason; empty if none was asked.
     """
 
     time: np.ndarray
@@ -106,6 +112,15 @@ class Accuracy:
     order_observed: float
     method: str
     check_s: float
+    asked: float = math.nan
+    reached: float = math.nan
+    chosen: str = ""
+    why: str = ""
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether an accuracy was asked, and the estimates confirm it for all rows."""
+        return self.is_complete and self.reached <= self.asked
 
     @property
     def is_complete(self) -> bool:
@@ -176,7 +191,8 @@ class Accuracy:
             create(file, BY_PATH[path], values[path])
         for name in _NUMBERS:
             group.attrs[name] = np.float64(getattr(self, name))
-        set_text(group, "method", self.method)
+        for name in _TEXTS:
+            set_text(group, name, getattr(self, name))
 
     @classmethod
     def read(cls, group: h5py.Group) -> Accuracy:
@@ -185,8 +201,10 @@ class Accuracy:
         for array in values.values():
             array.flags.writeable = False
         values |= {name: float(group.attrs.get(name, math.nan)) for name in _NUMBERS}
-        return cls(**values, method=str(group.attrs["method"]))
+        values |= {name: str(group.attrs.get(name, "")) for name in _TEXTS}
+        return cls(**values)
 
 
 _VALUES = ("time", "position_error", "velocity_error", "reaction_error", "torque_error")
-_NUMBERS = ("known_until", "order_observed", "check_s")
+_NUMBERS = ("known_until", "order_observed", "check_s", "asked", "reached")
+_TEXTS = ("method", "chosen", "why")

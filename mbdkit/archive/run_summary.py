@@ -65,7 +65,7 @@ def summary(run: Run) -> str:
         ("archive", "in memory" if run.path is None else str(run.path)),
     ]
     if run.accuracy is not None:
-        lines.insert(1, ("accuracy", accuracy_sentence(run)))
+        lines[1:1] = [("accuracy", accuracy_sentence(run)), ("asked", asked_sentence(run))]
     if spec.get("title"):
         lines.insert(len(verdict_lines(run)), ("run", " ".join(str(spec["title"]).split())))
     return "\n".join(f"{label:<13} {text}" for label, text in lines if text)
@@ -158,6 +158,23 @@ def accuracy_sentence(run: Run) -> str:
             known = f"largest force in {largest.name} {value} N, known to {largest.error:.2g} N{until}"
             return f"{known}; {position}{afterwards}"
     return f"{position}{until}{afterwards}"
+
+
+def asked_sentence(run: Run) -> str:
+    """Return sentences on the accuracy that was asked, the one reached, and the choice; empty if none was asked.
+
+    Parameters
+    ----------
+    run
+        The run.
+    """
+    accuracy = run.accuracy
+    if accuracy is None or math.isnan(accuracy.asked):
+        return ""
+    reached = "unknown" if math.isnan(accuracy.reached) else f"{accuracy.reached:.2g}"
+    until = "" if accuracy.is_complete or math.isnan(accuracy.reached) else f" until {accuracy.known_until:.4g} s"
+    told = f"{accuracy.asked:g} of the mechanism's size, reached by estimate {reached}{until}"
+    return f"{told}; chosen: {accuracy.chosen}. {accuracy.why}"
 
 
 def plus_minus(value: float, error: float) -> str:

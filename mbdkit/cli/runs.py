@@ -38,6 +38,10 @@ def run(
     check: Annotated[
         bool, typer.Option("--check", help="Estimate errors by companion runs; about ten times as slow.")
     ] = False,
+    accuracy: Annotated[
+        float | None,
+        typer.Option("--accuracy", metavar="SHARE", help="Choose method and step for this accuracy, such as 1e-6."),
+    ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -46,12 +50,17 @@ def run(
 
     With --check, companion runs estimate the errors of positions, velocities and
     reactions, and tell until when they are known.
+
+    With --accuracy, pilot runs choose method and step so that positions are accurate
+    to this share of the mechanism's size over the whole run, and a check confirms it.
+    If the spec gives an integrator, only its step or tolerance is chosen.
     """
     path = output if output is not None else Path(f"{stem(spec)}.h5")
     check_new(path, spec, overwrite)
     from mbdkit.spec import load_spec
 
-    checked = load_spec(spec, [*(assignments or ()), *(["check=true"] if check else [])])
+    asked = [*(["check=true"] if check else []), *([] if accuracy is None else [f"accuracy={accuracy!r}"])]
+    checked = load_spec(spec, [*(assignments or ()), *asked])
     from mbdkit.simulation import simulate  # compiled code: not needed to refuse a spec
 
     with _placing(checked), progress_bar(path.name, quiet) as progress:
@@ -86,7 +95,11 @@ def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> N
     print(f"{spec}: this spec is valid")
     print(f"model        {checked.model_item.id}: {mechanism.description()}")
     print(f"freedom      {problem.mechanism.freedoms()}")
-    print(f"integrator   {checked.integrator_item.id}, {checked.formulation}")
+    chosen = {"method": "method and step", "step": "its step or tolerance"}.get(checked.choose or "")
+    if chosen:
+        print(f"accuracy     {checked.accuracy:g} of the mechanism's size: the run chooses {chosen}")
+    if checked.choose != "method":
+        print(f"integrator   {checked.integrator_item.id}, {checked.formulation}")
     if checked.stabilized.kind != "none":
         print(f"stabilized   {checked.stabilized.describe()}")
     if checked.events:
@@ -212,6 +225,17 @@ def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, Any]:
         "position_error": _number(accuracy.position_error_max),
         "joints": joints,
         "method": accuracy.method,
+        **({} if math.isnan(accuracy.asked) else _asked(accuracy)),
+    }
+
+
+def _asked(accuracy: Accuracy) -> dict[str, Any]:
+    """Return the accuracy that was asked, the one reached (None if unknown), and the choice."""
+    return {
+        "asked": accuracy.asked,
+        "reached": _number(accuracy.reached),
+        "chosen": accuracy.chosen,
+        "why": accuracy.why,
     }
 
 

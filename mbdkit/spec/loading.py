@@ -17,6 +17,9 @@ from mbdkit.text import did_you_mean, listed
 
 VERSION = 1
 
+_OMITTED = RunSpec.ABSENT_BY_DEFAULT
+"""Keys that a copy of a spec omits by default: `check: false` is no statement of the user, as it is in a file."""
+
 
 def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> RunSpec:
     """Load and validate a run spec, build its mechanism, and return the spec, which is immutable.
@@ -83,7 +86,11 @@ def _examples() -> Any:
 def read_source(source: Any) -> Document:
     """Read `source` into a document without validation; see `load_spec` for the kinds of source."""
     if isinstance(source, RunSpec):
-        return Document({name: getattr(source, name) for name in type(source).model_fields})
+        fields = type(source).model_fields
+        values = {name: (getattr(source, name), info.default) for name, info in fields.items()}
+        return Document(
+            {name: value for name, (value, default) in values.items() if name not in _OMITTED or value != default}
+        )
     if isinstance(source, Mapping):
         return Document(copy.deepcopy(dict(source)))
     if isinstance(source, str | FilePath):

@@ -15,6 +15,7 @@ from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin, ModelPlugin
+from mbdkit.spec.asked_accuracy import LARGEST, SMALLEST, asked
 from mbdkit.spec.choices import Choice, choice_of
 from mbdkit.spec.sections import Event, Limits, Output, Time, named_events
 from mbdkit.spec.stabilization_section import UNSTABILIZED, stabilization_of
@@ -43,7 +44,7 @@ class RunSpec(StrictSpec):
     """
 
     model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("events", "check", "impacts")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("events", "check", "accuracy", "choose", "impacts")
     """Keys that the canonical form omits by default, so that specs written before they existed keep hash and run id."""
 
     mbdkit: Literal[1]
@@ -69,12 +70,22 @@ class RunSpec(StrictSpec):
     """Limits that stop the run early."""
     check: bool = False
     """Estimate the errors of the recorded rows by companion runs, which take about ten times as long as the run."""
+    accuracy: Annotated[float, Field(ge=SMALLEST, le=LARGEST)] | None = None
+    """Accuracy of positions over the whole run, as a share of the mechanism's size. Pilot runs choose the method, or
+    the step or tolerance of the given integrator, and a check confirms it, so `check` is true."""
+    choose: Literal["method", "step", "nothing"] | None = None
+    """What is chosen for `accuracy`: `method` and step (the default if `integrator` is left out); only the `step` or
+    the tolerance of `integrator`, where given ones are the first try (the default otherwise); or `nothing`: the spec
+    runs as it is, and its verdict says whether the accuracy is reached. Archives store the choice with `nothing`."""
     impacts: Literal["refuse", "allow"] = "refuse"
     """Whether the rate of a driver may jump: `refuse` reports it as an error of the motion; `allow` changes velocities
     there by the smallest impulse that satisfies the constraints, whose work is recorded."""
 
     _mechanism: Any = PrivateAttr(default=None)
     _watched: Any = PrivateAttr(default=None)
+
+    def __init__(self, **data: Any):
+        super().__init__(**asked(data))
 
     @model_validator(mode="after")
     def _suits_the_method(self) -> RunSpec:
@@ -87,7 +98,13 @@ class RunSpec(StrictSpec):
                 key="formulation",
             )
         self._check_stabilization(item, claims)
-        if self.time.step is None and not claims.adaptive:
+        if self.is_to_be_chosen and claims.adaptive and "rtol" not in type(self.integrator).model_fields:
+            raise SpecError(
+                f"integrator '{item.name}' adapts its step but has no option `rtol`, so its accuracy cannot be chosen; "
+                "leave `integrator` out, or use another one",
+                key="accuracy",
+            )
+        if self.time.step is None and not claims.adaptive and not self.is_to_be_chosen:
             choice = ", or `adaptive: true`" if "adaptive" in type(self.integrator).model_fields else ""
             raise SpecError(
                 f"is missing: the fixed-step method '{item.name}' needs a step in seconds{choice}", key="time.step"
@@ -127,6 +144,27 @@ class RunSpec(StrictSpec):
                 "a run backward in time would use different steps; omit `symmetric`",
                 key="stabilization.symmetric",
             )
+
+    @property
+    def is_to_be_chosen(self) -> bool:
+        """Whether method or step are still to be chosen for the accuracy asked."""
+        return self.accuracy is not None and self.choose != "nothing"
+
+    def settled(self, integrator: dict[str, Any], step: float | None) -> RunSpec:
+        """Return this spec with the method and step that were chosen for its accuracy.
+
+        Parameters
+        ----------
+        integrator
+            The integrator: its name and its options.
+        step
+            Step [s]; for an adaptive method the first step, or None.
+        """
+        time = {"start": self.time.start, "end": self.time.final, "step": step}
+        data = {name: getattr(self, name) for name in type(self).model_fields}
+        spec = type(self)(**data | {"integrator": integrator, "time": time, "choose": "nothing"})
+        spec._document, spec._mechanism, spec._watched = self._document, self._mechanism, self._watched
+        return spec
 
     @property
     def stabilized(self) -> Stabilization:

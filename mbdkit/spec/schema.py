@@ -36,6 +36,8 @@ def run_schema(installed: Registry | None = None) -> dict[str, Any]:
     definitions = whole["$defs"]
     names = [references[model, "validation"]["$ref"].rpartition("/")[2] for model in models]
     schema = definitions.pop(names[0])
+    schema["required"].remove("integrator")
+    schema["anyOf"] = [{"required": ["integrator"]}, {"required": ["accuracy"]}]
     if laws:  # an element of type law must use one of the installed laws
         definitions[names[1]] = {"oneOf": [{"$ref": f"#/$defs/{name}"} for name in names[2:]]}
     schema = {"$defs": definitions, **schema}

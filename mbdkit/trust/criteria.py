@@ -107,11 +107,19 @@ class EstimatedErrors:
         Largest error of a joint's force, as a share of the largest force in that joint.
     known_until
         Time up to which the errors are known [s]; nan if none is.
+    asked, reached
+        Accuracy of positions that was asked, and the largest estimated error in its measure, as shares of the
+        mechanism's size.
+    missed
+        Why it was not reached, as a clause; empty if it was, or if nothing is known.
     """
 
     position: float
     reaction: float
     known_until: float
+    asked: float = math.inf
+    reached: float = 0.0
+    missed: str = ""
 
 
 KNOWN_POSITION = Limits(1e-2, 0.1)
@@ -256,6 +264,12 @@ def _branches(evidence: Evidence) -> Found:
 
 
 def _errors(evidence: Evidence, accuracy: EstimatedErrors) -> Found:
+    unconfirmed = accuracy.asked < math.inf and not accuracy.known_until >= evidence.end
+    if unconfirmed or accuracy.reached > accuracy.asked:
+        known = "unknown" if unconfirmed else f"{accuracy.reached:.2g}"
+        because = f": {accuracy.missed}" if accuracy.missed else ""
+        what = f"positions accurate to {accuracy.asked:g} of the mechanism's size"
+        yield "doubtful", f"The run was asked for {what}; their estimated error is {known}{because}."
     if math.isnan(accuracy.known_until):
         yield "doubtful", "The error could not be estimated: the companion runs do not approach each other."
         return

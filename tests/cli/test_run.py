@@ -36,6 +36,28 @@ def test_json_prints_one_object_with_the_keys_of_the_contract(mbdkit, small, in_
         assert file.attrs["run_id"] == answer["run_id"]
 
 
+def test_accuracy_chooses_the_step_and_reports_it(mbdkit, small, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small)
+    result = mbdkit("run", "spec.yaml", "--accuracy", "1e-6", "--json", "-o", "out.h5")
+    assert result.exit_code == 0, result.stderr
+    told = json.loads(result.stdout)["accuracy"]
+    assert told["asked"] == 1e-6
+    assert 0 < told["reached"] <= 1e-6
+    assert told["chosen"].startswith("gauss stages 2 with step ")
+    assert told["why"]
+    again = mbdkit("rerun", "out.h5")
+    assert again.exit_code == 0, again.output
+
+
+def test_an_accuracy_of_zero_is_refused(refusal, small, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small)
+    assert "accuracy: should be at least 1e-12, not 0" in refusal("run", "spec.yaml", "--accuracy", "0")
+    (in_tmp_path / "spec.yaml").write_text(f"{small}\naccuracy: 1e-20\n")
+    said = refusal("run", "spec.yaml")
+    assert said.startswith("spec.yaml, line ")
+    assert "accuracy: should be at least 1e-12" in said
+
+
 def test_quiet_prints_nothing(mbdkit, small, in_tmp_path):
     (in_tmp_path / "spec.yaml").write_text(small)
     result = mbdkit("run", "spec.yaml", "--quiet")

@@ -1,0 +1,61 @@
+"""Says whether a checked run reaches the accuracy that was asked, and why not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from mbdkit.accuracy.chosen_method import Candidate, Choice
+from mbdkit.accuracy.position_measure import PositionMeasure
+from mbdkit.archive.accuracy import Accuracy
+from mbdkit.engine.workspace import Workspace
+from mbdkit.spec import RunSpec
+
+AS_GIVEN = "The spec gives method and step (`choose: nothing`)."
+"""Reason of a choice that was made before."""
+
+
+def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: Choice | None) -> Accuracy:
+    """Return the estimates with the accuracy that was asked, the one reached, and the choice.
+
+    Parameters
+    ----------
+    accuracy
+        Estimates of the check.
+    spec, workspace
+        The run, whose spec gives method and step.
+    choice
+        How they were chosen; None if the spec gave them.
+    """
+    if spec.accuracy is None:
+        return accuracy
+    count = accuracy.rows_known
+    measure = PositionMeasure.of(spec, workspace)
+    reached = float(measure.share(accuracy.position_error[count - 1 : count])[0]) if count else math.nan
+    if choice is None:
+        given = Candidate.of(spec)
+        setting = given.integrator.get("rtol") if given.adaptive else spec.time.step
+        chosen = given.name(float(setting)) if setting is not None else str(given.integrator["name"])
+    else:
+        chosen = choice.chosen
+    return replace(
+        accuracy,
+        asked=spec.accuracy,
+        reached=reached,
+        chosen=chosen,
+        why=AS_GIVEN if choice is None else choice.why,
+    )
+
+
+def missed_because(accuracy: Accuracy, choice: Choice | None, attempts: int) -> str:
+    """Return why the accuracy asked is not reached, as a clause; empty if it is, or if nothing was chosen."""
+    if accuracy.is_reached or choice is None:
+        return ""
+    if choice.limited:
+        why = choice.limited
+    else:
+        why = f"{attempts} attempts with smaller steps did not suffice"
+    if not accuracy.is_complete:
+        until = "at any time" if math.isnan(accuracy.known_until) else f"after t = {accuracy.known_until:.4g} s"
+        return f"no estimate is confirmed {until}, as where the motion multiplies errors (chaos); {why}"
+    return why

@@ -1,0 +1,193 @@
+"""`python -m tests.benchmarks.trust_page mbdkit/guide/trust.md`: writes the page on trust, with measured errors.
+
+The limits come from `mbdkit/trust/criteria.py`, the errors from runs of all mechanisms of `tests/witness`.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import mbdkit
+from mbdkit.accuracy.position_measure import PositionMeasure
+from mbdkit.run_preparation import build
+from mbdkit.spec import load_spec
+from mbdkit.trust import criteria
+from tests.witness.error_bars import FIXED, Truth
+from tests.witness.known_motions import known_motions
+
+SETTINGS: tuple[tuple[str, float], ...] = (("rk4", 1.0), ("gauss-2", 4.0), ("gauss-2", 1.0), ("dop853", 1e-6))
+"""Methods, with the multiple of the problem's step, or with the tolerance of adaptive steps."""
+
+OUTLINE = """\
+# How far can a result be trusted?
+
+<!-- Written by `python -m tests.benchmarks.trust_page mbdkit/guide/trust.md`; do not edit. -->
+
+Every run has a verdict. It stands at the top of the summary, in `run.verdict` and `run.verdict_reasons`, in `--json`,
+in the archive, in reports and in the table of a study.
+
+| verdict | meaning |
+|---|---|
+| `good` | the errors were estimated (`--check` or `--accuracy`) for all rows, and nothing exceeds a limit below |
+| `unknown` | nothing suspicious was seen, but no error was estimated: the best verdict without a check |
+| `doubtful` | a value exceeds its first limit, or the errors are known for a part of the run only |
+| `bad` | a value exceeds its second limit, or the run stopped early |
+
+A run without a check is never `good`: its joints may hold and its energy may balance while its motion is wrong, as that
+of a chaotic double pendulum is after some seconds.
+
+## Criteria
+
+| quantity | doubtful above | bad above |
+|---|---|---|
+{criteria}
+
+Energy errors below {rounding:g} roundings of the largest energy count as zero. A run is also `bad` if it turns sharply in
+a singular position: by at least {angle:g} rad and by at least {ratio:g} times the path there, as a share of the
+mechanism's size. It has then probably left its branch. A run that stops before its end is `bad`. Warnings that question
+the result make it `doubtful`.
+
+## What you can ask for
+
+- **`mbdkit run SPEC --check`** (`check: true`) runs companions: the same method with half and a quarter of the step, or
+  with tighter tolerances, and another method. Their differences give an estimated error for every recorded position,
+  velocity, reaction force and reaction torque. Where the differences do not fall, the estimate is nan, and
+  `run.accuracy.known_until` is the time of the last row before. A check takes about ten times as long as the run.
+- **`mbdkit run SPEC --accuracy 1e-6`** (`accuracy: 1e-6`) chooses method and step by pilot runs, so that positions are
+  accurate to this share of the mechanism's size over the whole run, and confirms it by a check. Angles count with the
+  distance of the farthest joint point of the body. If the spec gives an integrator, only its step or tolerance is
+  chosen. If no attempt reaches the accuracy, the best one is returned, with a verdict that says so. Forces are less
+  accurate than positions; their estimates are in `run.accuracy` as well.
+- **`limits`** stop a run: `limits.misalignment` (default 1) as a share of the mechanism's size, and of 1 rad for angles;
+  `limits.energy_jump` (off by default), the change of the energy balance in one step as a share of the largest kinetic
+  energy so far; `limits.max_steps` and `limits.wall_time`.
+- **`stabilization: projection`** returns positions and velocities to the constraints after every step. Misalignments are
+  then rounding errors, and adaptive methods stay on their branch in singular positions. It does not make the motion more
+  accurate by itself.
+
+## What is not promised
+
+- **Chaos.** A motion that multiplies differences has a time after which no method and no step gives the right states:
+  rounding errors alone part the runs. `known_until` tells this time. `--accuracy` then ends as `doubtful`.
+- **Loads with pulses that no step sees.** Steps end at knots and corners of motions, tables and expressions of time. A
+  short smooth pulse inside a long adaptive step can be missed; `max_step` prevents it. A check looks at
+  2000 points of the run or more, so a shorter pulse can escape it as well.
+- **Impacts.** A driver whose rate jumps is refused, or carried by an impulse under `impacts: allow`. Contact and friction
+  are not modelled.
+- **Singular positions.** Where several motions are possible, the equations do not say which one is right. A sharp turn is
+  reported, a smooth change of branch need not be.
+- **Redundant joints.** Their reactions are not unique. The recorded ones are those of least norm.
+- **The model.** All estimates are about the numerical solution of the equations of the model, not about the model.
+
+An estimate is not a bound. On the mechanisms below, with six methods and four steps each, the true error is within 1/5
+and 3 times the estimate in at least 95 % of all known values, and never above ten times:
+`python -m tests.benchmarks.error_bars` prints this comparison.
+
+## Measured errors
+
+Every row is a run with `check: true` of a mechanism whose motion is known from elsewhere (closed forms, or minimal
+coordinates integrated at a tolerance of 1e-13). Errors are the largest up to the time until which they are known:
+positions as a share of the mechanism's size, joint forces as a share of the largest force in that joint. Where the
+estimates are 0 or rounding errors, the known motion itself is no more accurate. `-` stands for unknown errors.
+
+| mechanism | method | position: true | estimate | force: true | estimate | known until | verdict |
+|---|---|---|---|---|---|---|---|
+{rows}
+"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of the table: names, true and estimated shares, times [s], and the verdict."""
+
+    problem: str
+    method: str
+    position: tuple[float, float]
+    force: tuple[float, float]
+    known_until: float
+    end: float
+    verdict: str
+
+    def __str__(self) -> str:
+        known = math.isfinite(self.known_until)
+        until = f"{self.known_until:.3g} of {self.end:.3g} s" if known else "-"
+        values = [_number(value) for pair in (self.position, self.force) for value in pair]
+        return f"| {' | '.join([self.problem, self.method, *values, until, self.verdict])} |"
+
+
+def _number(value: float) -> str:
+    return f"{value:.1e}" if math.isfinite(value) and value else "0" if value == 0 else "-"
+
+
+def row(truth: Truth, method: str, setting: float) -> Row:
+    """Run a problem with a check, and compare."""
+    known = truth.known
+    time: dict[str, Any] = {"end": known.end}
+    if method == "dop853":
+        integrator: dict[str, Any] = {"name": "dop853", "adaptive": True, "rtol": setting, "atol": setting}
+        name = f"dop853, tolerance {setting:g}"
+    else:
+        integrator, time["step"] = FIXED[method], setting * known.step
+        name = f"{method}, step {time['step']:g} s"
+    spec = load_spec({"mbdkit": 1, "model": known.model, "integrator": integrator, "time": time, "check": True})
+    run = mbdkit.run(spec)
+    accuracy = run.accuracy
+    count = 0 if accuracy is None else accuracy.rows_known
+    position = force = (math.nan, math.nan)
+    if accuracy is not None and count:
+        values, _ = truth.at(run.time[:count])
+        measure = PositionMeasure.of(spec, build(spec)[0])
+        true = measure.share(run.array("trajectory/position")[:count] - values[0])
+        position = float(np.max(true)), float(measure.share(accuracy.position_error[count - 1 : count])[0])
+        reaction = run.array("joints/reaction_force")
+        peaks = np.max(np.linalg.norm(reaction, axis=-1), axis=0, initial=0.0)
+        loaded = peaks > 1e-9 * np.max(peaks, initial=0.0)
+        wrong = np.max(np.linalg.norm(reaction[:count] - values[2], axis=-1), axis=0, initial=0.0)
+        if np.any(loaded):
+            worst = int(np.argmax(np.where(loaded, wrong / np.where(loaded, peaks, 1.0), -1.0)))
+            force = wrong[worst] / peaks[worst], accuracy.reaction_error[count - 1, worst] / peaks[worst]
+        else:
+            force = 0.0, 0.0
+    until = math.nan if accuracy is None else accuracy.known_until
+    return Row(known.name, name, position, force, until, known.end, run.verdict)
+
+
+def criteria_rows() -> list[str]:
+    """Return the lines of the table of criteria."""
+    size, kinetic = "as a share of the mechanism's size", "as a share of the largest kinetic energy"
+    named: Sequence[tuple[str, criteria.Limits]] = (
+        (f"largest misalignment of a joint, {size}; of an angle, in rad", criteria.MISALIGNMENT),
+        (f"largest energy balance, {kinetic}", criteria.ENERGY),
+        (f"estimated error of positions, {size}", criteria.KNOWN_POSITION),
+        ("estimated error of a joint force, as a share of the largest force in the joint", criteria.KNOWN_REACTION),
+    )
+    rows = [f"| {what} | {limits.doubtful:g} | {limits.bad:g} |" for what, limits in named]
+    return [*rows, f"| change of the energy balance in one step, {kinetic} | - | {criteria.ENERGY_JUMP:g} |"]
+
+
+def page() -> str:
+    """Return the page."""
+    rows = []
+    for known in known_motions():
+        truth = Truth(known)
+        for method, setting in SETTINGS:
+            rows.append(str(row(truth, method, setting)))
+            print(rows[-1], file=sys.stderr, flush=True)
+    return OUTLINE.format(
+        criteria="\n".join(criteria_rows()),
+        rounding=criteria.ROUNDING,
+        angle=criteria.BRANCH_ANGLE,
+        ratio=criteria.BRANCH_RATIO,
+        rows="\n".join(rows),
+    )
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).write_text(page(), encoding="utf-8")
