@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 import mbdkit
+from mbdkit.accuracy.companion_choice import LOOKS
 from mbdkit.accuracy.position_measure import PositionMeasure
 from mbdkit.run_preparation import build
 from mbdkit.spec import load_spec
@@ -49,10 +50,10 @@ of a chaotic double pendulum is after some seconds.
 |---|---|---|
 {criteria}
 
-Energy errors below {rounding:g} roundings of the largest energy count as zero. A run is also `bad` if it turns sharply in
-a singular position: by at least {angle:g} rad and by at least {ratio:g} times the path there, as a share of the
-mechanism's size. It has then probably left its branch. A run that stops before its end is `bad`. Warnings that question
-the result make it `doubtful`.
+Energy errors below {rounding:g} roundings of the largest energy count as zero. A run is also `bad` if it turns sharply
+in a singular position: by at least {angle:g} rad and by at least {ratio:g} times the path there, as a share of the
+mechanism's size. It has then probably left its branch. A run that stops before its end is `bad`. Warnings that
+question the result make it `doubtful`.
 
 ## What you can ask for
 
@@ -65,24 +66,24 @@ the result make it `doubtful`.
   distance of the farthest joint point of the body. If the spec gives an integrator, only its step or tolerance is
   chosen. If no attempt reaches the accuracy, the best one is returned, with a verdict that says so. Forces are less
   accurate than positions; their estimates are in `run.accuracy` as well.
-- **`limits`** stop a run: `limits.misalignment` (default 1) as a share of the mechanism's size, and of 1 rad for angles;
-  `limits.energy_jump` (off by default), the change of the energy balance in one step as a share of the largest kinetic
-  energy so far; `limits.max_steps` and `limits.wall_time`.
-- **`stabilization: projection`** returns positions and velocities to the constraints after every step. Misalignments are
-  then rounding errors, and adaptive methods stay on their branch in singular positions. It does not make the motion more
-  accurate by itself.
+- **`limits`** stop a run: `limits.misalignment` (default 1) as a share of the mechanism's size, and of 1 rad for
+  angles; `limits.energy_jump` (off by default), the change of the energy balance in one step as a share of the largest
+  kinetic energy so far; `limits.max_steps` and `limits.wall_time`.
+- **`stabilization: projection`** returns positions and velocities to the constraints after every step. Misalignments
+  are then rounding errors, and adaptive methods stay on their branch in singular positions. It does not make the motion
+  more accurate by itself.
 
 ## What is not promised
 
 - **Chaos.** A motion that multiplies differences has a time after which no method and no step gives the right states:
   rounding errors alone part the runs. `known_until` tells this time. `--accuracy` then ends as `doubtful`.
 - **Loads with pulses that no step sees.** Steps end at knots and corners of motions, tables and expressions of time. A
-  short smooth pulse inside a long adaptive step can be missed; `max_step` prevents it. A check looks at
-  2000 points of the run or more, so a shorter pulse can escape it as well.
-- **Impacts.** A driver whose rate jumps is refused, or carried by an impulse under `impacts: allow`. Contact and friction
-  are not modelled.
-- **Singular positions.** Where several motions are possible, the equations do not say which one is right. A sharp turn is
-  reported, a smooth change of branch need not be.
+  short smooth pulse inside a long adaptive step can be missed; `max_step` prevents it. A check takes at
+  least {looks} steps over the run, so a shorter pulse can escape it as well.
+- **Impacts.** A driver whose rate jumps is refused, or carried by an impulse under `impacts: allow`. Contact and
+  friction are not modelled.
+- **Singular positions.** Where several motions are possible, the equations do not say which one is right. A sharp turn
+  is reported, a smooth change of branch need not be.
 - **Redundant joints.** Their reactions are not unique. The recorded ones are those of least norm.
 - **The model.** All estimates are about the numerical solution of the equations of the model, not about the model.
 
@@ -185,6 +186,7 @@ def page() -> str:
         rounding=criteria.ROUNDING,
         angle=criteria.BRANCH_ANGLE,
         ratio=criteria.BRANCH_RATIO,
+        looks=LOOKS,
         rows="\n".join(rows),
     )
 
