@@ -134,7 +134,7 @@ def _needs_stop(spec: RunSpec, corner: Corner) -> bool:
 
 
 def _check_end(motion: Motion, corner: Corner, start: float, end: float, unit: str) -> None:
-    """Raise SpecError if a motion jumps at the start or the end of the run and has the outer value there."""
+    """Raise SpecError if a motion jumps exactly at the start or end of the run and has its value from outside there."""
     is_start = corner.time - start <= end - corner.time
     inner = corner.after if is_start else corner.before
     here = jet_of(motion, np.array([start if is_start else end])).derivatives[0]

@@ -290,7 +290,7 @@ def _limited(spec: RunSpec, candidate: Candidate, setting: float) -> tuple[float
 
 
 def _setting(candidate: Candidate, setting: float) -> float:
-    """Return a setting of a pilot as it is used: within the limits and rounded; fixed steps are not rounded."""
+    """Return the tolerance of a pilot run, rounded and at least `TIGHTEST`, or its fixed step, unchanged."""
     return max(_rounded(setting), TIGHTEST) if candidate.adaptive else setting
 
 

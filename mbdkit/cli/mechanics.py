@@ -25,8 +25,9 @@ def equilibrium(
 ) -> None:
     """Find a static equilibrium with reactions and stability.
 
-    The search descends from the start. Drivers and loads keep their values of
-    the start time; velocities are ignored.
+    The search begins at the start position and moves in the direction of the
+    forces. Drivers and loads are evaluated at the start time; velocities are
+    ignored.
     """
     from mbdkit.mechanics import mechanics_summary
     from mbdkit.mechanics.equilibrium import equilibrium_of, spec_at

@@ -210,7 +210,7 @@ class Workspace:
 
     @property
     def failed_unknown(self) -> int:
-        """Unknown at which the last factorization with chosen pivots failed; -1 if not known."""
+        """Index of the unknown at which the last pivoted factorization failed; -1 if there is none."""
         failed, order = int(self.solver.failed[0]), self.solver.pattern.column_of
         return int(order[failed]) if 0 <= failed < len(order) else -1
 

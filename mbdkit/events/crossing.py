@@ -127,7 +127,10 @@ def _with_turns(points: list[Point], dense: Scalar) -> list[Point]:
 
 
 def _located(left: Point, right: Point, new: int, exact: Scalar, accuracy: float) -> float | None:
-    """Return the position at which the sign changes to `new` between two points; None at a pole."""
+    """Return the position in the step, between two points, at which the scalar of the event changes its sign to `new`.
+
+    None if it changes sign at a pole, through infinity instead of zero.
+    """
     (a, fa), (b, fb) = left, right
     if sign(fa) != -new:  # the left value is zero: bisect for the last zero
         while b - a > max(accuracy, _ROUNDING):

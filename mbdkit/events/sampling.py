@@ -60,7 +60,7 @@ def refined(
     kinks: Sequence[Scalar],
     largest: float,
 ) -> list[tuple[float, float]]:
-    """Return samples (position in the step, value) of a scalar in increasing order.
+    """Return samples (position in the step, value) of a scalar by position, with samples added where they are needed.
 
     Parameters
     ----------
@@ -71,7 +71,8 @@ def refined(
     scalar
         The scalar of the event as a function of the quantities.
     phases, kinks
-        Arguments of periodic functions, and scalars at whose changes of sign the scalar has a kink.
+        Arguments of the periodic functions in the scalar, and arguments of its `abs`, `min` and `max`: the scalar has a
+        kink where one of these changes sign.
     largest
         Largest absolute value of the scalar so far.
     """

@@ -71,7 +71,7 @@ def _find(kind: Kind, name: str) -> Registered | None:
 
 
 def _paragraph(item: Registered, used: list[dict[str, Any]]) -> str:
-    """Return the description of an item and its settings, each setting with all its values."""
+    """Return a paragraph on a model or integrator: summary, claims, and all values that runs used of each setting."""
     values: dict[str, dict[str, None]] = {}
     for options in used:
         for key, value in options.items():

@@ -1,4 +1,4 @@
-"""The element class of each installed force law: an element of type ``law`` with the law's options as fields."""
+"""Classes of force elements: one for each installed force law, with the options of the law as fields."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def growth(integrator: IntegratorUnderTest) -> Result:
 
 @check("drift.formulations")
 def formulations(integrator: IntegratorUnderTest) -> Result:
-    """On every further formulation that it claims, the constraints hold at the levels which that one enforces."""
+    """With each other formulation that the method claims, the constraints that the formulation enforces hold."""
     others = [name for name in integrator.claims.formulations if name != integrator.formulation and name in HELD]
     if not others:
         raise Skip("it claims no further formulation that enforces constraints")

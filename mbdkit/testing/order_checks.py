@@ -171,7 +171,7 @@ def multipliers(integrator: IntegratorUnderTest) -> Result:
 
 @check("order.formulations", slow=True)
 def formulations(integrator: IntegratorUnderTest) -> Result:
-    """On every further formulation that it claims, positions, velocities and multipliers converge as claimed."""
+    """With each other formulation that the method claims, positions, velocities and multipliers converge as claimed."""
     others = [name for name in integrator.claims.formulations if name != integrator.formulation]
     if not others:
         raise Skip(f"it claims only {integrator.formulation}")
