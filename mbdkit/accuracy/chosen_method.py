@@ -152,7 +152,9 @@ class Choice:
         if math.isfinite(reached):
             factor = max(least, (reached / (MARGIN * asked)) ** (1 / order))
         setting, limited = _limited(spec, self.candidate, self.setting / factor)
-        return replace(self, setting=min(setting, self.setting), limited=limited)
+        found = f"an error of {reached:.2g}" if math.isfinite(reached) else "no error that is known to the end"
+        why = f"{self.why} The check of {self.chosen} found {found}, so that it was tightened."
+        return replace(self, setting=min(setting, self.setting), limited=limited, why=why)
 
 
 def choose_method(spec: RunSpec, workspace: Workspace) -> Choice:
@@ -194,8 +196,8 @@ class _Search:
         pilots = self.two(explicit, FIRST_STEPS)
         if pilots[-1].failure != "max-steps" and pilots[-1].steps > STIFF * pilots[0].steps:
             return self.of(explicit, pilots)
-        # stopped as soon as it cannot need less work than the explicit one any more
-        budget = max(8, int(pilots[-1].work / IMPLICIT_STEP))
+        # stopped at half the work of the explicit one: less is not worth looking for
+        budget = max(8, int(pilots[-1].work / (2 * IMPLICIT_STEP)))
         other = self.pilot(implicit, pilots[-1].setting, budget)
         name, rival = explicit.integrator["name"], implicit.integrator["name"]
         if other.failure or other.work >= pilots[-1].work:
