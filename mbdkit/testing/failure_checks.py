@@ -159,7 +159,8 @@ def interrupt(integrator: IntegratorUnderTest) -> Result:
             signal.raise_signal(signal.SIGINT)
 
     time = {"end": 1e6, "step": 0.01}
-    with integrator.run(SWINGING, time, progress=ring, output={"every": 1000}) as run:
+    endless = {"misalignment": 1e300}  # a method of low order may let the joints fall apart before the interrupt
+    with integrator.run(SWINGING, time, progress=ring, output={"every": 1000}, limits=endless) as run:
         if run.status != "interrupted":
             return failed(f"after Ctrl-C its status is {run.status}: {run.status_reason}")
         if fault := _fault(run):

@@ -33,8 +33,8 @@ mbdkit_study: 1
 base: double-pendulum
 overrides:
   integrator: {name: rk4}
-  time: {steps: 600000, step: 2.5e-6}
-  output.every: 1000
+  time: {steps: 2400000, step: 2.5e-6}
+  output.every: 4000
 axes:
   - model.masses[0]: [1.0, 2.0, 3.0]
 """

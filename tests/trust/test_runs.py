@@ -69,7 +69,9 @@ def test_a_stopped_run_reports_no_misalignment_from_beyond_its_last_row(every: i
     workspace, _ = build(given)
     names = archive_names(workspace.mechanism)
     writer = ArchiveWriter(None, names, given.canonical_json(), given.sha256(), "a-run", {})
-    with _Simulation(given, workspace, Exploding(), writer, 0.0, ()).run(None) as run:
+    simulation = _Simulation(given, workspace, Exploding(), writer, 0.0, (), None)
+    simulation.integrate(None)
+    with simulation.finish() as run:
         assert run.status_reason.startswith(f"{code}: ")
         assert run.misalignment_max == run.array("joints/misalignment").max() <= 1.5
         assert run.verdict == "bad"
