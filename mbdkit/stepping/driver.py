@@ -192,7 +192,7 @@ def _note_projection(c):
 def _begin_guards(c, t):
     """Evaluate the energy of the initial state, or of a state that an impulse has changed."""
     prepare(c.top, c.w, t, c.q)
-    kinetic, potential, _ = energies(c.top, c.w, c.q, c.v)
+    kinetic, potential = energies(c.top, c.w, c.q, c.v)
     c.guards.energy[0], c.guards.kinetic[0] = kinetic + potential, max(kinetic, c.guards.kinetic[0])
 
 
@@ -219,7 +219,7 @@ def _check_limits(c, plan, t):
         booked = mode == NO_PROJECTION and plan.baumgarte[0] == 0  # else stabilization changes the energy as well
         note_jump(c, t, jump if booked else 0.0, total, kinetic)
     elif c.base_state[0] == MODIFIED:  # projected; else the energy is that of the attempt
-        kinetic, potential, _ = energies(c.top, c.w, c.q, c.v)
+        kinetic, potential = energies(c.top, c.w, c.q, c.v)
         guards.energy[0] = kinetic + potential
     for k in range(len(c.worst)):
         if c.worst[k] > limits.squared_misalignment[k]:
@@ -258,7 +258,9 @@ def _try_step(run, method, attempt, plan):
     if status == OK and control.controlled[0]:
         error = _local_error(c, plan)
     if status == OK and error <= 1.0:
-        distance = c.guards.distance[0] = distance_to_singularity(c)
+        distance = 1.0
+        if c.guards.has_loops[0] != 0.0:
+            distance = c.guards.distance[0] = distance_to_singularity(c)
         if control.controlled[0]:
             ends = t + h >= plan.times.end[0]
         else:
@@ -430,7 +432,8 @@ def _advance(c, plan):
         _add_energies(c)
     last, whole = _advance_time(plan, c.progress)
     t = c.progress.time[0]
-    watch_branch(c, t, c.dq, c.v, c.guards.distance[0])
+    if c.guards.has_loops[0] != 0.0:
+        watch_branch(c, t, c.dq, c.v, c.guards.distance[0])
     raise_misalignments(c.still, c.w, t, c.q, c.worst)
     return _check_limits(c, plan, t), last, whole
 

@@ -26,6 +26,7 @@ from mbdkit.engine.singularity import new_vectors
 from mbdkit.trust.criteria import BRANCH_ANGLE, BRANCH_RATIO
 
 if TYPE_CHECKING:
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.engine.workspace import Workspace
 
 ROUNDING = 1e-11
@@ -69,6 +70,8 @@ class GuardState(NamedTuple):
     """Size of the mechanism [m]."""
     total_mass: np.ndarray
     """Sum of the masses [kg]."""
+    has_loops: np.ndarray
+    """Whether joints close a loop. Otherwise no position is singular, and branches are not watched."""
     path: np.ndarray
     """Length of the path so far in the mass metric, as a share of the size."""
     speed: np.ndarray
@@ -104,6 +107,25 @@ class GuardState(NamedTuple):
     turn_count: np.ndarray
 
 
+def _has_loops(mechanism: CompiledMechanism) -> bool:
+    """Return whether the joints close a loop: more joints than bodies that they connect one after another."""
+    tree = list(range(mechanism.topology.mass.shape[0]))
+
+    def root(body: int) -> int:
+        while tree[body] != body:
+            body = tree[body]
+        return body
+
+    for pairs in mechanism.joint_pairs:
+        if len(pairs) == 0:
+            continue
+        a, b = (root(int(x)) for x in mechanism.topology.pairs[pairs[0], 1:3])
+        if a == b:
+            return True
+        tree[max(a, b)] = min(a, b)
+    return False
+
+
 def new_guard_state(workspace: Workspace) -> GuardState:
     """Return what the guards know at the start of a run."""
     size = workspace.mechanism.length
@@ -117,6 +139,7 @@ def new_guard_state(workspace: Workspace) -> GuardState:
         energy=one(np.nan), kinetic=one(), jump=one(), jump_time=one(), jumped=one(),
         size=one(size),
         total_mass=one(float(np.sum(workspace.mechanism.topology.mass[:-1, 0]))),
+        has_loops=one(float(_has_loops(workspace.mechanism))),
         path=one(), speed=one(), distance=one(1.0), vectors=new_vectors(workspace), farthest=one(), nearest=one(np.inf),
         samples=next(counts), sample_path=np.zeros(SAMPLES), sample_direction=np.zeros((SAMPLES, entries)),
         armed=one(1.0), dip_path=one(np.nan), dip_distance=one(), dip_time=one(), dip_direction=np.zeros(entries),
@@ -127,33 +150,43 @@ def new_guard_state(workspace: Workspace) -> GuardState:
 
 @subkernel
 def energies(top, w, q, v):
-    """Return kinetic and potential energy of a state, and the sum of their parts taken as positive [J].
-
-    Requires `prepare` at the state.
-    """
-    kinetic = level = 0.0
+    """Return kinetic and potential energy of a state [J]. Requires `prepare` at the state."""
+    kinetic = 0.0
     for b in range(len(top.mass) - 1):
         for i in range(3):
             kinetic += 0.5 * top.mass[b, i] * v[3 * b + i] * v[3 * b + i]
-        level += top.mass[b, 0] * (abs(top.gravity[0] * q[3 * b]) + abs(top.gravity[1] * q[3 * b + 1]))
     if len(top.springs) > 0:
         pathway_lengths(top, w, q)
         for k in range(len(top.springs)):
             evaluate_tension(top, w, k, path_rate(k, top.springs[k, 1], top.springs[k, 2], v, w.grad))
-            level += abs(w.tension[k, 3]) + abs(w.tension[k, 0]) * abs(w.s[k, 0])
-    return kinetic, potential_energy(top.springs, top.laws, top.mass, top.gravity, q, w.tension), kinetic + level
+    return kinetic, potential_energy(top.springs, top.laws, top.mass, top.gravity, q, w.tension)
+
+
+@subkernel
+def _energy_level(top, w, q, kinetic):
+    """Return the sum of all parts of the energies, taken as positive [J]. Requires `energies` at the state."""
+    level = kinetic
+    for b in range(len(top.mass) - 1):
+        level += top.mass[b, 0] * (abs(top.gravity[0] * q[3 * b]) + abs(top.gravity[1] * q[3 * b + 1]))
+    for k in range(len(top.springs)):
+        level += abs(w.tension[k, 3]) + abs(w.tension[k, 0]) * abs(w.s[k, 0])
+    return level
 
 
 @subkernel
 def energy_jump(c, q, v, share):
     """Return the jump of the balance by an attempt that led to `q, v`; total and kinetic energy there; and a limit [J].
 
-    The limit is `share` of the largest kinetic energy so far, or rounding. Requires `prepare` at `q`.
+    The limit is `share` of the largest kinetic energy so far, or rounding; 0 for a share of 0. Requires `prepare` at
+    `q`.
     """
-    kinetic, potential, level = energies(c.top, c.w, q, v)
+    kinetic, potential = energies(c.top, c.w, q, v)
     total = kinetic + potential
+    most = 0.0
+    if share > 0.0:
+        most = share * max(kinetic, c.guards.kinetic[0]) + ROUNDING * _energy_level(c.top, c.w, q, kinetic)
     jump = total - c.guards.energy[0] - (c.gain[0] - c.gain[1])
-    return jump, total, kinetic, share * max(kinetic, c.guards.kinetic[0]) + ROUNDING * level
+    return jump, total, kinetic, most
 
 
 @subkernel
