@@ -1,0 +1,163 @@
+"""What an attack is, and how one of its cases is run: in a process of its own, with its time and memory measured."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import select
+import signal
+import subprocess
+import sys
+import time
+import traceback
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+SECONDS = 5.0
+"""Nothing may take longer than this to refuse what is bad."""
+
+MEMORY = 1 << 30
+"""Nothing may take more resident memory than this to refuse what is bad [bytes]."""
+
+
+@dataclass(frozen=True)
+class Attack:
+    """One kind of attack; every file of this folder with a constant `ATTACKS` supplies some.
+
+    Parameters
+    ----------
+    name
+        Short name, used on the command line.
+    summary
+        One line: what is done, and what must hold.
+    cases
+        Number of cases of the whole campaign.
+    case
+        ``case(random, folder)`` makes one attack in an empty folder and returns the sentences that say what did not
+        hold; none if all held.
+    """
+
+    name: str
+    summary: str
+    cases: int
+    case: Callable[[np.random.Generator, Path], list[str]]
+
+    def random(self, seed: int, index: int) -> np.random.Generator:
+        """Return the generator of random numbers of a case: it depends on the seed, the attack and the index alone."""
+        return np.random.default_rng([seed, zlib.crc32(self.name.encode()), index])
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a process ended.
+
+    Attributes
+    ----------
+    exit_status
+        Exit status; negative: the number of the signal that ended it. None: it was killed because its time was up.
+    seconds
+        Wall time [s].
+    memory
+        Largest resident memory [bytes].
+    output, errors
+        Standard output and standard error.
+    value
+        What the function returned (`in_child` only).
+    """
+
+    exit_status: int | None
+    seconds: float
+    memory: int
+    output: str = ""
+    errors: str = ""
+    value: Any = None
+
+    def problems(self, *, allowed: Sequence[int] = (0, 2, 3, 4), what: str = "it") -> list[str]:
+        """Return what did not hold: crash, hang, memory, a traceback, an exit status that is not allowed."""
+        said = self.errors.strip().splitlines()[-1:] or [""]
+        if self.exit_status is None:
+            return [f"{what} did not end in {self.seconds:.0f} s"]
+        found = []
+        if self.exit_status not in allowed:
+            found.append(f"{what} ended with exit status {self.exit_status}: {said[0][:200]}")
+        if "Traceback (most recent call last)" in self.errors or "bug in mbdkit" in self.errors:
+            found.append(f"{what} ended with an exception of its own: {said[0][:200]}")
+        if self.seconds > SECONDS:
+            found.append(f"{what} took {self.seconds:.1f} s")
+        if self.memory > MEMORY:
+            found.append(f"{what} took {self.memory / 2**20:.0f} MiB")
+        return found
+
+
+def command(*arguments: str | Path, folder: Path, seconds: float = 2 * SECONDS, **more: Any) -> Ending:
+    """Run ``mbdkit ARGUMENTS`` in a folder; `more` goes to `subprocess.Popen`."""
+    out, err = folder / ".out", folder / ".err"
+    start = time.monotonic()
+    with out.open("wb") as output, err.open("wb") as errors:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "mbdkit", *map(str, arguments)],
+            cwd=folder,
+            **({"stdin": subprocess.DEVNULL, "stdout": output, "stderr": errors} | more),
+        )
+        status, usage = _wait(process.pid, start + seconds)
+        process.returncode = -signal.SIGKILL if status is None else status
+    ending = Ending(
+        status,
+        time.monotonic() - start,
+        usage,
+        out.read_text(errors="replace"),
+        err.read_text(errors="replace"),
+    )
+    out.unlink()
+    err.unlink()
+    return ending
+
+
+def in_child(function: Callable[..., Any], *arguments: Any, seconds: float = 2 * SECONDS) -> Ending:
+    """Call a function in a fork of this process, which has imported everything already.
+
+    An exception ends the child with exit status 1 and its traceback in `errors`; callers catch what is expected.
+    """
+    read, write = os.pipe()
+    start = time.monotonic()
+    child = os.fork()
+    if child == 0:
+        os.close(read)
+        status = 0
+        try:
+            answer = pickle.dumps((function(*arguments), ""))
+        except BaseException:
+            answer, status = pickle.dumps((None, traceback.format_exc())), 1
+        with os.fdopen(write, "wb") as pipe:
+            pipe.write(answer)
+        os._exit(status)
+    os.close(write)
+    answer = b""
+    with os.fdopen(read, "rb", buffering=0) as pipe:
+        while (left := start + seconds - time.monotonic()) > 0 and select.select([pipe], [], [], left)[0]:
+            piece = pipe.read(1 << 16)
+            if not piece:
+                break
+            answer += piece
+    result, memory = _wait(child, start + seconds)
+    value, errors = pickle.loads(answer) if answer and result in (0, 1) else (None, "")
+    return Ending(result, time.monotonic() - start, memory, errors=errors, value=value)
+
+
+def _wait(child: int, until: float) -> tuple[int | None, int]:
+    # exit status, or None if it had to be killed, and the largest resident memory [bytes]
+    killed = False
+    while True:
+        done, status, usage = os.wait4(child, os.WNOHANG)
+        if done:
+            code = os.waitstatus_to_exitcode(status)
+            return None if killed else code, usage.ru_maxrss * 1024
+        if not killed and time.monotonic() > until:
+            os.kill(child, signal.SIGKILL)
+            killed = True
+        time.sleep(0.002)
