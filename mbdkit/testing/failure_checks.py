@@ -8,6 +8,7 @@ import threading
 import numpy as np
 from pydantic import ValidationError
 
+from mbdkit.archive.layout import REASONS
 from mbdkit.archive.run import Run
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.errors import MbdkitError, SpecError, StepError
@@ -17,17 +18,8 @@ from mbdkit.testing.check_result import Result, failed, passed, skipped
 from mbdkit.testing.integrator_under_test import IntegratorUnderTest
 from mbdkit.testing.trial_models import CANNOT_MEET, FORCED_PENDULUM, NO_NUMBER, OUT_OF_REACH, SWINGING
 
-TYPED = (
-    "newton-failed",
-    "singular",
-    "step-too-small",
-    "not-finite",
-    "fell-apart",
-    "energy-jump",
-    "branch-left",
-    "max-steps",
-    "wall-time",
-)
+TYPED = tuple(code for code in REASONS if code not in ("event", "plugin-error"))
+"""Codes with which a method may end a run."""
 
 
 def _fault(run: Run, *, allowed: tuple[str, ...] = TYPED) -> str:
