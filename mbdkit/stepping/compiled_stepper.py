@@ -214,11 +214,11 @@ class CompiledStepper:
         guards = self.run_state.guards
         turns = guards.turns[: int(guards.turn_count[0])].tolist()
         return StepEvidence(
-            float(guards.jump[0]),
-            float(guards.jump_time[0]),
-            float(guards.kinetic[0]),
-            tuple(BranchSuspicion(*x) for x in turns),
-            tuple(self.impacts),
+            energy_jump=float(guards.jump[0]),
+            energy_jump_time=float(guards.jump_time[0]),
+            kinetic=float(guards.kinetic[0]),
+            branch=tuple(BranchSuspicion(*x) for x in turns),
+            impacts=tuple(self.impacts),
         )
 
     def _attempts(self) -> int:
