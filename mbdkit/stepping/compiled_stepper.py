@@ -157,11 +157,11 @@ class CompiledStepper:
         before = self._attempts()
         stretches: list[Stretch] = []
         while True:
-            self._begin_after_stop()
             left = min(budget - self._attempts() + before, self._allowed)
             if left <= 0 and not self._is_pending and stretches:
                 status = OK
                 break
+            self._begin_after_stop()  # not before the loop ends: the state at a stop is that before an impulse
             status, rows = OK, 0
             if self.failure is None and (self._allowed > 0 or self._is_pending):
                 status, rows = self._drive(self._plan, max(left, 0))

@@ -7,16 +7,20 @@ as x = 0.3 cos 2t + 3 (s - sin(2s) / 2) / 4 with s = max(0, t - c).
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.errors import SpecError
 from mbdkit.run_corners import stops_of
-from mbdkit.run_preparation import caution
+from mbdkit.run_preparation import caution, make_method, timetable
 from mbdkit.spec import load_spec
+from mbdkit.stepping.interface import Guards
+from mbdkit.stepping.start import start_method
 from tests.stepping.step_methods import Remembering, RungeKutta, run_with
 
 CORNER = 0.37123
@@ -326,3 +330,18 @@ def test_new_keys_are_absent_from_the_canonical_form_by_default() -> None:
     assert not any(word in spec.canonical_json() for word in ('"impacts"', '"interpolation"', '"max_step"'))
     spec = load_spec(spec_of(pushed({**STEPS, "interpolation": "linear"}), impacts="allow"))
     assert all(word in spec.canonical_json() for word in ("impacts", "interpolation"))
+
+
+def test_a_step_that_ends_at_an_impact_ends_with_the_velocities_before_it() -> None:
+    # also in steps taken one at a time
+    spec = load_spec(spec_of(driven("min(t, 1.0037)"), DOP853, impacts="allow", time={"end": 2.0}))
+    workspace = workspace_at_start(spec.mechanism(), 0.0)[0]
+    stepper = start_method(make_method(spec), workspace, replace(timetable(spec, Guards()), single=True))
+    ends = {}
+    while not stepper.finished:
+        stepper.advance()
+        assert stepper.last_step is not None
+        ends[stepper.last_step.t1] = float(stepper.last_step.v0[0]), float(stepper.last_step.v1[0])
+    at = next(t for t in ends if t == pytest.approx(1.0037, abs=1e-9))
+    assert ends[at] == pytest.approx((1.0, 1.0))
+    assert ends[min(t for t in ends if t > at)] == pytest.approx((0.0, 0.0), abs=1e-12)
