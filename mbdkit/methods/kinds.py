@@ -69,7 +69,8 @@ class ImplicitRungeKutta:
         Change of the stage accelerations, relative to their size, at which the iteration ends; None: at stagnation, or
         with `tolerances` at a small fraction of these.
     max_iterations
-        Iterations in one step after which the stage equations count as unsolved.
+        Iterations in one step after which the stage equations count as unsolved; None: 50, but more in fixed steps that
+        would fail otherwise and converge slowly.
     tolerances
         For a controlled step size, which requires a collocation method; None: fixed steps.
     """
@@ -77,7 +78,7 @@ class ImplicitRungeKutta:
     tableau: ButcherTableau
     stage_solver: Literal["newton", "fixed-point"] = "newton"
     tolerance: float | None = None
-    max_iterations: int = 50
+    max_iterations: int | None = None
     tolerances: Tolerances | None = None
 
     def __post_init__(self) -> None:
@@ -100,12 +101,12 @@ class LobattoPair:
     tolerance
         Expected change of positions, relative to their size, at which the iteration ends; None: at stagnation.
     max_iterations
-        Iterations in one step after which the equations count as unsolved.
+        Iterations in one step after which the equations count as unsolved; None: see `ImplicitRungeKutta`.
     """
 
     stages: int
     tolerance: float | None = None
-    max_iterations: int = 50
+    max_iterations: int | None = None
     carries_multipliers: ClassVar[bool] = True
 
 

@@ -62,12 +62,15 @@ class ControlledOptions(Options):
 class ImplicitOptions(ControlledOptions):
     """How the stage equations of an implicit method are solved."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*ControlledOptions.ABSENT_BY_DEFAULT, "max_iterations")
+
     stage_solver: Literal["newton", "fixed-point"] = "newton"
     """Simplified Newton with exact tangents, or fixed-point iteration on the stage accelerations."""
     tolerance: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] | None = None
     """Stop when the stage accelerations change by less than this, relative to their size; left out: at stagnation."""
-    max_iterations: Annotated[int, Field(ge=2, le=10_000)] = 50
-    """Iterations in one step after which the stage equations count as unsolved."""
+    max_iterations: Annotated[int, Field(ge=2, le=10_000)] | None = None
+    """Iterations in one step after which the stage equations count as unsolved; left out: 50, and up to 500 in a fixed
+    step that would fail otherwise, while they contract steadily."""
 
     def method(self, tableau: ButcherTableau) -> ImplicitRungeKutta:
         """Return the method with this tableau and these options."""

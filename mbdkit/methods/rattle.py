@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import Field
 
@@ -21,10 +21,13 @@ ANDERSEN = """@article{andersen1983,
 class RattleOptions(Options):
     """How the positions of a step are found that meet the constraints."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("max_iterations",)
+
     tolerance: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] | None = None
     """Stop when positions are expected to change by less than this, relative to their size; left out: at stagnation."""
-    max_iterations: Annotated[int, Field(ge=2, le=10_000)] = 50
-    """Iterations in one step after which its equations count as unsolved."""
+    max_iterations: Annotated[int, Field(ge=2, le=10_000)] | None = None
+    """Iterations in one step after which its equations count as unsolved; left out: 50, and up to 500 in a fixed
+    step that would fail otherwise, while they contract steadily."""
 
 
 FAMILY = "partitioned"

@@ -75,6 +75,8 @@ class CompiledCollocation(CompiledMethod):
             solves_multipliers=formulation.solves_multipliers,
         )
         self.pinned = PinnedBundle(self.bundle)
+        if method.max_iterations is None:
+            self.limit = self.bundle.settings.limit
         self.coupled: CoupledNewton | None = None
         stages, room = self.bundle, self.bundle.constraints
         self.memory = (
@@ -144,7 +146,7 @@ class CompiledCollocation(CompiledMethod):
         counts[JACOBIANS] += spent.jacobian_evaluations
         counts[FACTORIZATIONS] += spent.factorizations
         spent.rhs_evaluations = spent.jacobian_evaluations = spent.factorizations = 0
-        stages.solved_apart[0] = iterations if iterations <= stages.settings.most_iterations[0] else 0
+        stages.solved_apart[0] = iterations if iterations <= stages.settings.limit.most[0] else 0
         return bool(stages.solved_apart[0] > 0)
 
     def describe_divergence(self, report: np.ndarray) -> str:

@@ -14,6 +14,7 @@ from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.system import Scatter
 from mbdkit.methods.tableau import ButcherTableau
+from mbdkit.stepping.convergence import IterationLimit, new_limit
 from mbdkit.stepping.stage_polynomials import collocation_polynomials
 
 if TYPE_CHECKING:
@@ -165,8 +166,7 @@ class Settings(NamedTuple):
     """INDEX_1, INDEX_2, INDEX_3 or GGL."""
     solver: np.ndarray
     """NEWTON or FIXED_POINT."""
-    most_iterations: np.ndarray
-    """Iterations in one step after which the stage equations count as unsolved."""
+    limit: IterationLimit
     tolerance: np.ndarray
     """Relative change at which the iteration ends."""
 
@@ -304,12 +304,12 @@ def new_stages(
     )  # fmt: skip
 
 
-def new_settings(formulation: int, solver: int, most_iterations: int, tolerance: float) -> Settings:
+def new_settings(formulation: int, solver: int, most_iterations: int | None, tolerance: float) -> Settings:
     """Return settings as kernels take them."""
     return Settings(
         formulation=np.array([formulation], dtype=np.int64),
         solver=np.array([solver], dtype=np.int64),
-        most_iterations=np.array([most_iterations], dtype=np.int64),
+        limit=new_limit(most_iterations),
         tolerance=np.array([float(tolerance)]),
     )
 

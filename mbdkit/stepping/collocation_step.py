@@ -17,9 +17,11 @@ from mbdkit.stepping.convergence import (
     FEWEST_WITH_ONE_TANGENT,
     ROUGH_CHANGE,
     SLOW,
+    STEADY,
     has_failed,
     is_converged,
     is_stalled,
+    loses_steadiness,
     predicts_failure,
     report_divergence,
 )
@@ -117,7 +119,8 @@ def _iterate(c, m, t, h, careful, kernels):
     evaluate_stages(c, m, h)
     stale = True
     taken_at = n = idle = 0
-    before = np.inf
+    before = earlier = np.inf
+    peak = 0.0
     while True:
         if stale and m.settings.solver[0] == NEWTON:
             _choose_tangent_state(c, m, t, h, careful)
@@ -143,10 +146,17 @@ def _iterate(c, m, t, h, careful, kernels):
             done = kernels.round_off(c, m, h, now, moved, idle)
         if done:
             break
-        most, tolerance = m.settings.most_iterations[0], m.settings.tolerance[0]
-        if has_failed(n, most, now, ratio) or (careful and predicts_failure(n, most, now, ratio, tolerance)):
+        limit, tolerance = m.settings.limit, m.settings.tolerance[0]
+        peak = max(peak, now)
+        if (
+            has_failed(n, limit.most[0], now, ratio)
+            or (careful and predicts_failure(n, limit.most[0], now, ratio, tolerance))
+            or loses_steadiness(n, limit, peak, earlier, tolerance)
+        ):
             report_divergence(c, n, m.change, s)
             return DIVERGED
+        if n % STEADY == 0:
+            earlier, peak = peak, 0.0
         if not careful:
             stale = (free_flight and n == 1) or (n - taken_at >= FEWEST_WITH_ONE_TANGENT and ratio > SLOW)
         before = now

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from mbdkit.stepping.convergence import MOST_EXTENDED, MOST_ITERATIONS, IterationLimit
+
 if TYPE_CHECKING:
     from mbdkit.engine.jit.bundle import PinnedBundle
     from mbdkit.engine.jit.entry import Entry
@@ -33,6 +35,8 @@ class CompiledMethod(ABC):
         Whether the method computes multipliers itself.
     carries_stages
         Whether a step solves equations by iteration, so that a failure may be divergence instead of overflow.
+    limit
+        Default limit of this iteration, which fixed steps may extend; None if the user gives one.
     """
 
     attempt: Entry
@@ -43,6 +47,7 @@ class CompiledMethod(ABC):
     has_dense_output: bool = False
     carries_multipliers: bool = False
     carries_stages: ClassVar[bool] = False
+    limit: IterationLimit | None = None
 
     def __init__(self, workspace: Workspace):
         self.workspace = workspace
@@ -69,6 +74,23 @@ class CompiledMethod(ABC):
         The step is from the state in `run_state` at `t`, of size `h`. Called before a run stops with a failure.
         """
         return False
+
+    @property
+    def is_extended(self) -> bool:
+        """Whether the limit of iterations is extended."""
+        return self.limit is not None and bool(self.limit.most[0] > MOST_ITERATIONS)
+
+    def extend_iterations(self) -> bool:
+        """Extend the limit of iterations for the next attempt; return False if it cannot be extended further."""
+        if self.limit is None or self.is_extended:
+            return False
+        self.limit.most[0] = MOST_EXTENDED
+        return True
+
+    def restore_iterations(self) -> None:
+        """Restore the default limit of iterations."""
+        if self.limit is not None:
+            self.limit.most[0] = MOST_ITERATIONS
 
     def describe_divergence(self, report: np.ndarray) -> str:
         """Return a clause that says where the equations of a step failed to converge, from a report (3,)."""

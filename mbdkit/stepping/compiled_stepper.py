@@ -119,6 +119,14 @@ class CompiledStepper:
         )
         return int(status), int(rows)
 
+    def _drive_extended(self) -> tuple[int, int]:
+        """Attempt one step with an extended limit of iterations, and restore the limit after it."""
+        accepted = self._accepted
+        status, rows = self._drive(self._plan, 1)
+        if self._accepted > accepted or self._is_pending:
+            self.method.restore_iterations()
+        return status, rows
+
     @property
     def _accepted(self) -> int:
         """Number of accepted steps."""
@@ -164,7 +172,9 @@ class CompiledStepper:
             self._begin_after_stop()  # not before the loop ends: the state at a stop is that before an impulse
             status, rows = OK, 0
             if self.failure is None and (self._allowed > 0 or self._is_pending):
-                status, rows = self._drive(self._plan, max(left, 0))
+                status, rows = (
+                    self._drive_extended() if self.method.is_extended else self._drive(self._plan, max(left, 0))
+                )
             stretches.append(self._collect(rows))
             if status != driver.AT_STOP:
                 break
@@ -359,6 +369,8 @@ class CompiledStepper:
             self._take_up_pivots()
             if solved:
                 return
+        if not self.controlled and status == DIVERGED and self.method.extend_iterations():
+            return
         if self.controlled and status != driver.TOO_SMALL and self._shrink():
             return
         self.failure = self._failure(status, singular, where)

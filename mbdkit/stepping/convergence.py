@@ -10,7 +10,7 @@ Linear and angular quantities are always compared separately, because their unit
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -77,11 +77,40 @@ its Jacobian for the next step if the contraction is below 0.001 (``THET``). Her
 FEWEST_WITH_ONE_TANGENT = 3
 """Iterations with one tangent before it is evaluated again; the contraction needs two changes to be known."""
 
+MOST_ITERATIONS = 50
+"""Default limit of the iterations in a step."""
+
+STEADY = 10
+"""Iterations over which contraction has to be steady in extended iterations; chosen. For a few, chance is enough."""
+
+MOST_EXTENDED = 500
+"""Limit of the iterations in a fixed step that contract steadily, unless the user gives one; chosen. Iterations that
+contract by 0.94 converge within it."""
+
 ROUGH_CHANGE = 1e-5
 """Relative change below which the accelerations of the next iteration are refined to round-off (index 1); chosen.
 
 Iterations that still change the accelerations by more do not notice the error of an unrefined solution.
 """
+
+
+class IterationLimit(NamedTuple):
+    """Limit of the iterations in a step; arrays of one item.
+
+    Steps that are too long for the default limit are rejected under step size control. A fixed step is repeated with an
+    extended limit, which has a second rule: see `loses_steadiness`.
+    """
+
+    most: np.ndarray
+    """Iterations after which the equations count as unsolved."""
+    steady_after: np.ndarray
+    """Iterations after which contraction has to be steady."""
+
+
+def new_limit(given: int | None) -> IterationLimit:
+    """Return the limit given by the user, or the default one."""
+    most = MOST_ITERATIONS if given is None else given
+    return IterationLimit(np.array([most], dtype=np.int64), np.array([most], dtype=np.int64))
 
 
 @subkernel
@@ -122,6 +151,28 @@ def predicts_failure(n, most, now, ratio, tolerance):
     if n < 2 or now <= NEGLIGIBLE_CHANGE:
         return False
     return ratio >= LARGEST_RATE or ratio ** (most - n) / (1.0 - ratio) * now > max(tolerance, NEGLIGIBLE_CHANGE)
+
+
+@subkernel
+def loses_steadiness(n, limit, peak, earlier, tolerance):
+    """Return whether an iteration with an extended limit does not contract steadily enough to converge.
+
+    Every `STEADY` iterations, the largest change among the last ones is compared with the largest among as many before
+    them. An iteration that wanders about does not pass, so that it cannot end at another solution far away.
+
+    Parameters
+    ----------
+    n, limit
+        Number of iterations so far, and its `IterationLimit`.
+    peak, earlier
+        Largest relative change in the last `STEADY` iterations, and in those before.
+    tolerance
+        Relative change at which the iteration ends.
+    """
+    if n < limit.steady_after[0] or n % STEADY != 0:
+        return False
+    rate = (peak / earlier) ** (1.0 / STEADY)
+    return rate >= 1.0 or predicts_failure(n, limit.most[0], peak, rate, tolerance)
 
 
 @subkernel

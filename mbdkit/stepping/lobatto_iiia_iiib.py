@@ -42,12 +42,16 @@ from mbdkit.stepping.compiled_method import CompiledMethod
 from mbdkit.stepping.convergence import (
     NEGLIGIBLE_CHANGE,
     PATIENCE,
+    STEADY,
     TOLERANCE,
+    IterationLimit,
     describe_divergence,
     has_failed,
     is_converged,
     is_stalled,
+    loses_steadiness,
     moves_by_roundings,
+    new_limit,
     relative_to_state,
     report_divergence,
 )
@@ -92,8 +96,7 @@ class Pair(NamedTuple):
     """A pair of s stages for one mechanism."""
 
     rk: PairCoefficients
-    most_iterations: np.ndarray
-    """(1,) largest number of iterations in one step."""
+    limit: IterationLimit
     tolerance: np.ndarray
     """(1,) predicted change of positions, relative to their size, at which the iteration ends."""
     acc: np.ndarray
@@ -177,7 +180,8 @@ def _iterate(c, m, t, h):
     has_forces = len(top.springs) + len(top.loads) > 0
     _predict(m, t, h)
     n = idle = 0
-    before = np.inf
+    before = earlier = np.inf
+    peak = 0.0
     while True:
         m.acc[s - 1, :] = 0.0
         stage_states(c, m, h)
@@ -228,9 +232,12 @@ def _iterate(c, m, t, h):
                 idle += 1
                 if idle >= PATIENCE:
                     return OK
-        if has_failed(n, m.most_iterations[0], now, ratio):
+        peak = max(peak, now)
+        if has_failed(n, m.limit.most[0], now, ratio) or loses_steadiness(n, m.limit, peak, earlier, m.tolerance[0]):
             report_divergence(c, n, m.change, s - 1)
             return DIVERGED
+        if n % STEADY == 0:
+            earlier, peak = peak, 0.0
         before = now
 
 
@@ -308,7 +315,7 @@ def new_pair(method: LobattoPair, workspace: Workspace) -> Pair:
     past = PastSteps(np.zeros((MOST_PAST, s, size)), np.zeros(1), np.zeros(1), np.zeros(1, dtype=np.int64))
     return Pair(
         rk=PairCoefficients(bar, a2, np.ascontiguousarray(np.linalg.inv(a2[1:, :-1])), b, c),
-        most_iterations=np.array([method.max_iterations]),
+        limit=new_limit(method.max_iterations),
         tolerance=np.array([method.tolerance if method.tolerance is not None else TOLERANCE]),
         acc=acc, lam=np.zeros((s, pairs, 2)), past=past,
         q_stage=q_stage, v_stage=v_stage, gap=np.zeros((s - 1, pairs, 2)), change=change, spread=spread,
@@ -328,6 +335,8 @@ class CompiledLobattoPair(CompiledMethod):
         super().__init__(workspace)
         self.bundle = new_pair(method, workspace)
         self.pinned = PinnedBundle(self.bundle)
+        if method.max_iterations is None:
+            self.limit = self.bundle.limit
         self.memory = tuple(self.bundle.past)
 
     def forget(self) -> None:
