@@ -21,6 +21,7 @@ from typing import Any
 from mbdkit.accuracy.pilot_run import IMPLICIT_WORK, SAMPLES, PilotRun, difference, run_pilot
 from mbdkit.accuracy.position_measure import PositionMeasure
 from mbdkit.engine.workspace import Workspace
+from mbdkit.methods.method_options import ControlledOptions
 from mbdkit.plain_data import canonical
 from mbdkit.spec import RunSpec
 from mbdkit.spec.asked_accuracy import EXPLICIT, IMPLICIT
@@ -89,9 +90,10 @@ class Candidate:
 
     def settle(self, spec: RunSpec, setting: float, size: float) -> RunSpec:
         """Return the spec with this method and a setting; absolute tolerances are relative to small mechanisms."""
+        has_default = isinstance(spec.integrator, ControlledOptions)  # follows rtol and the size of the mechanism
         if not self.adaptive:
             return spec.settled(dict(self.integrator), setting)
-        tolerances = {"rtol": setting, "atol": _rounded(setting * min(1.0, size))}
+        tolerances = {"rtol": setting, "atol": None if has_default else _rounded(setting * min(1.0, size))}
         return spec.settled({**self.integrator, **tolerances}, spec.time.step if spec.choose == "step" else None)
 
     def name(self, setting: float) -> str:

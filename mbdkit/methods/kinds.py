@@ -25,11 +25,15 @@ class Tolerances:
         Relative, and absolute [m, rad, m/s, rad/s].
     max_step
         Largest step [s]; None: no limit.
+    by_size
+        Whether `atol` is the default, which applies to lengths in units of the mechanism's characteristic length if
+        that is below 1 m; see `mbdkit.stepping.step_control.unit_of_length`.
     """
 
     rtol: float
     atol: float
     max_step: float | None = None
+    by_size: bool = False
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,8 @@ class SciPySolver:
         Whether the solver uses the Jacobian of the right side; it is then given the exact one.
     max_step
         Largest step [s], passed to the solver unless it is None.
+    by_size
+        See `Tolerances`.
     """
 
     solver: str | type[Any]
@@ -129,6 +135,7 @@ class SciPySolver:
     atol: float
     needs_jacobian: bool = False
     max_step: float | None = None
+    by_size: bool = False
 
 
 Method = ExplicitRungeKutta | ImplicitRungeKutta | LobattoPair | SciPySolver | StepMethod

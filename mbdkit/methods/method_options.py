@@ -37,7 +37,8 @@ class ControlledOptions(Options):
     """Relative error tolerance of adaptive steps: the error of a regular motion follows it in proportion; 1e-6 if left
     out."""
     atol: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
-    """Absolute error tolerance of adaptive steps [m, rad, m/s, rad/s]; left out: the number that `rtol` is."""
+    """Absolute error tolerance of adaptive steps [m, rad, m/s, rad/s]; left out: the number that `rtol` is, for lengths
+    and velocities times the mechanism's characteristic length if that is below 1 m."""
     max_step: MaxStep = None
     """Largest adaptive step [s], so that no short, smooth pulse is missed; unlimited if left out.
 
@@ -56,7 +57,8 @@ class ControlledOptions(Options):
         if not self.adaptive:
             return None
         rtol = self.rtol if self.rtol is not None else 1e-6
-        return Tolerances(rtol, self.atol if self.atol is not None else rtol, self.max_step)
+        atol = self.atol if self.atol is not None else rtol
+        return Tolerances(rtol, atol, self.max_step, by_size=self.atol is None)
 
 
 class ImplicitOptions(ControlledOptions):

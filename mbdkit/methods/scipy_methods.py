@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, ClassVar
 
 from pydantic import Field
@@ -25,14 +26,25 @@ PETZOLD = """@article{petzold1983,
 class AdaptiveOptions(Options):
     """A method of SciPy that controls its own error."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("max_step",)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("atol", "max_step")
 
     rtol: Annotated[float, Field(ge=2.3e-14, lt=1, allow_inf_nan=False)] = 1e-8
     """Relative error tolerance of a step; SciPy takes none below 100 roundings, 2.3e-14."""
-    atol: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1e-10
-    """Absolute error tolerance of a step [m, rad, m/s, rad/s]."""
+    atol: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    """Absolute error tolerance of a step [m, rad, m/s, rad/s]; left out: 1e-10, for lengths and velocities times the
+    mechanism's characteristic length if that is below 1 m."""
     max_step: MaxStep = None
     """Largest step [s]; unlimited if left out."""
+
+
+ATOL = 1e-10
+"""Default of `AdaptiveOptions.atol`."""
+
+
+def _solver(solver: str, jacobian: bool, options: AdaptiveOptions) -> SciPySolver:
+    """Return a solver class with its options."""
+    atol = ATOL if options.atol is None else options.atol
+    return SciPySolver(solver, options.rtol, atol, jacobian, options.max_step, by_size=options.atol is None)
 
 
 def _scipy(name: str, solver: str, summary: str, reference: str, *, jacobian: bool = False) -> IntegratorPlugin:
@@ -42,7 +54,7 @@ def _scipy(name: str, solver: str, summary: str, reference: str, *, jacobian: bo
         name=name,
         summary=summary,
         options=AdaptiveOptions,
-        create=lambda options: SciPySolver(solver, options.rtol, options.atol, jacobian, options.max_step),
+        create=partial(_solver, solver, jacobian),
         claims=lambda options: Claims(
             adaptive=True, drift=TOLERANCE_DRIFT, needs=needs, stabilizations=("none", "baumgarte")
         ),

@@ -26,6 +26,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import StepError
 from mbdkit.stepping.impulse import impulse
 from mbdkit.stepping.interface import STRETCH, Failure, Impact, StepTaken, Stretch, Timetable
+from mbdkit.stepping.step_control import unit_of_length
 
 if TYPE_CHECKING:
     from mbdkit.methods.kinds import SciPySolver
@@ -65,7 +66,7 @@ class SciPyStepper:
         self._finite = True
         y0 = np.concatenate([workspace.q0[: self.n3], workspace.v0[: self.n3], np.zeros(2 * self.has_power)])
         solver = getattr(scipy.integrate, method.solver) if isinstance(method.solver, str) else method.solver
-        options: dict[str, Any] = {"rtol": method.rtol, "atol": method.atol}
+        options: dict[str, Any] = {"rtol": method.rtol, "atol": self._absolute(method)}
         if method.max_step is not None:
             options["max_step"] = method.max_step
         if method.needs_jacobian:
@@ -88,6 +89,14 @@ class SciPyStepper:
         self._y0 = y0
         self._row_times: list[float] = []
         self._effort_so_far = self._since.copy()
+
+    def _absolute(self, method: SciPySolver) -> Any:
+        """Return the absolute tolerance: a number, or one for each component of y; see `unit_of_length`."""
+        length = unit_of_length(method.by_size, self.workspace)
+        if length == 1.0:
+            return method.atol
+        bodies = np.tile([length, length, 1.0], 2 * self.n3 // 3)
+        return method.atol * np.concatenate([bodies, np.full(2 * self.has_power, length * length)])
 
     def _start_solver(self, t: float) -> None:
         """Start the solver from `t` to the next stop, or to the end."""

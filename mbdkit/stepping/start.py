@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import singledispatch
+from typing import Any
 
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import (
@@ -23,12 +24,18 @@ from mbdkit.stepping.interface import Stepper, Timetable
 from mbdkit.stepping.lobatto_iiia_iiib import CompiledLobattoPair
 from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.stepping.scipy_bridge import SciPyStepper
-from mbdkit.stepping.step_control import Control
+from mbdkit.stepping.step_control import Control, unit_of_length
 
 
-def _largest(tolerances: Tolerances) -> float:
-    """Return the largest step [s]; infinity without a limit."""
-    return math.inf if tolerances.max_step is None else tolerances.max_step
+def _control(tolerances: Tolerances, workspace: Workspace, **parameters: Any) -> Control:
+    """Return step-size control with the tolerances of a method and other `parameters` of `Control`."""
+    return Control(
+        tolerances.rtol,
+        tolerances.atol,
+        max_step=math.inf if tolerances.max_step is None else tolerances.max_step,
+        length=unit_of_length(tolerances.by_size, workspace),
+        **parameters,
+    )
 
 
 @singledispatch
@@ -58,14 +65,13 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
 def _(method: ExplicitRungeKutta, workspace: Workspace, timetable: Timetable) -> Stepper:
     control = None
     if method.tolerances is not None and method.pair is not None:
-        control = Control(
-            method.tolerances.rtol,
-            method.tolerances.atol,
+        control = _control(
+            method.tolerances,
+            workspace,
             order=method.tableau.order,
             estimate_order=method.pair.estimate_order,
             estimates=len(method.pair.error),
             memory=0.2,
-            max_step=_largest(method.tolerances),
         )
     return CompiledStepper(CompiledExplicit(method, workspace), workspace, timetable, control)
 
@@ -74,13 +80,7 @@ def _(method: ExplicitRungeKutta, workspace: Workspace, timetable: Timetable) ->
 def _(method: ImplicitRungeKutta, workspace: Workspace, timetable: Timetable) -> Stepper:
     tableau, control = method.tableau, None
     if method.tolerances is not None:
-        control = Control(
-            method.tolerances.rtol,
-            method.tolerances.atol,
-            order=tableau.order,
-            estimate_order=tableau.stages + 1,
-            max_step=_largest(method.tolerances),
-        )
+        control = _control(method.tolerances, workspace, order=tableau.order, estimate_order=tableau.stages + 1)
     if workspace.formulation != "index-1" and not (tableau.is_stiffly_accurate and method.stage_solver == "newton"):
         raise TableauError(
             f"{tableau.name} cannot be used with the formulation {workspace.formulation!r}, which requires a stiffly "

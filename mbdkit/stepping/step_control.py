@@ -82,6 +82,8 @@ class Control:
         their stability (DOPRI5). Implicit methods have no such limit; with 0 their errors follow the tolerance best.
     max_step
         Largest step [s]; a step that reaches a stop or the end of the run may be 1 % longer.
+    length
+        Unit of lengths [m] in which `atol` applies to positions and velocities, but not to angles and their rates.
     """
 
     rtol: float = 1e-6
@@ -92,6 +94,7 @@ class Control:
     scale: float = 1.0
     memory: float = 0.0
     max_step: float = math.inf
+    length: float = 1.0
 
     @property
     def inner_rtol(self) -> float:
@@ -104,6 +107,11 @@ class Control:
         return self.inner_rtol * self.atol / self.rtol
 
     @property
+    def lengths(self) -> np.ndarray:
+        """(3,) units of the coordinates x, y and the angle of a body, in which `atol` applies."""
+        return np.array([self.length, self.length, 1.0])
+
+    @property
     def iteration_tolerance(self) -> float:
         """Relative change of accelerations at which the iteration of an implicit method ends; chosen.
 
@@ -114,13 +122,14 @@ class Control:
 
 
 class ControlData(NamedTuple):
-    """Step-size control as the kernels read it; each array has one element."""
+    """Step-size control as the kernels read it; arrays without a shape have one element."""
 
     controlled: np.ndarray
     """Whether the error controls the step size; if not, the other fields are not used."""
     rtol: np.ndarray
-    """Tolerances of the estimate."""
+    """Relative tolerance of the estimate."""
     atol: np.ndarray
+    """(3,) absolute tolerances of the estimate for x, y and the angle of a body."""
     exponent: np.ndarray
     """1 / k."""
     beta: np.ndarray
@@ -134,12 +143,12 @@ class ControlData(NamedTuple):
 def control_data(control: Control | None, min_size: float) -> ControlData:
     """Return the data of step-size control for the kernels; None: fixed steps."""
     c = control or Control()
-    numbers = (c.inner_rtol, c.inner_atol, 1.0 / c.estimate_order, c.memory / c.estimate_order)
-    rtol, atol, exponent, beta = (np.array([x], dtype=np.float64) for x in numbers)
+    numbers = (c.inner_rtol, 1.0 / c.estimate_order, c.memory / c.estimate_order)
+    rtol, exponent, beta = (np.array([x], dtype=np.float64) for x in numbers)
     return ControlData(
         controlled=np.array([int(control is not None)]),
         rtol=rtol,
-        atol=atol,
+        atol=c.inner_atol * c.lengths,
         exponent=exponent,
         beta=beta,
         estimates=np.array([c.estimates]),
@@ -148,16 +157,27 @@ def control_data(control: Control | None, min_size: float) -> ControlData:
     )
 
 
+def unit_of_length(by_size: bool, workspace: Workspace) -> float:
+    """Return the unit of length [m] in which a default absolute tolerance applies; 1 for a given one.
+
+    It is the characteristic length of the mechanism, but at most 1 m: a tolerance of 1e-6 m would allow any error in
+    a mechanism of micrometres. Velocities scale with it, so that a run of the same mechanism in other units of length
+    takes the same steps. Angles and times are the same in all units.
+    """
+    return min(1.0, workspace.mechanism.length) if by_size else 1.0
+
+
 @subkernel
 def scaled_norm(control, error_q, error_v, q, v, dq, dv):
     """Return the root mean square of errors over ``atol + rtol |y|``, y the larger of both ends of the step.
 
     All vectors are (3 (B + 1),), ground last: an estimate of the error, the start of the step, and its increments.
     """
-    rtol, atol = control.rtol[0], control.atol[0]
+    rtol = control.rtol[0]
     total = 0.0
     n = len(q) - 3
     for d in range(n):
+        atol = control.atol[d % 3]
         scale_q = atol + rtol * max(abs(q[d]), abs(q[d] + dq[d]))
         scale_v = atol + rtol * max(abs(v[d]), abs(v[d] + dv[d]))
         total += (error_q[d] / scale_q) ** 2 + (error_v[d] / scale_v) ** 2
@@ -233,7 +253,8 @@ def first_step(workspace: Workspace, span: float, control: Control) -> float:
     rates = np.zeros_like(y)
     acc, lam = np.zeros((3, workspace.mechanism.size)), np.zeros((len(workspace.stepping_topology.pairs), 2))
     first_order_rates(workspace.stepping_engine, False, workspace.t0, y, acc, lam, rates)
-    scale = control.atol + control.rtol * np.abs(y)
-    d0, d1 = (float(np.sqrt(np.mean((x[:-2] / scale[:-2]) ** 2))) for x in (y, rates))
+    y, rates = y[:-2], rates[:-2]
+    scale = control.atol * np.tile(control.lengths, len(y) // 3) + control.rtol * np.abs(y)
+    d0, d1 = (float(np.sqrt(np.mean((x / scale) ** 2))) for x in (y, rates))
     guess = 0.01 * d0 / d1 if d0 > 1e-5 and 1e-5 < d1 < np.inf else 1e-6
     return float(min(guess, 0.01 * span))
