@@ -37,15 +37,18 @@ class Stops:
     impacts: tuple[float, ...] = ()
 
 
-def stops_of(spec: RunSpec) -> Stops:
-    """Return where the steps of a run end, apart from the fixed grid; raises the errors of `RunSpec.mechanism`."""
+def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
+    """Return where the steps of a run end, apart from the fixed grid; raises the errors of `RunSpec.mechanism`.
+
+    If `all_knots`, knots close to the grid are stops too, for a run of the same mechanism without this grid.
+    """
     start, end = spec.time.start, spec.time.final
     found: list[tuple[Corner, bool]] = []
     for key, motion in _motions(spec):
         corners = corners_of(motion, start, end)
         for corner in corners:
             is_impact = _is_driver(key) and corner.jumps[1]
-            if is_impact or (len(corners) <= MOST_STOPS and _needs_stop(spec, corner)):
+            if is_impact or (len(corners) <= MOST_STOPS and (all_knots or _needs_stop(spec, corner))):
                 found.append((corner, is_impact))
     margin = max([4.0 * EPS * max(abs(start), abs(end)), *(corner.margin for corner, _ in found)])
     times: list[float] = []

@@ -151,9 +151,9 @@ def guards(spec: RunSpec, size: float) -> Guards:
     )
 
 
-def timetable(spec: RunSpec, guards: Guards) -> Timetable:
-    """Return the timetable of a run: start, end, steps, stops, recorded states and limits."""
-    stops = stops_of(spec)
+def timetable(spec: RunSpec, guards: Guards, *, all_knots: bool = False) -> Timetable:
+    """Return the timetable of a run: start, end, steps, stops (see `stops_of`), recorded states and limits."""
+    stops = stops_of(spec, all_knots=all_knots)
     return Timetable(
         start=spec.time.start,
         end=spec.time.final,

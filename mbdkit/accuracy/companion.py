@@ -16,7 +16,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError
 from mbdkit.methods.kinds import Method
 from mbdkit.recorded_columns import ObservedRows
-from mbdkit.stepping.compiled_stepper import CompiledStepper
+from mbdkit.stepping.driver import SAME_TIME
 from mbdkit.stepping.interface import Stepper, Timetable
 from mbdkit.stepping.start import start_method
 from mbdkit.text import one_line
@@ -42,8 +42,9 @@ class Companion:
         Formulation and stabilization of the equations.
     within_steps
         See `timetable`.
-    longest_step
-        Upper bound of the step size [s], if it takes its rows within steps; None: not limited.
+    after_stops
+        If `within_steps`: whether rows of the main run at a stop show the state after it, as dense output does, or
+        before it, as rows at ends of steps do.
     """
 
     name: str
@@ -52,7 +53,7 @@ class Companion:
     formulation: str
     stabilization: Stabilization
     within_steps: bool
-    longest_step: float | None = None
+    after_stops: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,15 +93,8 @@ def run_companion(
     CompanionRows
         Its rows. Exceptions of a plugin are reported as a failure.
     """
-    own = Workspace(
-        workspace.mechanism,
-        workspace.t0,
-        workspace.q0,
-        workspace.v0,
-        formulation=companion.formulation,
-        stabilization=companion.stabilization,
-    )
-    found = _States(times, own)
+    own = workspace.for_another_run(companion.formulation, companion.stabilization)
+    found = _States(times, own, companion)
     try:
         stepper = start_method(companion.create(), own, companion.timetable)
         failure = _advance(stepper, companion, found, stopped)
@@ -116,8 +110,9 @@ def run_companion(
 class _States:
     """States of a companion at the times of the main run."""
 
-    def __init__(self, times: np.ndarray, workspace: Workspace):
+    def __init__(self, times: np.ndarray, workspace: Workspace, companion: Companion):
         self.times = times
+        self.sides, self.at_stop = _beside_stops(times, companion)
         self.q, self.v = (np.full((len(times), len(x)), np.nan) for x in (workspace.q0, workspace.v0))
         self.q[0], self.v[0] = workspace.q0, workspace.v0
         self.done = 1
@@ -133,15 +128,28 @@ class _States:
         """Take the states inside the last step and at its end."""
         step = stepper.last_step
         while step is not None and self.done < len(self.times):
-            at = self.times[self.done]
+            at = self.sides[self.done]
+            if at > step.t1 and (self.at_stop[self.done] or not _equal(at, step.t1, self.times)):
+                return
             if _equal(at, step.t1, self.times):
                 q, v = step.q1, step.v1
-            elif at < step.t1:
-                q, v = stepper.within((at - step.t0) / (step.t1 - step.t0))
+            elif self.at_stop[self.done]:  # after the stop at which the step begins
+                q, v = step.q0, step.v0
             else:
-                return
+                q, v = stepper.within((at - step.t0) / (step.t1 - step.t0))
             self.q[self.done], self.v[self.done] = q, v
             self.done += 1
+
+
+def _beside_stops(times: np.ndarray, companion: Companion) -> tuple[np.ndarray, np.ndarray]:
+    """Return the times of rows (T,), those at a stop moved to the side of it that they show, and which these are."""
+    table = companion.timetable
+    moved, at_stop = times.copy(), np.zeros(len(times), dtype=bool)
+    side = table.stop_margin if companion.after_stops else -table.stop_margin
+    for stop in table.stops:
+        near = np.abs(times - stop) <= SAME_TIME * table.stop_margin
+        moved[near], at_stop[near] = stop + side, True
+    return moved, at_stop
 
 
 def _equal(a: float, b: float, times: np.ndarray) -> bool:
@@ -158,9 +166,6 @@ def _advance(stepper: Stepper, companion: Companion, found: _States, stopped: Ca
             return why
         if stepper.failure is not None:
             return stepper.failure.sentence
-        if companion.longest_step is not None and isinstance(stepper, CompiledStepper):
-            size = stepper.run_state.progress.next_size
-            size[0] = min(size[0], companion.longest_step)
         stretch = stepper.advance()
         if companion.within_steps:
             found.take_within(stepper)
@@ -213,14 +218,20 @@ class Budget:
         return ""
 
 
+def until(timetable: Timetable, end: float) -> Timetable:
+    """Return a timetable that ends at `end` [s], without the stops from there on."""
+    last = end - 4.0 * timetable.stop_margin
+    stops, impacts = (tuple(t for t in some if t < last) for some in (timetable.stops, timetable.impacts))
+    return replace(timetable, end=end, stops=stops, impacts=impacts)
+
+
 def finer(timetable: Timetable, times: np.ndarray, factor: int) -> Timetable:
     """Return the timetable of a fixed-step companion whose steps are shorter by `factor`, with rows at `times`."""
     assert timetable.step is not None
     step = timetable.step / factor
     start, end = timetable.start, float(times[-1])
     return replace(
-        timetable,
-        end=end,
+        until(timetable, end),
         step=step,
         steps=max(1, int(np.ceil((end - start) / step - 1e-9))),
         every=factor * timetable.every,

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from mbdkit.accuracy.companion import NEVER, Companion, finer, row_interval
+from mbdkit.accuracy.companion import NEVER, Companion, finer, row_interval, until
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods import dop853, gauss, radau_iia
@@ -82,6 +82,7 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
     steps
         Number of its steps.
     """
+    within = _steps_within(spec, times)
     if not spec.claims.adaptive:
         plan = timetable(spec, Guards())
         tables = [finer(plan, times, factor) for factor in HALVINGS]
@@ -97,39 +98,49 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
             for table in tables
         )
         interval = row_interval(plan)
-        return Chosen((first, second), _guards(method, workspace, times, steps, interval), 2.0, "step")
-    first, second = _tighter(spec, method, workspace, times, steps)
+        return Chosen((first, second), _guards(spec, method, workspace, within, steps, interval), 2.0, "step")
+    first, second = _tighter(spec, method, workspace, within)
     own = _has_tolerances(spec, method)
     rough, fine = TENTHS if own else OTHER_TENTHS
-    return Chosen((first, second), _guards(method, workspace, times, steps, None), fine / rough, "tolerance")
+    return Chosen((first, second), _guards(spec, method, workspace, within, steps, None), fine / rough, "tolerance")
 
 
-def _tighter(
-    spec: RunSpec, method: Method, workspace: Workspace, times: np.ndarray, steps: int
-) -> tuple[Companion, Companion]:
+def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timetable) -> tuple[Companion, Companion]:
     """Return two companions of an adaptive run with tighter tolerances.
 
     Methods of SciPy have no states inside steps that are as accurate as their ends, and of plugins the names of the
     tolerances are not known. Their companions are runs of the adaptive Radau IIA method.
     """
-    options = spec.integrator
+    options, after = spec.integrator, spec.output.interval is not None
     own = _has_tolerances(spec, method)
-    rtol = getattr(options, "rtol", None) or 1e-6
-    atol = getattr(options, "atol", None) or rtol
+    given = _tolerances(spec, method)
     found = []
     for factor in TENTHS if own else OTHER_TENTHS:
-        tolerances = Tolerances(max(rtol / factor, TIGHTEST), max(atol / factor, TIGHTEST * atol / rtol))
-        table = replace(_steps_within(times, spec.limits.max_steps * int(factor)), step=spec.time.step if own else None)
+        rtol, atol = max(given.rtol / factor, TIGHTEST), max(given.atol / factor, TIGHTEST * given.atol / given.rtol)
+        tolerances = replace(given, rtol=rtol, atol=atol)
+        table = replace(within, max_steps=spec.limits.max_steps * int(factor), step=spec.time.step if own else None)
         if own:
-            update = {"rtol": tolerances.rtol, "atol": tolerances.atol}
+            update = {"rtol": tolerances.rtol, "atol": None if given.by_size else tolerances.atol}
             create: Callable[[], Method] = partial(spec.integrator_plugin.create, options.model_copy(update=update))
             name = f"tolerance {tolerances.rtol:.2g}"
-            found.append(Companion(name, create, table, spec.formulation, spec.stabilized, within_steps=True))
+            run: tuple[str, Stabilization] = (spec.formulation, spec.stabilized)
         else:
             create = partial(_radau, tolerances)
             name = f"adaptive radau-iia with tolerance {tolerances.rtol:.2g}"
-            found.append(Companion(name, create, table, "index-1", _projected(workspace), within_steps=True))
+            run = ("index-1", _projected(workspace))
+        found.append(Companion(name, create, table, *run, within_steps=True, after_stops=after))
     return found[0], found[1]
+
+
+def _tolerances(spec: RunSpec, method: Method) -> Tolerances:
+    """Return the tolerances of an adaptive run; of a plugin's method, those of its options with the usual names."""
+    if isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) and method.tolerances is not None:
+        return replace(method.tolerances, max_step=None)
+    if isinstance(method, SciPySolver):
+        return Tolerances(method.rtol, method.atol or method.rtol, by_size=method.by_size)
+    rtol = getattr(spec.integrator, "rtol", None) or 1e-6
+    atol = getattr(spec.integrator, "atol", None)
+    return Tolerances(rtol, atol or rtol, by_size=atol is None)
 
 
 def _has_tolerances(spec: RunSpec, method: Method) -> bool:
@@ -139,7 +150,7 @@ def _has_tolerances(spec: RunSpec, method: Method) -> bool:
 
 
 def _guards(
-    method: Method, workspace: Workspace, times: np.ndarray, steps: int, interval: float | None
+    spec: RunSpec, method: Method, workspace: Workspace, within: Timetable, steps: int, interval: float | None
 ) -> tuple[Companion, ...]:
     """Return guards by methods other than that of the run: explicit first, then implicit.
 
@@ -147,12 +158,13 @@ def _guards(
     pass singular positions on the right branch.
     """
     name = method.tableau.name if isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) else ""
-    within = _steps_within(times, LOOKS + _most(SINGLE_STEPS, steps))
+    within = replace(within, max_steps=LOOKS + _most(SINGLE_STEPS, steps))
     dense, longest = within, (within.end - within.start) / LOOKS
-    if interval is not None and steps >= LOOKS:
+    tight = Tolerances(GUARD_TOLERANCE, GUARD_TOLERANCE, longest, by_size=True)
+    loose = Tolerances(IMPLICIT_GUARD_TOLERANCE, IMPLICIT_GUARD_TOLERANCE, longest, by_size=True)
+    if interval is not None and steps >= LOOKS and not within.impacts:  # rows there may show either side
         dense = replace(within, every=1, interval=interval, single=False, max_steps=_most(GUARD_STEPS, steps))
-    tight = Tolerances(GUARD_TOLERANCE, GUARD_TOLERANCE)
-    loose = Tolerances(IMPLICIT_GUARD_TOLERANCE, IMPLICIT_GUARD_TOLERANCE)
+        tight = replace(tight, max_step=None)
     candidates: Sequence[tuple[str, str, Callable[[], Method], Timetable]] = (
         ("dop853", "dop853", partial(_dop853, tight), dense),
         ("radau-iia", "radau-iia of order 9", partial(_radau, loose), within),
@@ -167,7 +179,7 @@ def _guards(
             "index-1",
             _projected(workspace),
             within_steps=table is within,
-            longest_step=longest if table is within else None,
+            after_stops=spec.output.interval is not None,
         )
         for family, told, create, table in candidates
         if not name.startswith(family) and (family != "gauss" or stiff)
@@ -183,9 +195,10 @@ def _projected(workspace: Workspace) -> Stabilization:
     return Stabilization("projection") if len(workspace.mechanism.rows) else NONE
 
 
-def _steps_within(times: np.ndarray, most: int) -> Timetable:
-    """Return the timetable of an adaptive run over `times` that stops after each step."""
-    return Timetable(float(times[0]), float(times[-1]), every=NEVER, max_steps=most, single=True)
+def _steps_within(spec: RunSpec, times: np.ndarray) -> Timetable:
+    """Return the timetable of an adaptive run over `times` that returns after each step."""
+    run = until(timetable(spec, Guards(), all_knots=True), float(times[-1]))
+    return replace(run, step=None, steps=0, every=NEVER, interval=None, single=True)
 
 
 def _dop853(tolerances: Tolerances) -> Method:

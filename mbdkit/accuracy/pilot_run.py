@@ -63,14 +63,7 @@ def run_pilot(spec: RunSpec, setting: float, workspace: Workspace, most_steps: i
     most_steps
         Steps after which the pilot stops with the failure ``max-steps``.
     """
-    own = Workspace(
-        workspace.mechanism,
-        workspace.t0,
-        workspace.q0,
-        workspace.v0,
-        formulation=spec.formulation,
-        stabilization=spec.stabilized,
-    )
+    own = workspace.for_another_run(spec.formulation, spec.stabilized)
     method = make_method(spec)
     start, end = spec.time.start, spec.time.final
     samples = np.linspace(start, end, SAMPLES + 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -198,6 +198,16 @@ class Workspace:
         self.solver = self.solver._replace(pattern=pattern, factors=factors, scatter=scatter)
         for pinned in (self._engine, self._stepping_engine):
             pinned.replace(pinned.bundle._replace(solver=self.solver))
+
+    def for_another_run(self, formulation: str, stabilization: Stabilization) -> Workspace:
+        """Return a workspace with the same mechanism and start, and its own arrays and solver.
+
+        Parameters
+        ----------
+        formulation, stabilization
+            See `Workspace`.
+        """
+        return replace(self, formulation=formulation, stabilization=stabilization)
 
     def with_own_pivots(self) -> Workspace:
         """Return a workspace that shares the arrays of this one, but whose pivots are chosen independently."""
