@@ -75,7 +75,7 @@ class Recorder:
     largest, largest_angle : (J,) arrays
         Largest misalignment [m] and angle misalignment [rad] of the recorded states.
     energies
-        Largest energies, energy errors and jumps of the recorded states.
+        Largest energies and energy errors of the recorded states.
     last_time : float
         Time of the last recorded state [s].
     kept : list of ObservedRows or None
@@ -146,7 +146,7 @@ class Recorder:
             count = int(np.argmin(finite))
             what = "the energy is not a finite number" if moving[count] else "accelerations are not finite numbers"
             failure = Failure("not-finite", f"{what} at {_at(stretch, count)}.")
-        for check in (self._contradiction, self._fallen_apart, self._jumped):
+        for check in (self._contradiction, self._fallen_apart):
             found = check(stretch.rows(slice(0, count)), observed.rows(slice(0, count)))
             if found is not None:
                 count, failure = found
@@ -164,18 +164,29 @@ class Recorder:
         mechanism = self.workspace.mechanism
         pair = int(mechanism.topology.spare[direction, 0])
         gap = float(gaps[row, direction] * units_of_pairs(mechanism)[pair])
-        return row, Failure("singular", self._describe_contradiction(pair, gap, _at(stretch, row)))
+        unit = next(one.unit for one in mechanism.rows if one.pair == pair)
+        return row, self._contradicting(pair, f"{gap:.2g} {unit} at {_at(stretch, row)}")
 
-    def _describe_contradiction(self, pair: int, gap: float, where: str) -> str:
-        """Return a sentence naming a misaligned redundant joint and the joints that it contradicts."""
+    def _contradicting(self, pair: int, gap: str) -> Failure:
+        """Return the failure of a redundant joint that is misaligned by `gap`, naming the joints that it contradicts.
+
+        Joints are redundant only if they agree at the start and in its neighborhood. On one branch they then agree
+        everywhere, unless drivers move them.
+        """
         mechanism = self.workspace.mechanism
-        joint = self._joints.joint[pair]
-        unit = next(row.unit for row in mechanism.rows if row.pair == pair)
-        others = [name for name in mechanism.redundancy.not_unique if name != mechanism.joints[joint]]
-        return (
-            f"joint '{mechanism.joints[joint]}' is misaligned by {gap:.2g} {unit} at {where}, and numerical error does "
-            f"not explain it: it constrains the same motion as {listed(others, 'and')} and contradicts them; remove "
-            "one of them. If they agree, the run has left its branch in a singular position."
+        joint, names = mechanism.joints[self._joints.joint[pair]], mechanism.redundancy.not_unique
+        others = listed([name for name in names if name != joint], "and")
+        what = f"joint '{joint}' is misaligned by {gap}, and numerical error does not explain it: it constrains the "
+        if not mechanism.drivers & set(names):
+            return Failure(
+                "branch-left",
+                f"{what}same motion as {others}, with which it agrees on the branch of the start, so the run has left "
+                "this branch, as happens in singular positions; smaller steps or `stabilization: projection` may help.",
+            )
+        return Failure(
+            "singular",
+            f"{what}same motion as {others} and contradicts them; remove one of them. If they agree, the run has left "
+            "its branch in a singular position.",
         )
 
     def _fallen_apart(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
@@ -203,26 +214,6 @@ class Recorder:
                 found = row, Failure("fell-apart", sentence)
         return found
 
-    def _jumped(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
-        """Return the row of the first state before which the energy balance jumps, and the failure.
-
-        Stabilized runs are exempt, since the energy that the stabilization adds is part of the balance.
-        """
-        limit = self.guards.energy_jump
-        if not np.isfinite(limit) or self.workspace.stabilization.kind != "none":
-            return None
-        balance = observed.kinetic + observed.potential + stretch.dissipated - stretch.work
-        balance = balance - (balance[:1] if self._start_energy is None else self._start_energy)
-        row = self.energies.first_jump(observed.kinetic, balance, stretch.intervals[:, 1], limit)
-        if row is None:
-            return None
-        return row, Failure(
-            "energy-jump",
-            f"the energy balance changes by {self.energies.jumps(balance, stretch.intervals[:, 1])[row]:.3g} J in one "
-            f"step before {_at(stretch, row)}, more than limits.energy_jump = {limit:g} of the largest kinetic energy "
-            "allows; this state is not recorded; use smaller steps.",
-        )
-
     def _write_states(self, stretch: Stretch, observed: Observed, elapsed: np.ndarray) -> None:
         if self._start_energy is None:
             self._start_energy = float(observed.kinetic[0] + observed.potential[0])
@@ -232,7 +223,7 @@ class Recorder:
         self.largest_angle = np.maximum(self.largest_angle, self._joints.angle_misalignment(peaks)[0])
         others = np.array([observed.potential, stretch.work, stretch.dissipated])
         self.last_time = float(stretch.time[-1])
-        self.energies.add(stretch.time, observed.kinetic, others, states.balance, stretch.intervals[:, 1])
+        self.energies.add(observed.kinetic, others, states.balance)
         self.writer.append({key: COLUMNS[key](states) for key in self.writer.row_keys})
         if self.kept is not None:
             self.kept.append(states.essence)

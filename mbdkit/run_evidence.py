@@ -10,7 +10,7 @@ import numpy as np
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.recorded_columns import ObservedRows
 from mbdkit.recorder import Recorder
-from mbdkit.stepping.interface import Advancing, evidence_of
+from mbdkit.stepping.interface import Advancing, StepEvidence
 from mbdkit.trust.criteria import EstimatedErrors, Evidence
 
 
@@ -24,9 +24,7 @@ def evidence_of_run(
 ) -> Evidence:
     """Return the evidence of a run that has ended.
 
-    Steps are judged by what the stepper has observed. For steppers that do not watch their steps, the energy jump is
-    that between recorded rows; it is not judged in stabilized runs, whose balance contains the energy that the
-    stabilization adds.
+    Steps are judged by what the stepper has observed, recorded or not.
 
     Parameters
     ----------
@@ -43,14 +41,8 @@ def evidence_of_run(
     warnings
         Warnings that question the result.
     """
-    steps = None if stepper is None else evidence_of(stepper)
+    steps = StepEvidence(0.0, 0.0, 0.0) if stepper is None else stepper.evidence
     energies, angles = recorder.energies, recorder.largest_angle
-    if steps is not None:
-        jump, jump_time = steps.energy_jump, steps.energy_jump_time
-    elif recorder.workspace.stabilization.kind == "none":
-        jump, jump_time = energies.jump, energies.jump_time
-    else:
-        jump = jump_time = 0.0
     return Evidence(
         status=ending[0],
         status_reason=ending[1],
@@ -60,12 +52,12 @@ def evidence_of_run(
         joint=_name_of_largest(recorder, misalignment_max),
         angle_misalignment=float(np.max(angles, initial=0.0)),
         angle_joint=_name_of_largest(recorder, angles),
-        kinetic=energies.kinetic if steps is None else max(energies.kinetic, steps.kinetic),
+        kinetic=max(energies.kinetic, steps.kinetic),
         energy=energies.energy,
         balance=energies.balance,
-        energy_jump=jump,
-        energy_jump_time=jump_time,
-        branch=() if steps is None else steps.branch,
+        energy_jump=steps.energy_jump,
+        energy_jump_time=steps.energy_jump_time,
+        branch=steps.branch,
         warnings=warnings,
     )
 

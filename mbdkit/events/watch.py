@@ -17,7 +17,7 @@ from mbdkit.events.event_expression import CompiledExpression, RunExpression
 from mbdkit.events.quantities import QuantityEvaluator
 from mbdkit.events.sampling import INSIDE, refined
 from mbdkit.stepping import interface
-from mbdkit.stepping.interface import Failure, StepEvidence, Stepper, StepTaken, Stretch, evidence_of, joined
+from mbdkit.stepping.interface import Failure, StepEvidence, Stepper, StepTaken, Stretch, joined
 
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
 
@@ -122,9 +122,9 @@ class Watch:
         return self.stepper.worst_pairs if self.stopped is None else self._worst_before
 
     @property
-    def evidence(self) -> StepEvidence | None:
-        """What the stepper has observed over its steps; None if it does not watch them."""
-        return evidence_of(self.stepper)
+    def evidence(self) -> StepEvidence:
+        """What the stepper has observed over its steps."""
+        return self.stepper.evidence
 
     @property
     def time(self) -> float:

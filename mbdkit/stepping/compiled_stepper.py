@@ -38,7 +38,8 @@ from mbdkit.stepping.run_state import (
     new_run_state,
 )
 from mbdkit.stepping.step_control import SOLVER_FAILURE_FACTOR, Control, first_step
-from mbdkit.trust.criteria import BranchSuspicion
+from mbdkit.stepping.step_guards import ENERGY_JUMP, FELL_APART
+from mbdkit.stepping.step_watch import guard_evidence, guard_failure
 
 if TYPE_CHECKING:
     from mbdkit.stepping.compiled_method import CompiledMethod
@@ -221,15 +222,7 @@ class CompiledStepper:
     @property
     def evidence(self) -> StepEvidence:
         """See `Stepper.evidence`."""
-        guards = self.run_state.guards
-        turns = guards.turns[: int(guards.turn_count[0])].tolist()
-        return StepEvidence(
-            energy_jump=float(guards.jump[0]),
-            energy_jump_time=float(guards.jump_time[0]),
-            kinetic=float(guards.kinetic[0]),
-            branch=tuple(BranchSuspicion(*x) for x in turns),
-            impacts=tuple(self.impacts),
-        )
+        return guard_evidence(self.run_state.guards, self.impacts)
 
     def _attempts(self) -> int:
         """Return the number of steps accepted and rejected so far."""
@@ -342,8 +335,10 @@ class CompiledStepper:
 
     def _handle(self, status: int) -> None:
         """React to a failed step: choose new pivots once per step, try a smaller step, or set `failure`."""
-        if status in (driver.FELL_APART, driver.ENERGY_JUMP):
-            self.failure = self._excess(status)
+        if status in (FELL_APART, ENERGY_JUMP):
+            known = self.run_state.guards, self.worst_pairs
+            limits = self.timetable.guards.energy_jump, self.plan.limits
+            self.failure = guard_failure(status, self.workspace.mechanism, known, limits, self.time, self.method.hint)
             return
         done = self._accepted
         where = f"in step {done + 1} from t = {self.time:.6g} s"
@@ -422,28 +417,6 @@ class CompiledStepper:
         self.run_state.base_state[0] = MODIFIED
         self._renewed.clear()
         return bool(progress.next_size[0] > self.plan.control.min_size[0])
-
-    def _excess(self, status: int) -> Failure:
-        """Return which limit of the guards was exceeded."""
-        mechanism, guards, hint = self.workspace.mechanism, self.run_state.guards, self.method.hint
-        if status == driver.ENERGY_JUMP:
-            share = float(guards.jump[0] / guards.kinetic[0]) if guards.kinetic[0] > 0.0 else np.inf
-            return Failure(
-                "energy-jump",
-                f"the step to t = {self.time:.6g} s changed the energy balance by {float(guards.jump[0]):.3g} J, "
-                f"{share:.3g} of the largest kinetic energy so far, more than limits.energy_jump = "
-                f"{self.timetable.guards.energy_jump:g}; {hint}.",
-            )
-        pair = int(np.argmax(self.worst_pairs / self.plan.limits.squared_misalignment))
-        joint = next(name for name, pairs in zip(mechanism.joints, mechanism.joint_pairs, strict=True) if pair in pairs)
-        unit = next(row.unit for row in mechanism.rows if row.pair == pair)
-        gap = float(np.sqrt(self.worst_pairs[pair]))
-        return Failure(
-            "fell-apart",
-            f"joint '{joint}' is misaligned by {gap:.3g} {unit} at t = {self.time:.6g} s, more than the "
-            f"{float(np.sqrt(self.plan.limits.squared_misalignment[pair])):.3g} {unit} of limits.misalignment; {hint}, "
-            "or `stabilization: projection`.",
-        )
 
     def _failure(self, status: int, singular: SingularSystemError | None, where: str) -> Failure:
         """Return why the run stops."""

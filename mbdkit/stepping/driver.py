@@ -44,18 +44,17 @@ from mbdkit.stepping.step_control import (
     scaled_norm,
 )
 from mbdkit.stepping.step_guards import (
+    begin_energy,
     distance_to_singularity,
     energies,
     energy_jump,
+    limit_status,
     note_jump,
     watch_branch,
 )
 
 TOO_SMALL = 5
 """Status: the step size fell below the smallest one."""
-
-FELL_APART, ENERGY_JUMP = 6, 7
-"""Status: a limit of the guards was exceeded, see `mbdkit.stepping.run_plan.GuardLimits`."""
 
 AT_STOP = 8
 """Status: a step has ended at a stop; what the method keeps from it is not valid for the next."""
@@ -189,44 +188,17 @@ def _note_projection(c):
 
 
 @subkernel
-def _begin_guards(c, t):
-    """Evaluate the energy of the initial state, or of a state that an impulse has changed."""
-    prepare(c.top, c.w, t, c.q)
-    kinetic, potential = energies(c.top, c.w, c.q, c.v)
-    c.guards.energy[0], c.guards.kinetic[0] = kinetic + potential, max(kinetic, c.guards.kinetic[0])
-
-
-@subkernel
-def _energy_change(c, plan, t):
-    """Return the jump by an attempt that ends at `t`, before a projection, its energies, and whether it is acceptable.
-
-    The terms of Baumgarte stabilization do work that is not booked, so that there is no balance to check.
-    """
-    prepare(c.top, c.w, t, c.new_q)
-    jump, total, kinetic, most = energy_jump(c, c.new_q, c.new_v, plan.limits.rejected_jump[0])
-    if plan.baumgarte[0]:
-        jump = 0.0
-    return jump, total, kinetic, abs(jump) <= most
-
-
-@subkernel
-def _check_limits(c, plan, t):
-    """Record energy and misalignments of the state reached at `t`; return a status. Requires `prepare` at the state."""
-    limits, guards = plan.limits, c.guards
-    mode = plan.projection.mode[0]
+def _note_end_of_step(c, plan, t):
+    """Record the energy of the state reached at `t`, unless it is known from the attempt. Requires `prepare` there."""
+    guards, mode = c.guards, plan.projection.mode[0]
     if not plan.control.controlled[0] and mode != PLAIN:
-        jump, total, kinetic, _ = energy_jump(c, c.q, c.v, 0.0)
-        booked = mode == NO_PROJECTION and plan.baumgarte[0] == 0  # else stabilization changes the energy as well
-        note_jump(c, t, jump if booked else 0.0, total, kinetic)
-    elif c.base_state[0] == MODIFIED:  # projected; else the energy is that of the attempt
-        kinetic, potential = energies(c.top, c.w, c.q, c.v)
+        jump, total, kinetic, rounding = energy_jump(c, guards, c.gain, c.q, c.v)
+        if mode != NO_PROJECTION or plan.baumgarte[0]:  # stabilization changes the energy as well
+            jump = 0.0
+        note_jump(guards, t, jump, total, kinetic, rounding, plan.limits.energy_jump[0])
+    elif c.base_state[0] == MODIFIED:  # projected
+        kinetic, potential, _ = energies(c.top, c.w, c.q, c.v)
         guards.energy[0] = kinetic + potential
-    for k in range(len(c.worst)):
-        if c.worst[k] > limits.squared_misalignment[k]:
-            return FELL_APART
-    if guards.jump[0] > limits.energy_jump[0] * guards.kinetic[0]:
-        return ENERGY_JUMP
-    return OK
 
 
 @subkernel
@@ -237,6 +209,7 @@ def _try_step(run, method, attempt, plan):
     """
     c = load_run_state(run)
     progress, interval, control, mode = c.progress, c.interval, plan.control, plan.projection.mode[0]
+    guards = c.guards
     t, h, at_stop = _chosen_step(plan, progress)
     if control.controlled[0] and not at_stop and is_too_small(control, t, h, plan.times.end[0]):
         return TOO_SMALL
@@ -246,21 +219,21 @@ def _try_step(run, method, attempt, plan):
         copy(c.v, c.from_v)
     if plan.baumgarte[0]:
         interval.baumgarte_term[0] = max(interval.baumgarte_term[0], _baumgarte_term(c, t))
-    if np.isnan(c.guards.energy[0]):
-        _begin_guards(c, t)
+    if np.isnan(guards.energy[0]):
+        begin_energy(c, guards, t, c.q, c.v)
     before = c.counts[ITERATIONS]
     c.w.faulty[0] = -1  # if the run stops, the message names the force law that failed in this attempt
     status = take(run, method, attempt, t, h, control.controlled[0], mode)
     iterations = c.counts[ITERATIONS] - before
     error = 0.0
     projected = jumped = False
-    at = jump = total = kinetic = 0.0
+    at = jump = total = kinetic = rounding = 0.0
     if status == OK and control.controlled[0]:
         error = _local_error(c, plan)
     if status == OK and error <= 1.0:
         distance = 1.0
-        if c.guards.has_loops[0] != 0.0:
-            distance = c.guards.distance[0] = distance_to_singularity(c)
+        if guards.has_loops[0] != 0.0:
+            distance = guards.distance[0] = distance_to_singularity(c, guards.vectors)
         if control.controlled[0]:
             ends = t + h >= plan.times.end[0]
         else:
@@ -268,15 +241,19 @@ def _try_step(run, method, attempt, plan):
         at = plan.times.end[0] if ends else t + h
         due = (progress.accepted[0] + 1) % plan.projection.every[0] == 0
         if mode == NEAR_SINGULARITY:
-            due = distance < plan.projection.near[0] * c.guards.farthest[0]
+            due = distance < plan.projection.near[0] * guards.farthest[0]
         if control.controlled[0] or mode == PLAIN:
-            jump, total, kinetic, kept = _energy_change(c, plan, at)
-            jumped = control.controlled[0] != 0 and not kept
+            prepare(c.top, c.w, at, c.new_q)
+            jump, total, kinetic, rounding = energy_jump(c, guards, c.gain, c.new_q, c.new_v)
+            if plan.baumgarte[0]:  # its terms do work that is not booked
+                jump = 0.0
+            most = plan.limits.rejected_jump[0] * max(kinetic, guards.kinetic[0]) + rounding
+            jumped = control.controlled[0] != 0 and not abs(jump) <= most
     if status == OK and error <= 1.0 and not jumped:
         status, projected = project(run, at, mode, due, plan.projection.bound[0])
     interval.iterations[0] += iterations
     if control.controlled[0] and (status in (DIVERGED, NOT_FINITE) or not error <= 1.0 or jumped):
-        c.guards.jumped[0] = jumped
+        guards.jumped[0] = jumped
         _reject(c, plan, h, status == OK and not jumped, error)
         return OK
     if status != OK:
@@ -284,7 +261,7 @@ def _try_step(run, method, attempt, plan):
         return status
     interval.iterations_max[0] = max(interval.iterations_max[0], iterations)
     if control.controlled[0] or mode == PLAIN:  # else it is checked when the state is advanced
-        note_jump(c, at, jump, total, kinetic)
+        note_jump(guards, at, jump, total, kinetic, rounding, plan.limits.energy_jump[0])
     if projected:
         _note_projection(c)
     _accept(c, plan, t, h, error, at_stop)
@@ -433,9 +410,10 @@ def _advance(c, plan):
     last, whole = _advance_time(plan, c.progress)
     t = c.progress.time[0]
     if c.guards.has_loops[0] != 0.0:
-        watch_branch(c, t, c.dq, c.v, c.guards.distance[0])
+        watch_branch(c.guards, c.top.mass, t, c.dq, c.v)
     raise_misalignments(c.still, c.w, t, c.q, c.worst)
-    return _check_limits(c, plan, t), last, whole
+    _note_end_of_step(c, plan, t)
+    return limit_status(c.guards, c.worst, plan.limits), last, whole
 
 
 @kernel

@@ -238,6 +238,11 @@ class Advancing(Protocol):
         """Time reached [s]."""
         ...
 
+    @property
+    def evidence(self) -> StepEvidence:
+        """What has been observed over all steps so far, recorded or not."""
+        ...
+
     def advance(self) -> Stretch:
         """Advance for about `STRETCH` seconds, to the end or to a failure, and return the recorded states.
 
@@ -248,12 +253,6 @@ class Advancing(Protocol):
     def last_state(self) -> Stretch:
         """Return the state reached as one row, for a run that is stopped between two recorded states."""
         ...
-
-
-def evidence_of(stepper: Advancing) -> StepEvidence | None:
-    """Return the attribute `evidence` of a stepper; None for steppers that do not watch their steps."""
-    found: StepEvidence | None = getattr(stepper, "evidence", None)
-    return found
 
 
 class Stepper(Advancing, Protocol):

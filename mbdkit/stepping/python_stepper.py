@@ -20,8 +20,9 @@ from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.stepping import interface
 from mbdkit.stepping.driver import SAME_TIME
 from mbdkit.stepping.impulse import impulse
-from mbdkit.stepping.interface import Failure, Impact, StepTaken, Stretch, Timetable
+from mbdkit.stepping.interface import Failure, Impact, StepEvidence, StepTaken, Stretch, Timetable
 from mbdkit.stepping.python_projection import StabilizedSteps, Taken
+from mbdkit.stepping.step_watch import StepWatch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -108,6 +109,12 @@ class PythonStepper:
         self.time = timetable.start
         self._before = self.now
         _load_kernels()
+        self._watch = StepWatch.loaded(workspace, timetable.guards, self.worst_pairs, method.hint)
+
+    @property
+    def evidence(self) -> StepEvidence:
+        """See `Advancing.evidence`."""
+        return self._watch.evidence(self.impacts)
 
     def _begin_after_stop(self) -> None:
         """At a stop, discard what the method keeps for the next step, and apply the impulse if there is one."""
@@ -120,6 +127,7 @@ class PythonStepper:
             q, v = self._with_ground(state)
             impact, new = impulse(self.workspace, now.restart, q, v, stop)
             self.impacts.append(impact)
+            self._watch.forget_energy()
             state = StepState(state.q, new[: self.equations.n], low=(state.low[0], 0.0))
             energy = energy + np.array([impact.energy, 0.0])
         self.now = replace(now, state=state, energy=energy)
@@ -139,7 +147,9 @@ class PythonStepper:
             try:
                 self._begin_after_stop()
                 before = self.now
-                self._go_to(self._after(before, 1.0, self.worst_pairs))
+                there, taken = self._after(before, 1.0, self.worst_pairs)
+                self._go_to(there)
+                self.failure = self._watched(before, there, taken)
             except StepError as error:
                 where = f"in step {before.done + 1} from t = {before.time:.6g} s"
                 self.failure = Failure(error.code, f"{error} {where}; {self.method.hint}.")
@@ -209,7 +219,14 @@ class PythonStepper:
         size = table.last_step if n == table.steps else table.step
         return _Planned(t, size if begin.restart is None else end - t, end, False, True)
 
-    def _after(self, begin: Reached, theta: float, worst: np.ndarray) -> Reached:
+    def _watched(self, before: Reached, there: Reached, taken: Taken) -> Failure | None:
+        """Apply the guards to a step; return why the run has to stop, or None."""
+        begin = before.time if before.restart is None else before.restart
+        made = None if taken.made is taken.reached else (taken.made.q, taken.made.v)
+        states = before.state.q, before.state.v, taken.reached.q, taken.reached.v
+        return self._watch.step((begin, there.time), *states, there.energy - before.energy, made)
+
+    def _after(self, begin: Reached, theta: float, worst: np.ndarray) -> tuple[Reached, Taken]:
         """Return the result of the fraction `theta` of the step from `begin`; update the maxima `worst` (P,).
 
         `worst` are squared misalignments.
@@ -233,9 +250,9 @@ class PythonStepper:
         if not plan.is_at_stop or theta < 1.0:
             whole = begin.whole + 1
             reached = table.end if whole == table.steps else end
-            return Reached(done, whole, begin.passed, None, reached, new, energy, low, interval)
+            return Reached(done, whole, begin.passed, None, reached, new, energy, low, interval), taken
         whole, restart = begin.whole + plan.is_whole, table.stops[begin.passed] + table.stop_margin
-        return Reached(done, whole, begin.passed + 1, restart, plan.reached, new, energy, low, interval)
+        return Reached(done, whole, begin.passed + 1, restart, plan.reached, new, energy, low, interval), taken
 
     def _again(self, theta: float) -> Reached | None:
         """Repeat the last step with the fraction `theta` of its size; None if this fails with a StepError.
@@ -243,7 +260,7 @@ class PythonStepper:
         Raises any other exception of the method.
         """
         try:
-            return self._after(self._before, theta, self.worst_pairs.copy())
+            return self._after(self._before, theta, self.worst_pairs.copy())[0]
         except StepError:
             return None
 

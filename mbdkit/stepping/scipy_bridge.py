@@ -25,8 +25,9 @@ from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import StepError
 from mbdkit.stepping.impulse import impulse
-from mbdkit.stepping.interface import STRETCH, Failure, Impact, StepTaken, Stretch, Timetable
+from mbdkit.stepping.interface import STRETCH, Failure, Impact, StepEvidence, StepTaken, Stretch, Timetable
 from mbdkit.stepping.step_control import unit_of_length
+from mbdkit.stepping.step_watch import StepWatch
 
 if TYPE_CHECKING:
     from mbdkit.methods.kinds import SciPySolver
@@ -77,6 +78,7 @@ class SciPyStepper:
         self._passed = 0  # stops
         self._stopped = False
         self.impacts: list[Impact] = []
+        self._watch = StepWatch.loaded(workspace, timetable.guards, self.worst_pairs, "tighter tolerances may help")
         self.solver: Any = None
         self.y = y0
         self._start_solver(timetable.start)
@@ -89,6 +91,11 @@ class SciPyStepper:
         self._y0 = y0
         self._row_times: list[float] = []
         self._effort_so_far = self._since.copy()
+
+    @property
+    def evidence(self) -> StepEvidence:
+        """See `Advancing.evidence`."""
+        return self._watch.evidence(self.impacts)
 
     def _absolute(self, method: SciPySolver) -> Any:
         """Return the absolute tolerance: a number, or one for each component of y; see `unit_of_length`."""
@@ -123,6 +130,7 @@ class SciPyStepper:
                 self.failure = Failure(error.code, f"{error} at the impulse of a driver at t = {stop:.6g} s.")
                 return False
             self.impacts.append(impact)
+            self._watch.forget_energy()
             self.y = self.y.copy()
             self.y[self.n3 : 2 * self.n3] = v[: self.n3]
             if self.has_power:
@@ -301,6 +309,7 @@ class SciPyStepper:
         self._since += (1, 0, 0, iterations, 0, attempts - 1)
         self._since[2] = solver.t - before
         self._since[4] = max(self._since[4], iterations)
+        old = self.y
         self.time, self.y = float(solver.t), solver.y.copy()
         self._stopped = solver.status == "finished" and self._passed < len(self.timetable.stops)
         self.finished = solver.status == "finished" and not self._stopped
@@ -311,7 +320,15 @@ class SciPyStepper:
         if self._stabilized:
             pull = baumgarte_at(self._engine, self.time, *self._state(self.y))
             self._pull = max(self._pull, pull)
+        self.failure = self._watched(before, old)
         return True
+
+    def _watched(self, begin: float, old: np.ndarray) -> Failure | None:
+        """Apply the guards to the step from `begin`, where y was `old`; return why the run has to stop, or None."""
+        n3, y = self.n3, self.y
+        gain = y[2 * n3 :] - old[2 * n3 :] if self.has_power else np.zeros(2)
+        q, v = slice(0, n3), slice(n3, 2 * n3)
+        return self._watch.step((begin, self.time), old[q], old[v], y[q], y[v], gain)
 
     def _nearness(self, t: float, y: np.ndarray) -> str:
         """Return a clause stating that a state is nearly singular; empty if it is not."""

@@ -9,7 +9,11 @@ energy of a projected state is that after the projection.
 The velocity then turns within a short part of the path. A *dip* is a minimum of the distance to singularity below `DIP`
 times its maximum. Around each dip, the directions of the velocities before and after are compared in the mass metric,
 as lines. The distance is estimated from the pivots of the last solution for the accelerations, which costs next to
-nothing.
+nothing. Paths are measured in characteristic lengths, and not in sizes of the mechanism: velocities turn as the links
+do, on the scale of a link, however many of them there are.
+
+The compiled driver calls these functions in its loop; `mbdkit.stepping.step_watch` calls them for steps that are taken
+in Python.
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ import numpy as np
 from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels.applied_forces import evaluate_tension, path_rate, pathway_lengths, potential_energy
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
+from mbdkit.engine.kernels.system import OK, prepare
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.engine.singularity import new_vectors
 from mbdkit.trust.criteria import BRANCH_ANGLE, BRANCH_RATIO
@@ -28,6 +33,9 @@ from mbdkit.trust.criteria import BRANCH_ANGLE, BRANCH_RATIO
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.engine.workspace import Workspace
+
+FELL_APART, ENERGY_JUMP = 6, 7
+"""Status of a step: a limit of the guards was exceeded, see `mbdkit.stepping.run_plan.GuardLimits`."""
 
 ROUNDING = 1e-11
 """Share of the sum of all energies, taken as positive, that round-off may add to a jump.
@@ -39,16 +47,16 @@ DIP = 0.05
 """Share of the largest distance to singularity so far below which a minimum counts as a dip."""
 
 WINDOW = 0.01
-"""Path before and after a dip over which the velocity is compared, as a share of the size of the mechanism."""
+"""Path before and after a dip over which the velocity is compared, in characteristic lengths."""
 
 SPACING = 0.002
-"""Path between two samples of the velocity, as a share of the size."""
+"""Path between two samples of the velocity, in characteristic lengths."""
 
 SAMPLES = 16
 """Number of samples kept; more than ``WINDOW / SPACING``."""
 
-AT_REST = 1e-6
-"""Share of the largest speed so far below which a velocity has no direction to compare."""
+AT_REST = 1e-12
+"""Share of the largest kinetic energy so far below which a velocity has no direction to compare."""
 
 MOST_TURNS = 16
 """Number of turns that are reported."""
@@ -62,20 +70,20 @@ class GuardState(NamedTuple):
     kinetic: np.ndarray
     """Largest kinetic energy so far [J]."""
     jump: np.ndarray
-    """Largest absolute jump of the energy balance in a step so far [J], and the time at the end of that step [s]."""
+    """Largest absolute jump of the energy balance in a step so far [J], and the time at the end of that step [s].
+
+    Jumps that round-off explains do not count."""
     jump_time: np.ndarray
+    exceeded: np.ndarray
+    """Whether the jump of the last step exceeded the limit of the run."""
     jumped: np.ndarray
     """Whether the last rejection was because of the energy."""
-    size: np.ndarray
-    """Size of the mechanism [m]."""
-    total_mass: np.ndarray
-    """Sum of the masses [kg]."""
+    per_square: np.ndarray
+    """Square of a path in characteristic lengths, per square of a displacement in the mass metric [1/(kg m^2)]."""
     has_loops: np.ndarray
     """Whether joints close a loop. Otherwise no position is singular, and branches are not watched."""
     path: np.ndarray
-    """Length of the path so far in the mass metric, as a share of the size."""
-    speed: np.ndarray
-    """Largest speed so far in the mass metric [m/s]."""
+    """Path so far in the mass metric, in characteristic lengths."""
     distance: np.ndarray
     """Distance to singularity in the last attempt."""
     vectors: np.ndarray
@@ -88,8 +96,8 @@ class GuardState(NamedTuple):
     """Number of samples so far."""
     sample_path: np.ndarray
     """(SAMPLES,) the path at each of the last samples."""
-    sample_direction: np.ndarray
-    """(SAMPLES, 3 (B + 1)) the velocity in the mass metric, of unit length; zeros at rest."""
+    sample_v: np.ndarray
+    """(SAMPLES, 3 (B + 1)) the velocities."""
     armed: np.ndarray
     """Whether the distance has been above the limit of a dip since the last dip."""
     dip_path: np.ndarray
@@ -97,13 +105,13 @@ class GuardState(NamedTuple):
     dip_distance: np.ndarray
     """Distance to singularity there, and the time [s]."""
     dip_time: np.ndarray
-    dip_direction: np.ndarray
-    """(3 (B + 1),) direction of the velocity before the dip, and the path there."""
+    dip_v: np.ndarray
+    """(3 (B + 1),) velocities before the dip, and the path there."""
     dip_begin: np.ndarray
     sharp: np.ndarray
     """(2,) smallest turn that is reported [rad], and the same per path."""
     turns: np.ndarray
-    """(MOST_TURNS, 3) time of the dip [s], turn of the velocity [rad], and the path it took, as a share of the size."""
+    """(MOST_TURNS, 3) time of the dip [s], turn of the velocity [rad], and the path it took."""
     turn_count: np.ndarray
 
 
@@ -128,87 +136,100 @@ def _has_loops(mechanism: CompiledMechanism) -> bool:
 
 def new_guard_state(workspace: Workspace) -> GuardState:
     """Return what the guards know at the start of a run."""
-    size = workspace.mechanism.length
-    entries = workspace.mechanism.size
+    mechanism = workspace.mechanism
+    mass = float(np.sum(mechanism.topology.mass[:-1, 0]))
 
     def one(x: float = 0.0) -> np.ndarray:
         return np.array([x])
 
     counts = (np.zeros(1, dtype=np.int64) for _ in range(2))
     return GuardState(
-        energy=one(np.nan), kinetic=one(), jump=one(), jump_time=one(), jumped=one(),
-        size=one(size),
-        total_mass=one(float(np.sum(workspace.mechanism.topology.mass[:-1, 0]))),
-        has_loops=one(float(_has_loops(workspace.mechanism))),
-        path=one(), speed=one(), distance=one(1.0), vectors=new_vectors(workspace), farthest=one(), nearest=one(np.inf),
-        samples=next(counts), sample_path=np.zeros(SAMPLES), sample_direction=np.zeros((SAMPLES, entries)),
-        armed=one(1.0), dip_path=one(np.nan), dip_distance=one(), dip_time=one(), dip_direction=np.zeros(entries),
+        energy=one(np.nan), kinetic=one(), jump=one(), jump_time=one(), exceeded=one(), jumped=one(),
+        per_square=one(1.0 / (mass * mechanism.length**2)), has_loops=one(float(_has_loops(mechanism))),
+        path=one(), distance=one(1.0), vectors=new_vectors(workspace), farthest=one(), nearest=one(np.inf),
+        samples=next(counts), sample_path=np.zeros(SAMPLES), sample_v=np.zeros((SAMPLES, mechanism.size)),
+        armed=one(1.0), dip_path=one(np.nan), dip_distance=one(), dip_time=one(), dip_v=np.zeros(mechanism.size),
         dip_begin=one(),
         sharp=np.array([BRANCH_ANGLE, BRANCH_RATIO]), turns=np.zeros((MOST_TURNS, 3)), turn_count=next(counts),
     )  # fmt: skip
 
 
 @subkernel
-def energies(top, w, q, v):
-    """Return kinetic and potential energy of a state [J]. Requires `prepare` at the state."""
-    kinetic = 0.0
-    for b in range(len(top.mass) - 1):
+def _product(mass, v, u):
+    """Return the product of two velocities in the mass metric; that of equal ones is twice the kinetic energy [J]."""
+    product = 0.0
+    for b in range(len(mass) - 1):
         for i in range(3):
-            kinetic += 0.5 * top.mass[b, i] * v[3 * b + i] * v[3 * b + i]
+            product += mass[b, i] * v[3 * b + i] * u[3 * b + i]
+    return product
+
+
+@subkernel
+def energies(top, w, q, v):
+    """Return kinetic and potential energy of a state, and the level of their rounding errors [J]; needs `prepare`."""
+    kinetic = 0.5 * _product(top.mass, v, v)
     if len(top.springs) > 0:
         pathway_lengths(top, w, q)
         for k in range(len(top.springs)):
             evaluate_tension(top, w, k, path_rate(k, top.springs[k, 1], top.springs[k, 2], v, w.grad))
-    return kinetic, potential_energy(top.springs, top.laws, top.mass, top.gravity, q, w.tension)
+    potential, level = potential_energy(top, w, q)
+    return kinetic, potential, kinetic + level
 
 
 @subkernel
-def _energy_level(top, w, q, kinetic):
-    """Return the sum of all parts of the energies, taken as positive [J]. Requires `energies` at the state."""
-    level = kinetic
-    for b in range(len(top.mass) - 1):
-        level += top.mass[b, 0] * (abs(top.gravity[0] * q[3 * b]) + abs(top.gravity[1] * q[3 * b + 1]))
-    for k in range(len(top.springs)):
-        level += abs(w.tension[k, 3]) + abs(w.tension[k, 0]) * abs(w.s[k, 0])
-    return level
+def begin_energy(h, guards, t, q, v):
+    """Evaluate the energy of the initial state, or of a state that an impulse or a projection has changed."""
+    prepare(h.top, h.w, t, q)
+    kinetic, potential, _ = energies(h.top, h.w, q, v)
+    guards.energy[0] = kinetic + potential
+    guards.kinetic[0] = max(kinetic, guards.kinetic[0])
 
 
 @subkernel
-def energy_jump(c, q, v, share):
-    """Return the jump of the balance by an attempt that led to `q, v`; total and kinetic energy there; and a limit [J].
+def energy_jump(h, guards, gain, q, v):
+    """Return the jump of the balance by a step to `q, v`; total and kinetic energy there; and what round-off explains.
 
-    The limit is `share` of the largest kinetic energy so far, or rounding; 0 for a share of 0. Requires `prepare` at
-    `q`.
+    `h` has the mechanism and its scratch arrays, `gain` (2,) is the work done on the mechanism and the energy
+    dissipated. All are energies [J]. Requires `prepare` at `q`.
     """
-    kinetic, potential = energies(c.top, c.w, q, v)
+    kinetic, potential, level = energies(h.top, h.w, q, v)
     total = kinetic + potential
-    most = 0.0
-    if share > 0.0:
-        most = share * max(kinetic, c.guards.kinetic[0]) + ROUNDING * _energy_level(c.top, c.w, q, kinetic)
-    jump = total - c.guards.energy[0] - (c.gain[0] - c.gain[1])
-    return jump, total, kinetic, most
+    return total - guards.energy[0] - (gain[0] - gain[1]), total, kinetic, ROUNDING * level
 
 
 @subkernel
-def note_jump(c, t, jump, total, kinetic):
-    """Record the jump of a step that ends at `t`, and the energy there."""
-    guards = c.guards
-    if not abs(jump) <= guards.jump[0] and not np.isnan(guards.energy[0]):
-        guards.jump[0], guards.jump_time[0] = abs(jump), t
+def note_jump(guards, t, jump, total, kinetic, rounding, share):
+    """Record the jump of a step that ends at `t`, the energy there, and whether the jump exceeds a limit.
+
+    The limit is `share` of the largest kinetic energy so far, and the rounding error.
+    """
+    size = abs(jump)
+    if not size <= max(guards.jump[0], rounding) and not np.isnan(guards.energy[0]):
+        guards.jump[0], guards.jump_time[0] = size, t
     guards.energy[0] = total
     guards.kinetic[0] = max(guards.kinetic[0], kinetic)
+    guards.exceeded[0] = size > share * guards.kinetic[0] + rounding
 
 
 @subkernel
-def distance_to_singularity(c):
+def limit_status(guards, worst, limits):
+    """Return which of the limits of a run has been exceeded, or OK; `worst` (P,) are squared misalignments."""
+    for k in range(len(worst)):
+        if worst[k] > limits.squared_misalignment[k]:
+            return FELL_APART
+    return ENERGY_JUMP if guards.exceeded[0] != 0.0 else OK
+
+
+@subkernel
+def distance_to_singularity(h, vectors):
     """Return an estimate of the distance to singularity at the last solution for the accelerations.
 
     It is the square root of the largest reduction of a pivot block by elimination. Where pivots are chosen instead,
     inverse iteration gives the distance itself.
     """
-    if c.solver.pivoted[0] != 0:
-        return singularity_distance(c.top, c.w, c.solver, c.guards.vectors)
-    diagonal, whole = c.solver.schur.diagonal, c.solver.schur.whole
+    if h.solver.pivoted[0] != 0:
+        return singularity_distance(h.top, h.w, h.solver, vectors)
+    diagonal, whole = h.solver.schur.diagonal, h.solver.schur.whole
     largest = 1.0
     for k in range(len(diagonal)):
         inverse = diagonal[k, 0] * diagonal[k, 2] - diagonal[k, 1] * diagonal[k, 1]
@@ -217,34 +238,14 @@ def distance_to_singularity(c):
 
 
 @subkernel
-def _write_direction(c, v, out):
-    """Write `v` in the mass metric, of unit length, into `out`; zeros at rest."""
-    guards, mass = c.guards, c.top.mass
-    square = 0.0
-    for b in range(len(mass) - 1):
-        for i in range(3):
-            square += mass[b, i] * v[3 * b + i] * v[3 * b + i]
-    speed = np.sqrt(square / guards.total_mass[0])
-    guards.speed[0] = max(guards.speed[0], speed)
-    scale = 1.0 / np.sqrt(square) if speed > AT_REST * guards.speed[0] else 0.0
-    for b in range(len(mass) - 1):
-        for i in range(3):
-            out[3 * b + i] = np.sqrt(mass[b, i]) * v[3 * b + i] * scale
-
-
-@subkernel
-def _close_dip(guards, path, direction):
+def _close_dip(guards, mass, path, v):
     """Compare the directions before and after the dip, and record a turn that is too sharp."""
-    cosine = before = after = 0.0
-    for d in range(len(direction)):
-        cosine += guards.dip_direction[d] * direction[d]
-        before += guards.dip_direction[d] * guards.dip_direction[d]
-        after += direction[d] * direction[d]
+    before, after = _product(mass, guards.dip_v, guards.dip_v), _product(mass, v, v)
     way = path - guards.dip_begin[0]
     guards.dip_path[0] = np.nan
-    if before == 0.0 or after == 0.0:
+    if not min(before, after) > 2.0 * AT_REST * guards.kinetic[0]:
         return
-    turn = np.arccos(min(1.0, abs(cosine)))
+    turn = np.arccos(min(1.0, abs(_product(mass, guards.dip_v, v)) / np.sqrt(before * after)))
     if turn >= guards.sharp[0] and turn >= guards.sharp[1] * way:
         n = guards.turn_count[0]
         if n < MOST_TURNS:
@@ -260,32 +261,28 @@ def _open_dip(guards, n, path, distance, t):
     k = n
     while k > first and guards.sample_path[k % SAMPLES] > path - WINDOW:
         k -= 1
-    copy(guards.sample_direction[k % SAMPLES], guards.dip_direction)
+    copy(guards.sample_v[k % SAMPLES], guards.dip_v)
     guards.dip_begin[0] = guards.sample_path[k % SAMPLES]
 
 
 @subkernel
-def watch_branch(c, t, dq, v, distance):
-    """Follow the path by a step `dq` that ends at `t` with the velocity `v`, at a `distance` to singularity."""
-    guards, mass = c.guards, c.top.mass
-    square = 0.0
-    for b in range(len(mass) - 1):
-        for i in range(3):
-            square += mass[b, i] * dq[3 * b + i] * dq[3 * b + i]
-    guards.path[0] += np.sqrt(square / guards.total_mass[0]) / guards.size[0]
+def watch_branch(guards, mass, t, dq, v):
+    """Follow the path by a step `dq` that ends at `t` with the velocity `v`, at ``guards.distance`` to singularity."""
+    distance = guards.distance[0]
+    path = guards.path[0] + np.sqrt(_product(mass, dq, dq) * guards.per_square[0])
+    guards.path[0] = path
     guards.farthest[0] = max(guards.farthest[0], distance)
-    guards.nearest[0] = min(guards.nearest[0], distance)
-    n, path = guards.samples[0], guards.path[0]
+    lowest = min(guards.nearest[0], distance)
+    n = guards.samples[0]
     if n > 0 and path - guards.sample_path[(n - 1) % SAMPLES] < SPACING:
+        guards.nearest[0] = lowest
         return
-    here = guards.sample_direction[n % SAMPLES]
-    _write_direction(c, v, here)
+    copy(v, guards.sample_v[n % SAMPLES])
     guards.sample_path[n % SAMPLES] = path
-    lowest = guards.nearest[0]
     guards.samples[0], guards.nearest[0] = n + 1, np.inf
     low = lowest < DIP * guards.farthest[0]
     if low and (guards.armed[0] != 0.0 or lowest < guards.dip_distance[0]):
         _open_dip(guards, n, path, lowest, t)
     elif guards.dip_path[0] + WINDOW <= path:  # not if there is no dip
-        _close_dip(guards, path, here)
+        _close_dip(guards, mass, path, v)
     guards.armed[0] = 0.0 if low else 1.0

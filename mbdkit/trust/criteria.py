@@ -61,9 +61,10 @@ right runs 2 did, and both were wrong by more than 1e-3.
 """
 
 BRANCH_ANGLE, BRANCH_RATIO = 0.25, 4.0
-"""A run is suspected to have left its branch if, on the shortest path of at least 2 % of the mechanism's size around a
-minimum of the distance to singularity, the line of its velocity turns by at least the first [rad], and by at least the
-second relative to the length of the path. A branch is left by a sharp turn, because another motion begins there."""
+"""A run is suspected to have left its branch if, on the shortest path of at least 2 % of the mechanism's characteristic
+length around a minimum of the distance to singularity, the line of its velocity turns by at least the first [rad], and
+by at least the second relative to the length of the path. A branch is left by a sharp turn, because another motion
+begins there."""
 
 ROUNDING = 1e4
 """Energies below this many roundings of the largest energy count as zero; decides runs that are at rest."""
@@ -82,7 +83,8 @@ class BranchSuspicion:
     angle
         Angle between the lines of the velocities before and after it, in the mass metric [rad].
     path
-        Length of the path between these two states in the mass metric, as a share of the mechanism's size.
+        Length of the path between these two states in the mass metric, as a share of the mechanism's characteristic
+        length, the longest link.
     """
 
     time: float
@@ -259,7 +261,7 @@ def _branches(evidence: Evidence) -> Found:
     advice = "it has probably left its branch; compare it with a run with `stabilization: projection`"
     for one in evidence.branch:
         if one.counts:
-            turn = f"by {one.angle:.2g} rad over {one.path:.2g} of the mechanism's size ({limits})"
+            turn = f"by {one.angle:.2g} rad on a path of {one.path:.2g} of the longest link ({limits})"
             yield "bad", f"The motion turns in a singular position at t = {one.time:.6g} s, {turn}: {advice}."
 
 

@@ -52,8 +52,9 @@ of a chaotic double pendulum is after some seconds.
 
 Energy errors below {rounding:g} roundings of the largest energy count as zero. A run is also `bad` if it turns sharply
 in a singular position: by at least {angle:g} rad and by at least {ratio:g} times the path there, as a share of the
-mechanism's size. It has then probably left its branch. A run that stops before its end is `bad`. Warnings that
-question the result make it `doubtful`.
+mechanism's longest link. It has then probably left its branch. If a redundant joint opens that agrees with the others
+on the branch of the start, the run has certainly left it, and stops with the reason `branch-left`. A run that stops
+before its end is `bad`. Warnings that question the result make it `doubtful`.
 
 ## What you can ask for
 

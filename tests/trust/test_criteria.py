@@ -103,19 +103,9 @@ def test_the_worst_reason_comes_first() -> None:
     assert LEVELS[-1] == "bad"
 
 
-def test_jumps_are_found_across_calls_and_shared_among_the_steps_of_an_interval() -> None:
+def test_the_largest_energies_are_kept_across_calls() -> None:
     record = EnergyRecord()
     none = np.zeros((1, 2))
-    record.add(np.array([0.0, 1.0]), np.array([1.0, 3.0]), none, np.array([0.0, 0.5]), np.array([0.0, 1.0]))
-    assert (record.jump, record.jump_time) == (0.5, 1.0)
-    record.add(np.array([2.0, 3.0]), np.array([1.0, 2.0]), none - 7.0, np.array([-0.5, 3.5]), np.array([1.0, 8.0]))
-    assert (record.jump, record.jump_time) == (1.0, 2.0)  # 4 J in 8 steps are half a joule in one
+    record.add(np.array([1.0, 3.0]), none, np.array([0.0, 0.5]))
+    record.add(np.array([1.0, 2.0]), none - 7.0, np.array([-0.5, 3.5]))
     assert (record.kinetic, record.energy, record.balance) == (3.0, 7.0, 3.5)
-
-
-def test_a_jump_is_measured_against_the_kinetic_energy_so_far() -> None:
-    record = EnergyRecord()
-    kinetic, steps = np.array([0.1, 1.0, 10.0]), np.ones(3)
-    assert record.first_jump(kinetic, np.array([0.0, 0.2, 0.4]), steps, 0.1) == 1
-    assert record.first_jump(kinetic, np.array([0.0, 0.05, 0.4]), steps, 0.1) is None
-    assert record.first_jump(0 * kinetic, np.array([0.0, 1e-16, 0.0]), steps, 0.1) == 1  # nothing to round

@@ -13,7 +13,6 @@ import pytest
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.info import describe
-from mbdkit.errors import StepError
 from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.report.run_report import run_report
 from mbdkit.run_preparation import guards, size_at_start
@@ -52,13 +51,11 @@ class Exploding(StepMethod):
     """Doubles all positions in every step, as an unstable method does in the end."""
 
     def step(self, problem: Any, t: float, state: StepState, h: float) -> StepState:
-        if t > 1.0:
-            raise StepError("newton-failed", "no step beyond t = 1 s")
         return StepState(2 * state.q, state.v)
 
 
-@pytest.mark.parametrize(("every", "code"), [(1, "fell-apart"), (1000, "newton-failed")])
-def test_a_stopped_run_reports_no_misalignment_from_beyond_its_last_row(every: int, code: str) -> None:
+@pytest.mark.parametrize("every", [1, 1000])
+def test_a_stopped_run_reports_no_misalignment_from_beyond_its_last_row(every: int) -> None:
     # a state between rows is recorded when a run stops there: it is refused too if its joints are apart
     from mbdkit.archive.writer import ArchiveWriter
     from mbdkit.recorder import archive_names
@@ -72,7 +69,7 @@ def test_a_stopped_run_reports_no_misalignment_from_beyond_its_last_row(every: i
     simulation = _Simulation(given, workspace, Exploding(), writer, 0.0, (), None)
     simulation.integrate(None)
     with simulation.finish() as run:
-        assert run.status_reason.startswith(f"{code}: ")
+        assert run.status_reason.startswith("fell-apart: ")
         assert run.misalignment_max == run.array("joints/misalignment").max() <= 1.5
         assert run.verdict == "bad"
 

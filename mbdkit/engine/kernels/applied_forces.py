@@ -215,17 +215,22 @@ def powers(top, w, v, lam):
 
 
 @subkernel
-def potential_energy(springs, laws, mass, gravity, q, tension):
-    """Return the potential energy [J] of gravity and of the force elements.
+def potential_energy(top, w, q):
+    """Return the potential energy of gravity and of the force elements, and the level of its rounding errors [J].
 
-    The potential of gravity is zero at the global origin, that of a linear spring at its free length; other laws define
-    their own zero. Requires `applied_forces` or `force_tangents` at the same state.
+    The level is the sum of the absolute values from which the energy is computed; its rounding error is some eps times
+    the level. The potential of gravity is zero at the global origin, that of a linear spring at its free length; other
+    laws define their own zero. Requires `applied_forces` or `force_tangents` at the same state.
     """
-    energy = 0.0
+    springs, laws, mass, gravity, tension = top.springs, top.laws, top.mass, top.gravity, w.tension
+    energy = level = 0.0
     for b in range(len(mass) - 1):
-        energy -= mass[b, 0] * (gravity[0] * q[3 * b] + gravity[1] * q[3 * b + 1])
+        x, y = gravity[0] * q[3 * b], gravity[1] * q[3 * b + 1]
+        energy -= mass[b, 0] * (x + y)
+        level += mass[b, 0] * (abs(x) + abs(y))
     for k in range(len(springs)):
         law = springs[k, 3]
         if law < 0 or laws[law, 2] & HAS_POTENTIAL != 0:
             energy += tension[k, 3]
-    return energy
+            level += abs(tension[k, 3]) + abs(tension[k, 0] * w.s[k, 0])
+    return energy, level
