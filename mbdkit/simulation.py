@@ -18,6 +18,7 @@ import numpy as np
 from mbdkit.accuracy.asked_accuracy_result import missed_because, with_asked
 from mbdkit.accuracy.check_run import check_run
 from mbdkit.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method
+from mbdkit.accuracy.position_measure import PositionMeasure
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
@@ -352,7 +353,8 @@ class _Simulation:
         errors = None
         if self.accuracy is not None:
             missed = missed_because(self.accuracy, self.choice, self.attempts)
-            errors = estimated_errors(self.recorder, self.accuracy, self.size, missed)
+            position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)
+            errors = estimated_errors(self.recorder, self.accuracy, position, missed)
         judgement = judge(evidence, errors)
         file = self.writer.finish(
             status,

@@ -29,9 +29,7 @@ def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: 
     """
     if spec.accuracy is None:
         return accuracy
-    count = accuracy.rows_known
-    measure = PositionMeasure.of(spec, workspace)
-    reached = float(measure.share(accuracy.position_error[count - 1 : count])[0]) if count else math.nan
+    reached = PositionMeasure.of(spec, workspace).known(accuracy)
     if choice is None:
         given = Candidate.of(spec)
         setting = given.integrator.get("rtol") if given.adaptive else spec.time.step

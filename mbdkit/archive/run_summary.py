@@ -150,7 +150,7 @@ def accuracy_sentence(run: Run) -> str:
         return "errors unknown: the companion runs of the check do not agree with this run and each other"
     until = "" if accuracy.is_complete else f" until {accuracy.known_until:.4g} s"
     afterwards = "" if accuracy.is_complete else "; errors unknown afterwards"
-    position = f"positions known to {accuracy.position_error_max:.2g} m"
+    position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"
     if run.joints and run.records("joints/reaction_force"):
         joints = accuracy.of_joints(run.joint_names, run.array("joints/reaction_force"))
         largest = max(joints, key=lambda joint: joint.peak_known)

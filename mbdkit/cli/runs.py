@@ -223,6 +223,7 @@ def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, Any]:
         "known_until": _number(accuracy.known_until),
         "order_observed": _number(accuracy.order_observed),
         "position_error": _number(accuracy.position_error_max),
+        "angle_error": _number(accuracy.angle_error_max),
         "joints": joints,
         "method": accuracy.method,
         **({} if math.isnan(accuracy.asked) else _asked(accuracy)),
