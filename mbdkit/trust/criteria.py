@@ -102,8 +102,8 @@ class EstimatedErrors:
     Parameters
     ----------
     position
-        Largest error of a position, as a share of the mechanism's size; that of an angle counts with the distance of the
-        farthest joint point of its body.
+        Largest error of a position, as a share of the mechanism's size; that of an angle counts with the distance of
+        the farthest joint point of its body.
     reaction
         Largest error of a joint's force, as a share of the largest force in that joint.
     known_until

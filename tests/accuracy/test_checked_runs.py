@@ -17,6 +17,7 @@ import pytest
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.compare import compare
+from mbdkit.simulation import simulate
 from mbdkit.spec import load_spec
 from tests.stepping.step_methods import RungeKutta, run_with
 from tests.witness.known_motions import known_motions
@@ -164,6 +165,15 @@ def test_wrong_angles_of_discs_whose_centres_rest_are_not_good():
     assert f"{result.accuracy.angle_error_max:.2g} rad" in result.summary().splitlines()[1]
 
 
+def test_the_progress_of_the_companions_is_told_like_that_of_the_run():
+    # expected: the run, two companions and a guard, each from the start to the end
+    spec = {"mbdkit": 1, "model": DOUBLE, "integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.001}}
+    told: list[tuple[float, float]] = []
+    simulate(load_spec(spec, check=True), progress=lambda now, end: told.append((now, end)))
+    assert {end for _, end in told} == {1.0}
+    assert sum(now == 1.0 for now, _ in told) == 4
+
+
 def test_companions_stop_at_the_limit_of_wall_time():
     model = {"name": "n-pendulum", "n": 40, "angles": [0.1 * k for k in range(40)]}
     result = run(model=model, limits={"wall_time": 0.3}, time={"end": 1000.0, "step": 0.0005})
@@ -223,3 +233,16 @@ def test_a_study_lists_until_when_its_runs_are_known(tmp_path: Path):
     frame = mbdkit.study(spec, out=tmp_path / "s").to_frame()
     assert list(frame["known_until"]) == [0.5, 0.5]
     assert np.all(frame["reaction_error_share"] < 1e-4)
+    assert np.all(frame["angle_error_estimate"] > 0)
+    assert list(frame["verdict"]) == ["good", "good"]
+
+
+def test_a_study_shows_which_of_its_checked_runs_are_doubtful_or_bad(tmp_path: Path):
+    base = {"mbdkit": 1, "model": FALLING, "integrator": {"name": "gauss"}, "time": {"end": 12.0, "step": 0.02}}
+    spec = {"mbdkit_study": 1, "base": base, "axes": [{"check": [False, True]}]}
+    study = mbdkit.study(spec, out=tmp_path / "s")
+    frame = study.to_frame()
+    assert frame["verdict"][1] in ("doubtful", "bad")
+    assert math.isnan(frame["known_until"][0])
+    assert frame["known_until"][1] < 12.0
+    assert "The error is known until" in frame["verdict_reasons"][1]
