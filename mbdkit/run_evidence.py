@@ -62,7 +62,9 @@ def evidence_of_run(
     )
 
 
-def estimated_errors(recorder: Recorder, accuracy: Accuracy, size: float, missed: str = "") -> EstimatedErrors:
+def estimated_errors(
+    recorder: Recorder, accuracy: Accuracy, position_error: float, missed: str = ""
+) -> EstimatedErrors:
     """Return the estimated errors of a checked run, as they are judged.
 
     Parameters
@@ -71,8 +73,8 @@ def estimated_errors(recorder: Recorder, accuracy: Accuracy, size: float, missed
         The recorder, which has kept the rows.
     accuracy
         The estimates.
-    size
-        Size of the mechanism [m].
+    position_error
+        Largest estimated error of positions as a share of the mechanism's size; nan if nothing is known.
     missed
         Why the accuracy that was asked is not reached, as a clause.
     """
@@ -80,7 +82,7 @@ def estimated_errors(recorder: Recorder, accuracy: Accuracy, size: float, missed
     figures = accuracy.figures(recorder.workspace.mechanism.joints, rows.force)
     worst = figures.worst_joint
     return EstimatedErrors(
-        position=figures.position_error / size,
+        position=position_error,
         reaction=0.0 if worst is None else worst.share,
         known_until=figures.known_until,
         **({} if math.isnan(accuracy.asked) else {"asked": accuracy.asked, "reached": accuracy.reached}),

@@ -16,8 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.accuracy.asked_accuracy_result import missed_because, with_asked
+from mbdkit.accuracy.check_by_pilots import check_by_pilots
 from mbdkit.accuracy.check_run import check_run
-from mbdkit.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method
+from mbdkit.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method, other_method
+from mbdkit.accuracy.position_measure import PositionMeasure
+from mbdkit.accuracy.recorded_pilot import Replay
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
@@ -130,26 +133,35 @@ def _with_accuracy(
     """
     check_jumps(spec)
     workspace, _ = build(spec, notify)
-    choice = choose_method(spec, workspace)
+    choice = choose_method(spec, workspace, progress)
     tried: list[tuple[tuple[float, float], Choice]] = []
     while True:
         with _finished_or_abandoned(prepare(choice.settle(spec), choice=choice)) as simulation:
             simulation.integrate(progress)
             tried.append((simulation.merit(), choice))
-            is_last = len(tried) >= MOST_ATTEMPTS or bool(choice.limited)
             best = max(tried, key=lambda attempt: attempt[0])[1]
-            simulation.attempts = len(tried)
-            if simulation.is_settled or (is_last and best is choice):
+            following = None if simulation.is_settled else _following(spec, workspace, simulation, len(tried))
+            simulation.tried = [one for _, one in tried]
+            if simulation.is_settled or (following is None and best is choice):
                 return simulation.finish()
         prepare = partial(prepare, notify=_silent)  # the warnings would be the same
-        if is_last:
+        if following is None:
             # repeated, because only one archive is written at a time; the same settings give the same numbers
             with _finished_or_abandoned(prepare(best.settle(spec), choice=best)) as simulation:
                 simulation.integrate(progress)
-                simulation.attempts = len(tried)
+                simulation.tried = [one for _, one in tried]
                 return simulation.finish()
-        assert spec.accuracy is not None
-        choice = choice.tightened(spec, spec.accuracy, simulation.reached)
+        choice = following
+
+
+def _following(spec: RunSpec, workspace: Workspace, simulation: _Simulation, attempts: int) -> Choice | None:
+    """Return the choice for the next attempt after one that missed the accuracy; None if there is none."""
+    choice = simulation.choice
+    assert spec.accuracy is not None
+    assert choice is not None
+    if choice.limited:
+        return None if math.isnan(simulation.reached) else other_method(spec, workspace, choice)
+    return None if attempts >= MOST_ATTEMPTS else choice.tightened(spec, spec.accuracy, simulation.reached)
 
 
 def _silent(message: str) -> None:
@@ -215,7 +227,7 @@ class _Simulation:
     ):
         self.spec, self.workspace, self.method, self.writer, self.begin = spec, workspace, method, writer, begin
         self.warnings, self.choice = warnings, choice
-        self.attempts = 1
+        self.tried = [] if choice is None else [choice]
         self.timings: dict[str, float] = {}
         self.size = size_at_start(spec, workspace)
         self.guards = guards(spec, self.size)
@@ -243,7 +255,10 @@ class _Simulation:
             "wall_s": time.perf_counter() - wall,
             "cpu_s": time.process_time() - cpu,
         }
-        self.check_accuracy()
+        if isinstance(self.stepper, Replay):  # its steps were taken before
+            self.timings["wall_s"] += self.stepper.wall
+            self.timings["cpu_s"] += self.stepper.cpu
+        self.check_accuracy(progress)
 
     @property
     def is_settled(self) -> bool:
@@ -271,6 +286,10 @@ class _Simulation:
 
     def start(self) -> None:
         """Create the stepper of the method."""
+        final = self.choice.final if self.choice is not None else None
+        if final is not None and final.is_run:
+            self.stepper = Replay(final)
+            return
         try:
             stepper = start_method(self.method, self.workspace, timetable(self.spec, self.guards))
         except SingularSystemError as error:
@@ -322,13 +341,17 @@ class _Simulation:
         if recorded < stepper.time and not stepper.finished and not unrecordable:
             self.recorder.record(stepper.last_state(), (elapsed, elapsed))
 
-    def check_accuracy(self) -> None:
+    def check_accuracy(self, progress: Progress | None) -> None:
         """Estimate the errors of the recorded rows if the spec asks for it."""
         kept = self.recorder.kept
         if not kept:
             return
         rows, steps = ObservedRows.joined(kept), self.stepper.counters.steps if self.stepper is not None else 0
-        found = check_run(self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted)
+        choice = self.choice
+        if choice is not None and choice.pilots and len(rows.time) > 1:
+            found = check_by_pilots(self.spec, self.workspace, rows, choice.pilots, choice.setting)
+        else:
+            found = check_run(self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted, progress)
         self.accuracy = with_asked(found, self.spec, self.workspace, self.choice)
 
     def finish(self) -> Run:
@@ -351,8 +374,9 @@ class _Simulation:
         evidence = evidence_of_run(self.recorder, stepper, ending, misalignment_max, self.size, self.warnings)
         errors = None
         if self.accuracy is not None:
-            missed = missed_because(self.accuracy, self.choice, self.attempts)
-            errors = estimated_errors(self.recorder, self.accuracy, self.size, missed)
+            missed = missed_because(self.accuracy, self.tried)
+            position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)
+            errors = estimated_errors(self.recorder, self.accuracy, position, missed)
         judgement = judge(evidence, errors)
         file = self.writer.finish(
             status,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 from mbdkit.accuracy.chosen_method import Candidate, Choice
@@ -10,6 +11,7 @@ from mbdkit.accuracy.position_measure import PositionMeasure
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.engine.workspace import Workspace
 from mbdkit.spec import RunSpec
+from mbdkit.text import listed
 
 AS_GIVEN = "The spec gives method and step (`choose: nothing`)."
 """Reason of a choice that was made before."""
@@ -29,9 +31,7 @@ def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: 
     """
     if spec.accuracy is None:
         return accuracy
-    count = accuracy.rows_known
-    measure = PositionMeasure.of(spec, workspace)
-    reached = float(measure.share(accuracy.position_error[count - 1 : count])[0]) if count else math.nan
+    reached = PositionMeasure.of(spec, workspace).known(accuracy)
     if choice is None:
         given = Candidate.of(spec)
         setting = given.integrator.get("rtol") if given.adaptive else spec.time.step
@@ -47,14 +47,15 @@ def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: 
     )
 
 
-def missed_because(accuracy: Accuracy, choice: Choice | None, attempts: int) -> str:
+def missed_because(accuracy: Accuracy, tried: Sequence[Choice]) -> str:
     """Return why the accuracy asked is not reached, as a clause; empty if it is, or if nothing was chosen."""
-    if accuracy.is_reached or choice is None:
+    if accuracy.is_reached or not tried:
         return ""
-    if choice.limited:
-        why = choice.limited
-    else:
-        why = f"{attempts} attempts with smaller steps did not suffice"
+    methods = list(dict.fromkeys(str(choice.candidate.integrator["name"]) for choice in tried))
+    limits = [choice.limited for choice in tried if choice.limited]
+    why = limits[-1] if limits else f"{len(tried)} attempts with smaller steps did not suffice"
+    if len(methods) > 1:
+        why += f"; the best of {listed(methods, 'and')} is returned"
     if not accuracy.is_complete:
         until = "at any time" if math.isnan(accuracy.known_until) else f"after t = {accuracy.known_until:.4g} s"
         return f"no estimate is confirmed {until}, as where the motion multiplies errors (chaos); {why}"

@@ -25,6 +25,7 @@ def check_run(
     rows: ObservedRows,
     steps: int,
     interrupted: Callable[[], bool],
+    progress: Callable[[float, float], None] | None = None,
 ) -> Accuracy:
     """Estimate the errors of a run by companion runs.
 
@@ -41,22 +42,29 @@ def check_run(
         Number of its steps.
     interrupted
         Whether the user has asked to stop; then the errors are unknown.
+    progress
+        Called with (time reached, end time) [s] of each companion.
     """
     begin = time.perf_counter()
     if len(rows.time) < 2:
-        return _accuracy(rows, _no_errors(rows), "The run recorded only its start, which has no error.", begin)
+        return as_accuracy(rows, _no_errors(rows), "The run recorded only its start, which has no error.", begin)
     budget = Budget(spec.limits.wall_time, interrupted)
     chosen = choose_companions(spec, method, workspace, rows.time, steps)
-    runs = [run_companion(companion, workspace, rows.time, budget.stopped) for companion in chosen.finer]
-    guard, guarded = _guard(chosen, workspace, rows.time, budget)
-    mass = float(np.sum(workspace.mechanism.topology.mass[:-1, 0]))
-    units = Units.of(workspace.mechanism.length, mass, float(rows.time[-1] - rows.time[0]))
+    runs = [run_companion(companion, workspace, rows.time, budget.stopped, progress) for companion in chosen.finer]
+    guard, guarded = _guard(chosen, workspace, rows.time, budget, progress)
+    units = units_of(workspace, rows)
     errors = estimate_errors((rows, runs[0].rows, runs[1].rows), guarded.rows, units, chosen.refinement)
     told = [*zip(chosen.finer, runs, strict=True), (guard, guarded)]
-    return _accuracy(rows, errors, _sentence(chosen, told), begin)
+    return as_accuracy(rows, errors, _sentence(chosen, told), begin)
 
 
-def _accuracy(rows: ObservedRows, errors: ErrorEstimate, method: str, begin: float) -> Accuracy:
+def units_of(workspace: Workspace, rows: ObservedRows) -> Units:
+    """Return the natural units of the mechanism in a run with these rows, at least two."""
+    mass = float(np.sum(workspace.mechanism.topology.mass[:-1, 0]))
+    return Units.of(workspace.mechanism.length, mass, float(rows.time[-1] - rows.time[0]))
+
+
+def as_accuracy(rows: ObservedRows, errors: ErrorEstimate, method: str, begin: float) -> Accuracy:
     """Return the estimates as they are stored."""
     return Accuracy(
         rows.time,
@@ -71,11 +79,17 @@ def _accuracy(rows: ObservedRows, errors: ErrorEstimate, method: str, begin: flo
     )
 
 
-def _guard(chosen: Chosen, workspace: Workspace, times: np.ndarray, budget: Budget) -> tuple[Companion, CompanionRows]:
+def _guard(
+    chosen: Chosen,
+    workspace: Workspace,
+    times: np.ndarray,
+    budget: Budget,
+    progress: Callable[[float, float], None] | None,
+) -> tuple[Companion, CompanionRows]:
     """Return the first guard that reaches the end; the one that gets farthest if none does."""
     best: tuple[Companion, CompanionRows] | None = None
     for companion in chosen.guards:
-        found = run_companion(companion, workspace, times, budget.stopped)
+        found = run_companion(companion, workspace, times, budget.stopped, progress)
         if best is None or _reached(found) > _reached(best[1]):
             best = companion, found
         if not found.failure or budget.stopped():

@@ -14,12 +14,17 @@ Everything is decided by counts, not by the clock: equal specs lead to equal cho
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from mbdkit.accuracy.coarser_estimate import error_share
 from mbdkit.accuracy.pilot_run import IMPLICIT_WORK, SAMPLES, PilotRun, difference, run_pilot
 from mbdkit.accuracy.position_measure import PositionMeasure
+from mbdkit.accuracy.recorded_pilot import RecordedPilot, can_be_recorded
+from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.method_options import ControlledOptions
 from mbdkit.plain_data import canonical
@@ -41,6 +46,12 @@ several decades, and a missed accuracy costs another run."""
 TIGHTEST, LOOSEST = 1e-13, 1e-3
 """Range of the tolerance: below the first, rounding errors dominate; above the second, errors do not follow it."""
 
+ROUNDING = f"rounding errors dominate at tolerances below {TIGHTEST:g}"
+"""Why no smaller tolerance is possible."""
+
+GAUSS: Mapping[str, Any] = {"name": "gauss", "stages": 6}
+"""Method of fixed steps that is tried where rounding errors limit adaptive ones."""
+
 TENTH = 10.0
 """Factor between the tolerances of the first two pilots."""
 
@@ -53,6 +64,12 @@ FIRST_STEPS = 20_000
 
 IMPLICIT_STEP = 20.0 * IMPLICIT_WORK
 """Least work of a step of Radau IIA with 5 stages, which iterates at least four times: 20 evaluations."""
+
+MANY_STEPS = 2_000
+"""Number of steps up to which it does not matter that stability limits them: they take 0.1 s."""
+
+AIM = 0.4
+"""The expected error of a kept pilot, as a share of the error asked; a missed accuracy costs another one."""
 
 MOST_ATTEMPTS = 3
 """Most runs of the chosen method, if the check does not confirm the accuracy at once."""
@@ -121,6 +138,10 @@ class Choice:
         Work of all pilots, in evaluations.
     limited
         Why no smaller setting is possible; empty if one is.
+    pilots
+        The last pilots of the same method, of which the errors of the run are estimated; empty: by companions.
+    final
+        The pilot that is accurate enough to be the run, or None.
     """
 
     candidate: Candidate
@@ -129,6 +150,8 @@ class Choice:
     why: str
     work: float
     limited: str = ""
+    pilots: tuple[RecordedPilot, ...] = ()
+    final: RecordedPilot | None = None
 
     @property
     def chosen(self) -> str:
@@ -150,16 +173,20 @@ class Choice:
             Accuracy that was asked, and the one estimated by the check; nan if it was not known to the end.
         """
         order, least = self.candidate.order, 3.0 if self.candidate.adaptive else 1.5
-        factor = 100.0 if self.candidate.adaptive else 4.0
+        # a kept pilot checks the next attempt in turn; after that, companions do
+        pilots = () if self.final is None else (*self.pilots[-1:], self.final)
+        factor = TENTH if pilots else 100.0 if self.candidate.adaptive else 4.0
         if math.isfinite(reached):
             factor = max(least, (reached / (MARGIN * asked)) ** (1 / order))
         setting, limited = _limited(spec, self.candidate, self.setting / factor)
         found = f"an error of {reached:.2g}" if math.isfinite(reached) else "no error that is known to the end"
         why = f"{self.why} The check of {self.chosen} found {found}, so that it was tightened."
-        return replace(self, setting=min(setting, self.setting), limited=limited, why=why)
+        return replace(self, setting=min(setting, self.setting), limited=limited, why=why, pilots=pilots, final=None)
 
 
-def choose_method(spec: RunSpec, workspace: Workspace) -> Choice:
+def choose_method(
+    spec: RunSpec, workspace: Workspace, progress: Callable[[float, float], None] | None = None
+) -> Choice:
     """Choose method and step for the accuracy of a spec.
 
     Parameters
@@ -168,9 +195,15 @@ def choose_method(spec: RunSpec, workspace: Workspace) -> Choice:
         The spec, with `RunSpec.is_to_be_chosen`.
     workspace
         Its mechanism and start.
+    progress
+        Called with (time reached, end time) [s] of each pilot.
     """
     first = Candidate.of(spec)
-    search = _Search(spec, workspace, PositionMeasure.of(spec, workspace))
+    search = _Search(spec, workspace, PositionMeasure.of(spec, workspace), progress)
+    if first.adaptive and not spec.events and can_be_recorded(first.settle(spec, LOOSEST, search.measure.size)):
+        found = search.ladder(first)
+        if found is not None:
+            return found
     if spec.choose == "step":
         return search.of(first)
     if first.integrator["name"] != EXPLICIT["name"]:
@@ -179,9 +212,28 @@ def choose_method(spec: RunSpec, workspace: Workspace) -> Choice:
     return search.better(first, second)
 
 
+def other_method(spec: RunSpec, workspace: Workspace, choice: Choice) -> Choice | None:
+    """Return the choice of a step of Gauss's method where rounding errors limit the tolerance of another one.
+
+    Fixed steps of high order are far fewer than adaptive ones at the tightest tolerance, and collect fewer rounding
+    errors. None if the spec gives the method, or something else limits it.
+    """
+    if spec.choose != "method" or choice.limited != ROUNDING or choice.candidate.integrator["name"] == GAUSS["name"]:
+        return None
+    search = _Search(spec, workspace, PositionMeasure.of(spec, workspace), None)
+    told = f"Rounding errors limit {choice.candidate.integrator['name']}. "
+    return search.of(Candidate(GAUSS, False, 2.0 * GAUSS["stages"]), told=told)
+
+
 class _Search:
-    def __init__(self, spec: RunSpec, workspace: Workspace, measure: PositionMeasure):
-        self.spec, self.workspace, self.measure = spec, workspace, measure
+    def __init__(
+        self,
+        spec: RunSpec,
+        workspace: Workspace,
+        measure: PositionMeasure,
+        progress: Callable[[float, float], None] | None,
+    ):
+        self.spec, self.workspace, self.measure, self.progress = spec, workspace, measure, progress
         assert spec.accuracy is not None
         self.asked = spec.accuracy
         self.work = 0.0
@@ -192,6 +244,75 @@ class _Search:
         pilot = run_pilot(spec, setting, self.workspace, most_steps or self.spec.limits.max_steps)
         self.work += pilot.work
         return pilot
+
+    def ladder(self, candidate: Candidate) -> Choice | None:
+        """Return the choice of a tolerance by kept pilots, each tighter than the one before, until one is good enough.
+
+        The last one is the run, and the ones before it estimate its error. None if the steps are limited by stability,
+        or too many to be kept.
+        """
+        runs: list[RecordedPilot] = []
+        setting = min(max(_rounded(self.asked), TENTH**2 * TIGHTEST), LOOSEST)
+        while True:
+            spec = candidate.settle(self.spec, setting, self.measure.size)
+            try:
+                run = RecordedPilot(spec, setting, self.workspace, FIRST_STEPS, self.progress)
+            except SingularSystemError:
+                return None
+            self.work += run.work
+            if run.failure == "max-steps" or (run.failure and setting <= TIGHTEST):
+                return None
+            runs = [run] if run.failure else [*runs, run]
+            if len(runs) < 2:
+                setting = _setting(candidate, setting / TENTH)
+                continue
+            compared = runs[-3:]
+            differences = [self.difference(other, run) for other in compared[:-1]]
+            if not differences[0] <= SATURATED and len(compared) > 2:
+                compared, differences = compared[1:], differences[1:]
+            if self.is_stiff(compared):
+                return None
+            error = error_share(differences, [other.setting for other in compared])
+            limited = ROUNDING if setting <= TIGHTEST else ""
+            if error <= self.asked or limited:
+                return Choice(
+                    candidate,
+                    setting,
+                    self.measure.size,
+                    self.why_last(compared, differences, error),
+                    self.work,
+                    limited,
+                    tuple(compared[:-1]),
+                    run,
+                )
+            setting = _setting(candidate, self.next_tolerance(compared, differences, error))
+
+    def difference(self, other: RecordedPilot, run: RecordedPilot) -> float:
+        """Return the largest difference of two kept pilots as a share of the size; inf if one has failed."""
+        share = self.measure.share(other.positions(run.time) - run.positions(run.time))
+        return float(np.nan_to_num(np.max(share), nan=math.inf))
+
+    def is_stiff(self, runs: list[RecordedPilot]) -> bool:
+        """Return whether stability limits the steps of the last pilots, and they are so many that it matters."""
+        return runs[-1].steps > MANY_STEPS and runs[-1].steps <= STIFF * runs[-2].steps
+
+    def next_tolerance(self, runs: list[RecordedPilot], differences: list[float], error: float) -> float:
+        """Return the tolerance of the next kept pilot."""
+        if not differences[-1] <= SATURATED:
+            return runs[-1].setting / TENTH**2
+        if len(differences) == 1:  # the difference is the error of the coarser one
+            wanted = runs[-2].setting * (AIM * self.asked / differences[-1]) ** (1 / FOLLOWS)
+        else:
+            wanted = runs[-1].setting * (AIM * self.asked / error) ** (1 / FOLLOWS)
+        return float(min(wanted, runs[-1].setting / 4))  # closer runs hardly differ
+
+    def why_last(self, runs: list[RecordedPilot], differences: list[float], error: float) -> str:
+        """Return the sentence on the last of the kept pilots."""
+        size = f"of the mechanism's size of {self.measure.size:.3g} m"
+        return (
+            f"Pilot runs with tolerances {runs[-2].setting:.3g} and {runs[-1].setting:.3g} differ by "
+            f"{differences[-1]:.2g} {size}; the estimated error of the last one is {error:.2g}."
+        )
 
     def better(self, explicit: Candidate, implicit: Candidate) -> Choice:
         """Return the better of both: the explicit one, unless stability limits its steps and the other needs less."""
@@ -284,7 +405,7 @@ def _limited(spec: RunSpec, candidate: Candidate, setting: float) -> tuple[float
     """Return a setting rounded within its limits, and which limit it meets."""
     if candidate.adaptive:
         if setting <= TIGHTEST:
-            return TIGHTEST, f"rounding errors dominate at tolerances below {TIGHTEST:g}"
+            return TIGHTEST, ROUNDING
         return min(_rounded(setting), LOOSEST), ""
     span = spec.time.final - spec.time.start
     most = spec.limits.max_steps

@@ -73,7 +73,11 @@ class CompanionRows:
 
 
 def run_companion(
-    companion: Companion, workspace: Workspace, times: np.ndarray, stopped: Callable[[], str]
+    companion: Companion,
+    workspace: Workspace,
+    times: np.ndarray,
+    stopped: Callable[[], str],
+    progress: Callable[[float, float], None] | None = None,
 ) -> CompanionRows:
     """Run a companion.
 
@@ -87,6 +91,8 @@ def run_companion(
         (T,) times of the main run [s], the first one its start.
     stopped
         Returns why the companion must stop now; empty if it need not.
+    progress
+        Called with (time reached, end time) [s].
 
     Returns
     -------
@@ -97,7 +103,7 @@ def run_companion(
     found = _States(times, own, companion)
     try:
         stepper = start_method(companion.create(), own, companion.timetable)
-        failure = _advance(stepper, companion, found, stopped)
+        failure = _advance(stepper, companion, found, stopped, progress)
     except SingularSystemError:
         failure = "its equations are singular at the start"
     except MbdkitError as error:
@@ -157,7 +163,13 @@ def _equal(a: float, b: float, times: np.ndarray) -> bool:
     return bool(abs(a - b) <= 1e-13 * max(abs(times[0]), abs(times[-1]), times[-1] - times[0]))
 
 
-def _advance(stepper: Stepper, companion: Companion, found: _States, stopped: Callable[[], str]) -> str:
+def _advance(
+    stepper: Stepper,
+    companion: Companion,
+    found: _States,
+    stopped: Callable[[], str],
+    progress: Callable[[float, float], None] | None,
+) -> str:
     """Advance to the last of the times; return why that failed, or nothing."""
     while found.done < len(found.times):
         if stepper.finished:
@@ -171,6 +183,8 @@ def _advance(stepper: Stepper, companion: Companion, found: _States, stopped: Ca
             found.take_within(stepper)
         else:
             found.take(stretch.time, stretch.q, stretch.v)
+        if progress is not None:
+            progress(stepper.time, float(found.times[-1]))
     return ""
 
 

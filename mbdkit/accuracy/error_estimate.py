@@ -131,10 +131,7 @@ def estimate_errors(
     main = runs[0]
     length, every = units.length, (*runs, guard)
     scale = np.array([1.0, 1.0, length])
-    moved = (main.position - main.position[:1]) * scale
-    across = float(np.max(np.linalg.norm(moved[..., :2], axis=-1), initial=0.0))
-    around = min(float(np.max(np.abs(moved[..., 2]), initial=0.0)), length)
-    position = _Quantity([run.position * scale for run in every], length, max(across, around))
+    position = _Quantity([run.position * scale for run in every], length, size_of_motion(main.position, length))
     velocity = _Quantity([run.velocity * scale for run in every], units.speed)
     wrenches = [np.concatenate([run.force, run.torque[..., None] / length], axis=-1) for run in every]
     reaction = _Quantity(wrenches, units.force)
@@ -148,6 +145,13 @@ def estimate_errors(
         float(main.time[count - 1]) if count else math.nan,
         position.order(count, refinement),
     )
+
+
+def size_of_motion(position: np.ndarray, length: float) -> float:
+    """Return how far a body moves at most [m], from positions (T, B, 3); angles count times `length`, up to 1 rad."""
+    moved = np.abs(position - position[:1])
+    across = float(np.max(np.linalg.norm(moved[..., :2], axis=-1), initial=0.0))
+    return max(across, length * min(float(np.max(moved[..., 2], initial=0.0)), 1.0))
 
 
 class _Quantity:
@@ -168,8 +172,8 @@ class _Quantity:
         self._values = values
         if size is None:
             size = float(np.max(np.linalg.norm(first, axis=-1), initial=0.0))
-        d01, d12, d02 = _norms(first - second), _norms(second - third), _norms(first - third)
-        d0g, d2g = _norms(first - guard), _norms(third - guard)
+        d01, d12, d02 = running_norms(first - second), running_norms(second - third), running_norms(first - third)
+        d0g, d2g = running_norms(first - guard), running_norms(third - guard)
         all01, all12, all02 = (np.max(d, axis=1, initial=0.0, keepdims=True) for d in (d01, d12, d02))
         floor, agreed = (max(share * size, AT_REST * unit) for share in (ROUND_OFF, AGREED))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -232,6 +236,6 @@ def _largest(*arrays: np.ndarray) -> np.ndarray:
     return np.asarray(np.fmax.reduce(arrays))
 
 
-def _norms(difference: np.ndarray) -> np.ndarray:
+def running_norms(difference: np.ndarray) -> np.ndarray:
     """Return the running maxima over time of the norms of (T, U, K), (T, U); nan from the first nan on."""
     return np.asarray(np.maximum.accumulate(np.linalg.norm(difference, axis=-1), axis=0))

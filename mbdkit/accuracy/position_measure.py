@@ -1,11 +1,13 @@
-"""The measure of an accuracy that is asked: errors of positions as a share of the size of the mechanism."""
+"""The measure of errors of positions: one share of the size of the mechanism for all positions and angles."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.archive.accuracy import Accuracy
 from mbdkit.engine.workspace import Workspace
 from mbdkit.run_preparation import size_at_start
 from mbdkit.spec import RunSpec
@@ -50,3 +52,9 @@ class PositionMeasure:
         """
         ends = np.maximum(np.linalg.norm(error[..., :2], axis=-1), self.arm * np.abs(error[..., 2]))
         return np.asarray(np.max(ends, axis=-1, initial=0.0)) / self.size
+
+    def known(self, accuracy: Accuracy) -> float:
+        """Return the largest estimated error up to the time until which errors are known; nan if nothing is known."""
+        count = accuracy.rows_known
+        # the estimates never decrease with time
+        return float(self.share(accuracy.position_error[count - 1 : count])[0]) if count else math.nan

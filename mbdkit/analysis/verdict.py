@@ -165,6 +165,8 @@ class Line:
         Whether to draw a line, points, or both.
     group
         Lines of the same group have the same colour; in most figures the label of the method.
+    band
+        (M, 2) corners of a shaded outline around the line, such as its estimated error; None if there is none.
     """
 
     label: str
@@ -172,6 +174,7 @@ class Line:
     y: np.ndarray
     kind: Literal["line", "points", "both"] = "line"
     group: str = ""
+    band: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

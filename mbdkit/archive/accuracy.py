@@ -50,15 +50,12 @@ class AccuracyFigures:
     ----------
     known_until, end
         Time until which the errors are known, and time of the last row [s]; nan if unknown.
-    position_error
-        Largest error of the position of a body until then [m].
     joints
         Accuracy of the reaction force of each joint.
     """
 
     known_until: float
     end: float
-    position_error: float
     joints: tuple[JointAccuracy, ...]
 
     @property
@@ -138,6 +135,12 @@ class Accuracy:
         count = self.rows_known
         return float(np.max(np.linalg.norm(self.position_error[count - 1, :, :2], axis=-1))) if count else math.nan
 
+    @property
+    def angle_error_max(self) -> float:
+        """Largest error of the angle of a body [rad] up to `known_until`; nan if nothing is known."""
+        count = self.rows_known
+        return float(np.max(self.position_error[count - 1, :, 2], initial=0.0)) if count else math.nan
+
     def of_joints(self, names: Sequence[str], force: np.ndarray) -> tuple[JointAccuracy, ...]:
         """Return the accuracy of each joint.
 
@@ -163,7 +166,7 @@ class Accuracy:
     def figures(self, names: Sequence[str], force: np.ndarray) -> AccuracyFigures:
         """Return the figures for a verdict; see `of_joints` for the arguments."""
         end = float(self.time[-1]) if len(self.time) else math.nan
-        return AccuracyFigures(self.known_until, end, self.position_error_max, self.of_joints(names, force))
+        return AccuracyFigures(self.known_until, end, self.of_joints(names, force))
 
     @property
     def size_in_bytes(self) -> int:

@@ -45,6 +45,8 @@ def summary(run: Run) -> str:
     bodies, joints = len(run.bodies), len(run.joints)
     lines = [
         *verdict_lines(run),
+        ("accuracy", accuracy_sentence(run)),
+        ("asked", asked_sentence(run)),
         ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
         ("model", ", ".join((_named(spec, "model"), counted(bodies, "body", "bodies"), counted(joints, "joint")))),
         (
@@ -64,8 +66,6 @@ def summary(run: Run) -> str:
         ("counters", _counters(run.stats)),
         ("archive", "in memory" if run.path is None else str(run.path)),
     ]
-    if run.accuracy is not None:
-        lines[1:1] = [("accuracy", accuracy_sentence(run)), ("asked", asked_sentence(run))]
     if spec.get("title"):
         lines.insert(len(verdict_lines(run)), ("run", " ".join(str(spec["title"]).split())))
     return "\n".join(f"{label:<13} {text}" for label, text in lines if text)
@@ -150,7 +150,7 @@ def accuracy_sentence(run: Run) -> str:
         return "errors unknown: the companion runs of the check do not agree with this run and each other"
     until = "" if accuracy.is_complete else f" until {accuracy.known_until:.4g} s"
     afterwards = "" if accuracy.is_complete else "; errors unknown afterwards"
-    position = f"positions known to {accuracy.position_error_max:.2g} m"
+    position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"
     if run.joints and run.records("joints/reaction_force"):
         joints = accuracy.of_joints(run.joint_names, run.array("joints/reaction_force"))
         largest = max(joints, key=lambda joint: joint.peak_known)
@@ -178,20 +178,22 @@ def asked_sentence(run: Run) -> str:
     return f"{told}; chosen: {accuracy.chosen}. {accuracy.why}"
 
 
-def plus_minus(value: float, error: float) -> str:
+def plus_minus(value: float, error: float, sign: str = "+-") -> str:
     """Return a value and its error, such as ``368.2 +- 0.3``, with the digits that the error leaves.
 
     Parameters
     ----------
     value, error
         In one unit; the error may be nan, for unknown.
+    sign
+        Sign between them.
     """
     if not math.isfinite(error):
         return f"{value:.4g} (error unknown)"
     if error <= 0:
-        return f"{value:.6g} +- 0"
+        return f"{value:.6g} {sign} 0"
     digits = max(0, min(8, math.floor(math.log10(max(abs(value), error))) - math.floor(math.log10(error)) + 1))
-    return f"{value:.{max(digits, 3)}g} +- {error:.2g}"
+    return f"{value:.{max(digits, 3)}g} {sign} {error:.2g}"
 
 
 def _time(run: Run) -> str:

@@ -59,6 +59,8 @@ def run(
     check_new(path, spec, overwrite)
     from mbdkit.spec import load_spec
 
+    if accuracy is not None:
+        _check_accuracy(accuracy)
     asked = [*(["check=true"] if check else []), *([] if accuracy is None else [f"accuracy={accuracy!r}"])]
     checked = load_spec(spec, [*(assignments or ()), *asked])
     from mbdkit.simulation import simulate  # compiled code: not needed to refuse a spec
@@ -73,6 +75,17 @@ def run(
         if (as_json or quiet) and result.status == "complete" and result.verdict in ("doubtful", "bad"):
             say(f"verdict {result.verdict}: {' '.join(result.verdict_reasons)}")
         _exit_with(result, told=not (as_json or quiet))
+
+
+def _check_accuracy(accuracy: float) -> None:
+    """Raise SpecError for an accuracy that no run can have."""
+    from mbdkit.errors import SpecError
+    from mbdkit.spec.asked_accuracy import LARGEST, SMALLEST
+
+    if not SMALLEST <= accuracy <= LARGEST:  # nan, too
+        why = f"; rounding errors dominate below {SMALLEST:g}" if accuracy < SMALLEST else ""
+        message = f"--accuracy should be a share of the mechanism's size from {SMALLEST:g} to {LARGEST:g}"
+        raise SpecError(f"{message}, not {accuracy:g}{why}")
 
 
 def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> None:
@@ -223,6 +236,7 @@ def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, Any]:
         "known_until": _number(accuracy.known_until),
         "order_observed": _number(accuracy.order_observed),
         "position_error": _number(accuracy.position_error_max),
+        "angle_error": _number(accuracy.angle_error_max),
         "joints": joints,
         "method": accuracy.method,
         **({} if math.isnan(accuracy.asked) else _asked(accuracy)),

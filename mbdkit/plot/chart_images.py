@@ -130,6 +130,8 @@ def _draw_lines(axes: Axes, chart: Figure) -> None:
             marker=_MARKERS[color % len(_MARKERS)] if points else "",
             markersize=4.5,
         )
+        if line.band is not None:
+            axes.fill(*line.band.T, color=PALETTE[color], alpha=0.25, linewidth=0)
         handles.append(artist)
         labels.append(line.label)
     if len(handles) > 1:

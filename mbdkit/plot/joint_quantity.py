@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 
 from mbdkit.analysis.verdict import Line
 from mbdkit.plot.downsampling import Array, Bands, bands, evenly
+from mbdkit.plot.error_bands import UNKNOWN, band_over_time, errors_at
 from mbdkit.plot.panel import dress_over_time, panel_title, single_row_marker
 from mbdkit.plot.style import FAINT, INK, PALETTE, PAPER, legend, powers_of_ten
 
@@ -120,10 +121,9 @@ def _with_errors(run: Run, quantity: JointQuantity, name: str) -> JointQuantity:
     accuracy = run.accuracy
     if accuracy is None:
         return quantity
-    errors: Array = getattr(accuracy, name)
-    rows = np.searchsorted(accuracy.time, quantity.data.time, side="right") - 1
+    errors = errors_at(accuracy, getattr(accuracy, name), quantity.data.time)
     until = math.nan if accuracy.is_complete else accuracy.known_until
-    return replace(quantity, errors=errors[rows], known_until=until)
+    return replace(quantity, errors=errors, known_until=until)
 
 
 def joint_lines(quantity: JointQuantity) -> tuple[Line, ...]:
@@ -133,7 +133,16 @@ def joint_lines(quantity: JointQuantity) -> tuple[Line, ...]:
         worst = sorted(columns, key=lambda column: -np.nan_to_num(quantity.data.peaks[column], nan=np.inf))[:2]
         spread = [columns[place] for place in evenly(len(columns), len(PALETTE) - 2)]
         columns = sorted({*worst, *spread})
-    return tuple(Line(quantity.joints[k], quantity.data.time, quantity.data.high[:, k]) for k in columns)
+    time, high = quantity.data.time, quantity.data.high
+    return tuple(Line(quantity.joints[k], time, high[:, k], band=_band(quantity, k)) for k in columns)
+
+
+def _band(quantity: JointQuantity, column: int) -> Array | None:
+    """Return the outline of the estimated error of one joint; None if it is unknown or was not estimated."""
+    if quantity.errors is None:
+        return None
+    data = quantity.data
+    return band_over_time(data.time, data.low[:, column], data.high[:, column], quantity.errors[:, column])
 
 
 def draw_joints(axes: Axes, quantity: JointQuantity, *, log: bool = False, title: str = "") -> None:
@@ -153,7 +162,8 @@ def draw_joints(axes: Axes, quantity: JointQuantity, *, log: bool = False, title
         panel_title(axes, f"{quantity.name}: there are no joints")
         return
     column, most = quantity.largest
-    panel_title(axes, title or f"{quantity.name}: largest {value_text(most, quantity.unit)} ({joints[column]})")
+    told = f"{value_text(most, quantity.unit)}{_known_to(quantity, column)}"
+    panel_title(axes, title or f"{quantity.name}: largest {told} ({joints[column]})")
     columns = list(range(len(joints)))
     handles, labels = [], []
     floor = _floor(data.high) if log else -np.inf
@@ -168,20 +178,20 @@ def draw_joints(axes: Axes, quantity: JointQuantity, *, log: bool = False, title
         (line,) = axes.plot(time, values, color=color, linewidth=1.1, marker=single_row_marker(time))
         handles.append(line)
         labels.append(joints[chosen])
-        if quantity.errors is not None and not log:
-            error = quantity.errors[:, chosen]
-            low, high = data.low[:, chosen] - error, data.high[:, chosen] + error
-            axes.fill_between(data.time, low, high, color=color, alpha=0.25, linewidth=0)
+        if (band := _band(quantity, chosen)) is not None:
+            axes.fill(*band.T, color=color, alpha=0.25, linewidth=0)
     if np.isfinite(quantity.known_until):
         axes.axvline(quantity.known_until, color=FAINT, linewidth=1.0, linestyle=":")
+        late = quantity.known_until > (data.time[0] + data.time[-1]) / 2
         axes.annotate(
-            "errors unknown afterwards",
+            UNKNOWN,
             (quantity.known_until, 0.98),
             xycoords=("data", "axes fraction"),
-            xytext=(3, 0),
+            xytext=(-3 if late else 3, 0),
             textcoords="offset points",
             size=7.5,
             color=FAINT,
+            ha="right" if late else "left",
             va="top",
         )
     legend(axes, handles, labels)
@@ -192,6 +202,17 @@ def draw_joints(axes: Axes, quantity: JointQuantity, *, log: bool = False, title
         powers_of_ten(axes)
         if np.nanmin(data.low, initial=0.0) >= 0.0:
             axes.set_ylim(bottom=0.0)
+
+
+def _known_to(quantity: JointQuantity, column: int) -> str:
+    """Return the estimated error of the largest value of a joint, such as `` ± 0.3 N``; empty if not estimated."""
+    if quantity.errors is None:
+        return ""
+    data, errors = quantity.data, quantity.errors[:, column]
+    largest = np.nan_to_num(np.maximum(np.abs(data.low[:, column]), np.abs(data.high[:, column])))
+    if not np.isfinite(errors[int(np.argmax(largest))]):
+        return ", error unknown"
+    return f" ± {np.nanmax(errors):.2g} {quantity.unit}"
 
 
 def value_text(value: float, unit: str) -> str:

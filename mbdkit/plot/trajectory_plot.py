@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from mbdkit.analysis.verdict import Axis, Figure, Line
 from mbdkit.plot.downsampling import Array, evenly, take
 from mbdkit.plot.drawing_geometry import Drawing, Trace, choose_traces, draw_spec, trace_points
+from mbdkit.plot.error_bands import band_along_path, errors_at
 from mbdkit.plot.panel import Panel
 from mbdkit.plot.plane_geometry import view_box
 from mbdkit.plot.pose import Pose, body_colors, trace_colors
@@ -30,18 +31,22 @@ def panels(run: Run) -> list[Panel]:
     ends = drawing.world(take(run.dataset("trajectory/position"), evenly(len(run.time), 2)))
     (x0, x1), (y0, y1), _ = view_box(paths, ends)
     height = float(np.clip(4.9 * (y1 - y0) / (x1 - x0), 2.4, 5.4)) - 1.0
-    draw = partial(_draw, drawing=drawing, traces=traces, paths=paths, ends=ends)
+    errors = _errors(run, drawing, traces, _ROWS)
+    draw = partial(_draw, drawing=drawing, traces=traces, paths=paths, ends=ends, errors=errors)
     return [Panel(draw, height, over_time=False)]
 
 
 def charts(run: Run) -> list[Figure]:
     """Return the chart of the paths, without the poses."""
-    _, traces, paths = _paths(run, _CHART_ROWS)
+    drawing, traces, paths = _paths(run, _CHART_ROWS)
+    errors = _errors(run, drawing, traces, _CHART_ROWS)
     (left, right), (low, high), cut = view_box(paths, paths[:1])
     x, y = paths[..., 0], paths[..., 1]
     outside = (x < left) | (x > right) | (y < low) | (y > high)
     paths = np.where(outside[..., None], np.nan, paths)
     caption = "Paths of free ends and moving joints in the plane."
+    if errors is not None:
+        caption += " Bands show estimated errors; those narrower than a line are hidden by it."
     return [
         Figure(
             "trajectory",
@@ -49,10 +54,41 @@ def charts(run: Run) -> list[Figure]:
             f"{caption} Some points lie outside the picture." if cut else caption,
             Axis("x", "m"),
             Axis("y", "m"),
-            tuple(Line(trace.label, paths[:, k, 0], paths[:, k, 1]) for k, trace in enumerate(traces)),
+            tuple(line for k, trace in enumerate(traces) for line in _lines(trace.label, paths[:, k], errors, k)),
             equal=True,
         )
     ]
+
+
+def _lines(label: str, path: Array, errors: Array | None, column: int) -> list[Line]:
+    """Return the path of a point with its error; the part whose errors are unknown is a line of its own."""
+    if errors is None:
+        return [Line(label, path[:, 0], path[:, 1])]
+    error = errors[:, column]
+    known = int(np.sum(np.isfinite(error)))
+    found = []
+    if known:
+        part = path[:known]
+        found.append(Line(label, part[:, 0], part[:, 1], group=label, band=band_along_path(part, error[:known])))
+    if known < len(path):
+        part = path[max(known - 1, 0) :]
+        found.append(Line(f"{label}, error unknown", part[:, 0], part[:, 1], group=label))
+    return found
+
+
+def _errors(run: Run, drawing: Drawing, traces: tuple[Trace, ...], rows: int) -> Array | None:
+    """Return the estimated errors of the points of the paths [m], (R, K); nan where unknown, None if not estimated.
+
+    The error of the angle of a body counts with the distance of the point from the centre of mass.
+    """
+    accuracy = run.accuracy
+    if accuracy is None:
+        return None
+    time = np.asarray(run.time)[evenly(len(run.time), rows)]
+    error = errors_at(accuracy, accuracy.position_error, time)
+    points = [trace.point for trace in traces]
+    of_points, arm = error[:, drawing.owner[points]], np.linalg.norm(drawing.local[points], axis=-1)
+    return np.asarray(np.linalg.norm(of_points[..., :2], axis=-1) + arm * of_points[..., 2])
 
 
 def _paths(run: Run, rows: int) -> tuple[Drawing, tuple[Trace, ...], Array]:
@@ -63,8 +99,10 @@ def _paths(run: Run, rows: int) -> tuple[Drawing, tuple[Trace, ...], Array]:
     return drawing, traces, fixed.world(take(run.dataset("trajectory/position"), evenly(len(run.time), rows), owners))
 
 
-def _draw(axes: Axes, drawing: Drawing, traces: tuple[Trace, ...], paths: Array, ends: Array) -> None:
-    """Draw paths (R, K, 2) and the first and last pose `ends` (2, P, 2)."""
+def _draw(
+    axes: Axes, drawing: Drawing, traces: tuple[Trace, ...], paths: Array, ends: Array, errors: Array | None
+) -> None:
+    """Draw paths (R, K, 2) with their errors (R, K), and the first and last pose `ends` (2, P, 2)."""
     (x0, x1), (y0, y1), cut = view_box(paths, ends)
     dress(axes, "x [m]", "y [m]")
     axes.set_aspect("equal", adjustable="box")
@@ -76,10 +114,14 @@ def _draw(axes: Axes, drawing: Drawing, traces: tuple[Trace, ...], paths: Array,
     handles = []
     for number, color in enumerate(trace_colors(drawing, traces)):
         path = paths[:, number]
-        (line,) = axes.plot(path[:, 0], path[:, 1], color=color, linewidth=1.1, zorder=2.5, alpha=0.9)
+        for part in _lines(traces[number].label, path, errors, number):
+            dashes = ":" if part.label != traces[number].label else "-"
+            (line,) = axes.plot(part.x, part.y, color=color, linestyle=dashes, linewidth=1.1, zorder=2.5, alpha=0.9)
+            if part.band is not None:
+                axes.fill(*part.band.T, color=color, alpha=0.25, linewidth=0, zorder=2.4)
         axes.plot(*path[0], marker="o", markersize=4.5, color=color, markerfacecolor="white", zorder=8)
         axes.plot(*path[-1], marker="o", markersize=4.5, color=color, zorder=8)
-        handles.append(line)
+        handles.append(Line2D([], [], color=line.get_color(), linewidth=1.1))
     hidden = len(drawing.traces) - len(traces)
     labels = [trace.label for trace in traces]
     if hidden:
@@ -89,6 +131,10 @@ def _draw(axes: Axes, drawing: Drawing, traces: tuple[Trace, ...], paths: Array,
         Line2D([], [], color=FAINT, alpha=0.5, linewidth=3, marker="o", markersize=4.5, markerfacecolor="white"),
         Line2D([], [], color=INK, alpha=0.7, linewidth=3, marker="o", markersize=4.5),
     ]
-    legend(axes, handles, [*labels, "at the start", "at the end"], "paths and poses")
+    labels += ["at the start", "at the end"]
+    if errors is not None and not np.all(np.isfinite(errors)):
+        handles.append(Line2D([], [], color=INK, linewidth=1.1, linestyle=":"))
+        labels.append("error unknown")
+    legend(axes, handles, labels, "paths and poses")
     if cut:
         axes.set_title("some points lie outside the picture", size=8.5, color=FAINT, loc="left")

@@ -28,6 +28,7 @@ def chart_data(chart: Figure) -> dict[str, Any]:
                 "label": line.label,
                 "x": _numbers(line.x, chart.x),
                 "y": _numbers(line.y, chart.y),
+                "band": None if line.band is None else _outline(line.band, chart),
                 "kind": line.kind,
                 "color": color,
                 "dash": DASHES[style % len(DASHES)],
@@ -36,6 +37,10 @@ def chart_data(chart: Figure) -> dict[str, Any]:
             for line, (color, style) in zip(chart.lines, line_styles(chart), strict=True)
         ],
     }
+
+
+def _outline(corners: np.ndarray, chart: Figure) -> dict[str, list[float | None]]:
+    return {"x": _numbers(corners[:, 0], chart.x), "y": _numbers(corners[:, 1], chart.y)}
 
 
 def _axis_data(axis: Axis) -> dict[str, Any]:

@@ -20,7 +20,7 @@ def run_charts(run: Run) -> tuple[Figure, ...]:
     """Return the charts of a run that has rows, except those of quantities that it did not record."""
     charts = [chart for kind in PLOT_KINDS for chart in plot_module(kind).charts(run)]
     marks = _marks(run)
-    return tuple(replace(chart, marks=marks) if chart.x == _TIME else chart for chart in charts)
+    return tuple(replace(chart, marks=(*chart.marks, *marks)) if chart.x == _TIME else chart for chart in charts)
 
 
 def _marks(run: Run) -> tuple[Mark, ...]:

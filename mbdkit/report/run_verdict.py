@@ -9,6 +9,7 @@ import numpy as np
 
 from mbdkit.analysis.growth import Growth, growth_law
 from mbdkit.analysis.verdict import Answer, Claim, Verdict
+from mbdkit.archive.run_summary import accuracy_sentence
 from mbdkit.plot.downsampling import bands, take
 from mbdkit.plot.drawing_geometry import draw_spec
 from mbdkit.plot.joint_quantity import JointQuantity, angle_misalignment, joint_misalignment
@@ -32,7 +33,7 @@ _LAWS = {
 
 def run_verdict(run: Run) -> Verdict:
     """Return the verdict on a run, with its charts and tables."""
-    claims = [_trust(run), _completion(run)]
+    claims = [_trust(run), *_accuracy(run), _completion(run)]
     if run.records("joints/misalignment") and run.joint_names:
         claims.append(_joints(run))
         claims += _angles(run)
@@ -77,6 +78,16 @@ def _trust(run: Run) -> Claim:
     elif run.verdict == "unknown":
         sentence = f"The verdict is unknown: {NOTHING_SUSPICIOUS}."
     return Claim("trust", "The results can be trusted", "", run.verdict, _ANSWERS[run.verdict], sentence)
+
+
+def _accuracy(run: Run) -> list[Claim]:
+    """Return the claim on the estimated errors; none if they were not estimated."""
+    accuracy = run.accuracy
+    told = accuracy_sentence(run)
+    if accuracy is None or not told:
+        return []
+    answer = Answer.YES if accuracy.is_complete else Answer.PARTLY if accuracy.rows_known else Answer.NO
+    return [Claim("accuracy", "The errors are known", "", told, answer, f"{told[0].upper()}{told[1:]}.")]
 
 
 def _completion(run: Run) -> Claim:

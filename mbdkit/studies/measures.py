@@ -195,6 +195,10 @@ def _position_error(run: Run, reference: Run | None) -> float:
     return math.nan if run.accuracy is None else run.accuracy.position_error_max
 
 
+def _angle_error(run: Run, reference: Run | None) -> float:
+    return math.nan if run.accuracy is None else run.accuracy.angle_error_max
+
+
 #: Measures of runs whose spec has ``check: true``, in addition to those that the study asks for.
 OF_CHECKED_RUNS: Mapping[str, Measure] = {
     "known_until": Measure("s", "time until which the estimated errors are known", _known_until),
@@ -206,6 +210,7 @@ OF_CHECKED_RUNS: Mapping[str, Measure] = {
     "position_error_estimate": Measure(
         "m", "largest estimated error of the position of a body until then", _position_error
     ),
+    "angle_error_estimate": Measure("rad", "largest estimated error of the angle of a body until then", _angle_error),
 }
 #: Measures that need a second run: units and description.
 SECOND: Mapping[str, tuple[str, str]] = {

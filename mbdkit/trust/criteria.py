@@ -104,7 +104,8 @@ class EstimatedErrors:
     Parameters
     ----------
     position
-        Largest error of a position, as a share of the mechanism's size.
+        Largest error of a position, as a share of the mechanism's size; that of an angle counts with the distance of
+        the farthest joint point of its body.
     reaction
         Largest error of a joint's force, as a share of the largest force in that joint.
     known_until
@@ -125,7 +126,7 @@ class EstimatedErrors:
 
 
 KNOWN_POSITION = Limits(1e-2, 0.1)
-"""Estimated error of positions, as a share of the mechanism's size."""
+"""Estimated error of positions and angles, as a share of the mechanism's size."""
 
 KNOWN_REACTION = Limits(1e-2, 0.1)
 """Estimated error of joint forces, as a share of the largest force in the joint."""

@@ -17,8 +17,10 @@ import pytest
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.compare import compare
+from mbdkit.simulation import simulate
 from mbdkit.spec import load_spec
 from tests.stepping.step_methods import RungeKutta, run_with
+from tests.witness.known_motions import known_motions
 
 DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
 FALLING = {"name": "double-pendulum", "angles": [1.5, 1.6]}
@@ -151,6 +153,27 @@ def test_a_mechanism_without_joints_is_checked():
     assert result.accuracy.figures((), np.zeros((101, 0, 2))).worst_joint is None
 
 
+def test_wrong_angles_of_discs_whose_centres_rest_are_not_good():
+    # expected: the closed form of two discs on one axle, whose angles this step misses by 4.6 % of the size
+    known = next(one for one in known_motions() if one.name == "spinning discs")
+    result = run({"name": "gauss", "stages": 2}, known.model, time={"end": known.end, "step": 4 * known.step})
+    assert result.verdict == "doubtful"
+    assert result.verdict_reasons[0].startswith("The estimated error of positions is 0.046 of the mechanism's size")
+    assert result.accuracy.position_error_max < 1e-20
+    true = np.max(np.abs(result.array("trajectory/position") - known.solve(result.time)[0]))
+    assert result.accuracy.angle_error_max == pytest.approx(true, rel=0.5)
+    assert f"{result.accuracy.angle_error_max:.2g} rad" in result.summary().splitlines()[1]
+
+
+def test_the_progress_of_the_companions_is_told_like_that_of_the_run():
+    # expected: the run, two companions and a guard, each from the start to the end
+    spec = {"mbdkit": 1, "model": DOUBLE, "integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.001}}
+    told: list[tuple[float, float]] = []
+    simulate(load_spec(spec, check=True), progress=lambda now, end: told.append((now, end)))
+    assert {end for _, end in told} == {1.0}
+    assert sum(now == 1.0 for now, _ in told) == 4
+
+
 def test_companions_stop_at_the_limit_of_wall_time():
     model = {"name": "n-pendulum", "n": 40, "angles": [0.1 * k for k in range(40)]}
     result = run(model=model, limits={"wall_time": 0.3}, time={"end": 1000.0, "step": 0.0005})
@@ -210,3 +233,16 @@ def test_a_study_lists_until_when_its_runs_are_known(tmp_path: Path):
     frame = mbdkit.study(spec, out=tmp_path / "s").to_frame()
     assert list(frame["known_until"]) == [0.5, 0.5]
     assert np.all(frame["reaction_error_share"] < 1e-4)
+    assert np.all(frame["angle_error_estimate"] > 0)
+    assert list(frame["verdict"]) == ["good", "good"]
+
+
+def test_a_study_shows_which_of_its_checked_runs_are_doubtful_or_bad(tmp_path: Path):
+    base = {"mbdkit": 1, "model": FALLING, "integrator": {"name": "gauss"}, "time": {"end": 12.0, "step": 0.02}}
+    spec = {"mbdkit_study": 1, "base": base, "axes": [{"check": [False, True]}]}
+    study = mbdkit.study(spec, out=tmp_path / "s")
+    frame = study.to_frame()
+    assert frame["verdict"][1] in ("doubtful", "bad")
+    assert math.isnan(frame["known_until"][0])
+    assert frame["known_until"][1] < 12.0
+    assert "The error is known until" in frame["verdict_reasons"][1]

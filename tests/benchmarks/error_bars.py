@@ -6,7 +6,19 @@ import sys
 
 import numpy as np
 
-from tests.witness.error_bars import FACTORS, FIXED, HIGH, NEVER, TOLERANCES, Case, Truth, run_case, share_inside
+from tests.witness.error_bars import (
+    ASKED,
+    FACTORS,
+    FIXED,
+    HIGH,
+    NEVER,
+    TOLERANCES,
+    Case,
+    Truth,
+    run_asked,
+    run_case,
+    share_inside,
+)
 from tests.witness.known_motions import known_motions
 
 
@@ -35,6 +47,7 @@ def main() -> None:
         truth = Truth(known)
         cases = [run_case(truth, method, factor) for method in FIXED for factor in FACTORS]
         cases += [run_case(truth, "dop853", tolerance) for tolerance in TOLERANCES]
+        cases += [run_asked(truth, asked) for asked in ASKED]
         every += cases
         print(line(known.name, cases), flush=True)
         for case in cases:
@@ -46,7 +59,7 @@ def main() -> None:
                     flush=True,
                 )
     print(line("all", every))
-    for method in [*FIXED, "dop853"]:
+    for method in [*FIXED, "dop853", "asked"]:
         print(line(method, [case for case in every if case.method == method]))
 
 

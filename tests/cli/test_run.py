@@ -49,9 +49,12 @@ def test_accuracy_chooses_the_step_and_reports_it(mbdkit, small, in_tmp_path):
     assert again.exit_code == 0, again.output
 
 
-def test_an_accuracy_of_zero_is_refused(refusal, small, in_tmp_path):
+@pytest.mark.parametrize("asked", ["0", "-1", "nan", "inf", "1e-20"])
+def test_an_accuracy_that_no_run_can_have_is_refused_in_one_sentence(asked, refusal, small, in_tmp_path):
     (in_tmp_path / "spec.yaml").write_text(small)
-    assert "accuracy: should be at least 1e-12, not 0" in refusal("run", "spec.yaml", "--accuracy", "0")
+    told = refusal("run", "spec.yaml", f"--accuracy={asked}")
+    assert "--accuracy should be a share of the mechanism's size from 1e-12 to 0.1, not " in told
+    assert ("rounding errors" in told) == (asked in ("0", "-1", "1e-20"))
     (in_tmp_path / "spec.yaml").write_text(f"{small}\naccuracy: 1e-20\n")
     assert refusal("run", "spec.yaml").startswith("spec.yaml:10: accuracy: should be at least 1e-12, not 1e-20")
 

@@ -32,6 +32,9 @@ FIXED: dict[str, dict[str, Any]] = {
 FACTORS = (4.0, 2.0, 1.0, 0.5)
 """Steps of the methods, times that of the problem."""
 
+ASKED = (1e-3, 1e-5, 1e-7, 1e-9)
+"""Accuracies that are asked, so that pilots estimate the errors."""
+
 TOLERANCES = (1e-5, 1e-7, 1e-9, 1e-11)
 """Tolerances of adaptive DOP853; the first and the third with rows from dense output, the others at its own steps."""
 
@@ -136,6 +139,14 @@ def run_case(truth: Truth, method: str, factor: float) -> Case:
     if accuracy is None or len(run.time) < 2:
         return Case(known.name, method, factor, run.status, math.nan, known.end, np.zeros(0), False, math.nan, "")
     return compare(run, accuracy, truth, (known.name, method, factor))
+
+
+def run_asked(truth: Truth, asked: float) -> Case:
+    """Run a problem with an accuracy that is asked, and compare."""
+    known = truth.known
+    run = mbdkit.run({"mbdkit": 1, "model": known.model, "time": {"end": known.end}, "accuracy": asked})
+    assert run.accuracy is not None
+    return compare(run, run.accuracy, truth, (known.name, "asked", asked))
 
 
 def compare(run: mbdkit.Run, accuracy: Accuracy, truth: Truth, names: tuple[str, str, float]) -> Case:

@@ -16,13 +16,21 @@ function palette() {
 function traces(figure, color) {
   // Different widths keep coinciding paths distinguishable.
   const width = number => figure.equal && figure.lines.length < 5 ? 1.6 + 1.3 * (figure.lines.length - 1 - number) : 1.8;
-  return figure.lines.map((line, number) => ({
+  const curves = figure.lines.map((line, number) => ({
     type: "scatter", visible: !line.hidden, x: line.x, y: line.y, name: plain(line.label),
     mode: { line: "lines", points: "markers", both: "lines+markers" }[line.x.length === 1 ? "points" : line.kind],
     line: { color: color(`c${line.color}`), width: width(number), dash: line.dash },
     marker: { color: color(`c${line.color}`), size: 7, symbol: line.symbol },
     hovertemplate: `%{y:.4~g} ${plain(figure.y.unit)} at %{x:.5~g} ${plain(figure.x.unit)}<extra>%{fullData.name}</extra>`,
   }));
+  return [...curves, ...banded(figure).map(line => ({                        // after the curves, which keep their numbers
+    type: "scatter", mode: "lines", visible: !line.hidden, x: line.band.x, y: line.band.y, fill: "toself",
+    fillcolor: color(`c${line.color}`), opacity: 0.25, line: { width: 0 }, hoverinfo: "skip",
+  }))];
+}
+
+function banded(figure) {
+  return figure.lines.filter(line => line.band);
 }
 
 function axis(one, color, more) {
@@ -106,7 +114,8 @@ for (const chart of document.querySelectorAll(".chart")) {
     button.addEventListener("click", () => {
       line.hidden = !line.hidden;
       button.setAttribute("aria-pressed", String(!line.hidden));
-      Plotly.restyle(chart, { visible: !line.hidden }, [number]);
+      const { lines } = figures[chart.dataset.figure], band = banded(figures[chart.dataset.figure]).indexOf(line);
+      Plotly.restyle(chart, { visible: !line.hidden }, band < 0 ? [number] : [number, lines.length + band]);
     });
     item.append(button);
     key.append(item);

@@ -1,0 +1,131 @@
+"""States between the steps of a run, by Hermite interpolation over several steps.
+
+Dense output of an explicit method of order 8 takes three more evaluations in each step. The ends of the steps are known
+anyway, with positions, velocities and accelerations: four of them define a polynomial of degree 11, whose error is far
+below that of the steps (1e-5 of it for steps of an eighth of a period).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.workspace import Workspace
+
+NODES = 4
+"""Number of ends of steps of one polynomial; fewer next to a corner of a motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepEnds:
+    """The ends of all steps of a run or of a part between two corners of motions.
+
+    Parameters
+    ----------
+    time
+        (N,) times [s].
+    q, v, a
+        (N, 3 (B + 1)) positions, velocities and accelerations.
+    """
+
+    time: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+
+    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities at times (T,) from the first to the last end [s], in order."""
+        step = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 2)
+        used, place = np.unique(step, return_inverse=True)
+        nodes, newton = self._newton(used)
+        h = self.time[used + 1] - self.time[used]
+        s = (times - self.time[step]) / h[place]
+        value, slope = np.zeros((2, len(times), self.q.shape[1]))
+        for k in reversed(range(len(newton))):
+            along = (s - nodes[k, place])[:, None]
+            slope = slope * along + value
+            value = value * along + newton[k, place]
+        return value, slope / h[place, None]
+
+    def _newton(self, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return nodes (K, S) and coefficients (K, S, n) of the Newton form over each step, in units of the step.
+
+        Divided differences with every node repeated three times, the two ends of the step first.
+        """
+        count = min(NODES, len(self.time))
+        first = np.clip(steps - (count - 2) // 2, 0, len(self.time) - count)
+        window = first + np.arange(count)[:, None]  # (NODES, S)
+        is_end = (window == steps) | (window == steps + 1)
+        window = np.take_along_axis(window, np.argsort(~is_end, axis=0, kind="stable"), axis=0)
+        order = np.repeat(window, 3, axis=0)
+        h = self.time[steps + 1] - self.time[steps]
+        nodes = (self.time[order] - self.time[steps]) / h
+        rate, curvature = self.v[order] * h[:, None], self.a[order] * (h**2)[:, None] / 2
+        column = self.q[order]
+        newton = [column[0]]
+        for level in range(1, len(order)):
+            same = (order[level:] == order[:-level])[..., None]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                found = (column[1:] - column[:-1]) / (nodes[level:] - nodes[:-level])[..., None]
+            repeated = rate[: len(found)] if level == 1 else curvature[: len(found)]
+            column = np.where(same, repeated, found)
+            newton.append(column[0])
+        return nodes, np.array(newton)
+
+
+class StepStates:
+    """The states of a run at any time, from the ends of its steps.
+
+    Parameters
+    ----------
+    workspace
+        Workspace of the mechanism.
+    time, q, v
+        (N,), (N, 3 (B + 1)) ends of all steps, with the start.
+    stops, margin
+        Times of corners of motions and loads, at which steps end [s], and their margin; see `Timetable`.
+    """
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        time: np.ndarray,
+        q: np.ndarray,
+        v: np.ndarray,
+        stops: tuple[float, ...] = (),
+        margin: float = 0.0,
+    ):
+        self.time = time
+        corners = np.array([stop for stop in stops if time[0] < stop < time[-1]])
+        cuts = np.searchsorted(time, corners - 2 * margin)
+        borders = np.unique([0, *cuts.tolist(), len(time) - 1])
+        observer = StateObserver(workspace.with_own_pivots())
+        self.parts: list[StepEnds] = []
+        for begin, end in pairwise(borders.tolist()):
+            part = slice(begin, end + 1)
+            seen = time[part].copy()  # accelerations jump at a corner
+            seen[0] += 4 * margin if begin else 0.0
+            seen[-1] -= 4 * margin if end < len(time) - 1 else 0.0
+            out = observer.arrays(len(seen))
+            ends = np.ascontiguousarray(q[part]), np.ascontiguousarray(v[part])
+            singular = observer.observe(seen, *ends, out)
+            known = len(seen) if singular is None else singular.row
+            if known >= 2:
+                self.parts.append(StepEnds(*(x[:known] for x in (time[part], q[part], v[part], out.acc))))
+            if singular is not None:
+                break
+
+    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities at times (T,) [s], in order; nan where there are none."""
+        width = self.parts[0].q.shape[1] if self.parts else 0
+        q, v = np.full((2, len(times), width), np.nan)
+        begin = 0
+        for part in self.parts:
+            end = int(np.searchsorted(times, part.time[-1] * (1 + 1e-15), side="right"))
+            if end > begin:
+                q[begin:end], v[begin:end] = part.at(np.clip(times[begin:end], part.time[0], part.time[-1]))
+            begin = max(begin, end)
+        return q, v
