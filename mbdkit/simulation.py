@@ -237,7 +237,7 @@ class _Simulation:
         self.failure: Failure | None = None
         self.interrupted = False
         self.accuracy: Accuracy | None = None
-        if spec.check:
+        if spec.estimates_errors:
             self.recorder.kept = []
 
     def integrate(self, progress: Progress | None) -> None:
@@ -348,7 +348,7 @@ class _Simulation:
             return
         rows, steps = ObservedRows.joined(kept), self.stepper.counters.steps if self.stepper is not None else 0
         choice = self.choice
-        if choice is not None and choice.pilots and len(rows.time) > 1:
+        if choice is not None and choice.pilots and len(rows.time) > 1 and not self.spec.check:
             found = check_by_pilots(self.spec, self.workspace, rows, choice.pilots, choice.setting)
         else:
             found = check_run(self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted, progress)

@@ -19,7 +19,7 @@ from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.recorded_columns import ObservedRows
 from mbdkit.run_preparation import guards, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Advancing, Failure, StepEvidence, Stretch, evidence_of
+from mbdkit.stepping.interface import Advancing, Failure, StepEvidence, Stretch
 from mbdkit.stepping.start import start_method
 
 MOST_VALUES = 20_000_000
@@ -57,14 +57,7 @@ class RecordedPilot:
         progress: Callable[[float, float], None] | None = None,
     ):
         self.setting = setting
-        self.workspace = Workspace(
-            workspace.mechanism,
-            workspace.t0,
-            workspace.q0,
-            workspace.v0,
-            formulation=spec.formulation,
-            stabilization=spec.stabilized,
-        )
+        self.workspace = workspace.for_another_run(spec.formulation, spec.stabilized)
         method = make_method(spec)
         given = timetable(spec, guards(spec, size_at_start(spec, workspace)))
         kept = MOST_VALUES // len(workspace.q0)
@@ -164,9 +157,9 @@ class Replay:
         return self._pilot.stepper.worst_pairs
 
     @property
-    def evidence(self) -> StepEvidence | None:
-        """See `mbdkit.stepping.interface.evidence_of`."""
-        return evidence_of(self._pilot.stepper)
+    def evidence(self) -> StepEvidence:
+        """See `Advancing.evidence`."""
+        return self._pilot.stepper.evidence
 
     def last_state(self) -> Stretch:
         """See `Advancing.last_state`."""

@@ -26,16 +26,13 @@ def asked(data: Mapping[str, Any]) -> dict[str, Any]:
     Raises
     ------
     SpecError
-        If `check` or `choose` contradict `accuracy`.
+        If `choose` is given without `accuracy`.
     """
     data = dict(data)
     if data.get("accuracy") is None:
         if data.get("choose") is not None:
             raise SpecError("takes effect only with `accuracy`; leave it out", key="choose")
         return data
-    if data.get("check") is False:
-        raise SpecError("cannot be false with `accuracy`, which the check confirms; leave it out", key="check")
-    data["check"] = True
     if data.get("choose") is None:
         data["choose"] = "step" if data.get("integrator") is not None else "method"
     if data["choose"] == "method":

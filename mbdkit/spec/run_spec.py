@@ -72,7 +72,8 @@ class RunSpec(StrictSpec):
     """Estimate the errors of the recorded rows by companion runs, which take about ten times as long as the run."""
     accuracy: Annotated[float, Field(ge=SMALLEST, le=LARGEST)] | None = None
     """Accuracy of positions over the whole run, as a share of the mechanism's size. Pilot runs choose the method, or
-    the step or tolerance of the given integrator, and a check confirms it, so `check` is true."""
+    the step or tolerance of the given integrator, and an estimate of the errors confirms it: by the pilot runs where
+    they suffice, otherwise and with `check` by companion runs."""
     choose: Literal["method", "step", "nothing"] | None = None
     """What is chosen for `accuracy`: `method` and step (the default if `integrator` is left out); only the `step` or
     the tolerance of `integrator`, where given ones are the first try (the default otherwise); or `nothing`: the spec
@@ -144,6 +145,11 @@ class RunSpec(StrictSpec):
                 "a run backward in time would use different steps; omit `symmetric`",
                 key="stabilization.symmetric",
             )
+
+    @property
+    def estimates_errors(self) -> bool:
+        """Whether the errors of the recorded rows are estimated."""
+        return self.check or self.accuracy is not None
 
     @property
     def is_to_be_chosen(self) -> bool:

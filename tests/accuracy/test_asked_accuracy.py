@@ -204,7 +204,7 @@ def test_a_spec_without_accuracy_is_what_it_was_before():
     spec = {"mbdkit": 1, "model": DOUBLE, "integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.1}}
     assert not {"accuracy", "choose"} & json.loads(load_spec(spec).canonical_json()).keys()
     asked = load_spec(spec, accuracy=1e-6)
-    assert (asked.choose, asked.check, asked.accuracy) == ("step", True, 1e-6)
+    assert (asked.choose, asked.estimates_errors, asked.accuracy) == ("step", True, 1e-6)
     assert load_spec(load_spec(spec), accuracy=1e-6).sha256() == asked.sha256()
 
 
@@ -214,7 +214,6 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     ({"accuracy": 1e-20}, "accuracy", "should be at least 1e-12"),
     ({"accuracy": 1.0}, "accuracy", "should be at most 0.1"),
     ({"accuracy": "fine"}, "accuracy", "should be a number"),
-    ({"accuracy": 1e-6, "check": False}, "check", "cannot be false with `accuracy`"),
     ({"accuracy": 1e-6, "choose": "speed"}, "choose", "should be 'method', 'step' or 'nothing'"),
     ({"choose": "step"}, "choose", "takes effect only with `accuracy`"),
     ({"accuracy": 1e-6, "choose": "nothing", "time": {"end": 1.0}}, "time.step", "is missing"),

@@ -30,6 +30,7 @@ RUNS: dict[str, dict[str, Any]] = {
     "radau-iia, index-3": {"integrator": {"name": "radau-iia"}, "formulation": "index-3"},
     "radau-iia, ggl": {"integrator": {"name": "radau-iia"}, "formulation": "ggl"},
     "lobatto-pair": {"integrator": {"name": "lobatto-pair"}, "formulation": "index-3"},
+    "steps taken in Python": {"integrator": {"name": "scipy-dop853"}, "formulation": "index-1"},
 }
 
 
