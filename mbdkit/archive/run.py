@@ -67,7 +67,7 @@ class Run:
                 self._misalignment_max = run_header.misalignments(file)
                 self._redundancy = str(file["joints"].attrs.get("redundancy", ""))
                 self._names = {
-                    name: tuple(file[name].asstr()[:])
+                    name: run_header.names(file, name)
                     for name in (
                         "trajectory/body",
                         "joints/joint",

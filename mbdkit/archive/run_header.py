@@ -17,6 +17,10 @@ from mbdkit.archive.fingerprint import is_text
 _MAPPINGS = ("model", "integrator", "time", "output", "limits", "events")
 
 
+LONGEST = 1_000
+"""Longest name, and a tenth of the longest title [characters]; pictures with longer ones take minutes."""
+
+
 def check_shapes(file: h5py.File) -> None:
     """Raise ValueError if an array of the layout has another type or shape than its axes say."""
     lengths: dict[str, int] = {}
@@ -64,6 +68,14 @@ def numbers(group: h5py.Group) -> Mapping[str, Any]:
     return values
 
 
+def names(file: h5py.File, path: str) -> tuple[str, ...]:
+    """Return an array of names; raise ValueError if one is too long to be shown."""
+    found = tuple(file[path].asstr()[:])
+    if any(len(name) > LONGEST for name in found):
+        raise ValueError(f"{path} has a name of more than {LONGEST:,} characters")
+    return found
+
+
 def misalignments(file: h5py.File) -> np.ndarray | None:
     """Return the largest misalignment of each joint, or None if there is none; raise ValueError if it does not fit."""
     largest = file["joints"].attrs.get("misalignment_max")
@@ -85,8 +97,8 @@ def spec_of(text: str) -> dict[str, Any]:
     for name in ("model", "integrator"):
         if not isinstance((spec.get(name) or {}).get("name", ""), str):
             raise ValueError(f"{name} has no name")
-    if not isinstance(spec.get("title") or "", str):
-        raise ValueError("title is not a string")
+    if not isinstance(spec.get("title") or "", str) or len(spec.get("title") or "") > 10 * LONGEST:
+        raise ValueError(f"title is not a string of at most {10 * LONGEST:,} characters")
     step = (spec.get("time") or {}).get("step")
     if step is not None and not isinstance(step, int | float):
         raise ValueError("time.step is not a number")

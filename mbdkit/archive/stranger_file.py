@@ -19,7 +19,7 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 from mbdkit.archive.hdf5_errors import DAMAGE, cause, reading
 from mbdkit.errors import SpecError
 
-OBJECTS = 100_000
+OBJECTS = 2_000
 """Largest number of groups and arrays; an archive has about 60."""
 
 DEPTH = 8
@@ -39,6 +39,9 @@ CHUNK = 1 << 28
 
 TEXT = 1 << 30
 """Largest size of all strings of an attribute [bytes]."""
+
+FIXED = 1 << 12
+"""Longest string of fixed length, as other programs add them [bytes]; those of an archive have variable length."""
 
 _FEW = 64  # strings of an attribute that are read without an estimate of their size
 _DEFLATE = 1032  # largest ratio of deflate
@@ -190,6 +193,8 @@ class _Inspection:
         if space.get_simple_extent_type() == h5s.NULL:
             raise self.refused(f"{place} has no values, not even none of a number")
         if isinstance(kind, h5t.TypeStringID):
+            if not kind.is_variable_str() and kind.get_size() > FIXED:
+                raise self.refused(f"{place} has strings of the fixed length {kind.get_size():,}")
             return bool(kind.is_variable_str())
         if not isinstance(kind, h5t.TypeIntegerID | h5t.TypeFloatID):
             raise self.refused(f"{place} has values that are neither numbers nor strings")
