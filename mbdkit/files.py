@@ -55,12 +55,15 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
         raise SpecError(f"the folder {folder} {what}", file=path)
     if os.path.lexists(path):
         if not stat.S_ISREG(os.lstat(path).st_mode):
-            kind = "a symbolic link" if os.path.islink(path) else "not a regular file"
+            kind = "a symbolic link, not a regular file," if os.path.islink(path) else "not a regular file"
             raise SpecError(f"this is {kind} and is not replaced; choose another name", file=path)
         if source not in (None, "-") and os.path.isfile(str(source)) and os.path.samefile(path, str(source)):
             raise SpecError("this file is the input, which is not overwritten; choose another name with -o", file=path)
         if not overwrite:
-            raise SpecError("this file exists; choose another name with -o, or replace it with --overwrite", file=path)
+            raise SpecError(
+                "this file exists already; choose another name with -o, or replace it with --overwrite",
+                file=path,
+            )
     if not os.access(folder, os.W_OK | os.X_OK):
         raise SpecError(f"the folder {folder} cannot be written to", file=path)
 

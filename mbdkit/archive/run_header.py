@@ -14,8 +14,10 @@ from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import is_text
 
 #: Sections of a spec that are mappings if they are present.
-_MAPPINGS = ("model", "integrator", "time", "output", "limits", "events")
+_MAPPINGS = ("model", "integrator", "time", "output")
 
+#: Sections that may be null as well.
+_OPTIONAL_MAPPINGS = ("limits", "events")
 
 LONGEST = 1_000
 """Longest name, and a tenth of the longest title [characters]; pictures with longer ones take minutes."""
@@ -91,15 +93,16 @@ def spec_of(text: str) -> dict[str, Any]:
     spec = json.loads(text)
     if not isinstance(spec, dict):
         raise ValueError("it is not a mapping")
-    for name in _MAPPINGS:
-        if not isinstance(spec.get(name) or {}, dict):
+    for name in (*_MAPPINGS, *_OPTIONAL_MAPPINGS):
+        section = spec.get(name, {})
+        if not isinstance(section, dict) and not (section is None and name in _OPTIONAL_MAPPINGS):
             raise ValueError(f"{name} is not a mapping")
     for name in ("model", "integrator"):
-        if not isinstance((spec.get(name) or {}).get("name", ""), str):
+        if name in spec and not isinstance(spec[name].get("name"), str):
             raise ValueError(f"{name} has no name")
     if not isinstance(spec.get("title") or "", str) or len(spec.get("title") or "") > 10 * LONGEST:
         raise ValueError(f"title is not a string of at most {10 * LONGEST:,} characters")
-    step = (spec.get("time") or {}).get("step")
+    step = spec.get("time", {}).get("step")
     if step is not None and not isinstance(step, int | float):
         raise ValueError("time.step is not a number")
     return spec

@@ -73,16 +73,17 @@ def open_hdf5(path: Path, what: str) -> h5py.File:
         to other files, links an object twice, or declares more data than it holds.
     """
     check_regular(path)
+    noun = what.rpartition(" ")[2]
     try:
         file = h5py.File(path, "r", locking="best-effort")
     except BlockingIOError:
-        raise SpecError(f"a run is still writing this {what}; wait until it has ended", file=path) from None
+        raise SpecError(f"a run is still writing this {noun}; wait until it has ended", file=path) from None
     except DAMAGE as error:
         text = str(error)
         if "signature not found" in text:
             why = f"this is not an HDF5 file, so not a {what}"
         elif "truncated" in text:
-            why = f"this {what} is truncated: its end is missing, as after an incomplete copy"
+            why = f"this {noun} is truncated: its end is missing, as after an incomplete copy"
         else:
             why = f"this file cannot be read: {cause(error)}"
         raise SpecError(why, file=path) from error
