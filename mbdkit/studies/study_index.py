@@ -226,6 +226,8 @@ def read(path: Path) -> Index:
         if version.partition(".")[0] != FORMAT_VERSION.partition(".")[0]:
             ours = FORMAT_VERSION.partition(".")[0]
             raise SpecError(f"this index has format version {version}, this mbdkit reads {ours}.x", file=path)
+        if file.attrs["data_sha256"] != data_sha256(file):
+            raise ValueError("data_sha256 does not match")
         return Index(
             str(file.attrs["study"]),
             str(file.attrs["study_sha256"]),
