@@ -39,7 +39,9 @@ class PlainStream:
         self.stream = stream
 
     def write(self, text: str) -> int:
-        """Write text with its control characters escaped."""
+        """Write text with its control characters escaped; raise TypeError for bytes, by which click tells streams."""
+        if not isinstance(text, str):
+            raise TypeError(f"text is written here, not {type(text).__name__}")
         self.stream.write(shown(text, lines=True))
         return len(text)
 

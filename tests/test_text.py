@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -54,3 +57,13 @@ def test_markdown_obeys_no_text(text: str, words: str) -> None:
 def test_a_spreadsheet_takes_no_text_for_a_formula(start: str) -> None:
     assert csv_cell(f"{start}cmd|' /C calc'!A0.x") == f"'{start}cmd|' /C calc'!A0.x"
     assert csv_cell("rod1.x") == "rod1.x"
+
+
+def test_a_usage_error_is_text(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "mbdkit", "archive", "info", "--bogus"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.endswith("Error: No such option: --bogus\n")
+    command = [sys.executable, "-m", "mbdkit", "archive", "check", "\x1b[31m.h5"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stderr == "\\u001b[31m.h5: there is no such file\n"
