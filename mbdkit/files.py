@@ -1,11 +1,14 @@
-"""Writes files atomically and checks their suffixes."""
+"""Writes files: checks where, writes beside, and renames at the end, so that no failure harms what was there before."""
 
 from __future__ import annotations
 
 import os
+import re
 import secrets
+import stat
+import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mbdkit.errors import SpecError
@@ -27,25 +30,129 @@ def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str
     return target
 
 
-@contextmanager
-def replacing(target: Path) -> Iterator[Path]:
-    """Yield a temporary file in the folder of `target`; it replaces `target` if the block succeeds.
+def check_output(path: Path, *, overwrite: bool, source: str | Path | None = None) -> None:
+    """Check that a file may be written at `path`, without changing the file system.
+
+    Parameters
+    ----------
+    overwrite
+        Whether an existing regular file may be replaced. Nothing else is ever replaced: no folder, device, pipe, socket
+        or symbolic link.
+    source
+        The input, which is never replaced; None or ``-`` if it is no file.
 
     Raises
     ------
     SpecError
-        If the folder does not exist, or the file cannot be written.
+        If the folder or an existing file does not allow it.
     """
-    if not target.parent.is_dir():
-        raise SpecError(f"cannot write {str(target)!r}: there is no folder {str(target.parent)!r}")
-    temporary = target.with_name(f".{target.stem[:40]}-{secrets.token_hex(4)}{target.suffix}")
+    # os.path instead of methods of Path, which raise for names that are too long and for folders without permission
+    if os.path.isdir(path):
+        raise SpecError(f"this is a folder; name a file in it, such as {path / 'results'}{path.suffix}", file=path)
+    folder = path.parent
+    if not os.path.isdir(folder):
+        what = "is not a folder" if os.path.exists(folder) else "does not exist; create it first"
+        raise SpecError(f"the folder {folder} {what}", file=path)
+    if os.path.lexists(path):
+        if not stat.S_ISREG(os.lstat(path).st_mode):
+            kind = "a symbolic link, not a regular file," if os.path.islink(path) else "not a regular file"
+            raise SpecError(f"this is {kind} and is not replaced; choose another name", file=path)
+        if source not in (None, "-") and os.path.isfile(str(source)) and os.path.samefile(path, str(source)):
+            raise SpecError("this file is the input, which is not overwritten; choose another name with -o", file=path)
+        if not overwrite:
+            raise SpecError(
+                "this file exists already; choose another name with -o, or replace it with --overwrite",
+                file=path,
+            )
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise SpecError(f"the folder {folder} cannot be written to", file=path)
+
+
+@contextmanager
+def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None = None) -> Iterator[Path]:
+    """Yield a temporary file in the folder of `target`; it becomes `target` if the block succeeds.
+
+    The temporary file, ``.NAME-xxxxxxxx.mbdkit.SUFFIX``, is locked while it is being written. One that a killed process
+    left is removed when `target` is written the next time.
+
+    Parameters
+    ----------
+    overwrite, source
+        As for `check_output`.
+
+    Raises
+    ------
+    SpecError
+        If the file may not or cannot be written. An existing file is unchanged then.
+    """
+    check_output(target, overwrite=overwrite, source=source)
+    stem = f".{target.stem[:40]}"
+    temporary = target.with_name(f"{stem}-{secrets.token_hex(4)}.mbdkit{target.suffix}")
+    lock: int | None = None
     try:
-        temporary.touch(exist_ok=False)
+        _remove_left(target.parent, re.compile(rf"{re.escape(stem)}-[0-9a-f]{{8}}\.mbdkit{re.escape(target.suffix)}"))
+        lock = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        _locked(lock)
         yield temporary
-        temporary.replace(target)
+        os.fsync(lock)
+        if os.path.lexists(target) and not stat.S_ISREG(os.lstat(target).st_mode):
+            check_output(target, overwrite=overwrite)  # it appeared meanwhile
+        if overwrite:
+            temporary.replace(target)
+        else:
+            rename_new(temporary, target)
+    except FileExistsError:
+        raise SpecError("this file was created meanwhile and is not overwritten", file=target) from None
     except OSError as error:
         if not error.errno:  # an error of HDF5 reading the run, not of this file
             raise
-        raise SpecError(f"cannot write {str(target)!r}: {error.strerror or error}") from error
+        raise SpecError(f"this file cannot be written: {error.strerror or error}", file=target) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if lock is not None:
+            os.close(lock)
+
+
+def rename_new(source: Path, target: Path) -> None:
+    """Rename `source` atomically, or raise FileExistsError if `target` exists."""
+    try:
+        os.link(source, target)
+    except FileExistsError:
+        raise
+    except OSError:
+        # The file system has no hard links. A file created between the check and the renaming is overwritten.
+        if os.path.lexists(target):
+            raise FileExistsError(str(target)) from None
+        os.rename(source, target)
+    else:
+        source.unlink()
+
+
+def _remove_left(folder: Path, pattern: re.Pattern[str]) -> None:
+    """Remove temporary files of killed processes; those of running ones are locked."""
+    if sys.platform == "win32":  # locks are not visible there
+        return
+    with os.scandir(folder) as entries:
+        left = [entry.name for entry in entries if pattern.fullmatch(entry.name)]
+    for name in left:
+        with suppress(OSError):
+            handle = os.open(folder / name, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+            try:
+                if stat.S_ISREG(os.fstat(handle).st_mode) and _locked(handle):
+                    os.unlink(folder / name)
+            finally:
+                os.close(handle)
+
+
+def _locked(handle: int) -> bool:
+    """Lock an open file, and return whether that was possible."""
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # locked by another process, or a file system without locks
+        return False
+    return True

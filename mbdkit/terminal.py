@@ -5,16 +5,18 @@ from __future__ import annotations
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 from typer.core import TyperGroup
 
 from mbdkit.errors import MbdkitError, PluginError, RunError
+from mbdkit.text import shown
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress
 
 DONE, BUG, WRONG_INPUT, STOPPED_EARLY, PLUGIN_FAILED, INTERRUPTED = 0, 1, 2, 3, 4, 130
@@ -22,6 +24,34 @@ DIFFERS = NOT_VERIFIED = 1
 
 DEBUG = "mbdkit.debug"
 PATIENCE = 0.5  # seconds before a progress bar appears
+
+
+class PlainStream:
+    """A text stream that escapes control characters: titles, names and messages from outside must not steer a terminal.
+
+    Parameters
+    ----------
+    stream
+        The stream to write to; progress bars, which need its control characters, use it directly.
+    """
+
+    def __init__(self, stream: TextIO):
+        self.stream = stream
+
+    def write(self, text: str) -> int:
+        """Write text with its control characters escaped; raise TypeError for bytes, by which click tells streams."""
+        if not isinstance(text, str):
+            raise TypeError(f"text is written here, not {type(text).__name__}")
+        self.stream.write(shown(text, lines=True))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write several pieces of text."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
 
 
 class Commands(TyperGroup):
@@ -72,7 +102,7 @@ def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, fl
             if time.perf_counter() - begin < PATIENCE:
                 return
             bar = _bar()
-            bar.add_task(what, total=1.0, now=now, end=end)
+            bar.add_task(shown(what), total=1.0, now=now, end=end)
             bar.start()
         done = (now - first) / (end - first) if end > first else 1.0
         bar.update(bar.task_ids[0], completed=done, now=now, end=end)
@@ -93,18 +123,17 @@ def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, in
     if quiet or not sys.stderr.isatty():
         yield None
         return
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("[red]{task.fields[failed]}"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=None, failed="")
+    with Progress(*columns, console=_console(), transient=True) as bar:
+        task = bar.add_task(shown(what), total=None, failed="")
 
         def advance(done: int, total: int, failed: int) -> None:
             bar.update(task, completed=done, total=total, failed=f"{failed} failed" if failed else "")
@@ -113,17 +142,22 @@ def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, in
 
 
 def _bar() -> Progress:
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("t = {task.fields[now]:.4g} of {task.fields[end]:.4g} s"),
         TimeRemainingColumn(),
-        console=Console(stderr=True),
+        console=_console(),
         transient=True,
     )
+
+
+def _console() -> Console:
+    from rich.console import Console
+
+    return Console(file=getattr(sys.stderr, "stream", sys.stderr))
 
 
 def _status(error: BaseException) -> int:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import unicodedata
 from collections.abc import Iterable, Sequence
+
+#: Marks that reverse or hide text, beside the control characters.
+_DECEPTIVE = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\ufeff")
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -33,8 +37,54 @@ def one_line(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
+def shown(text: object, *, lines: bool = False) -> str:
+    r"""Return text from outside as it may be printed: control characters, such as those of a terminal, as ``\u001b``.
+
+    Parameters
+    ----------
+    lines
+        Whether line feeds and tabulators are kept.
+    """
+    return "".join(char if _is_harmless(char) or (lines and char in "\n\t") else _escaped(char) for char in str(text))
+
+
+def _is_harmless(char: str) -> bool:
+    if char.isprintable():
+        return True
+    return unicodedata.category(char) in ("Zs", "Cf", "Cn", "Co") and char not in _DECEPTIVE
+
+
+def _escaped(char: str) -> str:
+    return {"\n": "\\n", "\t": "\\t", "\r": "\\r"}.get(char, f"\\u{ord(char):04x}")  # as in JSON
+
+
+_MARKED = str.maketrans({char: f"\\{char}" for char in "\\`*_[]|#~$"} | {"<": "&lt;", ">": "&gt;", "&": "&amp;"})
+
+
+def markdown(text: str) -> str:
+    """Return text from outside as plain text of one line in Markdown, which shows its characters and obeys none."""
+    words = " ".join(shown(part) for part in text.split())
+    start = "\\" if words[:1] in ("-", "+", "=") and not _is_number(words) else ""
+    return start + words.translate(_MARKED)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def csv_cell(text: str) -> str:
+    """Return text from outside as a cell that spreadsheets do not take for a formula: preceded by an apostrophe."""
+    text = shown(text)
+    return f"'{text}" if text[:1] in ("=", "+", "-", "@") else text
+
+
 def table(rows: Sequence[Sequence[str]], indent: str = "") -> str:
-    """Return rows of text in aligned columns."""
+    """Return rows of text in aligned columns; control characters in cells are escaped."""
+    rows = [[shown(cell) for cell in row] for row in rows]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return "\n".join(
         indent + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows

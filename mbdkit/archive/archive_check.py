@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -12,13 +13,31 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.fingerprint import blocks, data_sha256, datasets, is_text, spec_sha256
+from mbdkit.archive.fingerprint import attributes_sha256, blocks, data_sha256, datasets, is_text, spec_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE, cause
 from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, Array
 from mbdkit.archive.open_archive import open_archive
-from mbdkit.errors import SpecError
+from mbdkit.archive.run import Run
+from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.text import listed
 from mbdkit.trust.criteria import LEVELS
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What a check of an archive found.
+
+    Attributes
+    ----------
+    problems
+        One sentence per problem; empty if the archive is valid.
+    covers_attributes
+        Whether the archive has a hash of its attributes, timings and estimated errors; those of earlier versions lack
+        it.
+    """
+
+    problems: list[str]
+    covers_attributes: bool = True
 
 
 def check(path: str | Path) -> list[str]:
@@ -29,12 +48,51 @@ def check(path: str | Path) -> list[str]:
     list of str
         One sentence per problem; empty if the archive is valid.
     """
+    return examine(path).problems
+
+
+def examine(path: str | Path) -> Checked:
+    """Check a run archive as `check` does, and tell what its hashes cover."""
+    path = Path(path)
     try:
-        file = open_archive(Path(path))
+        file = open_archive(path)
     except SpecError as error:
-        return [error.message]
+        return Checked([error.message])
     with contextlib.closing(file):
-        return _Checker(file).problems()
+        problems = _Checker(file).problems()
+        covered = layout.ATTRIBUTES_HASH in file.attrs
+    return Checked(problems or _unreadable(path), covered)
+
+
+@contextlib.contextmanager
+def blaming_damage(*paths: Path) -> Iterator[None]:
+    """Convert an unforeseen error of the block into SpecError if one of the archives that it reads is damaged.
+
+    Raises
+    ------
+    SpecError
+        In place of an error that is no MbdkitError, with the first problem that `check` finds.
+    """
+    try:
+        yield
+    except (MbdkitError, MemoryError):
+        raise
+    except Exception as error:
+        for path in paths:
+            if problems := check(path):
+                message = f"this archive is damaged: {problems[0]}; `mbdkit archive check` says more"
+                raise SpecError(message, file=path) from error
+        raise
+
+
+def _unreadable(path: Path) -> list[str]:
+    """Return the reason why `Run` cannot read an archive in which nothing else is wrong."""
+    try:
+        with Run.open(path) as run:
+            run.summary()
+    except MbdkitError as error:
+        return [error.message if isinstance(error, SpecError) else str(error)]
+    return []
 
 
 class _Checker:
@@ -71,6 +129,13 @@ class _Checker:
             with self.reading("the data"):
                 if self.file.attrs["data_sha256"] != data_sha256(self.file):
                     self.say("the data have changed since they were written: data_sha256 does not match")
+            with self.reading("the attributes, timings and estimated errors"):
+                stored = self.file.attrs.get(layout.ATTRIBUTES_HASH)  # None in archives of earlier versions
+                if attributes_sha256(self.file) != stored and stored is not None:
+                    self.say(
+                        "attributes, timings or estimated errors have changed since they were written: "
+                        f"{layout.ATTRIBUTES_HASH} does not match"
+                    )
         return self.found
 
     def say(self, sentence: str) -> None:

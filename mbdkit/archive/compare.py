@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import h5py
 import numpy as np
 
-from mbdkit.archive.fingerprint import blocks, datasets, is_text
+from mbdkit.archive.fingerprint import attributes_sha256, blocks, data_sha256, datasets, is_text, spec_sha256
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.layout import is_hashed
+from mbdkit.archive.layout import ATTRIBUTES_HASH, is_hashed
 from mbdkit.archive.run import Run
 
 #: Provenance attributes that cannot affect the results.
@@ -24,19 +24,23 @@ class Comparison:
     Parameters
     ----------
     same_data
-        Whether their `data_sha256` are equal, that is, whether all arrays except timings are bitwise equal.
+        Whether both runs ended and all arrays except timings are bitwise equal. Their hashes are computed from the
+        arrays; the stored ones are not trusted.
     differences
         Largest difference of each array except timings, relative to the largest magnitude of that array in either
         run. Infinite if only one run has the array, or if the shapes, the names or the positions of non-finite values
         differ.
     versions
         Provenance attributes that differ, except the command, with the values of the first and the second run.
+    falsified
+        A sentence for each stored hash that does not match what its run holds; empty if all match.
     """
 
     same_data: bool
     same_spec: bool
     differences: Mapping[str, float]
     versions: Mapping[str, tuple[str, str]]
+    falsified: tuple[str, ...] = ()
 
     @property
     def largest(self) -> float:
@@ -51,6 +55,7 @@ class Comparison:
             lines = [f"the data differ by {self.largest:.2g}, relative to the largest value of the array"]
             worst = sorted(self.differences.items(), key=lambda item: -item[1])
             lines += [f"  {path:<32} {value:.2g}" for path, value in worst if value > 0]
+        lines = [*self.falsified, *lines]
         if not self.same_spec:
             lines.append("the specs differ")
         lines += [
@@ -67,29 +72,45 @@ def compare(first: Run, second: Run) -> Comparison:
     MbdkitError
         If a run is closed.
     """
-    same = bool(first.data_sha256) and first.data_sha256 == second.data_sha256
-    with reading("its contents", first.path):
-        one = _arrays(first)
-    with reading("its contents", second.path):
-        two = _arrays(second)
+    one, of_one, falsified_one = _contents(first)
+    two, of_two, falsified_two = _contents(second)
+    # a crashed run, which has no hash, may lack rows
+    same = bool(first.data_sha256 and second.data_sha256) and of_one == of_two
     differences = {}
     for path in sorted({*one, *two}):
         with reading(path, None):
             differences[path] = 0.0 if same else _difference(one.get(path), two.get(path))
     return Comparison(
         same_data=same,
-        same_spec=first.spec_sha256 == second.spec_sha256,
+        same_spec=first.spec_json == second.spec_json,
         differences=differences,
         versions={
             name: (str(first.provenance.get(name, "")), str(second.provenance.get(name, "")))
             for name in sorted({*first.provenance, *second.provenance} - _NOT_VERSIONS)
             if first.provenance.get(name) != second.provenance.get(name)
         },
+        falsified=(*falsified_one, *falsified_two),
     )
 
 
-def _arrays(run: Run) -> dict[str, h5py.Dataset]:
-    return {item.name.lstrip("/"): item for item in datasets(run.file) if is_hashed(item.name)}
+def _contents(run: Run) -> tuple[dict[str, h5py.Dataset], str, list[str]]:
+    """Return the hashed arrays of a run, their hash, and a sentence for each stored hash that does not match."""
+    file = run.file
+    with reading("its contents", run.path):
+        arrays = {item.name.lstrip("/"): item for item in datasets(file) if is_hashed(item.name)}
+        found = data_sha256(file)
+        checks = [
+            ("data", "data_sha256", run.data_sha256, found),
+            ("spec", "spec_sha256", run.spec_sha256, spec_sha256(run.spec_json)),
+            ("attributes", ATTRIBUTES_HASH, str(file.attrs.get(ATTRIBUTES_HASH, "")), attributes_sha256(file)),
+        ]
+    where = run.path or "the run in memory"
+    told = [
+        f"{where}: its {what} changed after it was written: {name} does not match"
+        for what, name, stored, there in checks
+        if stored and stored != there  # the archive of a crashed run has no hash
+    ]
+    return arrays, found, told
 
 
 def _difference(one: h5py.Dataset | None, two: h5py.Dataset | None) -> float:

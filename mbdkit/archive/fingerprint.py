@@ -7,10 +7,19 @@ from collections.abc import Iterable, Iterator
 
 import h5py
 import numpy as np
+from h5py import h5a, h5t
 
-from mbdkit.archive.layout import TEXT, is_hashed
+from mbdkit.archive.layout import ATTRIBUTES_HASH, TEXT, is_hashed
 
 BLOCK_BYTES = 1 << 23
+
+_STR = h5t.py_create(h5py.string_dtype())  # in memory: references to Python strings
+
+#: Attributes in which HDF5 stores dimension scales; they hold addresses in the file.
+OF_SCALES = frozenset({"CLASS", "NAME", "REFERENCE_LIST", "DIMENSION_LIST"})
+
+#: Attributes that `attributes_sha256` does not cover: the hashes, and one that is written after them.
+_NOT_COVERED = frozenset({"/data_sha256", f"/{ATTRIBUTES_HASH}", "stats/finish_s"})
 
 
 def blocks(dataset: h5py.Dataset) -> Iterator[np.ndarray]:
@@ -56,17 +65,48 @@ def dataset_line(dataset: h5py.Dataset) -> str:
 
 def datasets(group: h5py.Group) -> Iterator[h5py.Dataset]:
     """Yield every dataset in a group and its subgroups, sorted by name within each group."""
-    for name in sorted(group):
-        item = group[name]
-        if isinstance(item, h5py.Group):
-            yield from datasets(item)
-        elif isinstance(item, h5py.Dataset):
-            yield item
+    return (item for item in objects(group) if isinstance(item, h5py.Dataset))
 
 
 def data_sha256(file: h5py.File) -> str:
     """Return the hash of all arrays of an archive except timings and estimated errors, in lower-case hexadecimal."""
     return digest_lines(dataset_line(item) for item in datasets(file) if is_hashed(item.name))
+
+
+def attributes_sha256(file: h5py.File) -> str:
+    """Return the hash of all that `data_sha256` leaves out: attributes, timings and estimated errors."""
+    lines = []
+    for item in (file, *objects(file)):
+        path = item.name.lstrip("/")
+        if isinstance(item, h5py.Dataset) and not is_hashed(path):
+            lines.append(dataset_line(item))
+        for index in range(h5a.get_num_attrs(item.id)):
+            attribute = h5a.open(item.id, index=index)  # the high-level interface takes three times as long
+            name = attribute.name.decode()
+            if name not in OF_SCALES and f"{path}/{name}" not in _NOT_COVERED:
+                lines.append(_attribute_line(f"{path}@{name}", attribute))
+    return digest_lines(lines)
+
+
+def objects(group: h5py.Group) -> Iterator[h5py.Group | h5py.Dataset]:
+    """Yield every group and dataset in a group and its subgroups, sorted by name within each group."""
+    for name in sorted(group):
+        item = group[name]
+        yield item
+        if isinstance(item, h5py.Group):
+            yield from objects(item)
+
+
+def _attribute_line(path: str, attribute: h5a.AttrID) -> str:
+    kind = attribute.get_type()
+    if isinstance(kind, h5t.TypeStringID) and kind.is_variable_str():
+        text = np.empty(attribute.shape, object)
+        attribute.read(text, mtype=_STR)
+        values = b"".join((value if isinstance(value, bytes) else value.encode()) + b"\0" for value in text.ravel())
+        return line(path, TEXT, attribute.shape, hashlib.sha256(values).hexdigest())
+    numbers = np.empty(attribute.shape, attribute.dtype)
+    attribute.read(numbers)
+    return line(path, numbers.dtype.str, attribute.shape, hashlib.sha256(numbers.tobytes()).hexdigest())
 
 
 def spec_sha256(spec_json: str) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 from mbdkit.errors import MbdkitError, SpecError
 
 #: Exceptions that h5py raises on damaged files.
-DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError)
+DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError)
 
 
 def cause(error: BaseException) -> str:

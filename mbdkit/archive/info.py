@@ -9,12 +9,14 @@ from typing import Any
 
 import h5py
 
+from mbdkit.archive.archive_check import blaming_damage
 from mbdkit.archive.fingerprint import datasets, is_text
 from mbdkit.archive.hdf5 import dims
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import COUNTERS, TEXT, TIMINGS
 from mbdkit.archive.reader import load
 from mbdkit.archive.run_summary import accuracy_sentence, corrections
+from mbdkit.text import shown
 
 #: Maximum number of items of a list to print.
 NAMES_SHOWN = 32
@@ -35,7 +37,7 @@ def describe(path: str | Path) -> dict[str, Any]:
         If `path` is not an archive that this version can read.
     """
     path = Path(path)
-    with load(path) as run, reading("its contents", path):
+    with blaming_damage(path), load(path) as run, reading("its contents", path):
         time = run.time
         return {
             "path": str(path),
@@ -79,9 +81,9 @@ def _array(dataset: h5py.Dataset) -> dict[str, Any]:
         "dims": list(dims(dataset)),
         "shape": list(dataset.shape),
         "type": TEXT if is_text(dataset) else dataset.dtype.str,
-        "units": dataset.attrs.get("units", ""),
-        "long_name": dataset.attrs.get("long_name", ""),
-        "not_unique": dataset.attrs.get("not_unique", ""),
+        "units": str(dataset.attrs.get("units", "")),
+        "long_name": str(dataset.attrs.get("long_name", "")),
+        "not_unique": str(dataset.attrs.get("not_unique", "")),
     }
 
 
@@ -101,7 +103,8 @@ def text(description: Mapping[str, Any]) -> str:
     width = max(map(len, arrays), default=0)
     for path, array in arrays.items():
         axes = ", ".join(f"{dim} {length}" for dim, length in zip(array["dims"], array["shape"], strict=True))
-        lines.append(f"{path:<{width}}  ({axes})  {array['units']}{', not unique' if array['not_unique'] else ''}")
+        not_unique = ", not unique" if array["not_unique"] else ""
+        lines.append(shown(f"{path:<{width}}  ({axes})  {array['units']}{not_unique}"))
     return "\n".join(lines)
 
 
@@ -111,4 +114,4 @@ def _few(words: Sequence[str]) -> str:
 
 
 def _plain(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{value:.6g}" if isinstance(value, float) else shown(value)

@@ -38,6 +38,9 @@ ROOT_ATTRIBUTES = (
 VERDICT_ATTRIBUTES = ("verdict", "verdict_reasons", "warnings")
 """Root attributes that say how far a run can be trusted; archives of earlier versions lack them."""
 
+ATTRIBUTES_HASH = "attributes_sha256"
+"""Root attribute with the hash of all that `data_sha256` leaves out; archives of earlier versions lack it."""
+
 COUNTERS = (
     "steps",
     "accepted",

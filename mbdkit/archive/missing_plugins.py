@@ -9,6 +9,7 @@ from pathlib import Path
 from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.registry.catalogue import Kind
 from mbdkit.registry.manager import registry
+from mbdkit.text import shown
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,11 @@ class Needed:
 
     @property
     def advice(self) -> str:
-        """Installation advice, as a clause."""
-        return f"install {self.distribution} {self.version} (pip install '{self.distribution}=={self.version}')"
+        """What to install, as a clause. No command: the names are those of whoever made the archive."""
+        return (
+            f"install the distribution that the archive names, {shown(self.distribution)} {shown(self.version)}, "
+            "if you trust both"
+        )
 
 
 def missing_plugins(provenance: Mapping[str, object]) -> tuple[Needed, ...]:
@@ -58,7 +62,9 @@ def check_plugins_of(path: Path | None, provenance: Mapping[str, object]) -> Non
     if missing := missing_plugins(provenance):
         first = missing[0]
         word = first.kind.replace("-", " ")
-        raise SpecError(f"the {word} '{first.id}' is not installed here; to run it again {first.advice}", file=path)
+        raise SpecError(
+            f"the {word} '{shown(first.id)}' is not installed here; to run it again {first.advice}", file=path
+        )
 
 
 def advised(error: SpecError, archives: Iterable[Path]) -> SpecError:

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import h5py
 
-from mbdkit.archive.hdf5_errors import cause, reading
+from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
 from mbdkit.archive.part_file import part_path
+from mbdkit.archive.stranger_file import open_hdf5
 from mbdkit.errors import SpecError
 
 
@@ -19,7 +20,8 @@ def open_archive(path: Path) -> h5py.File:
     Raises
     ------
     SpecError
-        If the file is missing, in use, truncated, not an archive, or of an unsupported format version.
+        If the file is missing, in use, truncated, not an archive, of an unsupported format version, or refused
+        because reading it could do harm.
     """
     if os.path.isdir(path):
         raise SpecError("this is a folder; name a run archive in it", file=path)
@@ -27,19 +29,7 @@ def open_archive(path: Path) -> h5py.File:
         left = part_path(path)
         hint = f"; {left} holds the data of an unfinished run" if left.exists() else ""
         raise SpecError(f"there is no such file{hint}", file=path)
-    try:
-        file = h5py.File(path, "r", locking="best-effort")
-    except BlockingIOError:
-        raise SpecError("a run is still writing this archive; wait until it has ended", file=path) from None
-    except OSError as error:
-        text = str(error)
-        if "signature not found" in text:
-            why = "this is not an HDF5 file, so not a run archive"
-        elif "truncated" in text:
-            why = "this archive is truncated: its end is missing, as after an incomplete copy"
-        else:
-            why = f"this file cannot be read: {cause(error)}"
-        raise SpecError(why, file=path) from error
+    file = open_hdf5(path, "run archive")
     try:
         _check_format(file, path)
     except BaseException:

@@ -15,6 +15,7 @@ import h5py
 
 from mbdkit.archive.hdf5_errors import cause
 from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.files import check_output, rename_new
 
 SUFFIX = ".h5"
 
@@ -30,13 +31,15 @@ def part_path(path: Path) -> Path:
     return path.with_name(path.name + ".part")
 
 
-def check_target(path: str | Path, *, overwrite: bool = False) -> Path:
+def check_target(path: str | Path, *, overwrite: bool = False, source: str | Path | None = None) -> Path:
     """Check that an archive may be written at `path`, without changing the file system.
 
     Parameters
     ----------
     overwrite
         Whether an existing file may be replaced.
+    source
+        The input, which is never replaced.
 
     Raises
     ------
@@ -44,22 +47,9 @@ def check_target(path: str | Path, *, overwrite: bool = False) -> Path:
         If the name, the folder or an existing file does not allow it.
     """
     path = Path(path)
-    # os.path instead of methods of Path, which raise for names that are too long and for folders without permission.
-    if os.path.isdir(path):
-        raise SpecError(f"this is a folder; name a file in it, such as {path / 'run.h5'}", file=path)
-    if path.suffix != SUFFIX:
+    if path.suffix != SUFFIX and not os.path.isdir(path):
         raise SpecError(f"the name of an archive ends in .h5: write {path.with_suffix(SUFFIX)}", file=path)
-    folder = path.parent
-    if not os.path.isdir(folder):
-        what = "is not a folder" if os.path.exists(folder) else "does not exist; create it first"
-        raise SpecError(f"the folder {folder} {what}", file=path)
-    if os.path.lexists(path):
-        if not os.path.isfile(path):
-            raise SpecError("this is not a regular file and is not replaced; choose another name", file=path)
-        if not overwrite:
-            raise SpecError("this file exists already; choose another name, or allow it to be overwritten", file=path)
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise SpecError(f"the folder {folder} cannot be written to", file=path)
+    check_output(path, overwrite=overwrite, source=source)
     return path
 
 
@@ -195,7 +185,7 @@ class Target:
             if self.overwrite:
                 os.replace(self.part, self.path)
             else:
-                _rename_new(self.part, self.path)
+                rename_new(self.part, self.path)
         except FileExistsError as error:
             raise MbdkitError(
                 f"{self.path} was created during the run and is not overwritten; the archive is {self.part}"
@@ -221,18 +211,3 @@ class Target:
         """Close and remove the .part."""
         self.close()
         self.part.unlink(missing_ok=True)
-
-
-def _rename_new(source: Path, target: Path) -> None:
-    """Rename `source` atomically, or raise FileExistsError if `target` exists."""
-    try:
-        os.link(source, target)
-    except FileExistsError:
-        raise
-    except OSError:
-        # The file system has no hard links. A file created between the check and the renaming is overwritten.
-        if os.path.lexists(target):
-            raise FileExistsError(str(target)) from None
-        os.rename(source, target)
-    else:
-        source.unlink()

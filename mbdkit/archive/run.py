@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import html
-import json
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType, TracebackType
+from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 
-from mbdkit.archive import layout
+from mbdkit.archive import layout, run_header
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import cause, reading
@@ -63,12 +62,12 @@ class Run:
                 self._reasons, self._warnings = (
                     tuple(map(str, np.atleast_1d(file.attrs.get(name, ())))) for name in ("verdict_reasons", "warnings")
                 )
-                self._stats = _plain_attributes(file["stats"])
-                self._provenance = _plain_attributes(file["provenance"])
-                self._misalignment_max: np.ndarray | None = file["joints"].attrs.get("misalignment_max")
+                self._stats = run_header.numbers(file["stats"])
+                self._provenance = run_header.plain_attributes(file["provenance"])
+                self._misalignment_max = run_header.misalignments(file)
                 self._redundancy = str(file["joints"].attrs.get("redundancy", ""))
                 self._names = {
-                    name: tuple(file[name].asstr()[:])
+                    name: run_header.names(file, name)
                     for name in (
                         "trajectory/body",
                         "joints/joint",
@@ -86,7 +85,14 @@ class Run:
     @classmethod
     def open(cls, path: Path) -> Run:
         """Open the archive at `path`; see `mbdkit.load`."""
-        return cls(open_archive(path), path)
+        file = open_archive(path)
+        try:
+            with reading("its arrays", path):
+                run_header.check_shapes(file)
+        except BaseException:
+            file.close()
+            raise
+        return cls(file, path)
 
     @property
     def path(self) -> Path | None:
@@ -162,10 +168,7 @@ class Run:
     def spec(self) -> dict[str, Any]:
         """The spec of the run, including defaults, as plain values."""
         with reading("its spec", self.path):
-            spec = json.loads(self.spec_json)
-            if not isinstance(spec, dict):
-                raise TypeError("it is not a mapping")
-        return spec
+            return run_header.spec_of(self.spec_json)
 
     @property
     def stats(self) -> Mapping[str, int | float]:
@@ -277,7 +280,7 @@ class Run:
     @cached_property
     def _largest_misalignments(self) -> np.ndarray:
         if self._misalignment_max is not None:
-            return np.asarray(self._misalignment_max)
+            return self._misalignment_max
         # The archive of a crashed run lacks the maxima over all steps; use the maxima over the recorded rows.
         if not self.records("joints/misalignment"):
             return np.full(len(self.joint_names), np.nan)
@@ -467,9 +470,3 @@ class Run:
         where = "in memory" if self._path is None else str(self._path)
         bodies = len(self._names["trajectory/body"])
         return f"<Run {self.run_id} {self.status}, verdict {self.verdict}, {bodies} bodies, {where}>"
-
-
-def _plain_attributes(group: h5py.Group) -> Mapping[str, Any]:
-    return MappingProxyType(
-        {name: value.item() if isinstance(value, np.generic) else value for name, value in group.attrs.items()}
-    )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.text import counted
+from mbdkit.text import counted, shown
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def summary(run: Run) -> str:
     ]
     if spec.get("title"):
         lines.insert(len(verdict_lines(run)), ("run", " ".join(str(spec["title"]).split())))
-    return "\n".join(f"{label:<13} {text}" for label, text in lines if text)
+    return "\n".join(f"{label:<13} {shown(text)}" for label, text in lines if text)
 
 
 def verdict_lines(run: Run) -> list[tuple[str, str]]:

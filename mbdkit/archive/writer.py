@@ -16,7 +16,7 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
-from mbdkit.archive.fingerprint import digest_lines, line, text_bytes
+from mbdkit.archive.fingerprint import attributes_sha256, digest_lines, line, text_bytes
 from mbdkit.archive.growing_array import Table
 from mbdkit.archive.hdf5 import create, set_text, set_texts
 from mbdkit.archive.hdf5_errors import cause
@@ -285,6 +285,8 @@ class ArchiveWriter:
                     accuracy.write(file, self._names.bodies, self._names.joints)
                 self._write_end(status, reason, {**stats, "finish_s": 0.0}, np.asarray(misalignment_max, layout.FLOAT))
                 self._write_verdict(judgement, warnings)
+                # read back from the file, so that it covers attributes and arrays by whatever way they were written
+                set_text(file, layout.ATTRIBUTES_HASH, attributes_sha256(file))
             if self._target is None:
                 self._end(started)
                 file.flush()

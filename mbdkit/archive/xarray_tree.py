@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import h5py
 
-from mbdkit.archive.fingerprint import is_text
+from mbdkit.archive.fingerprint import OF_SCALES, is_text
 from mbdkit.archive.hdf5 import dims
 from mbdkit.errors import MbdkitError
 
@@ -41,14 +41,10 @@ def to_datatree(file: h5py.File) -> xarray.DataTree:
     return xarray.DataTree.from_dict(nodes)
 
 
-#: Attributes in which HDF5 stores dimension scales; xarray represents them as dimensions.
-_OF_SCALES = {"CLASS", "NAME", "REFERENCE_LIST", "DIMENSION_LIST"}
-
-
 def _attributes(item: h5py.Group | h5py.Dataset) -> dict[str, Any]:
     # netCDF does not distinguish an array of one value from a scalar.
     return {
         name: value[0] if getattr(value, "shape", None) == (1,) else value
         for name, value in item.attrs.items()
-        if name not in _OF_SCALES
+        if name not in OF_SCALES  # xarray represents them as dimensions
     }

@@ -20,7 +20,7 @@ from mbdkit.cli.plugins import plugins_app
 from mbdkit.cli.runs import rerun, run, validate
 from mbdkit.cli.specs import examples_app, schema_app
 from mbdkit.cli.studies import StudyCommand, study
-from mbdkit.terminal import Commands
+from mbdkit.terminal import Commands, PlainStream
 
 app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=False, **PLAIN)
 
@@ -66,7 +66,10 @@ def main() -> None:
     """Run the command line."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(
-                errors="backslashreplace"
-            )  # a name may contain characters that the terminal cannot encode
+            # a name may contain characters that the terminal cannot encode
+            stream.reconfigure(errors="backslashreplace")
+    if sys.stdout is not None:
+        sys.stdout = PlainStream(sys.stdout)
+    if sys.stderr is not None:
+        sys.stderr = PlainStream(sys.stderr)
     app(prog_name="mbdkit")

@@ -7,6 +7,7 @@ import json
 import typer
 
 from mbdkit import terminal
+from mbdkit.archive.layout import ATTRIBUTES_HASH
 from mbdkit.cli.common_options import PLAIN, Archives, AsJson, Debug, Quiet
 from mbdkit.terminal import say
 
@@ -34,15 +35,18 @@ def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False
 
     Exit status 2 if an archive is damaged.
     """
-    from mbdkit.archive.archive_check import check
+    from mbdkit.archive.archive_check import examine
 
     sound = True
     for archive in archives:
-        problems = check(archive)
-        sound = sound and not problems
-        for problem in problems:
+        checked = examine(archive)
+        sound = sound and not checked.problems
+        for problem in checked.problems:
             say(f"{archive}: {problem}")
-        if not problems and not quiet:
-            print(f"{archive}: sound")
+        if not checked.problems and not quiet:
+            without = (
+                "" if checked.covers_attributes else f", without {ATTRIBUTES_HASH}: changed attributes are not found"
+            )
+            print(f"{archive}: sound{without}")
     if not sound:
         raise typer.Exit(terminal.WRONG_INPUT)

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Set, SpecName
-from mbdkit.cli.output_paths import check_free
+from mbdkit.files import check_output, check_suffix, replacing
 
 
 def equilibrium(
@@ -34,14 +34,13 @@ def equilibrium(
     from mbdkit.mechanics.source import PreparedMechanism
 
     if write is not None:
-        check_free(write, spec, overwrite)
+        check_output(write, overwrite=overwrite, source=spec)
     prepared = PreparedMechanism.of(spec, assignments or ())
     found = equilibrium_of(prepared)
     if write is not None:
-        from mbdkit.files import replacing
         from mbdkit.spec.yaml_reader import write_yaml
 
-        with replacing(write) as temporary:
+        with replacing(write, overwrite=overwrite, source=spec) as temporary:
             temporary.write_text(write_yaml(spec_at(prepared, found)), encoding="utf-8")
     print(
         json.dumps(mechanics_summary.equilibrium_data(found)) if as_json else mechanics_summary.equilibrium_text(found)
@@ -74,10 +73,9 @@ def modes(
     from mbdkit.mechanics.source import PreparedMechanism
 
     if output is not None:
-        from mbdkit.files import check_suffix
         from mbdkit.plot.style import FORMATS
 
-        check_suffix(output, FORMATS, "a plot")
+        check_output(check_suffix(output, FORMATS, "a plot"), overwrite=True, source=spec)
     prepared = PreparedMechanism.of(spec, assignments or ())
     found = modes_of(prepared, at, count)
     if output is not None:
@@ -108,11 +106,9 @@ def kinematics(
     from mbdkit.mechanics.source import PreparedMechanism
 
     if output is not None:
-        check_free(output, spec, overwrite)
+        check_output(output, overwrite=overwrite, source=spec)
     found = kinematics_of(PreparedMechanism.of(spec, assignments or ()))
     if output is not None:
-        from mbdkit.files import replacing
-
-        with replacing(output) as temporary:
+        with replacing(output, overwrite=overwrite, source=spec) as temporary:
             found.write_csv(temporary)
     print(json.dumps(mechanics_summary.kinematics_data(found)) if as_json else mechanics_summary.kinematics_text(found))

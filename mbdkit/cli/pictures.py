@@ -30,11 +30,15 @@ def plot(
     debug: Debug = False,
 ) -> None:
     """Plot a run. An existing picture is replaced."""
+    from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.archive.reader import load
+    from mbdkit.files import check_output
     from mbdkit.plot.save_plot import plot as draw
 
-    with load(archive) as loaded:
-        target = draw(loaded, kind, output or archive.with_name(f"{archive.stem}-{kind}.png"))
+    target = output or archive.with_name(f"{archive.stem}-{kind}.png")
+    check_output(target, overwrite=True, source=archive)
+    with blaming_damage(archive), load(archive) as loaded:
+        target = draw(loaded, kind, target)
     if not quiet:
         print(target)
 
@@ -49,11 +53,15 @@ def animate(
     debug: Debug = False,
 ) -> None:
     """Animate a run. An existing file is replaced."""
+    from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.archive.reader import load
+    from mbdkit.files import check_output
     from mbdkit.report.animate import animate as draw
 
-    with load(archive) as loaded:
-        target = draw(loaded, output or archive.with_suffix(".gif"))
+    target = output or archive.with_suffix(".gif")
+    check_output(target, overwrite=True, source=archive)
+    with blaming_damage(archive), load(archive) as loaded:
+        target = draw(loaded, target)
     if not quiet:
         print(target)
 
@@ -87,8 +95,11 @@ def report(
     The page works offline. It has a verdict, interactive figures, an animation
     that magnifies the gaps in the joints, tables, methods and the spec.
     """
+    from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.report.report import report as write
 
-    target = write(path, output, figures=figures, overwrite=overwrite)
+    archives = sorted((path / "runs").glob("*.h5")) if path.is_dir() else [path]
+    with blaming_damage(*archives):
+        target = write(path, output, figures=figures, overwrite=overwrite)
     if not quiet:
         print(target)

@@ -163,7 +163,8 @@ def rerun(
 ) -> None:
     """Run the spec in an archive again and compare.
 
-    Exit status 1 if the data differ; prints the largest relative difference.
+    Exit status 1 if the data differ, or if the archive changed after it was written;
+    prints the largest relative difference.
     """
     if output is not None:
         check_new(output, str(archive), overwrite)
@@ -192,7 +193,7 @@ def rerun(
                 if before.status in ("interrupted", "running"):
                     print(f"{archive} is incomplete ({before.status}), so it has fewer rows")
                 print(comparison)
-    if not comparison.same_data:
+    if not comparison.same_data or comparison.falsified:
         raise typer.Exit(terminal.DIFFERS)
 
 

@@ -63,13 +63,13 @@ def examples_copy(
     An existing file is not replaced.
     """
     from mbdkit.errors import SpecError
+    from mbdkit.files import replacing
     from mbdkit.spec import example_text
 
     text = example_text(name)
     path = output if output is not None else Path(f"{name}.yaml")
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise SpecError("this file exists already; choose another name with -o", file=path) from None
+    if path.is_file():  # there is no --overwrite here, which the message of `replacing` names
+        raise SpecError("this file exists already; choose another name with -o", file=path)
+    with replacing(path, overwrite=False) as temporary:
+        temporary.write_text(text, encoding="utf-8")
     print(path)

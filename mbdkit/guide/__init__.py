@@ -1,1 +1,1 @@
-"""Pages for users, as Markdown; `trust.md` says how far the results of a run can be trusted."""
+"""Pages for users, as Markdown: `trust.md` on the results of a run, `reliability.md` on files, kills and strangers."""

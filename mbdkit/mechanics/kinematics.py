@@ -12,7 +12,7 @@ import numpy as np
 from mbdkit.errors import RunError, StepError
 from mbdkit.mechanics.reduced import at_rest, reduce
 from mbdkit.mechanics.source import PreparedMechanism
-from mbdkit.text import counted, listed
+from mbdkit.text import counted, csv_cell, listed
 
 ASIDE = 0.1
 """A step is halved if the position deviates from its extrapolation by more than this fraction of the step."""
@@ -59,7 +59,7 @@ class Kinematics:
         """Write a CSV table with one row per time: time, then x, y, angle and their derivatives of each body."""
         with path.open("w", newline="", encoding="utf-8") as file:
             table = csv.writer(file)
-            table.writerow(["time", *(f"{body}.{column}" for body in self.bodies for column in COLUMNS)])
+            table.writerow(["time", *(csv_cell(f"{body}.{column}") for body in self.bodies for column in COLUMNS)])
             together = np.concatenate([self.position, self.velocity, self.acceleration], axis=2)
             for t, row in zip(self.time.tolist(), together.reshape(len(self.time), -1).tolist(), strict=True):
                 table.writerow([repr(x) for x in (t, *row)])

@@ -10,7 +10,7 @@ from pathlib import Path
 from mbdkit.analysis.verdict import Verdict
 from mbdkit.archive.reader import load
 from mbdkit.errors import SpecError
-from mbdkit.files import check_suffix, replacing
+from mbdkit.files import check_output, check_suffix, replacing
 from mbdkit.plot.chart_images import image_files, write_chart_images
 from mbdkit.report.report_page import ReportPage
 from mbdkit.report.run_report import run_report
@@ -71,7 +71,7 @@ def write_report(
     with _document(source, is_study) as document:
         page = markdown_text(document) if target.suffix == ".md" else document.html()
         stands = os.path.isfile(target) and target.read_bytes() == page.encode()
-        with replacing(target) as temporary:
+        with replacing(target, overwrite=overwrite) as temporary:
             temporary.write_bytes(page.encode())
         drawn = document.verdict.figures
         if folder is not None and not (stands and all(file.exists() for file in image_files(drawn, folder))):
@@ -94,12 +94,7 @@ def _document(source: Path, is_study: bool) -> Iterator[ReportPage]:
 def _check(target: Path, folder: Path | None, overwrite: bool) -> None:
     """Raise SpecError if the page or the charts cannot be written."""
     check_suffix(target, SUFFIXES, "a report")
-    if os.path.isdir(target):
-        raise SpecError("this is a folder; name a file with -o", file=target)
-    if not os.path.isdir(target.parent):
-        raise SpecError(f"the folder {target.parent} does not exist; create it first", file=target)
-    if os.path.lexists(target) and not overwrite:
-        raise SpecError("this file exists; choose another name with -o, or replace it with --overwrite", file=target)
+    check_output(target, overwrite=overwrite)
     if folder is None:
         return
     if not os.path.lexists(folder):

@@ -7,6 +7,7 @@ from typing import Any
 
 from mbdkit.analysis.verdict import Table, Verdict
 from mbdkit.report.report_page import ReportPage, cell_text
+from mbdkit.text import markdown
 from mbdkit.text import table as aligned
 
 
@@ -41,15 +42,16 @@ def json_values(verdict: Verdict) -> dict[str, Any]:
 def markdown_text(document: ReportPage) -> str:
     """Return a report as Markdown: verdict, claims, and headline tables or, if there are none, all tables."""
     verdict = document.verdict
-    parts = [f"# {document.title}", document.settings, document.alarm, verdict.sentence]
+    parts = [f"# {markdown(document.title)}"]
+    parts += [markdown(text) for text in (document.settings, document.alarm, verdict.sentence)]
     if verdict.claims:
-        rows = [["claim", "expected or published", "found", ""], ["---"] * 4]
+        rows = [["claim", "expected or published", "found", ""]]
         rows += [[claim.statement, claim.published, claim.computed, str(claim.answer)] for claim in verdict.claims]
         parts += ["## Claims", _piped(rows)]
     for table in headlines(verdict) or verdict.tables:
         heading, *rows = _cells(table)
-        parts += [f"## {table.title}", table.note, _piped([heading, ["---"] * len(heading), *rows])]
-    parts += verdict.notes
+        parts += [f"## {markdown(table.title)}", markdown(table.note), _piped([heading, *rows])]
+    parts += [markdown(note) for note in verdict.notes]
     return "\n\n".join(filter(None, parts)) + "\n"
 
 
@@ -59,4 +61,6 @@ def _cells(table: Table) -> list[list[str]]:
 
 
 def _piped(rows: Sequence[Sequence[str]]) -> str:
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows)
+    """Return a table in Markdown; the first row is its heading."""
+    heading, *others = ["| " + " | ".join(markdown(cell) for cell in row) + " |" for row in rows]
+    return "\n".join([heading, "| " + " | ".join(["---"] * len(rows[0])) + " |", *others])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +16,9 @@ from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import COUNTERS, FLOAT, INTEGER, TEXT, TIMINGS, Array
 from mbdkit.archive.part_file import LIBVER
+from mbdkit.archive.stranger_file import open_hdf5
 from mbdkit.errors import SpecError
+from mbdkit.files import replacing
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND
 from mbdkit.studies.planned_points import Label
 
@@ -118,11 +119,15 @@ def write(path: Path, index: Index) -> None:
     Parameters
     ----------
     path
-        Final path; the file is first written with the suffix ``.part``.
+        Final path; it is replaced when the new index is complete.
+
+    Raises
+    ------
+    SpecError
+        If the index cannot be written, as on a full disk; the previous one is unchanged then.
     """
-    part = path.with_name(path.name + ".part")
-    part.unlink(missing_ok=True)
-    with h5py.File(part, "w", libver=LIBVER) as file:
+    # Made in memory: HDF5 crashes the interpreter if the disk is full when it closes a file.
+    with h5py.File(f"index-{id(index)}", "w", driver="core", backing_store=False, libver=LIBVER) as file:
         set_text(file, "format", FORMAT)
         set_text(file, "format_version", FORMAT_VERSION)
         set_text(file, "mbdkit", index.version)
@@ -131,9 +136,10 @@ def write(path: Path, index: Index) -> None:
         _write_rows(file, "runs", "run", index.runs)
         _write_rows(file, "references", "reference", index.references)
         set_text(file, "data_sha256", data_sha256(file))
-    with part.open("rb") as handle:
-        os.fsync(handle.fileno())
-    os.replace(part, path)
+        file.flush()
+        image = file.id.get_file_image()
+    with replacing(path) as temporary:
+        temporary.write_bytes(image)
 
 
 def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row]) -> None:
@@ -210,13 +216,18 @@ def read(path: Path) -> Index:
     """
     if not path.exists():
         raise SpecError("there is no index.h5; run `mbdkit study` to write it", file=path.parent)
-    with reading("the index", path, hint="run `mbdkit study` to write it again"), h5py.File(path, "r") as file:
+    with (
+        reading("the index", path, hint="run `mbdkit study` to write it again"),
+        open_hdf5(path, "study index") as file,
+    ):
         if file.attrs.get("format") != FORMAT:
             raise SpecError("this is not the index of a study", file=path)
         version = str(file.attrs["format_version"])
         if version.partition(".")[0] != FORMAT_VERSION.partition(".")[0]:
             ours = FORMAT_VERSION.partition(".")[0]
             raise SpecError(f"this index has format version {version}, this mbdkit reads {ours}.x", file=path)
+        if file.attrs["data_sha256"] != data_sha256(file):
+            raise ValueError("data_sha256 does not match")
         return Index(
             str(file.attrs["study"]),
             str(file.attrs["study_sha256"]),

@@ -6,6 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.studies.study_index import STATUSES
+from mbdkit.text import shown
 from mbdkit.trust.criteria import LEVELS
 
 if TYPE_CHECKING:
@@ -29,10 +30,10 @@ def summary(study: Study) -> str:
         ("computed", f"{study.computed} now" if study.computed else "nothing now"),
         ("folder", str(study.folder)),
     ]
-    text = [f"{label:<10} {value}" for label, value in lines if value]
+    text = [f"{label:<10} {shown(value)}" for label, value in lines if value]
     absent = Counter(point.reason for point in study.points if point.status == "left-out")
-    text += [f"left out   {count} of {len(study.points)}: {reason}" for reason, count in absent.items()]
-    text += [f"failed     {_named(point)}: {point.reason}" for point in study.failures[:FAILURES_SHOWN]]
+    text += [f"left out   {count} of {len(study.points)}: {shown(reason)}" for reason, count in absent.items()]
+    text += [shown(f"failed     {_named(point)}: {point.reason}") for point in study.failures[:FAILURES_SHOWN]]
     if len(study.failures) > FAILURES_SHOWN:
         text.append(f"           and {len(study.failures) - FAILURES_SHOWN} more")
     return "\n".join(text)

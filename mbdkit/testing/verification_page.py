@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,7 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.compat import StringIO
 
-from mbdkit.errors import SpecError
-from mbdkit.files import check_suffix, replacing
+from mbdkit.files import check_output, check_suffix, replacing
 from mbdkit.report.templating import render
 from mbdkit.testing.check_result import Report, figures_text
 
@@ -30,12 +28,7 @@ def html(reports: Sequence[Report]) -> str:
 def check_page(target: Path, *, overwrite: bool) -> None:
     """Raise SpecError if a page cannot be written."""
     check_suffix(target, (".html", ".htm"), "a verification")
-    if os.path.isdir(target):
-        raise SpecError("this is a folder; name a file with -o", file=target)
-    if os.path.lexists(target) and not overwrite:
-        raise SpecError("this file exists; choose another name with -o, or replace it with --overwrite", file=target)
-    if not os.path.isdir(target.parent):
-        raise SpecError(f"the folder {target.parent} does not exist; create it first", file=target)
+    check_output(target, overwrite=overwrite)
 
 
 def write_page(reports: Sequence[Report], target: Path) -> None:

@@ -7,14 +7,15 @@ import json
 import random
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 import xarray
 
-from mbdkit.archive.archive_check import check
-from mbdkit.archive.fingerprint import data_sha256
+from mbdkit.archive.archive_check import Checked, check, examine
+from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.info import describe
 from mbdkit.archive.layout import CORRECTIONS
 from mbdkit.archive.reader import load
@@ -189,6 +190,7 @@ def test_later_minor_version_may_hold_more(archive: Path) -> None:
     with h5py.File(archive, "r+") as file:
         file["energy/heat_s"] = [1.0]
         file.attrs["format_version"] = "1.1"
+        file.attrs["attributes_sha256"] = attributes_sha256(file)
     assert check(archive) == []
 
 
@@ -228,3 +230,37 @@ def test_flipped_bytes_anywhere_are_never_a_traceback(archive: Path) -> None:
             run.to_xarray()
             describe(archive)
     assert found > 40  # the rest fell on unused space, timings, statistics and provenance
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        attribute("provenance", "platform", "Linuy"),
+        attribute("provenance", "platform", None),
+        attribute("stats", "steps", np.int64(11)),
+        attribute("stats", "wall_s", 0.003),
+        attribute("/", "run_id", "run-2"),
+        attribute("/", "verdict_reasons", ["fine"]),
+        put("trajectory/elapsed_s", 10, 1.0),
+    ],
+)
+def test_what_the_hash_of_the_data_leaves_out_has_a_hash_as_well(archive: Path, change: Any) -> None:
+    with h5py.File(archive, "r+") as file:
+        change(file)
+    assert check(archive) == [
+        "attributes, timings or estimated errors have changed since they were written: attributes_sha256 does not match"
+    ]
+
+
+def test_archives_of_earlier_versions_are_sound_without_it(archive: Path) -> None:
+    with h5py.File(archive, "r+") as file:
+        del file.attrs["attributes_sha256"]
+    assert examine(archive) == Checked([], covers_attributes=False)
+
+
+def test_what_load_cannot_read_is_not_sound(archive: Path) -> None:
+    with h5py.File(archive, "r+") as file:
+        file["provenance"].attrs["platform"] = np.zeros(3)
+        del file.attrs["attributes_sha256"]
+    (problem,) = check(archive)
+    assert "platform of provenance is neither a string nor a number" in problem

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -94,3 +95,22 @@ def test_crashed_runs_are_never_the_same(tmp_path: Path) -> None:
     into._target.close()
     with load(tmp_path / "run.h5.part") as one, load(tmp_path / "run.h5.part") as two:
         assert not compare(one, two).same_data
+
+
+def test_falsified_data_are_told_whatever_the_stored_hash_says(archive: Path) -> None:
+    with h5py.File(archive, "r+") as file:
+        file["trajectory/position"][3, 0, 0] += 1.0
+    result = compared(load(archive))
+    assert not result.same_data
+    assert result.differences["trajectory/position"] > 0.1
+    (told,) = result.falsified
+    assert "data_sha256 does not match" in told
+    assert told in str(result)
+
+
+def test_changed_attributes_are_told(archive: Path) -> None:
+    with h5py.File(archive, "r+") as file:
+        file["stats"].attrs["steps"] = np.int64(11)
+    result = compared(load(archive))
+    assert result.same_data
+    assert "attributes_sha256 does not match" in result.falsified[0]

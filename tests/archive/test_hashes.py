@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import shutil
 import subprocess
@@ -100,3 +101,27 @@ def test_pieces_are_not_covered(tmp_path: Path) -> None:
         with h5py.File(tmp_path / f"{piece}.h5") as file:
             hashes.add(file.attrs["data_sha256"])
     assert len(hashes) == 1
+
+
+def test_attributes_have_the_hash_that_the_document_defines(archive: Path) -> None:
+    lines = []
+    with h5py.File(archive) as file:
+        items = [("", file)]
+        file.visititems(lambda path, item: items.append((path, item)))
+        for path, item in items:
+            if path == "trajectory/elapsed_s":
+                digest = hashlib.sha256(item[:].tobytes()).hexdigest()
+                lines.append(f"{path} <f8 {len(item)} {digest}\n")
+            for name, value in item.attrs.items():
+                left_out = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "data_sha256", "attributes_sha256")
+                if name in left_out or (path, name) == ("stats", "finish_s"):
+                    continue
+                array = np.asarray(value)
+                shape = ",".join(map(str, array.shape))
+                if array.dtype.kind in "OU":
+                    kind, content = "utf-8", b"".join(text.encode() + b"\0" for text in array.ravel().tolist())
+                else:
+                    kind, content = array.dtype.str, array.tobytes()
+                lines.append(f"{path}@{name} {kind} {shape} {hashlib.sha256(content).hexdigest()}\n")
+        expected = hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()
+        assert file.attrs["attributes_sha256"] == expected

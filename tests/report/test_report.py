@@ -188,7 +188,7 @@ def test_the_command_writes_a_page_and_replaces_it_only_when_told(archive, mbdki
     assert mbdkit_command("report", str(archive)).stdout == f"{archive.with_name('swing-report.html')}\n"
     again = mbdkit_command("report", str(archive))
     assert (again.exit_code, again.stdout) == (2, "")
-    assert "this file exists; choose another name with -o, or replace it with --overwrite" in again.stderr
+    assert "this file exists already; choose another name with -o, or replace it with --overwrite" in again.stderr
     assert mbdkit_command("report", str(archive), "--overwrite", "--quiet").stdout == ""
 
 

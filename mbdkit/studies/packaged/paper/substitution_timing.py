@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -16,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from mbdkit.errors import SpecError
+from mbdkit.files import replacing
 from mbdkit.spec import RunSpec
 
 EVALUATIONS = 24
@@ -103,8 +104,7 @@ def _write(path: Path, times: dict[str, Substitution]) -> None:
     text = json.dumps({name: asdict(entry) for name, entry in times.items()}, indent=2)
     try:
         path.parent.mkdir(exist_ok=True)
-        part = path.with_suffix(".json.part")
-        part.write_text(text + "\n", "utf-8")
-        os.replace(part, path)
-    except OSError:  # the folder is read-only: measure again next time
+        with replacing(path) as temporary:
+            temporary.write_text(text + "\n", "utf-8")
+    except (OSError, SpecError):  # the folder is read-only: measure again next time
         return

@@ -1,0 +1,108 @@
+"""What is read when an archive is opened, checked so that later reading finds what the layout promises."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import h5py
+import numpy as np
+
+from mbdkit.archive import layout
+from mbdkit.archive.fingerprint import is_text
+
+#: Sections of a spec that are mappings if they are present.
+_MAPPINGS = ("model", "integrator", "time", "output")
+
+#: Sections that may be null as well.
+_OPTIONAL_MAPPINGS = ("limits", "events")
+
+LONGEST = 1_000
+"""Longest name, and a tenth of the longest title [characters]; pictures with longer ones take minutes."""
+
+
+def check_shapes(file: h5py.File) -> None:
+    """Raise ValueError if an array of the layout has another type or shape than its axes say."""
+    lengths: dict[str, int] = {}
+    crashed = file.attrs.get("status") == "running"  # between two flushes, so arrays may have different numbers of rows
+    for path in ("trajectory/body", "joints/joint"):
+        if path not in file:
+            raise ValueError(f"{path} is missing")
+    for path, array in layout.BY_PATH.items():
+        if path not in file:
+            continue
+        dataset = file[path]
+        if not isinstance(dataset, h5py.Dataset):
+            raise ValueError(f"{path} is not an array")
+        if (layout.TEXT if is_text(dataset) else dataset.dtype.str) != array.dtype:
+            raise ValueError(f"{path} has the type {dataset.dtype}, not {array.dtype}")
+        if len(dataset.shape) != len(array.dims):
+            raise ValueError(f"{path} has {len(dataset.shape)} axes, not {len(array.dims)}")
+        for dim, length in zip(array.dims, dataset.shape, strict=True):
+            if crashed and dim in layout.GROWING:
+                continue
+            # all groups have the same rows, bodies and joints, but events have their own times
+            place = f"events/{dim}" if array.group == "events" and dim in layout.GROWING else dim
+            if lengths.setdefault(place, length) != length:
+                raise ValueError(f"axis {dim} of {path} has the length {length}, elsewhere {lengths[place]}")
+    for dim, fixed in (("coordinate", len(layout.COORDINATES)), ("axis", len(layout.AXES))):
+        if lengths.get(dim, fixed) != fixed:
+            raise ValueError(f"the axis {dim} has the length {lengths[dim]}")
+
+
+def plain_attributes(group: h5py.Group) -> Mapping[str, Any]:
+    """Return the attributes of a group as strings and numbers; raise ValueError if one is neither."""
+    values = {name: value.item() if isinstance(value, np.generic) else value for name, value in group.attrs.items()}
+    strange = [name for name, value in values.items() if not isinstance(value, str | int | float)]
+    if strange:
+        raise ValueError(f"{strange[0]} of {group.name.lstrip('/')} is neither a string nor a number")
+    return MappingProxyType(values)
+
+
+def numbers(group: h5py.Group) -> Mapping[str, Any]:
+    """Return the attributes of a group of numbers; raise ValueError if one of `/stats` is not a number."""
+    values = plain_attributes(group)
+    for name in (*layout.COUNTERS, *layout.TIMINGS):
+        if isinstance(values.get(name, 0), str):
+            raise ValueError(f"{name} of {group.name.lstrip('/')} is not a number")
+    return values
+
+
+def names(file: h5py.File, path: str) -> tuple[str, ...]:
+    """Return an array of names; raise ValueError if one is too long to be shown."""
+    found = tuple(file[path].asstr()[:])
+    if any(len(name) > LONGEST for name in found):
+        raise ValueError(f"{path} has a name of more than {LONGEST:,} characters")
+    return found
+
+
+def misalignments(file: h5py.File) -> np.ndarray | None:
+    """Return the largest misalignment of each joint, or None if there is none; raise ValueError if it does not fit."""
+    largest = file["joints"].attrs.get("misalignment_max")
+    if largest is not None and (
+        largest.shape != file["joints/joint"].shape or not np.issubdtype(largest.dtype, np.floating)
+    ):
+        raise ValueError("misalignment_max does not hold a number for each joint")
+    return None if largest is None else np.asarray(largest)
+
+
+def spec_of(text: str) -> dict[str, Any]:
+    """Return a spec from its canonical JSON; raise ValueError if it is not the spec of a run."""
+    spec = json.loads(text)
+    if not isinstance(spec, dict):
+        raise ValueError("it is not a mapping")
+    for name in (*_MAPPINGS, *_OPTIONAL_MAPPINGS):
+        section = spec.get(name, {})
+        if not isinstance(section, dict) and not (section is None and name in _OPTIONAL_MAPPINGS):
+            raise ValueError(f"{name} is not a mapping")
+    for name in ("model", "integrator"):
+        if name in spec and not isinstance(spec[name].get("name"), str):
+            raise ValueError(f"{name} has no name")
+    if not isinstance(spec.get("title") or "", str) or len(spec.get("title") or "") > 10 * LONGEST:
+        raise ValueError(f"title is not a string of at most {10 * LONGEST:,} characters")
+    step = spec.get("time", {}).get("step")
+    if step is not None and not isinstance(step, int | float):
+        raise ValueError("time.step is not a number")
+    return spec

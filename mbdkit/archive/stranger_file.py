@@ -1,0 +1,270 @@
+"""Opens HDF5 files that a stranger may have made, and refuses what could do harm before any of it is read.
+
+HDF5 follows external links, external storage and virtual datasets to other files, and allocates what a file declares.
+An archive is a tree of groups and arrays of numbers and strings, whose values are in the file.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
+
+from mbdkit.archive.hdf5_errors import DAMAGE, cause, reading
+from mbdkit.errors import SpecError
+
+OBJECTS = 2_000
+"""Largest number of groups and arrays; an archive has about 60."""
+
+DEPTH = 8
+"""Deepest nesting of groups; an archive has one level."""
+
+ATTRIBUTES = 10_000
+"""Largest number of attributes of a group or an array."""
+
+UNPACKED = 50
+"""Compressed arrays may unpack to this many times the size of the file. Results compress to about 85 %."""
+
+FREE = 1 << 26
+"""Compressed or sparse arrays up to this size are not compared with the size of the file [bytes]."""
+
+CHUNK = 1 << 28
+"""Largest size to which one compressed chunk may unpack [bytes]; it is held in memory as a whole."""
+
+TEXT = 1 << 30
+"""Largest size of all strings of an attribute [bytes]."""
+
+FIXED = 1 << 12
+"""Longest string of fixed length, as other programs add them [bytes]; those of an archive have variable length."""
+
+_FEW = 64  # strings of an attribute that are read without an estimate of their size
+_DEFLATE = 1032  # largest ratio of deflate
+_FILTERS = {h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32}
+_OF_SCALES = {b"CLASS", b"NAME", b"REFERENCE_LIST", b"DIMENSION_LIST"}
+_DESCRIPTOR = np.dtype([("length", "<u4"), ("address", "<u8"), ("index", "<u4")])  # of a string, in the file
+
+
+def check_regular(path: Path) -> None:
+    """Raise SpecError if `path`, which exists, is not a regular file: reading a pipe or a device may never end."""
+    if not stat.S_ISREG(os.stat(path).st_mode):
+        raise SpecError("this is not a regular file but a pipe, a socket or a device; it is not read", file=path)
+
+
+def open_hdf5(path: Path, what: str) -> h5py.File:
+    """Open an HDF5 file for reading, after checking that reading it does no harm.
+
+    Parameters
+    ----------
+    path
+        An existing file.
+    what
+        What the file should be, for messages, such as ``run archive``.
+
+    Raises
+    ------
+    SpecError
+        If the file is not a regular file, is in use, is not an HDF5 file, is damaged, or is refused because it refers
+        to other files, links an object twice, or declares more data than it holds.
+    """
+    check_regular(path)
+    noun = what.rpartition(" ")[2]
+    try:
+        file = h5py.File(path, "r", locking="best-effort")
+    except BlockingIOError:
+        raise SpecError(f"a run is still writing this {noun}; wait until it has ended", file=path) from None
+    except DAMAGE as error:
+        text = str(error)
+        if "signature not found" in text:
+            why = f"this is not an HDF5 file, so not a {what}"
+        elif "truncated" in text:
+            why = f"this {noun} is truncated: its end is missing, as after an incomplete copy"
+        else:
+            why = f"this file cannot be read: {cause(error)}"
+        raise SpecError(why, file=path) from error
+    try:
+        with reading("its structure", path, hint="it cannot be used"):
+            _Inspection(file, path).inspect()
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+class _Inspection:
+    """Visits every object of a file by its low-level identifier, without reading values."""
+
+    def __init__(self, file: h5py.File, path: Path):
+        self.path = path
+        self.file = file
+        status = os.stat(path)
+        self.size = status.st_size
+        # File systems that compress store less than the size; those that do not count blocks report 0.
+        on_disk = 512 * getattr(status, "st_blocks", 0)
+        if on_disk and self.size > FREE and self.size > 1000 * on_disk:
+            raise self.refused(f"it has {self.size:,} bytes, almost all of them holes")
+        self.stored = self.unpacked = self.text = 0
+        self.seen: set[int] = set()
+
+    def refused(self, why: str) -> SpecError:
+        return SpecError(f"this file is refused: {why}", file=self.path)
+
+    def inspect(self) -> None:
+        root = h5g.open(self.file.id, b"/")
+        self.seen.add(h5o.get_info(root).addr)
+        todo = [("", root, 0)]
+        while todo:
+            path, group, depth = todo.pop()
+            self.attributes(path or "/", group)
+            for name, kind in self.links(path, group):
+                below = f"{path}/{name.decode(errors='replace')}".lstrip("/")
+                if kind == h5o.TYPE_DATASET:
+                    self.dataset(below, h5d.open(group, name))
+                elif kind == h5o.TYPE_GROUP and depth < DEPTH:
+                    todo.append((below, h5g.open(group, name), depth + 1))
+                else:
+                    raise self.refused(
+                        f"groups are nested more than {DEPTH} deep"
+                        if kind == h5o.TYPE_GROUP
+                        else f"{below} is neither a group nor an array"
+                    )
+
+    def links(self, path: str, group: h5g.GroupID) -> list[tuple[bytes, int]]:
+        """Return names and kinds of the members of a group; refuse every link but the only one to an object."""
+        found: list[tuple[bytes, int]] = []
+        words = {h5l.TYPE_SOFT: "a soft link", h5l.TYPE_EXTERNAL: "a link to another file"}
+        if len(self.seen) + group.get_num_objs() > OBJECTS:
+            raise self.refused(f"it has more than {OBJECTS:,} groups and arrays")
+        others: list[str] = []
+
+        def visit(name: bytes, link: h5l.LinkInfo) -> int | None:
+            if link.type != h5l.TYPE_HARD:
+                place = f"{path}/{name.decode(errors='replace')}".lstrip("/")
+                others.append(f"{place} is {words.get(link.type, 'a link of unknown type')}")
+                return 1
+            found.append((name, 0))
+            return None
+
+        group.links.iterate(visit, info=True)
+        if others:
+            raise self.refused(others[0])
+        for number, (name, _) in enumerate(found):
+            info = h5o.get_info(group, name)
+            if info.addr in self.seen:
+                place = f"{path}/{name.decode(errors='replace')}".lstrip("/")
+                raise self.refused(f"{place} is a second link to an object")
+            self.seen.add(info.addr)
+            found[number] = name, info.type
+        return found
+
+    def attributes(self, path: str, item: h5g.GroupID | h5d.DatasetID) -> None:
+        count = h5a.get_num_attrs(item)
+        if count > ATTRIBUTES:
+            raise self.refused(f"{path} has {count:,} attributes")
+        for index in range(count):
+            attribute = h5a.open(item, index=index)
+            if attribute.name in _OF_SCALES:
+                continue  # not read as values
+            place = f"the attribute {attribute.name.decode(errors='replace')} of {path}"
+            space, kind = attribute.get_space(), attribute.get_type()
+            is_text = self.kind(place, kind, space)
+            number = space.get_simple_extent_npoints()
+            if number * kind.get_size() > self.size:
+                raise self.refused(f"{place} declares more values than the file holds")
+            if is_text and number > _FEW and number * self.size > TEXT and number * self.largest_heap() > TEXT:
+                raise self.refused(f"{place} has {number:,} strings that may be too large for the memory")
+
+    def largest_heap(self) -> int:
+        """Return the size of the largest collection of strings [bytes]; the file is searched for their signature."""
+        largest = 0
+        with self.path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            at = content.find(b"GCOL")
+            while at >= 0:
+                largest = max(largest, int.from_bytes(content[at + 8 : at + 16], "little"))
+                at = content.find(b"GCOL", at + 4)
+        return min(largest, self.size)
+
+    def kind(self, place: str, kind: h5t.TypeID, space: h5s.SpaceID) -> bool:
+        """Return whether values are strings; refuse those that are neither strings nor numbers."""
+        if space.get_simple_extent_type() == h5s.NULL:
+            raise self.refused(f"{place} has no values, not even none of a number")
+        if isinstance(kind, h5t.TypeStringID):
+            if not kind.is_variable_str() and kind.get_size() > FIXED:
+                raise self.refused(f"{place} has strings of the fixed length {kind.get_size():,}")
+            return bool(kind.is_variable_str())
+        if not isinstance(kind, h5t.TypeIntegerID | h5t.TypeFloatID):
+            raise self.refused(f"{place} has values that are neither numbers nor strings")
+        return False
+
+    def dataset(self, path: str, item: h5d.DatasetID) -> None:
+        self.attributes(path, item)
+        plan = item.get_create_plist()
+        if plan.get_layout() == h5d.VIRTUAL:
+            raise self.refused(f"{path} is a virtual dataset, which takes its values from other arrays")
+        if plan.get_layout() != h5d.CHUNKED and plan.get_external_count():
+            raise self.refused(f"the values of {path} are in another file")
+        space, kind = item.get_space(), item.get_type()
+        is_text = self.kind(path, kind, space)
+        size = space.get_simple_extent_npoints() * (_DESCRIPTOR.itemsize if is_text else kind.get_size())
+        if not size:
+            return
+        stored = self.storage(path, item, plan.get_layout())
+        self.stored += stored
+        if plan.get_layout() == h5d.CHUNKED and plan.get_nfilters():
+            self.compressed(path, item, plan, size, is_text)
+        elif size > stored:
+            raise self.refused(f"{path} declares {size:,} bytes, but the file holds {stored:,} of them")
+        if self.stored > self.size:
+            raise self.refused(f"its arrays declare {self.stored:,} bytes, but it has {self.size:,}")
+        if is_text:
+            self.strings(path, item, plan.get_layout(), size)
+
+    def storage(self, path: str, item: h5d.DatasetID, layout: int) -> int:
+        """Return the bytes of the file that an array occupies."""
+        stored = int(item.get_storage_size())
+        if layout == h5d.CONTIGUOUS and stored:
+            start = item.get_offset()
+            if start is None or start + stored > self.size:
+                raise self.refused(f"{path} declares {stored:,} bytes, which reach beyond the end of the file")
+        return stored
+
+    def compressed(self, path: str, item: h5d.DatasetID, plan: h5py.h5p.PropDCID, size: int, is_text: bool) -> None:
+        filters = [plan.get_filter(number)[0] for number in range(plan.get_nfilters())]
+        if len(set(filters)) < len(filters) or not _FILTERS.issuperset(filters):
+            raise self.refused(f"{path} is compressed by other means than deflate")
+        if is_text:
+            raise self.refused(f"the strings of {path} are compressed")
+        chunk = int(np.prod(plan.get_chunk(), dtype=object)) * item.get_type().get_size()
+        self.unpacked += max(size, chunk)
+        if chunk > CHUNK or self.unpacked > FREE + UNPACKED * self.size:
+            raise self.refused(f"it is compressed and unpacks to {self.unpacked:,} bytes, but has {self.size:,}")
+        most = [0]
+        _each_chunk(item, lambda info: most.append(max(most.pop(), info.size)))
+        if most[0] * (_DEFLATE if h5z.FILTER_DEFLATE in filters else 1) > max(CHUNK, 2 * chunk):
+            raise self.refused(f"a compressed chunk of {path} has {most[0]:,} bytes, more than can be unpacked safely")
+
+    def strings(self, path: str, item: h5d.DatasetID, layout: int, size: int) -> None:
+        """Refuse strings that are together longer than the file, because many of them share their characters."""
+        places: list[tuple[int, int]] = []
+        if layout == h5d.CHUNKED:
+            _each_chunk(item, lambda info: places.append((info.byte_offset, info.size)))
+        elif layout == h5d.CONTIGUOUS:
+            places.append((item.get_offset(), size))
+        else:
+            raise self.refused(f"the strings of {path} are stored in an unknown way")
+        with self.path.open("rb") as stream:
+            for start, length in places:
+                stream.seek(start)
+                values = np.frombuffer(stream.read(length // 16 * 16), _DESCRIPTOR)
+                self.text += int(values["length"].sum(dtype=np.int64))
+        if self.text > self.size:
+            raise self.refused(f"its strings have {self.text:,} bytes, but it has {self.size:,}")
+
+
+def _each_chunk(item: h5d.DatasetID, visit: Callable[[h5d.StoreInfo], None]) -> None:
+    item.chunk_iter(lambda info: visit(info))
