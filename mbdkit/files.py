@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from mbdkit.errors import SpecError
+from mbdkit.errors import SpecError, file_error
 
 
 def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str) -> Path:
@@ -34,7 +34,9 @@ def replacing(target: Path) -> Iterator[Path]:
     Raises
     ------
     SpecError
-        If the folder does not exist, or the file cannot be written.
+        If the folder does not exist, or the system refuses the name.
+    ResourceError
+        If the file cannot be written, for example because the disk is full.
     """
     if not target.parent.is_dir():
         raise SpecError(f"cannot write {str(target)!r}: there is no folder {str(target.parent)!r}")
@@ -46,6 +48,6 @@ def replacing(target: Path) -> Iterator[Path]:
     except OSError as error:
         if not error.errno:  # an error of HDF5 reading the run, not of this file
             raise
-        raise SpecError(f"cannot write {str(target)!r}: {error.strerror or error}") from error
+        raise file_error(error.errno, f"cannot write {str(target)!r}: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)

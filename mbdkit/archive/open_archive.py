@@ -7,10 +7,10 @@ from pathlib import Path
 
 import h5py
 
-from mbdkit.archive.hdf5_errors import cause, reading
+from mbdkit.archive.hdf5_errors import cause, error_number, reading
 from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
 from mbdkit.archive.part_file import part_path
-from mbdkit.errors import SpecError
+from mbdkit.errors import ResourceError, SpecError, file_error
 
 
 def open_archive(path: Path) -> h5py.File:
@@ -18,8 +18,10 @@ def open_archive(path: Path) -> h5py.File:
 
     Raises
     ------
+    ResourceError
+        If the file is in use, or the system refuses to read it.
     SpecError
-        If the file is missing, in use, truncated, not an archive, or of an unsupported format version.
+        If the file is missing, truncated, not an archive, or of an unsupported format version.
     """
     if os.path.isdir(path):
         raise SpecError("this is a folder; name a run archive in it", file=path)
@@ -30,7 +32,7 @@ def open_archive(path: Path) -> h5py.File:
     try:
         file = h5py.File(path, "r", locking="best-effort")
     except BlockingIOError:
-        raise SpecError("a run is still writing this archive; wait until it has ended", file=path) from None
+        raise ResourceError("a run is still writing this archive; wait until it has ended", file=path) from None
     except OSError as error:
         text = str(error)
         if "signature not found" in text:
@@ -39,6 +41,8 @@ def open_archive(path: Path) -> h5py.File:
             why = "this archive is truncated: its end is missing, as after an incomplete copy"
         else:
             why = f"this file cannot be read: {cause(error)}"
+            if number := error_number(error):
+                raise file_error(number, why, file=path) from error
         raise SpecError(why, file=path) from error
     try:
         _check_format(file, path)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import h5py
 
-from mbdkit.archive.hdf5_errors import cause
-from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.archive.hdf5_errors import cause, error_number
+from mbdkit.errors import MbdkitError, ResourceError, SpecError, file_error
 
 SUFFIX = ".h5"
 
@@ -42,6 +42,8 @@ def check_target(path: str | Path, *, overwrite: bool = False) -> Path:
     ------
     SpecError
         If the name, the folder or an existing file does not allow it.
+    ResourceError
+        If writing into the folder is not permitted.
     """
     path = Path(path)
     # os.path instead of methods of Path, which raise for names that are too long and for folders without permission.
@@ -59,7 +61,7 @@ def check_target(path: str | Path, *, overwrite: bool = False) -> Path:
         if not overwrite:
             raise SpecError("this file exists already; choose another name, or allow it to be overwritten", file=path)
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise SpecError(f"the folder {folder} cannot be written to", file=path)
+        raise ResourceError(f"the folder {folder} cannot be written to", file=path)
     return path
 
 
@@ -74,7 +76,9 @@ class Target:
     Raises
     ------
     SpecError
-        If no archive may be written at `path`, or another run is writing it.
+        If no archive may be written at `path`.
+    ResourceError
+        If the system refuses the file, or another run is writing it.
     """
 
     def __init__(self, path: Path, *, overwrite: bool):
@@ -96,14 +100,16 @@ class Target:
             except (OSError, ValueError) as error:
                 # HDF5 sets no errno for a file that is open in this process.
                 if not isinstance(error, FileExistsError) and "file exists" not in str(error):
-                    raise SpecError(f"the archive cannot be created: {cause(error)}", file=self.path) from error
+                    message = f"the archive cannot be created: {cause(error)}"
+                    raise file_error(error_number(error), message, file=self.path) from error
                 if attempt == 2:
                     raise self._in_use() from None
                 self._remove_stale()
         raise AssertionError("unreachable")
 
-    def _in_use(self) -> SpecError:
-        return SpecError(f"{self.part} is in use by another run; wait for it, or choose another name", file=self.path)
+    def _in_use(self) -> ResourceError:
+        message = f"{self.part} is in use by another run; wait for it, or choose another name"
+        return ResourceError(message, file=self.path)
 
     def _remove_stale(self) -> None:
         """Remove the .part of a crashed run; the .part of a running one is locked."""
@@ -127,7 +133,8 @@ class Target:
         except BlockingIOError:
             raise self._in_use() from None
         except OSError as error:
-            raise SpecError(f"the unfinished {self.part} cannot be replaced: {cause(error)}", file=self.path) from error
+            message = f"the unfinished {self.part} cannot be replaced: {cause(error)}"
+            raise ResourceError(message, file=self.path) from error
 
     def _lock(self) -> None:
         """Lock the new .part if HDF5 has not done so, as with HDF5_USE_FILE_LOCKING=FALSE."""
@@ -195,13 +202,13 @@ class Target:
             if self.overwrite:
                 os.replace(self.part, self.path)
             else:
-                _rename_new(self.part, self.path)
+                rename_new(self.part, self.path)
         except FileExistsError as error:
             raise MbdkitError(
                 f"{self.path} was created during the run and is not overwritten; the archive is {self.part}"
             ) from error
         except OSError as error:
-            raise MbdkitError(f"the archive {self.part} cannot be renamed to {self.path} ({cause(error)})") from error
+            raise ResourceError(f"the archive {self.part} cannot be renamed to {self.path} ({cause(error)})") from error
 
     def close(self) -> None:
         """Close the archive, under either name, and release the lock; discard a write that failed halfway."""
@@ -223,7 +230,7 @@ class Target:
         self.part.unlink(missing_ok=True)
 
 
-def _rename_new(source: Path, target: Path) -> None:
+def rename_new(source: Path, target: Path) -> None:
     """Rename `source` atomically, or raise FileExistsError if `target` exists."""
     try:
         os.link(source, target)
