@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
-    from mbdkit.errors import MbdkitError, PluginError, RunError, SpecError, StepError
+    from mbdkit.errors import MbdkitError, PluginError, ResourceError, RunError, SpecError, StepError
     from mbdkit.mechanics.equilibrium import Equilibrium, equilibrium
     from mbdkit.mechanics.kinematics import Kinematics, kinematics
     from mbdkit.mechanics.modes import Linearization, Modes, linearize, modes
@@ -47,6 +47,7 @@ __all__ = [
     "ModelPlugin",
     "Modes",
     "PluginError",
+    "ResourceError",
     "Run",
     "RunError",
     "RunSpec",
@@ -86,6 +87,7 @@ _HOME = {
     "ModelPlugin": "mbdkit.registry.items",
     "Modes": "mbdkit.mechanics.modes",
     "PluginError": "mbdkit.errors",
+    "ResourceError": "mbdkit.errors",
     "Run": "mbdkit.archive.run",
     "RunError": "mbdkit.errors",
     "RunSpec": "mbdkit.spec",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 from typing import Literal
 
@@ -44,6 +45,45 @@ class SpecError(MbdkitError, ValueError):
         new = type(self)(self.message, key=key, file=self.file or file, line=self.line or line)
         new.__cause__ = self.__cause__
         return new
+
+
+class ResourceError(MbdkitError):
+    """The computer refused a resource: disk space, memory, a permission, or a file that another process uses.
+
+    The input is not the cause, so that the same call may succeed later.
+
+    Parameters
+    ----------
+    message
+        What was refused and why.
+    file
+        The file or folder concerned, if any.
+    """
+
+    def __init__(self, message: str, *, file: str | Path | None = None):
+        super().__init__(message)
+        self.message = message
+        self.file = None if file is None else str(file)
+
+    def __str__(self) -> str:
+        return f"{self.file}: {self.message}" if self.file else self.message
+
+
+#: Error numbers of the system that are due to a file name given by the user.
+_OF_NAMES = {
+    getattr(errno, name) for name in ("ENOENT", "ENOTDIR", "EISDIR", "ENAMETOOLONG", "EINVAL", "ELOOP", "EILSEQ")
+}
+
+
+def file_error(number: int | None, message: str, *, file: str | Path | None = None) -> SpecError | ResourceError:
+    """Return the error for a file that cannot be used: SpecError if its name is the cause, otherwise ResourceError.
+
+    Parameters
+    ----------
+    number
+        Error number of the system; None if unknown.
+    """
+    return (SpecError if number in _OF_NAMES else ResourceError)(message, file=file)
 
 
 class PluginError(MbdkitError):

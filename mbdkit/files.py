@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from mbdkit.errors import SpecError
+from mbdkit.errors import ResourceError, SpecError, file_error
 
 
 def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str) -> Path:
@@ -45,6 +45,8 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
     ------
     SpecError
         If the folder or an existing file does not allow it.
+    ResourceError
+        If writing into the folder is not permitted.
     """
     # os.path instead of methods of Path, which raise for names that are too long and for folders without permission
     if os.path.isdir(path):
@@ -65,7 +67,7 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
                 file=path,
             )
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise SpecError(f"the folder {folder} cannot be written to", file=path)
+        raise ResourceError(f"the folder {folder} cannot be written to", file=path)
 
 
 @contextmanager
@@ -106,7 +108,7 @@ def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None
     except OSError as error:
         if not error.errno:  # an error of HDF5 reading the run, not of this file
             raise
-        raise SpecError(f"this file cannot be written: {error.strerror or error}", file=target) from error
+        raise file_error(error.errno, f"this file cannot be written: {error.strerror or error}", file=target) from error
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)

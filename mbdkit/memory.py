@@ -19,6 +19,11 @@ def available_memory() -> int | None:
                 return int(line.split()[1]) * 1024
     except (OSError, ValueError):
         pass
+    return installed_memory()
+
+
+def installed_memory() -> int | None:
+    """Return the installed memory [bytes]; None if unknown."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):  # as on Windows

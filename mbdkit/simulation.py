@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -30,6 +28,7 @@ from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError
+from mbdkit.interrupts import interrupts_noted
 from mbdkit.methods.kinds import Method
 from mbdkit.provenance import provenance
 from mbdkit.recorded_columns import ObservedRows
@@ -185,30 +184,38 @@ def _prepared(
         notify(f"warning: {warning}")
     workspace, start = build(spec, notify)
     check_disk_space(spec, workspace.mechanism, path)
-    writer = ArchiveWriter(
-        path,
-        archive_names(workspace.mechanism),
-        spec.canonical_json(),
-        spec.sha256(),
-        spec.run_id(),
-        {**provenance(spec), "assembly": start.describe()},
-        quantities=spec.output.recorded,
-        extra_datasets=optional_arrays(spec, method, workspace.mechanism),
-        overwrite=overwrite,
-        shared=shared_forces(workspace.mechanism),
-    )
-    try:
-        return _Simulation(spec, workspace, method, writer, begin, warnings, choice)
-    except BaseException:
-        writer.abandon()
-        raise
+    noted: list[bool] = []
+    with interrupts_noted(lambda: noted.append(True)):  # an archive that nobody knows of could not be removed
+        writer = ArchiveWriter(
+            path,
+            archive_names(workspace.mechanism),
+            spec.canonical_json(),
+            spec.sha256(),
+            spec.run_id(),
+            {**provenance(spec), "assembly": start.describe()},
+            quantities=spec.output.recorded,
+            extra_datasets=optional_arrays(spec, method, workspace.mechanism),
+            overwrite=overwrite,
+            shared=shared_forces(workspace.mechanism),
+        )
+        try:
+            simulation = _Simulation(spec, workspace, method, writer, begin, warnings, choice)
+        except BaseException:
+            writer.abandon()
+            raise
+    simulation.interrupted = bool(noted)
+    return simulation
 
 
 @contextmanager
 def _finished_or_abandoned(simulation: _Simulation) -> Iterator[_Simulation]:
     """Remove the archive of a simulation that is not finished; handle Ctrl-C by ending the run."""
+
+    def note() -> None:
+        simulation.interrupted = True
+
     try:
-        with _interrupts(simulation):
+        with interrupts_noted(note):
             yield simulation
     finally:
         simulation.writer.abandon()
@@ -402,20 +409,3 @@ def _watch(spec: RunSpec, workspace: Workspace, stepper: Stepper) -> Watch:
         for name, expression in spec.watched().items()
     ]
     return Watch(stepper, workspace, found)
-
-
-@contextmanager
-def _interrupts(simulation: _Simulation) -> Iterator[None]:
-    """Handle Ctrl-C by ending the run after the current stretch of steps; its archive is finished normally."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def note(number: int, frame: Any) -> None:
-        simulation.interrupted = True
-
-    before = signal.signal(signal.SIGINT, note)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)

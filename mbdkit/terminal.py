@@ -6,20 +6,21 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 from typer.core import TyperGroup
 
-from mbdkit.errors import MbdkitError, PluginError, RunError
+from mbdkit.errors import MbdkitError, PluginError, ResourceError, RunError, file_error
+from mbdkit.interrupts import INTERRUPTED as INTERRUPTED
 from mbdkit.text import shown
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
-DONE, BUG, WRONG_INPUT, STOPPED_EARLY, PLUGIN_FAILED, INTERRUPTED = 0, 1, 2, 3, 4, 130
+DONE, BUG, WRONG_INPUT, STOPPED_EARLY, PLUGIN_FAILED = 0, 1, 2, 3, 4
 DIFFERS = NOT_VERIFIED = 1
 
 DEBUG = "mbdkit.debug"
@@ -107,11 +108,16 @@ def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, fl
         done = (now - first) / (end - first) if end > first else 1.0
         bar.update(bar.task_ids[0], completed=done, now=now, end=end)
 
+    def advance_while_there_is_a_terminal(now: float, end: float) -> None:
+        with suppress(OSError):  # it has been closed; the run goes on, or ends by SIGHUP
+            advance(now, end)
+
     try:
-        yield advance
+        yield advance_while_there_is_a_terminal
     finally:
         if bar is not None:
-            bar.stop()
+            with suppress(OSError):
+                bar.stop()
 
 
 @contextmanager
@@ -164,9 +170,11 @@ def _status(error: BaseException) -> int:
     match error:
         case PluginError():
             return PLUGIN_FAILED
-        case RunError():
+        case RunError() | ResourceError() | MemoryError():
             return STOPPED_EARLY
-        case MbdkitError() | OSError() | MemoryError():
+        case OSError() if error.errno:
+            return _status(file_error(error.errno, ""))
+        case MbdkitError() | OSError():
             return WRONG_INPUT
         case KeyboardInterrupt():
             return INTERRUPTED

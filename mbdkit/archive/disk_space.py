@@ -7,8 +7,8 @@ import shutil
 from pathlib import Path
 
 from mbdkit.archive import layout
-from mbdkit.errors import SpecError
-from mbdkit.memory import available_memory, in_gib
+from mbdkit.errors import ResourceError, SpecError
+from mbdkit.memory import available_memory, in_gib, installed_memory
 
 
 def row_bytes(bodies: int, joints: int, constraints: int, quantities: frozenset[str]) -> int:
@@ -34,7 +34,7 @@ def row_bytes(bodies: int, joints: int, constraints: int, quantities: frozenset[
 
 
 def check_room(path: Path | None, rows: int, row: int, every: int | None) -> None:
-    """Raise SpecError if an archive is larger than the free space on its disk or in memory.
+    """Check that an archive fits into the free space on its disk or in memory.
 
     Parameters
     ----------
@@ -46,8 +46,19 @@ def check_room(path: Path | None, rows: int, row: int, every: int | None) -> Non
         Size of one row [bytes].
     every
         Number of steps between rows; None if rows are recorded at a time interval.
+
+    Raises
+    ------
+    SpecError
+        If it is larger than the whole disk or memory.
+    ResourceError
+        If it is larger than what is free now.
     """
-    free = available_memory() if path is None else shutil.disk_usage(path.parent).free
+    if path is None:
+        free, size = available_memory(), installed_memory()
+    else:
+        disk = shutil.disk_usage(path.parent)
+        free, size = disk.free, disk.total
     needed = rows * row
     if free is None or needed <= free:
         return
@@ -55,11 +66,13 @@ def check_room(path: Path | None, rows: int, row: int, every: int | None) -> Non
     setting = "interval" if every is None else "every"
     times = 2 * needed // max(free, 1) + 1
     less = f"`interval` {times:,} times as long" if every is None else f"`every: {_round_up(every * times)}`"
-    raise SpecError(
+    message = (
         f"{rows:,} rows of {row:,} bytes take {in_gib(needed)}, but only {in_gib(free)} are {place}: "
-        f"record less often, such as {less}, or fewer `quantities`",
-        key=f"output.{setting}",
+        f"record less often, such as {less}, or fewer `quantities`"
     )
+    if size is None or needed <= size:
+        raise ResourceError(f"output.{setting}: {message}")
+    raise SpecError(message, key=f"output.{setting}")
 
 
 def _round_up(number: int) -> int:

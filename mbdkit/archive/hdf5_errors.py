@@ -13,17 +13,17 @@ from mbdkit.errors import MbdkitError, SpecError
 DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError)
 
 
-def cause(error: BaseException) -> str:
-    """Return the cause of an error of the system or HDF5, without HDF5's internal details.
-
-    Parameters
-    ----------
-    error
-        The exception; HDF5 often reports the system's error number only in the message.
-    """
+def error_number(error: BaseException) -> int | None:
+    """Return the system's error number, which HDF5 often reports only in the message; None if there is none."""
     number = getattr(error, "errno", None)
     if number is None and "errno = " in str(error):
         number = int(str(error).partition("errno = ")[2].partition(",")[0])
+    return number
+
+
+def cause(error: BaseException) -> str:
+    """Return the cause of an error of the system or HDF5, without HDF5's internal details."""
+    number = error_number(error)
     return os.strerror(number) if number else str(error).partition("\n")[0]
 
 

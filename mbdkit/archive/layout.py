@@ -8,6 +8,12 @@ from dataclasses import dataclass
 FORMAT = "mbdkit-run"
 FORMAT_VERSION = "1.0"
 
+#: Attribute of the group ``trajectory`` while the run is under way: the rows of the tables up to the last flush.
+ROWS_FLUSHED = "rows_flushed"
+
+#: The first axis of each table that grows, in the order of `ROWS_FLUSHED`.
+GROWING = ("time", "interval", "event")
+
 STATUSES = ("running", "complete", "failed", "interrupted")
 REASONS = (
     "max-steps",
@@ -345,8 +351,8 @@ def is_timing(path: str) -> bool:
 
 
 def is_hashed(path: str) -> bool:
-    """Whether the array at `path` is part of the data of a run: no wall time, and no estimate of its errors."""
-    return not is_timing(path) and not path.lstrip("/").startswith("accuracy/")
+    """Whether the array at `path` is part of the data: no wall time, no estimated error, no hash of a file."""
+    return not is_timing(path) and not path.lstrip("/").startswith("accuracy/") and not path.endswith("/file_sha256")
 
 
 def recorded(quantities: frozenset[str], extra: frozenset[str] = frozenset()) -> tuple[Array, ...]:

@@ -19,9 +19,11 @@ def open_archive(path: Path) -> h5py.File:
 
     Raises
     ------
+    ResourceError
+        If the file is in use, or the system refuses to read it.
     SpecError
-        If the file is missing, in use, truncated, not an archive, of an unsupported format version, or refused
-        because reading it could do harm.
+        If the file is missing, truncated, not an archive, of an unsupported format version, or refused because reading
+        it could do harm.
     """
     if os.path.isdir(path):
         raise SpecError("this is a folder; name a run archive in it", file=path)

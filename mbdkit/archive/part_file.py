@@ -13,8 +13,8 @@ from pathlib import Path
 
 import h5py
 
-from mbdkit.archive.hdf5_errors import cause
-from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.archive.hdf5_errors import cause, error_number
+from mbdkit.errors import MbdkitError, ResourceError, SpecError, file_error
 from mbdkit.files import check_output, rename_new
 
 SUFFIX = ".h5"
@@ -45,6 +45,8 @@ def check_target(path: str | Path, *, overwrite: bool = False, source: str | Pat
     ------
     SpecError
         If the name, the folder or an existing file does not allow it.
+    ResourceError
+        If writing into the folder is not permitted.
     """
     path = Path(path)
     if path.suffix != SUFFIX and not os.path.isdir(path):
@@ -64,7 +66,9 @@ class Target:
     Raises
     ------
     SpecError
-        If no archive may be written at `path`, or another run is writing it.
+        If no archive may be written at `path`.
+    ResourceError
+        If the system refuses the file, or another run is writing it.
     """
 
     def __init__(self, path: Path, *, overwrite: bool):
@@ -86,14 +90,16 @@ class Target:
             except (OSError, ValueError) as error:
                 # HDF5 sets no errno for a file that is open in this process.
                 if not isinstance(error, FileExistsError) and "file exists" not in str(error):
-                    raise SpecError(f"the archive cannot be created: {cause(error)}", file=self.path) from error
+                    message = f"the archive cannot be created: {cause(error)}"
+                    raise file_error(error_number(error), message, file=self.path) from error
                 if attempt == 2:
                     raise self._in_use() from None
                 self._remove_stale()
         raise AssertionError("unreachable")
 
-    def _in_use(self) -> SpecError:
-        return SpecError(f"{self.part} is in use by another run; wait for it, or choose another name", file=self.path)
+    def _in_use(self) -> ResourceError:
+        message = f"{self.part} is in use by another run; wait for it, or choose another name"
+        return ResourceError(message, file=self.path)
 
     def _remove_stale(self) -> None:
         """Remove the .part of a crashed run; the .part of a running one is locked."""
@@ -117,7 +123,8 @@ class Target:
         except BlockingIOError:
             raise self._in_use() from None
         except OSError as error:
-            raise SpecError(f"the unfinished {self.part} cannot be replaced: {cause(error)}", file=self.path) from error
+            message = f"the unfinished {self.part} cannot be replaced: {cause(error)}"
+            raise ResourceError(message, file=self.path) from error
 
     def _lock(self) -> None:
         """Lock the new .part if HDF5 has not done so, as with HDF5_USE_FILE_LOCKING=FALSE."""
@@ -191,7 +198,7 @@ class Target:
                 f"{self.path} was created during the run and is not overwritten; the archive is {self.part}"
             ) from error
         except OSError as error:
-            raise MbdkitError(f"the archive {self.part} cannot be renamed to {self.path} ({cause(error)})") from error
+            raise ResourceError(f"the archive {self.part} cannot be renamed to {self.path} ({cause(error)})") from error
 
     def close(self) -> None:
         """Close the archive, under either name, and release the lock; discard a write that failed halfway."""

@@ -6,7 +6,7 @@ import html
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -29,7 +29,7 @@ from mbdkit.archive.history import (
 )
 from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.part_file import Target
-from mbdkit.errors import MbdkitError, RunError, SpecError
+from mbdkit.errors import MbdkitError, ResourceError, RunError, SpecError
 from mbdkit.trust.criteria import LEVELS, Level
 
 if TYPE_CHECKING:
@@ -58,13 +58,8 @@ class Run:
         try:
             with reading("its header", path):
                 self._attributes = {name: str(file.attrs[name]) for name in layout.ROOT_ATTRIBUTES}
-                self._verdict = str(file.attrs.get("verdict", ""))
-                self._reasons, self._warnings = (
-                    tuple(map(str, np.atleast_1d(file.attrs.get(name, ())))) for name in ("verdict_reasons", "warnings")
-                )
-                self._stats = run_header.numbers(file["stats"])
                 self._provenance = run_header.plain_attributes(file["provenance"])
-                self._misalignment_max = run_header.misalignments(file)
+                self._read_end()
                 self._redundancy = str(file["joints"].attrs.get("redundancy", ""))
                 self._names = {
                     name: run_header.names(file, name)
@@ -81,6 +76,35 @@ class Run:
         except SpecError:
             file.close()
             raise
+
+    def _read_end(self) -> None:
+        """Read what is written at the end of a run; a crash may have left it incomplete."""
+        self._verdict = ""
+        self._reasons: tuple[str, ...] = ()
+        self._warnings: tuple[str, ...] = ()
+        self._stats: Mapping[str, Any] = MappingProxyType({})
+        self._misalignment_max: np.ndarray | None = None
+        if self.status == "running":
+            return
+        file = self._file
+        self._verdict = str(file.attrs.get("verdict", ""))
+        self._reasons, self._warnings = (
+            tuple(map(str, np.atleast_1d(file.attrs.get(name, ())))) for name in ("verdict_reasons", "warnings")
+        )
+        self._stats = run_header.numbers(file["stats"])
+        self._misalignment_max = run_header.misalignments(file)
+
+    @cached_property
+    def _whole_rows(self) -> Mapping[str, int]:
+        """Numbers of rows that every array of a crashed run has, by the first axis."""
+        noted = self._file["trajectory"].attrs.get(layout.ROWS_FLUSHED)
+        if noted is not None:
+            return {dim: int(rows) for dim, rows in zip(layout.GROWING, noted, strict=True)}
+        lengths: dict[str, list[int]] = {dim: [0] for dim in layout.GROWING}  # of an earlier version
+        for array in layout.LAYOUT:
+            if array.grows and array.path in self._file:
+                lengths[array.dims[0]].append(len(self._file[array.path]))
+        return {dim: min(found[1:], default=0) for dim, found in lengths.items()}
 
     @classmethod
     def open(cls, path: Path) -> Run:
@@ -344,7 +368,7 @@ class Run:
         Returns
         -------
         h5py.Dataset or ndarray
-            The dataset; an empty ndarray if the run crashed before it wrote its first rows.
+            The dataset; an ndarray if the run crashed while it wrote the array, with the rows written before.
 
         Raises
         ------
@@ -356,16 +380,29 @@ class Run:
             If the run is closed.
         """
         file = self.file
+        array = layout.BY_PATH.get(path)
         with reading(path, self.path):
+            if array is not None and array.grows and self.status == "running":
+                return self._crashed(array)
             if path in file:
                 return file[path]
-        array = layout.BY_PATH.get(path)
         if array is None:
             raise UnknownNameError("array", path, list(layout.BY_PATH))
-        group = file.get(array.group)
-        if self.status == "running" and array.grows and not array.optional and group is not None:
-            return np.empty((0, *(len(group[dim]) for dim in array.dims[1:])), array.dtype)
         raise NotRecordedError(path)
+
+    def _crashed(self, array: layout.Array) -> h5py.Dataset | np.ndarray:
+        """Return the whole rows of a growing array of a crashed run."""
+        is_flushed = self._whole_rows["time"] > 0  # arrays are created with their first rows
+        if is_flushed and array.path in self.file:
+            dataset, rows = self.file[array.path], self._whole_rows[array.dims[0]]
+            if len(dataset) == rows:
+                return dataset
+            values: np.ndarray = (dataset.asstr() if is_text(dataset) else dataset)[:rows]
+            return values
+        group = self.file.get(array.group)
+        if is_flushed or array.optional or group is None:
+            raise NotRecordedError(array.path)
+        return np.empty((0, *(len(group[dim]) for dim in array.dims[1:])), array.dtype)
 
     @property
     def file(self) -> h5py.File:
@@ -416,7 +453,7 @@ class Run:
         from mbdkit.archive.xarray_tree import to_datatree
 
         with reading("its contents", self.path):
-            return to_datatree(self.file)
+            return to_datatree(self.file, self._whole_rows if self.status == "running" else {})
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write the archive to a file, byte for byte.
@@ -430,8 +467,10 @@ class Run:
         ------
         SpecError
             If no archive may be written at `path`.
+        ResourceError
+            If the disk is full.
         MbdkitError
-            If the disk is full, or the run is closed.
+            If the run is closed.
         """
         image = self.file.id.get_file_image()
         target = Target(Path(path), overwrite=overwrite)
@@ -439,7 +478,7 @@ class Run:
             target.replace_content(image)
         except OSError as error:
             target.drop()
-            raise MbdkitError(f"{path} cannot be written: {cause(error)}") from error
+            raise ResourceError(f"{path} cannot be written: {cause(error)}") from error
         try:
             target.publish()
         finally:

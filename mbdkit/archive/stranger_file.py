@@ -16,8 +16,8 @@ import h5py
 import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 
-from mbdkit.archive.hdf5_errors import DAMAGE, cause, reading
-from mbdkit.errors import SpecError
+from mbdkit.archive.hdf5_errors import DAMAGE, cause, error_number, reading
+from mbdkit.errors import ResourceError, SpecError, file_error
 
 OBJECTS = 2_000
 """Largest number of groups and arrays; an archive has about 60."""
@@ -68,8 +68,10 @@ def open_hdf5(path: Path, what: str) -> h5py.File:
 
     Raises
     ------
+    ResourceError
+        If the file is in use, or the system refuses to read it.
     SpecError
-        If the file is not a regular file, is in use, is not an HDF5 file, is damaged, or is refused because it refers
+        If the file is not a regular file, is not an HDF5 file, is damaged, or is refused because it refers
         to other files, links an object twice, or declares more data than it holds.
     """
     check_regular(path)
@@ -77,7 +79,7 @@ def open_hdf5(path: Path, what: str) -> h5py.File:
     try:
         file = h5py.File(path, "r", locking="best-effort")
     except BlockingIOError:
-        raise SpecError(f"a run is still writing this {noun}; wait until it has ended", file=path) from None
+        raise ResourceError(f"a run is still writing this {noun}; wait until it has ended", file=path) from None
     except DAMAGE as error:
         text = str(error)
         if "signature not found" in text:
@@ -86,6 +88,8 @@ def open_hdf5(path: Path, what: str) -> h5py.File:
             why = f"this {noun} is truncated: its end is missing, as after an incomplete copy"
         else:
             why = f"this file cannot be read: {cause(error)}"
+            if number := error_number(error):
+                raise file_error(number, why, file=path) from error
         raise SpecError(why, file=path) from error
     try:
         with reading("its structure", path, hint="it cannot be used"):

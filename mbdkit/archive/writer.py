@@ -22,7 +22,7 @@ from mbdkit.archive.hdf5 import create, set_text, set_texts
 from mbdkit.archive.hdf5_errors import cause
 from mbdkit.archive.layout import Array
 from mbdkit.archive.part_file import LIBVER, Target
-from mbdkit.errors import MbdkitError
+from mbdkit.errors import MbdkitError, ResourceError
 from mbdkit.trust.criteria import Judgement
 
 #: Time between flushes [s]. A crash loses only rows recorded after the last flush.
@@ -112,6 +112,8 @@ class ArchiveWriter:
     ------
     SpecError
         If no archive may be written at `path`.
+    ResourceError
+        If the system refuses the file, or another run is writing it.
     """
 
     def __init__(
@@ -183,7 +185,7 @@ class ArchiveWriter:
 
         Raises
         ------
-        MbdkitError
+        ResourceError
             If the archive cannot be written, as on a full disk.
         """
         self._take(self._rows, rows)
@@ -270,7 +272,7 @@ class ArchiveWriter:
 
         Raises
         ------
-        MbdkitError
+        ResourceError
             If the archive cannot be written or renamed.
         """
         started = time.perf_counter()
@@ -281,10 +283,14 @@ class ArchiveWriter:
             errors = 0 if accuracy is None else accuracy.size_in_bytes + _ATTRIBUTE_BYTES
             with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(misalignment_max) + errors):
                 self._write_tables(more=False)
+                file.flush()
+                del file["trajectory"].attrs[layout.ROWS_FLUSHED]  # from now on, all rows are there
                 if accuracy is not None:
                     accuracy.write(file, self._names.bodies, self._names.joints)
-                self._write_end(status, reason, {**stats, "finish_s": 0.0}, np.asarray(misalignment_max, layout.FLOAT))
+                self._write_end(reason, {**stats, "finish_s": 0.0}, np.asarray(misalignment_max, layout.FLOAT))
                 self._write_verdict(judgement, warnings)
+                file.flush()
+                file.attrs.modify("status", status)  # after all that it declares valid
                 # read back from the file, so that it covers attributes and arrays by whatever way they were written
                 set_text(file, layout.ATTRIBUTES_HASH, attributes_sha256(file))
             if self._target is None:
@@ -319,6 +325,7 @@ class ArchiveWriter:
         present = {array.group for array in arrays}
         for group in (*(group for group in layout.GROUPS if group in present), "stats", "provenance"):
             self._file.create_group(group)
+        self._file["trajectory"].attrs[layout.ROWS_FLUSHED] = np.zeros(len(layout.GROWING), np.int64)
         target = self._file["provenance"]
         for name, entry in provenance.items():
             if isinstance(entry, str):
@@ -353,9 +360,7 @@ class ArchiveWriter:
             digest = hashlib.sha256(text_bytes(text)).hexdigest()
             self._lines.append(line(array.path, array.dtype, (len(text),), digest))
 
-    def _write_end(
-        self, status: str, reason: str, stats: Mapping[str, int | float], misalignment_max: np.ndarray
-    ) -> None:
+    def _write_end(self, reason: str, stats: Mapping[str, int | float], misalignment_max: np.ndarray) -> None:
         attributes, joints = self._file["stats"].attrs, self._file["joints"]
         for name, value in stats.items():
             attributes[name] = _number(value)
@@ -369,7 +374,6 @@ class ArchiveWriter:
         grown = (series.line() for table in self._tables for series in table.series)
         self._file.attrs.modify("data_sha256", digest_lines([*self._lines, *filter(None, grown)]))
         self._file.attrs.modify("status_reason", reason)
-        self._file.attrs.modify("status", status)
 
     def _write_verdict(self, judgement: Judgement, warnings: Sequence[str]) -> None:
         set_text(self._file, "verdict", judgement.level)
@@ -388,8 +392,23 @@ class ArchiveWriter:
     def _write_more(self) -> None:
         with self._room(more=True):
             self._write_tables(more=True)
+            self._mark_rows()
         self._flushed = time.monotonic()
         self._kept = True
+
+    def _mark_rows(self) -> None:
+        """Flush the tables, and then note the number of their rows.
+
+        HDF5 writes its metadata in many pieces. If the process is killed meanwhile, arrays may show rows that are not
+        there. The note is one piece of its own, so that the rows it counts are always complete.
+        """
+        if self._target is not None:
+            self._file.flush()
+            self._file["trajectory"].attrs.modify(layout.ROWS_FLUSHED, self._row_counts())
+
+    def _row_counts(self) -> np.ndarray:
+        counts = {table.series[0].array.dims[0]: table.written for table in self._tables}
+        return np.array([counts.get(dim, 0) for dim in layout.GROWING], np.int64)
 
     def _room(self, *, more: bool, also: int = 0) -> contextlib.AbstractContextManager[None]:
         """Return a context that reserves disk space for the buffered rows and flushes the file on exit."""
@@ -409,14 +428,14 @@ class ArchiveWriter:
                 raise
             self._ended = True
             if self._target is None:
-                raise MbdkitError(f"the archive in memory cannot be written: {cause(error)}") from error
+                raise ResourceError(f"the archive in memory cannot be written: {cause(error)}") from error
             if self._kept:
                 self._target.close()
                 rest = f"; the data up to the last flush are in {self._target.part}"
             else:
                 self._target.drop()
                 rest = ""
-            raise MbdkitError(f"the archive {self._target.path} cannot be written: {cause(error)}{rest}") from error
+            raise ResourceError(f"the archive {self._target.path} cannot be written: {cause(error)}{rest}") from error
 
 
 def _number(value: int | float) -> np.int64 | np.float64:

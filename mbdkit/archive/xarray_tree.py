@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -14,8 +15,13 @@ if TYPE_CHECKING:
     import xarray
 
 
-def to_datatree(file: h5py.File) -> xarray.DataTree:
+def to_datatree(file: h5py.File, rows: Mapping[str, int]) -> xarray.DataTree:
     """Load an open archive into an xarray DataTree.
+
+    Parameters
+    ----------
+    rows
+        Numbers of rows to load by first axis; other arrays are loaded completely.
 
     Returns
     -------
@@ -32,7 +38,7 @@ def to_datatree(file: h5py.File) -> xarray.DataTree:
         variables = {
             item: xarray.Variable(
                 dims(dataset),
-                dataset.asstr()[:] if is_text(dataset) else dataset[:],
+                (dataset.asstr() if is_text(dataset) else dataset)[: rows.get(dims(dataset)[0])],
                 _attributes(dataset),
             )
             for item, dataset in group.items()

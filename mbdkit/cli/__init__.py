@@ -20,6 +20,7 @@ from mbdkit.cli.plugins import plugins_app
 from mbdkit.cli.runs import rerun, run, validate
 from mbdkit.cli.specs import examples_app, schema_app
 from mbdkit.cli.studies import StudyCommand, study
+from mbdkit.interrupts import INTERRUPTED, stop_as_by_ctrl_c
 from mbdkit.terminal import Commands, PlainStream
 
 app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=False, **PLAIN)
@@ -43,7 +44,8 @@ def mbdkit(
     """Simulate planar multibody mechanisms and record joint drift.
 
     Exit status: 0 done, 1 a rerun differs or a plugin is not verified, 2 the input is wrong, 3 the integration stopped
-    early, 4 a plugin failed, 130 interrupted.
+    early or the computer refused a resource (full disk, no permission, file in use), 4 a plugin failed, 130 interrupted
+    (Ctrl-C, SIGTERM, SIGHUP).
 
     Environment: MBDKIT_PLUGINS=a,b loads plugins of these distributions only, none if empty;
     MBDKIT_DISABLE_PLUGINS=a,b excludes these; MBDKIT_STRICT_PLUGINS=1 makes a plugin that cannot be loaded an
@@ -64,12 +66,16 @@ for name, group in {
 
 def main() -> None:
     """Run the command line."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            # a name may contain characters that the terminal cannot encode
-            stream.reconfigure(errors="backslashreplace")
-    if sys.stdout is not None:
-        sys.stdout = PlainStream(sys.stdout)
-    if sys.stderr is not None:
-        sys.stderr = PlainStream(sys.stderr)
-    app(prog_name="mbdkit")
+    try:
+        stop_as_by_ctrl_c()
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):
+                # a name may contain characters that the terminal cannot encode
+                stream.reconfigure(errors="backslashreplace")
+        if sys.stdout is not None:
+            sys.stdout = PlainStream(sys.stdout)
+        if sys.stderr is not None:
+            sys.stderr = PlainStream(sys.stderr)
+        app(prog_name="mbdkit")
+    except KeyboardInterrupt:  # before or after the command itself
+        sys.exit(INTERRUPTED)

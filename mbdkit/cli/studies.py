@@ -13,7 +13,7 @@ from typer.core import TyperCommand
 
 from mbdkit.cli.common_options import AsJson, Debug, Quiet, StudyName
 from mbdkit.cli.output_paths import stem
-from mbdkit.terminal import count_bar, say, silence
+from mbdkit.terminal import STOPPED_EARLY, count_bar, say, silence
 
 
 class StudyCommand(TyperCommand):
@@ -56,6 +56,9 @@ def study(
 
     Writes an archive for each run, and index.h5 with a row for each run. A second
     call computes only missing runs; failed runs are not repeated.
+
+    Exit status 3 if runs are missing because the disk is full, a process died or the
+    like: a second call tries again.
     """
     from mbdkit.studies.execute import Shard
     from mbdkit.studies.study import study as carry_out
@@ -82,6 +85,10 @@ def study(
             print(f"report     {page}")
         if told:
             print(f"\n{told}")
+    if result.unfinished:
+        if as_json or quiet:
+            say(f"unfinished: {result.unfinished[0]}")
+        raise typer.Exit(STOPPED_EARLY)
 
 
 def _cores() -> int:

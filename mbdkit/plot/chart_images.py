@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
 from mbdkit.analysis.verdict import Axis, Figure, Line
-from mbdkit.errors import SpecError
+from mbdkit.errors import file_error
 from mbdkit.plot.caption import Caption
 from mbdkit.plot.style import FAINT, GRID, PALETTE, dress, legend, new_figure, powers_of_ten, save
 
@@ -33,13 +33,13 @@ def write_chart_images(charts: Iterable[Figure], folder: Path) -> list[Path]:
 
     Raises
     ------
-    SpecError
+    SpecError, ResourceError
         The folder or a file cannot be written.
     """
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
-        raise SpecError(f"cannot be created: {error.strerror or error}", file=folder) from error
+        raise file_error(error.errno, f"cannot be created: {error.strerror or error}", file=folder) from error
     written = []
     for chart in charts:
         picture = chart_image(chart)

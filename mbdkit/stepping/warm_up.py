@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
 from mbdkit.engine.jit.cache import FOLDER, compiling, is_warm
+from mbdkit.interrupts import interrupts_noted
 
 
 def to_stderr(message: str) -> None:
@@ -40,21 +39,15 @@ def ensure_compiled(notify: Callable[[str], None] = to_stderr) -> None:
 @contextmanager
 def _interrupts_kept() -> Iterator[Callable[[], None]]:
     """Defer Ctrl-C while the compiler runs, which would ignore it; yields a function that raises KeyboardInterrupt."""
-    noted: list[int] = []
+    noted: list[bool] = []
 
     def check() -> None:
         if noted:
             raise KeyboardInterrupt
 
-    if threading.current_thread() is not threading.main_thread():
-        yield check
-        return
-    before = signal.signal(signal.SIGINT, lambda number, frame: noted.append(number))
-    try:
+    with interrupts_noted(lambda: noted.append(True)):
         yield check
         check()
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _run_everything(check: Callable[[], None]) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.reader import load
+from mbdkit.errors import ResourceError, SpecError
 from mbdkit.spec.study_spec import ERRORS, StudySpec
 from mbdkit.studies.known_runs import KnownRuns
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, worst_joint
@@ -99,10 +100,9 @@ class _Collector:
         if known is not None:
             row = known
         elif outcome.status == "missing" or not path.exists():
-            columns = (*self.measures, *COUNTERS, *TIMINGS)
-            row = Row(run_id, outcome.status, outcome.reason, values=dict.fromkeys(columns, math.nan))
+            row = self.without_archive(run_id, outcome)
         else:
-            row = replace(self.measured(run_id, reference_id), modified=path.stat().st_mtime)
+            row = self.read(run_id, reference_id)
         seconds = tuple(self.repeats.get(run_id) or self.known_runs.repeats(run_id))
         values, second_run = self.with_second_run(run_id, row)
         values = {**values, **quartiles(seconds)} if self.timed else values
@@ -115,11 +115,24 @@ class _Collector:
         made, before = self.second.get(run_id), self.known_runs.run_twice(run_id)
         values: Mapping[str, float] = {}
         note = ""
-        if made is not None:
+        if made is not None and not made.is_passing:
             values, note = made.values, made.reason or made.status
         elif before is not None:
             values, note = before.values, before.second_run
         return {**row.values, **{name: values.get(name, math.nan) for name in self.again}}, note
+
+    def read(self, run_id: str, reference_id: str) -> Row:
+        """Return the row of a run from its archive; `missing` if the archive was damaged after it was computed."""
+        sha256 = self.known_runs.file_sha256(run_id)
+        try:
+            return replace(self.measured(run_id, reference_id), file_sha256=sha256)
+        except (SpecError, ResourceError) as error:
+            return self.without_archive(run_id, Outcome("missing", f"error: {error}"))
+
+    def without_archive(self, run_id: str, outcome: Outcome) -> Row:
+        """Return the row of a run that has no archive."""
+        columns = (*self.measures, *COUNTERS, *TIMINGS)
+        return Row(run_id, outcome.status, outcome.reason, values=dict.fromkeys(columns, math.nan))
 
     def measured(self, run_id: str, reference_id: str) -> Row:
         """Return the row of a run with values computed from its archive."""

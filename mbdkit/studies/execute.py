@@ -12,6 +12,7 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.study_spec import SECOND_RUN, StudySpec
 from mbdkit.studies import study_index
 from mbdkit.studies.collect import collect
+from mbdkit.studies.column_names import check_column_names
 from mbdkit.studies.known_runs import KnownRuns
 from mbdkit.studies.planned_points import plan_points
 from mbdkit.studies.pool import Outcome, Pool, Task
@@ -87,6 +88,7 @@ class Execution:
         self.spec, self.folder, self.shard = spec, folder, shard
         self.progress, self.notify = progress, notify
         check_verdict(spec)
+        check_column_names(spec)
         self.points = plan_points(spec)
         runs, references = {}, {}
         for point in self.points:
@@ -100,6 +102,7 @@ class Execution:
         self.names = {folder.archive(run_id): run_id for run_id in self.runs}
         self.computed = 0
         self.failed = 0
+        self.unfinished: list[str] = []  # reasons outside the study why a run or a timing was not finished
         self.timings: dict[str, tuple[float, ...]] = {}
         self.second: dict[str, Outcome] = {}
 
@@ -153,7 +156,8 @@ class Execution:
             for task, outcome in pool.work(tasks):
                 self.computed += 1
                 known_runs.note(self.names[task.path], outcome)
-                self.failed += outcome.status == "failed"
+                self.failed += outcome.status == "failed" or outcome.is_passing
+                self.note_unfinished(outcome)
                 self.tell(self.computed, total)
 
     @property
@@ -178,6 +182,7 @@ class Execution:
         with Pool(workers, self.notify) as pool:
             for done, (task, outcome) in enumerate(pool.work(tasks), start=last - len(tasks) + 1):
                 self.second[self.names[task.path]] = outcome
+                self.note_unfinished(outcome)
                 self.tell(done, total)
 
     def time(self, repeats: dict[str, int], total: int, known_runs: KnownRuns) -> None:
@@ -190,7 +195,13 @@ class Execution:
         with Pool(1, self.notify) as pool:
             for done, (task, outcome) in enumerate(pool.work(tasks), start=total - len(tasks) + 1):
                 self.timings[self.names[task.path]] = outcome.seconds
+                self.note_unfinished(outcome)
                 self.tell(done, total)
+
+    def note_unfinished(self, outcome: Outcome) -> None:
+        """Keep the reason of an outcome if the next call tries again."""
+        if outcome.is_passing:
+            self.unfinished.append(outcome.reason)
 
     def tell(self, done: int, total: int) -> None:
         """Report progress."""

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from importlib.metadata import version
 
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE
 from mbdkit.archive.reader import load
-from mbdkit.errors import SpecError
+from mbdkit.errors import ResourceError, SpecError
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
-from mbdkit.studies.pool import Outcome
+from mbdkit.studies.pool import PASSING, Outcome
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Row
 
 #: Reasons of failure after which a run is computed again, because a second attempt may succeed.
-PASSING = ("interrupted", "plugin-error", "worker-died", "error")
+TRIED_AGAIN = ("interrupted", "plugin-error", *PASSING)
 
 MISSING = Outcome("missing", "")
 
@@ -34,10 +35,11 @@ class KnownRuns:
     def __init__(self, spec: StudySpec, folder: StudyFolder, runs: Mapping[str, RunSpec]):
         self.folder, self.runs = folder, runs
         self._outcomes: dict[str, Outcome] = {}
+        self._hashes: dict[str, str] = {}
         rows: tuple[Row, ...] = ()
         try:
             before = study_index.read(folder.index)
-        except SpecError:
+        except (SpecError, ResourceError):
             pass  # no index, or a damaged one: read the archives instead
         else:
             if before.study_sha256 == spec.sha256() and before.version == version("mbdkit"):
@@ -46,9 +48,19 @@ class KnownRuns:
         self._measured: Mapping[tuple[str, str], Row] = {(row.run_id, row.reference_id): row for row in rows}
 
     def is_unchanged(self, run_id: str) -> bool:
-        """Return whether the archive of a run is unchanged since it was indexed."""
-        path = self.folder.archive(run_id)
-        return run_id in self._by_run and path.exists() and path.stat().st_mtime == self._by_run[run_id].modified
+        """Return whether the archive of a run has the same bytes as when it was indexed."""
+        row = self._by_run.get(run_id)
+        return row is not None and bool(row.file_sha256) and row.file_sha256 == self.file_sha256(run_id)
+
+    def file_sha256(self, run_id: str) -> str:
+        """Return the SHA-256 of the bytes of the archive of a run; empty if it cannot be read."""
+        if run_id not in self._hashes:
+            try:
+                with self.folder.archive(run_id).open("rb") as file:
+                    self._hashes[run_id] = hashlib.file_digest(file, "sha256").hexdigest()
+            except OSError:
+                return ""
+        return self._hashes[run_id]
 
     def repeats(self, run_id: str) -> tuple[float, ...]:
         """Return the serial timings of a run from earlier calls [s]."""
@@ -76,7 +88,9 @@ class KnownRuns:
             If its archive contains another run.
         """
         outcome = self.outcome(run_id)
-        return outcome.status == "complete" or (outcome.status == "failed" and not outcome.reason.startswith(PASSING))
+        return outcome.status == "complete" or (
+            outcome.status == "failed" and not outcome.reason.startswith(TRIED_AGAIN)
+        )
 
     def outcome(self, run_id: str) -> Outcome:
         """Return the outcome of a run; ``missing`` if it has not ended.
@@ -92,10 +106,11 @@ class KnownRuns:
 
     def note(self, run_id: str, outcome: Outcome | None) -> None:
         """Record the outcome of a run that was computed just now; None discards the recorded outcome."""
+        self._hashes.pop(run_id, None)
         if outcome is None:
             self._outcomes.pop(run_id, None)
         else:
-            self._outcomes[run_id] = outcome if outcome.status in ("complete", "failed") else MISSING
+            self._outcomes[run_id] = outcome if outcome.status in ("complete", "failed", "missing") else MISSING
 
     def _found(self, run_id: str) -> Outcome:
         row = self._by_run.get(run_id)
@@ -111,7 +126,7 @@ class KnownRuns:
         path = self.folder.archive(run_id)
         try:
             run = load(path)
-        except SpecError:
+        except (SpecError, ResourceError):
             return MISSING
         with run:
             if run.run_id != run_id or run.spec_sha256 != self.runs[run_id].sha256():

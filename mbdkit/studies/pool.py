@@ -1,4 +1,4 @@
-"""A pool of worker processes; if a process dies, its task is reported as failed."""
+"""A pool of worker processes; if a process dies, another one tries its task, once."""
 
 from __future__ import annotations
 
@@ -19,11 +19,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from mbdkit.errors import ResourceError
 from mbdkit.spec import RunSpec
 
 #: Thread counts of the linear algebra libraries: several threads do not pay for small matrices, and the workers would
 #: compete for the cores.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+
+
+#: Reasons of failure that are outside the study: a resource that was refused, a process that died, a defect of mbdkit.
+PASSING = ("no-resources", "worker-died", "error")
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,11 @@ class Outcome:
     seconds: tuple[float, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def is_passing(self) -> bool:
+        """Whether the cause of a failure is outside the study, so that the next call tries again."""
+        return self.reason.startswith(PASSING)
+
 
 class Pool:
     """Worker processes with one linear algebra thread each, for use in a `with` block, which ends them.
@@ -72,12 +82,18 @@ class Pool:
         self._said: set[str] = set()
 
     def work(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Outcome]]:
-        """Start the tasks in order, and yield each with its outcome when it is finished."""
+        """Start the tasks in order, and yield each with its outcome when it is finished.
+
+        Raises
+        ------
+        ResourceError
+            If the system refuses all processes.
+        """
         waiting = deque(tasks)
         lines: queue.SimpleQueue[tuple[_Worker, str]] = queue.SimpleQueue()
-        while waiting and len(self._workers) < min(self.size, len(tasks)):
-            self._workers.append(_Worker(lines))
-            self._workers[-1].give(waiting.popleft())
+        again: set[Path] = set()  # archives of tasks whose first process died
+        while waiting and len(self._workers) < min(self.size, len(tasks)) and (added := self._started(lines)):
+            added.give(waiting.popleft())
         while any(worker.task for worker in self._workers):
             worker, line = lines.get()
             task = worker.task
@@ -96,15 +112,34 @@ class Pool:
                 outcome = Outcome(answer["status"], answer["reason"], tuple(answer.get("seconds", ())), values)
                 worker.task = None
             else:
-                outcome = Outcome("failed", f"worker-died: {worker.death()}")
+                how = worker.death()
                 self._workers.remove(worker)
                 worker.end()
-                if waiting:
-                    worker = _Worker(lines)
-                    self._workers.append(worker)
-            if waiting:
+                is_first = task.path not in again
+                if is_first:
+                    again.add(task.path)
+                    waiting.appendleft(task)
+                if waiting and (added := self._started(lines)):
+                    added.give(waiting.popleft())
+                if is_first:
+                    continue
+                outcome = Outcome("failed", f"worker-died: two processes that computed it died; the second one {how}.")
+            if waiting and worker in self._workers:
                 worker.give(waiting.popleft())
             yield task, outcome
+
+    def _started(self, lines: queue.SimpleQueue[tuple[_Worker, str]]) -> _Worker | None:
+        """Start another process; return None if the system refuses it, but others are running."""
+        try:
+            worker = _Worker(lines)
+        except OSError as error:
+            message = f"a process of the study cannot be started: {error.strerror or error}"
+            if not self._workers:
+                raise ResourceError(message) from error
+            self._say(message)
+            return None
+        self._workers.append(worker)
+        return worker
 
     def _say(self, text: str) -> None:
         if text not in self._said:
@@ -160,12 +195,12 @@ class _Worker:
             self.process.stdin.flush()
 
     def death(self) -> str:
-        """Return a sentence that says how the process ended."""
+        """Return words that say how the process ended."""
         code = self.process.wait()
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit status {code}"
         self.errors.seek(0)
         said = self.errors.read().decode(errors="replace").strip().splitlines()
-        return f"the process that computed it {how}{': ' + said[-1].strip() if said else ''}."
+        return f"{how}{': ' + said[-1].strip().rstrip('.') if said else ''}"
 
     def end(self) -> None:
         """Kill the process and remove the unfinished archive of its task."""

@@ -113,6 +113,8 @@ class Study:
     ----------
     computed
         Number of runs that were computed before the study was opened in the same call.
+    unfinished
+        Reasons outside the study why runs or timings were not finished in the same call; the next call tries again.
     keep
         Temporary folder to delete when the study is deleted.
 
@@ -122,8 +124,16 @@ class Study:
         If the folder contains no study with an index.
     """
 
-    def __init__(self, folder: str | Path, *, computed: int = 0, keep: tempfile.TemporaryDirectory[str] | None = None):
+    def __init__(
+        self,
+        folder: str | Path,
+        *,
+        computed: int = 0,
+        unfinished: Sequence[str] = (),
+        keep: tempfile.TemporaryDirectory[str] | None = None,
+    ):
         self.computed = computed
+        self.unfinished = tuple(unfinished)
         self._files = StudyFolder(Path(folder))
         self._keep = keep
         if not self._files.spec.is_file():
@@ -340,13 +350,16 @@ def study(
     Returns
     -------
     Study
-        The study with its index. Failed runs do not raise an error; they are part of the results.
+        The study with its index. Failed runs do not raise an error; they are part of the results. A run for which a
+        resource is lacking, such as disk space, is missing; `Study.unfinished` has the reasons.
 
     Raises
     ------
     SpecError
         If the study or one of its runs is invalid, or the folder belongs to another study. Nothing is written in this
         case.
+    ResourceError
+        If the folder cannot be written to, is in use by another call, or no process can be started.
     """
     spec = load_study_spec(source)
     keep = None
@@ -359,4 +372,4 @@ def study(
         execution.run(workers)
     except SpecError as error:
         raise advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
-    return Study(folder.path, computed=execution.computed, keep=keep)
+    return Study(folder.path, computed=execution.computed, unfinished=execution.unfinished, keep=keep)

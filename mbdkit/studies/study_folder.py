@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from mbdkit.errors import SpecError
+from mbdkit.errors import ResourceError, SpecError, file_error
+from mbdkit.files import rename_new
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.spec.yaml_reader import write_yaml
+
+#: Beginning of the name of study.yaml while it is written.
+_BEGUN = ".study.yaml-"
 
 
 class StudyFolder:
@@ -33,7 +38,9 @@ class StudyFolder:
         Raises
         ------
         SpecError
-            If the folder belongs to another study, contains other files, or cannot be created or written to.
+            If the folder belongs to another study, contains other files, or cannot be created.
+        ResourceError
+            If writing into it is not permitted.
         """
         path = self.path
         if not os.path.lexists(path):
@@ -41,31 +48,56 @@ class StudyFolder:
             if not os.path.isdir(parent):
                 raise SpecError(f"the folder {parent} does not exist; create it first", file=path)
             if not os.access(parent, os.W_OK | os.X_OK):
-                raise SpecError(f"the folder {parent} cannot be written to", file=path)
+                raise ResourceError(f"the folder {parent} cannot be written to", file=path)
             return
         if not os.path.isdir(path):
             raise SpecError("this is not a folder; name a folder for the study with -o", file=path)
         if not os.access(path, os.W_OK | os.X_OK):
-            raise SpecError("this folder cannot be written to", file=path)
-        if self.spec.is_file():
-            if load_study_spec(self.spec).sha256() != spec.sha256():
-                raise SpecError(
-                    "this folder belongs to another study, or to an earlier version of this one: its study.yaml "
-                    "differs; choose another folder with -o",
-                    file=path,
-                )
-        elif any(path.iterdir()):
+            raise ResourceError("this folder cannot be written to", file=path)
+        has_others = not all(entry.name.startswith(_BEGUN) for entry in path.iterdir())
+        if self.spec.is_file():  # asked last: another call may be creating it, before any other file
+            self._check_same(spec)
+        elif has_others:
             raise SpecError(
                 "this folder contains other files and no study.yaml; choose another folder with -o", file=path
             )
 
+    def _check_same(self, spec: StudySpec) -> None:
+        if load_study_spec(self.spec).sha256() != spec.sha256():
+            raise SpecError(
+                "this folder belongs to another study, or to an earlier version of this one: its study.yaml "
+                "differs; choose another folder with -o",
+                file=self.path,
+            )
+
     def prepare(self, spec: StudySpec) -> None:
-        """Create the folder, its subfolder for runs, and study.yaml, unless they exist."""
-        self.runs.mkdir(parents=True, exist_ok=True)
-        if not self.spec.exists():
-            part = self.spec.with_name("study.yaml.part")
-            part.write_text(write_yaml(spec.model_dump(mode="json", exclude_unset=True)), encoding="utf-8")
-            os.replace(part, self.spec)
+        """Create the folder, study.yaml, and the subfolder for runs, unless they exist.
+
+        Calls that compute parts of the same study may do this at the same time: study.yaml appears with its whole
+        content, and before any other file.
+
+        Raises
+        ------
+        SpecError
+            If another call has just begun another study in this folder.
+        ResourceError
+            If the system refuses a file or folder.
+        """
+        try:
+            self.path.mkdir(exist_ok=True)
+            if not self.spec.exists():
+                begun = self.path / f"{_BEGUN}{secrets.token_hex(4)}"
+                try:
+                    text = write_yaml(spec.model_dump(mode="json", exclude_unset=True))
+                    begun.write_text(text, encoding="utf-8")
+                    with contextlib.suppress(FileExistsError, FileNotFoundError):  # another call was faster
+                        rename_new(begun, self.spec)
+                finally:
+                    begun.unlink(missing_ok=True)
+                self._check_same(spec)
+            self.runs.mkdir(exist_ok=True)
+        except OSError as error:
+            raise file_error(error.errno, f"cannot be created: {error.strerror or error}", file=self.path) from error
 
     @contextlib.contextmanager
     def indexing(self) -> Iterator[None]:
@@ -93,7 +125,7 @@ class StudyFolder:
 
         Raises
         ------
-        SpecError
+        ResourceError
             If another call holds the lock.
         """
         if sys.platform == "win32":
@@ -105,7 +137,10 @@ class StudyFolder:
             try:
                 fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise SpecError(
+                raise ResourceError(
                     "another `mbdkit study` is running in this folder; wait until it ends", file=self.path
                 ) from None
+            if not shared:
+                for begun in self.path.glob(f"{_BEGUN}*"):  # of a call that was killed
+                    begun.unlink(missing_ok=True)
             yield

@@ -23,13 +23,13 @@ from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND
 from mbdkit.studies.planned_points import Label
 
 FORMAT = "mbdkit-study"
-FORMAT_VERSION = "1.2"
+FORMAT_VERSION = "1.3"
 STATUSES = ("complete", "failed", "missing", "left-out")
 
 #: Minimum, quartiles and median of the repeated timings.
 QUARTILES = {"wall_min_s": 0.0, "wall_q1_s": 0.25, "wall_median_s": 0.5, "wall_q3_s": 0.75}
 
-_TEXTS = {
+TEXTS = {
     "family": "family of the run",
     "run_id": "identifier of the run, and name of its file in runs/",
     "reference_id": "reference run for its errors",
@@ -40,7 +40,14 @@ _TEXTS = {
     "second_run": "complete if a second run for measures was made, or the reason why it has no result; else empty",
     "worst_joint": "joint with the largest misalignment",
     "data_sha256": "hash of the recorded data",
+    "file_sha256": "hash of the bytes of the archive",
 }
+
+#: Columns of numbers; each exists if a run of the study has a value.
+NUMBERS = (*MEASURES, *OF_CHECKED_RUNS, *SECOND, *COUNTERS, *TIMINGS, *QUARTILES)
+
+#: All columns but those of the axes.
+COLUMNS = frozenset((*TEXTS, *NUMBERS, "run", "reference", "repeat", "wall_repeats_s"))
 
 
 @dataclass(frozen=True)
@@ -61,8 +68,8 @@ class Row:
         Measures, counters and timings by column.
     repeats
         Wall times of the serial timings, s.
-    modified
-        Modification time of its file, s since 1970; nan if there is no file.
+    file_sha256
+        Hash of the bytes of its archive; empty if there is none.
     second_run
         ``complete`` if a second run for measures was made, or the reason why it has no result; empty if none was made.
     verdict, verdict_reasons
@@ -79,7 +86,7 @@ class Row:
     data_sha256: str = ""
     values: Mapping[str, float] = field(default_factory=dict)
     repeats: tuple[float, ...] = ()
-    modified: float = math.nan
+    file_sha256: str = ""
     second_run: str = ""
     verdict: str = ""
     verdict_reasons: str = ""
@@ -104,6 +111,11 @@ class Index:
     version: str
     runs: tuple[Row, ...]
     references: tuple[Row, ...]
+
+
+def axis_column(key: str) -> str:
+    """Return the column of an axis; HDF5 would take a slash in its name for a group."""
+    return key.replace("/", "|")
 
 
 def quartiles(repeats: Sequence[float]) -> dict[str, float]:
@@ -155,6 +167,7 @@ def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row]) -> N
         "second_run": [row.second_run for row in rows],
         "worst_joint": [row.worst_joint for row in rows],
         "data_sha256": [row.data_sha256 for row in rows],
+        "file_sha256": [row.file_sha256 for row in rows],
     }
 
     def add(name: str, values: Any, dtype: str, units: str, what: str, dims: tuple[str, ...] = (dim,)) -> h5py.Dataset:
@@ -163,19 +176,19 @@ def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row]) -> N
 
     add(dim, range(1, len(rows) + 1), INTEGER, "1", "number of the run")
     for name, text in texts.items():
-        add(name, text, TEXT, "1", _TEXTS[name])
+        add(name, text, TEXT, "1", TEXTS[name])
     for key in dict.fromkeys(key for row in rows for key in row.axes):
         labels = [row.axes.get(key) for row in rows]
         numeric = not any(isinstance(label, str) for label in labels)
         filled = [(math.nan if numeric else "") if label is None else label for label in labels]
         values = filled if numeric else list(map(str, filled))
-        name = key.replace("/", "|")  # HDF5 would treat the slash as a group separator
-        dataset = add(name, values, FLOAT if numeric else TEXT, "1", f"axis of the study: {key} of the run spec")
+        dataset = add(
+            axis_column(key), values, FLOAT if numeric else TEXT, "1", f"axis of the study: {key} of the run spec"
+        )
         set_text(dataset, "role", "axis")
     for name in dict.fromkeys(name for row in rows for name in row.values):
         units, what = described(name)
         add(name, [row.values.get(name, math.nan) for row in rows], FLOAT, units, what)
-    add("file_modified_s", [row.modified for row in rows], FLOAT, "s", "modification time of the file, since 1970")
     count = max((len(row.repeats) for row in rows), default=0)
     if count:
         add("repeat", range(1, count + 1), INTEGER, "1", "number of the timing", ("repeat",))
@@ -239,11 +252,9 @@ def read(path: Path) -> Index:
 
 def _read_rows(group: h5py.Group, dim: str) -> tuple[Row, ...]:
     empty = [""] * len(group[dim])  # for columns that earlier versions of the format lack
-    texts = {name: list(group[name].asstr()[:]) if name in group else empty for name in _TEXTS}
-    known = (*MEASURES, *OF_CHECKED_RUNS, *SECOND, *COUNTERS, *TIMINGS, *QUARTILES)
-    values = {name: group[name][:] for name in known if name in group}
-    modified = group["file_modified_s"][:]
-    repeats = group["wall_repeats_s"][:] if "wall_repeats_s" in group else np.empty((len(modified), 0))
+    texts = {name: list(group[name].asstr()[:]) if name in group else empty for name in TEXTS}
+    values = {name: group[name][:] for name in NUMBERS if name in group}
+    repeats = group["wall_repeats_s"][:] if "wall_repeats_s" in group else np.empty((len(empty), 0))
     return tuple(
         Row(
             texts["run_id"][number],
@@ -256,7 +267,7 @@ def _read_rows(group: h5py.Group, dim: str) -> tuple[Row, ...]:
             texts["data_sha256"][number],
             {name: float(column[number]) for name, column in values.items()},
             tuple(float(value) for value in repeats[number] if not math.isnan(value)),
-            float(modified[number]),
+            texts["file_sha256"][number],
             texts["second_run"][number],
             texts["verdict"][number],
             texts["verdict_reasons"][number],

@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.studies.study_index import STATUSES
-from mbdkit.text import shown
+from mbdkit.text import counted, shown
 from mbdkit.trust.criteria import LEVELS
 
 if TYPE_CHECKING:
@@ -36,6 +36,9 @@ def summary(study: Study) -> str:
     text += [shown(f"failed     {_named(point)}: {point.reason}") for point in study.failures[:FAILURES_SHOWN]]
     if len(study.failures) > FAILURES_SHOWN:
         text.append(f"           and {len(study.failures) - FAILURES_SHOWN} more")
+    text += [
+        f"unfinished {counted(count, 'time')}: {reason}" for reason, count in Counter(study.unfinished).most_common(5)
+    ]
     return "\n".join(text)
 
 
@@ -57,6 +60,7 @@ def outcome(study: Study) -> dict[str, Any]:
         "references": len(study.references),
         "computed": study.computed,
         **{status.replace("-", "_"): counts[status] for status in STATUSES},
+        "unfinished": list(study.unfinished),
         "verdicts": {level: levels[level] for level in LEVELS if levels[level]},
         "failures": [
             {

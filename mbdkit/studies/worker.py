@@ -15,7 +15,7 @@ import threading
 from pathlib import Path
 from typing import IO, Any
 
-from mbdkit.errors import MbdkitError, PluginError, SpecError
+from mbdkit.errors import MbdkitError, PluginError, ResourceError, SpecError
 from mbdkit.text import one_line
 
 
@@ -47,7 +47,13 @@ def _outcome(task: dict[str, Any], notify: Any) -> dict[str, Any]:
     try:
         return _work(task, notify)
     except SpecError as error:
+        if error.file == task["path"]:  # the folder of the study was changed, and the spec is not to blame
+            return {"status": "missing", "reason": f"no-resources: {error}"}
         return {"status": "failed", "reason": f"wrong-input: {error}"}
+    except (ResourceError, OSError) as error:
+        return {"status": "missing", "reason": f"no-resources: {error}"}
+    except MemoryError:
+        return {"status": "missing", "reason": "no-resources: there is not enough memory."}
     except PluginError as error:
         return {"status": "failed", "reason": f"plugin-error: {error}"}
     except MbdkitError as error:

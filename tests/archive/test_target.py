@@ -14,7 +14,7 @@ import pytest
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
-from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.errors import MbdkitError, ResourceError, SpecError
 
 from .making import STATS, fill, largest, make, names, writer
 
@@ -66,7 +66,7 @@ def test_wrong_names_are_refused_and_nothing_is_left(in_tmp_path: Path, name: st
 def test_folder_without_permission_is_refused(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     try:
-        with pytest.raises(SpecError, match="cannot be written to"):
+        with pytest.raises(ResourceError, match="cannot be written to"):
             check_target(tmp_path / "run.h5")
     finally:
         tmp_path.chmod(0o700)
@@ -139,7 +139,7 @@ def test_part_that_is_no_file_is_refused(tmp_path: Path) -> None:
 
 def test_part_of_a_live_run_is_refused(tmp_path: Path) -> None:
     into = writer(tmp_path / "run.h5")
-    with pytest.raises(SpecError, match="in use by another run"):
+    with pytest.raises(ResourceError, match="in use by another run"):
         writer(tmp_path / "run.h5")
     fill(into, 11)
     into.finish("complete", "", STATS, largest(11, names()))
@@ -159,7 +159,7 @@ def test_part_of_another_live_process_is_refused(tmp_path: Path, locking: str) -
     """
     done = run_python(script, tmp_path, HDF5_USE_FILE_LOCKING=locking)
     assert done.returncode == 0, done.stderr
-    assert "SpecError: run.h5: run.h5.part is in use by another run" in done.stderr
+    assert "ResourceError: run.h5: run.h5.part is in use by another run" in done.stderr
     assert check(tmp_path / "run.h5") == []
 
 
@@ -168,7 +168,7 @@ def test_part_is_locked_until_it_has_its_final_name(tmp_path: Path, monkeypatch:
     refused = []
 
     def late(source: Path, target: Path) -> None:
-        with pytest.raises(SpecError, match="in use by another run") as caught:
+        with pytest.raises(ResourceError, match="in use by another run") as caught:
             writer(tmp_path / "run.h5")
         refused.append(caught.value)
         link(source, target)
@@ -182,7 +182,7 @@ def test_part_is_locked_until_it_has_its_final_name(tmp_path: Path, monkeypatch:
 def test_live_part_is_not_read(tmp_path: Path) -> None:
     into = writer(tmp_path / "run.h5")
     done = run_python("from mbdkit.archive.reader import load; load('run.h5.part')", tmp_path)
-    assert "SpecError: run.h5.part: a run is still writing this archive" in done.stderr
+    assert "ResourceError: run.h5.part: a run is still writing this archive" in done.stderr
     into.abandon()
 
 

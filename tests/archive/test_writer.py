@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -10,6 +11,7 @@ import textwrap
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -124,6 +126,62 @@ def test_run_killed_after_a_flush_leaves_what_was_flushed(tmp_path: Path) -> Non
     make(tmp_path / "run.h5")  # the next run replaces what the dead one left
     assert not (tmp_path / "run.h5.part").exists()
     assert_holds(tmp_path / "run.h5", 11)
+
+
+@pytest.mark.parametrize("written", [1, 5, 12, 20])
+def test_run_killed_in_the_middle_of_a_flush_has_whole_rows_of_the_flush_before(tmp_path: Path, written: int) -> None:
+    into = writer(tmp_path / "run.h5")
+    fill(into, 30)
+    into._write_more()
+    into.append(rows(10, names(), 30))
+    table, file = into._rows, into._file
+    for series in table.series[:written]:  # as if the process were killed before the others
+        series.extend(table._buffers[series.array.key][: table.waiting], table.written)
+    file.flush()
+    left = tmp_path / "killed.h5.part"
+    left.write_bytes((tmp_path / "run.h5.part").read_bytes())
+    into.abandon()
+    with load(left) as run:
+        assert run.status == "running"
+        for array in LAYOUT:
+            if array.grows and not array.optional:
+                assert len(run.array(array.path)) == (30 if array.dims[0] == "time" else 29), array.path
+                assert len(run.dataset(array.path)) == len(run.array(array.path))
+        np.testing.assert_array_equal(run["rod1"].position, rows(30, names())["trajectory/position"][:, 0, :2])
+        assert len(run.to_xarray()["trajectory"]["time"]) == 30
+
+
+@pytest.mark.parametrize("moment", ["_write_end", "_write_verdict", "flush", "sync"])
+def test_run_killed_while_it_ends_is_running_or_valid(tmp_path: Path, monkeypatch: Any, moment: str) -> None:
+    into = writer(tmp_path / "run.h5")
+    fill(into, 30)
+    into._write_more()
+    left = tmp_path / "killed.h5.part"
+    owner = into._target if moment == "sync" else into
+    if moment == "flush":
+        owner, moment = into, "_write_verdict"
+        write = into._write_verdict
+
+        def killed(*given: Any) -> None:
+            write(*given)
+            into._file.flush()
+            left.write_bytes((tmp_path / "run.h5.part").read_bytes())
+    else:
+
+        def killed(*given: Any) -> None:
+            into._file.flush()
+            left.write_bytes((tmp_path / "run.h5.part").read_bytes())
+            if moment != "sync":
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(owner, moment, killed)
+    with contextlib.suppress(KeyboardInterrupt):
+        into.finish("complete", "", STATS, largest(30, names()))
+    with load(left) as run:
+        assert len(run.time) == len(run.energy.total) == 30
+        assert run.status == ("complete" if moment == "sync" else "running")
+    if moment == "sync":
+        assert check(left) == []
 
 
 @pytest.mark.parametrize(

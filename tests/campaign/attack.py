@@ -104,7 +104,7 @@ def command(*arguments: str | Path, folder: Path, seconds: float = 2 * SECONDS, 
             cwd=folder,
             **({"stdin": subprocess.DEVNULL, "stdout": output, "stderr": errors} | more),
         )
-        status, usage = _wait(process.pid, start + seconds)
+        status, usage = wait_for(process.pid, start + seconds)
         process.returncode = -signal.SIGKILL if status is None else status
     ending = Ending(
         status,
@@ -144,13 +144,13 @@ def in_child(function: Callable[..., Any], *arguments: Any, seconds: float = 2 *
             if not piece:
                 break
             answer += piece
-    result, memory = _wait(child, start + seconds)
+    result, memory = wait_for(child, start + seconds)
     value, errors = pickle.loads(answer) if answer and result in (0, 1) else (None, "")
     return Ending(result, time.monotonic() - start, memory, errors=errors, value=value)
 
 
-def _wait(child: int, until: float) -> tuple[int | None, int]:
-    # exit status, or None if it had to be killed, and the largest resident memory [bytes]
+def wait_for(child: int, until: float) -> tuple[int | None, int]:
+    """Return the exit status of a child, or None if it had to be killed, and its largest resident memory [bytes]."""
     killed = False
     while True:
         done, status, usage = os.wait4(child, os.WNOHANG)

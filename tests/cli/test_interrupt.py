@@ -6,12 +6,14 @@ import os
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 from pathlib import Path
 
 import pytest
 
 from mbdkit import load
+from mbdkit.interrupts import TOGETHER, interrupts_noted
 
 LONG = """\
 mbdkit: 1
@@ -41,11 +43,14 @@ def wait_until_it_runs(process: subprocess.Popen, part: Path) -> None:
     pytest.fail("the run did not get under way")
 
 
-def test_ctrl_c_keeps_the_archive_and_is_exit_status_130(tmp_path):
+@pytest.mark.parametrize("stop", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_ctrl_c_and_its_like_keep_the_archive_and_are_exit_status_130(stop, tmp_path):
     process = start(tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         wait_until_it_runs(process, tmp_path / "long.h5.part")
-        process.send_signal(signal.SIGINT)
+        process.send_signal(getattr(signal, stop))
+        if stop == "SIGTERM":  # as `timeout` does
+            process.send_signal(signal.SIGTERM)
         told, errors = process.communicate(timeout=60)
     finally:
         process.kill()
@@ -56,6 +61,91 @@ def test_ctrl_c_keeps_the_archive_and_is_exit_status_130(tmp_path):
     with load(tmp_path / "long.h5") as run:
         assert run.status == "interrupted"
         assert len(run.time) > 1
+
+
+def test_a_run_under_nohup_goes_on(tmp_path):
+    process = start(tmp_path, stderr=subprocess.PIPE, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    try:
+        wait_until_it_runs(process, tmp_path / "long.h5.part")
+        process.send_signal(signal.SIGHUP)
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.communicate(timeout=1)
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+
+
+def run_script(text: str, folder: Path) -> subprocess.Popen:
+    """Start a script that says `ready` before it goes on."""
+    script = folder / "script.py"
+    script.write_text(textwrap.dedent(text))
+    process = subprocess.Popen([sys.executable, script], cwd=folder, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+def test_a_program_of_the_user_is_ended_by_sigterm_after_its_archive_is_complete(tmp_path):
+    (tmp_path / "long.yaml").write_text(LONG)
+    process = run_script(
+        """
+        import mbdkit
+        print("ready", flush=True)
+        mbdkit.run("long.yaml", archive="long.h5")
+        print("went on")
+        """,
+        tmp_path,
+    )
+    try:
+        wait_until_it_runs(process, tmp_path / "long.h5.part")
+        process.send_signal(signal.SIGTERM)
+        told, _ = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == -signal.SIGTERM
+    assert told == ""
+    with load(tmp_path / "long.h5") as run:
+        assert run.status == "interrupted"
+
+
+@pytest.mark.parametrize("how", ["compiled", "interpreted"])
+def test_the_second_sigterm_ends_an_endless_loop(how, tmp_path):
+    process = run_script(
+        f"""
+        from numba import njit
+        from mbdkit.interrupts import interrupts_noted
+
+        def endless(x):
+            while x > 0:
+                x += 1
+            return x
+
+        if {how == "compiled"}:
+            endless = njit("int64(int64)", nogil=True)(endless)  # as kernels are
+        with interrupts_noted(lambda: None):
+            print("ready", flush=True)
+            endless(1)
+        """,
+        tmp_path,
+    )
+    try:
+        process.send_signal(signal.SIGTERM)
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(timeout=TOGETHER + 0.3)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=10) == 130
+    finally:
+        process.kill()
+
+
+def test_signals_are_those_of_before_after_a_run(tmp_path):
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    with interrupts_noted(lambda: None):
+        assert signal.getsignal(signal.SIGTERM) != before[1]
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
+    assert signal.set_wakeup_fd(-1) == -1
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")

@@ -72,6 +72,7 @@ def test_json_is_one_object(mbdkit, in_tmp_path):
         "complete": 2,
         "failed": 2,
         "missing": 0,
+        "unfinished": [],
         "left_out": 0,
         "verdicts": {"unknown": 2, "bad": 2},
     }
@@ -92,7 +93,8 @@ def start(folder: Path, out: str) -> subprocess.Popen:
     )
 
 
-def test_ctrl_c_keeps_what_is_finished_and_the_next_call_comes_to_the_same_index(tmp_path):
+@pytest.mark.parametrize("stop", ["SIGINT", "SIGTERM"])
+def test_ctrl_c_keeps_what_is_finished_and_the_next_call_comes_to_the_same_index(stop, tmp_path):
     (tmp_path / "slow.yaml").write_text(SLOW)
     process = start(tmp_path, "cut")
     runs = tmp_path / "cut" / "runs"
@@ -101,7 +103,7 @@ def test_ctrl_c_keeps_what_is_finished_and_the_next_call_comes_to_the_same_index
         if runs.is_dir() and list(runs.glob("*.h5")) and list(runs.glob("*.h5.part")):
             break
         time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(getattr(signal, stop))
     told, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     assert told == ""

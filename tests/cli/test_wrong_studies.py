@@ -231,6 +231,67 @@ WRONG = {
         "axes",
         "makes 18000 runs; a study has at most 10000",
     ),
+    **{
+        f"an axis called {name}": (
+            study("  - integrator:", f"  - {name}:")
+            .replace("{name: rk4}", "{label: a, set: {time.end: 1.0}}")
+            .replace("{name: gauss, stages: 2}", "{label: b, set: {time.end: 2.0}}"),
+            8,
+            f"axes[0].{name}",
+            "is a column of the index of every study",
+        )
+        for name in (
+            "status",
+            "status_reason",
+            "run",
+            "run_id",
+            "reference",
+            "steps",
+            "wall_s",
+            "misalignment_max",
+            "family",
+            "verdict",
+            "file_sha256",
+            "number",
+            "wall_median_s",
+            "repeat",
+            "known_until",
+            "reversibility_defect",
+        )
+    },
+    "axes of the same name in the index": (
+        study(
+            "  - time.step: [0.1, 0.05]",
+            "  - a/b: [{label: x, set: {time.step: 0.1}}]\n  - a|b: [{label: y, set: {time.end: 2.0}}]",
+        ),
+        12,
+        "axes[2].a|b",
+        "'a|b' and 'a/b' would be one column",
+    ),
+    "a zero in the name of an axis": (
+        study("  - time.step: [0.1, 0.05]", '  - "a\\0b": [{label: x, set: {time.step: 0.1}}]'),
+        11,
+        "axes[1].a?b",
+        "contains the character '\\x00'",
+    ),
+    "a zero in a label": (
+        study("  - time.step: [0.1, 0.05]", '  - "a": [{label: "x\\0", set: {time.step: 0.1}}]'),
+        11,
+        "axes[1].a[0].set",
+        "contains the character '\\x00'",
+    ),
+    "a blank name of an axis": (
+        study("  - time.step: [0.1, 0.05]", '  - "  ": [{label: x, set: {time.step: 0.1}}]'),
+        11,
+        "axes[1].  ",
+        "is blank",
+    ),
+    "a long name of an axis": (
+        study("  - time.step: [0.1, 0.05]", f"  - {'a' * 300}: [{{label: x, set: {{time.step: 0.1}}}}]"),
+        11,
+        f"axes[1].{'a' * 300}",
+        "is longer than 255 bytes",
+    ),
     "not finite": (study("[0.1, 0.05]", "[.nan]"), 11, "axes[1].time.step[0]", "finite"),
 }
 

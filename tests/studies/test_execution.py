@@ -11,7 +11,7 @@ import pytest
 
 import mbdkit
 from mbdkit.archive.archive_check import check
-from mbdkit.errors import SpecError
+from mbdkit.errors import ResourceError, SpecError
 from mbdkit.studies import pool
 from mbdkit.studies.execute import Shard
 
@@ -101,11 +101,15 @@ def interrupt(path: Path) -> None:
         file.attrs.modify("status", "interrupted")
 
 
+@pytest.mark.parametrize("is_noticed_by_time", [True, False])
 @pytest.mark.parametrize("damage", [truncate, empty, change_a_number, interrupt])
-def test_a_damaged_or_unfinished_run_is_computed_again_alone(damage, copied, small, finished):
+def test_a_damaged_or_unfinished_run_is_computed_again_alone(damage, is_noticed_by_time, copied, small, finished):
     index = index_hash(copied)
     path = copied / "runs" / finished.points[2].path.name
+    before = path.stat()
     damage(path)
+    if not is_noticed_by_time:
+        os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
     study = mbdkit.study(small, out=copied)
     assert study.computed == 1
     assert check(path) == []
@@ -151,7 +155,7 @@ def test_a_file_that_holds_another_run_than_its_name_says_is_refused_before_any_
 def test_only_one_call_works_in_a_folder_at_a_time(copied, small):
     from mbdkit.studies.study_folder import StudyFolder
 
-    with StudyFolder(copied).locked(), pytest.raises(SpecError, match="running in this folder"):
+    with StudyFolder(copied).locked(), pytest.raises(ResourceError, match="running in this folder"):
         mbdkit.study(small, out=copied)
 
 
@@ -199,11 +203,33 @@ def test_the_death_of_a_worker_is_the_failure_of_its_run_alone_and_the_run_is_tr
     monkeypatch.setattr(pool._Worker, "give", deadly)
     study = mbdkit.study(small, out=tmp_path / "out")
     assert [point.status for point in study.points] == ["complete", "failed", "complete", "complete"]
-    assert study.points[1].reason == "worker-died: the process that computed it was killed by SIGKILL."
+    reason = "worker-died: two processes that computed it died; the second one was killed by SIGKILL."
+    assert study.points[1].reason == reason
+    assert study.unfinished == (reason,)
     assert not list((tmp_path / "out" / "runs").glob("*.part"))
     monkeypatch.undo()
     again = mbdkit.study(small, out=tmp_path / "out")
     assert again.computed == 1
+    assert index_hash(tmp_path / "out") == index_hash(finished.folder)
+
+
+def test_a_run_whose_worker_dies_is_tried_once_more_in_the_same_call(finished, small, tmp_path, monkeypatch):
+    victim = finished.points[1].run_id
+    give = pool._Worker.give
+    deaths = []
+
+    def deadly(worker, task):
+        if task.spec.run_id() == victim and not deaths:
+            deaths.append(worker)
+            worker.process.kill()
+            worker.process.wait()
+        give(worker, task)
+
+    monkeypatch.setattr(pool._Worker, "give", deadly)
+    study = mbdkit.study(small, out=tmp_path / "out", workers=2)
+    assert len(deaths) == 1
+    assert study.computed == 5
+    assert study.unfinished == ()
     assert index_hash(tmp_path / "out") == index_hash(finished.folder)
 
 

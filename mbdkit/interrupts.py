@@ -1,0 +1,113 @@
+"""What stops a run or a command: Ctrl-C, and the signals SIGTERM and SIGHUP, which have the same effect."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+#: Signals within this time [s] count as one. `timeout` sends SIGTERM twice, and a closing terminal several signals.
+TOGETHER = 1.0
+
+#: Exit status of an interrupted command.
+INTERRUPTED = 130
+
+_STOPPING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+_last = -TOGETHER
+
+
+def stop_as_by_ctrl_c() -> None:
+    """Make SIGTERM and SIGHUP raise KeyboardInterrupt, and a second SIGTERM end the process; for the main thread.
+
+    A signal that is ignored, as SIGHUP under `nohup`, remains ignored.
+    """
+    for number in _STOPPING:
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, _raise_interrupt)
+    _watch_second_sigterm()
+
+
+@contextmanager
+def interrupts_noted(note: Callable[[], None]) -> Iterator[None]:
+    """Call `note` on Ctrl-C, SIGTERM and SIGHUP instead of ending the block; has no effect outside the main thread.
+
+    After the block, SIGTERM and SIGHUP are delivered again if the program that called mbdkit does not treat them as
+    Ctrl-C: it ends then, or does what it has chosen to do.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    taken: set[int] = set()
+
+    def take(number: int, frame: FrameType | None) -> None:
+        taken.add(number)
+        note()
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, *_STOPPING)}
+    before = {
+        number: handler
+        for number, handler in before.items()
+        if handler is not None and (number == signal.SIGINT or handler is not signal.SIG_IGN)
+    }
+    for number in before:
+        signal.signal(number, take)
+    close = _watch_second_sigterm()
+    try:
+        yield
+    finally:
+        close()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in _STOPPING:
+            if number in taken and before[number] is not _raise_interrupt:
+                signal.raise_signal(number)
+
+
+def _raise_interrupt(number: int, frame: FrameType | None) -> None:
+    global _last
+    now = time.monotonic()
+    if now - _last >= TOGETHER:
+        _last = now
+        raise KeyboardInterrupt
+
+
+def _watch_second_sigterm() -> Callable[[], None]:
+    """Start a thread that ends the process by the second SIGTERM; return a function that ends the thread.
+
+    Python calls its signal handlers between two instructions of the main thread, which an endless compiled force law
+    never reaches. Compiled code releases the interpreter lock, so this thread runs nevertheless.
+    """
+    if sys.platform == "win32":
+        return lambda: None
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    if before != -1:  # that of a watch that runs already, or of the calling program
+        signal.set_wakeup_fd(before, warn_on_full_buffer=False)
+        os.close(reading)
+        os.close(writing)
+        return lambda: None
+    threading.Thread(target=_end_by_second_sigterm, args=(reading,), daemon=True).start()
+
+    def close() -> None:
+        signal.set_wakeup_fd(-1)
+        os.close(writing)
+
+    return close
+
+
+def _end_by_second_sigterm(source: int) -> None:
+    first: float | None = None
+    while number := os.read(source, 1):
+        if number[0] == signal.SIGTERM:
+            if first is None:
+                first = time.monotonic()
+            elif time.monotonic() - first >= TOGETHER:
+                os._exit(INTERRUPTED)
+    os.close(source)

@@ -1,0 +1,64 @@
+"""Checks before the first run that the axes of a study can be columns of its index and of its tables."""
+
+from __future__ import annotations
+
+import re
+
+from mbdkit.errors import SpecError
+from mbdkit.plain_data import Path, path_text
+from mbdkit.spec.study_spec import StudySpec
+from mbdkit.studies.planned_points import grids
+from mbdkit.studies.study_index import COLUMNS, axis_column
+
+#: Longest name of a column [bytes of UTF-8]; netCDF has the same limit.
+LONGEST = 255
+
+#: Characters that HDF5 cannot store, and those that names do not need either.
+_UNSTORED = re.compile(r"[\x00\ud800-\udfff]")
+_CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
+
+#: Columns that the tables of `Study` add.
+_OF_TABLES = {"number"}
+
+
+def check_column_names(spec: StudySpec) -> None:
+    """Check the names of axes and families, and the labels of values.
+
+    Raises
+    ------
+    SpecError
+        If a name cannot be stored, or two columns would have the same name.
+    """
+    columns: dict[str, str] = {}
+    for grid in grids(spec):
+        _check_text(spec, grid.name, ("families",), _CONTROL)
+        for number, axis in enumerate(grid.axes):
+            for key, values in axis:
+                place: Path = (*grid.axes_place, number, key)
+                _check_text(spec, key, place, _CONTROL)
+                for value in values:
+                    _check_text(spec, str(value.label), (*place, *value.place), _UNSTORED)
+                other = columns.setdefault(axis_column(key), key)
+                if why := _refusal(key, other):
+                    raise spec.placed(SpecError(why, key=path_text(place)))
+
+
+def _refusal(key: str, other: str) -> str:
+    """Return why an axis cannot have this name; empty if it can."""
+    if not key.strip():
+        return "is blank; an axis needs a name"
+    if len(key.encode()) > LONGEST:
+        return f"is longer than {LONGEST} bytes, the limit for a name of an axis"
+    if axis_column(key) in COLUMNS | _OF_TABLES:
+        return f"'{key}' is a column of the index of every study; choose another name for this axis"
+    if other != key:
+        return (
+            f"'{key}' and '{other}' would be one column of the index, where '/' is written as '|'; rename one of them"
+        )
+    return ""
+
+
+def _check_text(spec: StudySpec, text: str, place: Path, refused: re.Pattern[str]) -> None:
+    if found := refused.search(text):
+        message = f"contains the character {found[0]!r}, which cannot be stored in a name or label"
+        raise spec.placed(SpecError(message, key=_CONTROL.sub("?", path_text(place))))

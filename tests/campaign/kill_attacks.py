@@ -1,0 +1,324 @@
+"""Runs, studies and workers that are killed at random moments, and parts of a study that begin at the same time.
+
+The commands run in forks of this process, which has imported everything already, and flush their archives fifty times a
+second, so that many kills fall into a flush.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import sys
+import tempfile
+import time
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import mbdkit
+import mbdkit.archive.writer
+from mbdkit.archive.archive_check import check
+from mbdkit.archive.layout import LAYOUT, is_timing
+from mbdkit.archive.run import Run
+from mbdkit.cli import main
+from mbdkit.errors import MbdkitError
+
+from .attack import Attack, wait_for
+
+FLUSH = 0.02
+"""Time between two flushes [s]."""
+
+PATIENCE = 60.0
+"""Time for a command to end that is not killed; other processes may need the cores [s]."""
+
+RUN = {
+    "mbdkit": 1,
+    "model": {"name": "n-pendulum", "n": 3},
+    "integrator": {"name": "rk4"},
+    "time": {"steps": 200_000, "step": 1e-5},
+    "output": {"every": 20},
+}
+"""A run of less than a second with 10,000 rows."""
+
+STUDY = {
+    "mbdkit_study": 1,
+    "base": {**RUN, "time": {"steps": 60_000, "step": 1e-5}},
+    "axes": [{"integrator": [{"name": "rk4"}, {"name": "rk-gill"}]}, {"model.length": [1.0, 2.0]}],
+}
+"""Four runs of some tenths of a second."""
+
+
+def _start(folder: Path, *arguments: str) -> int:
+    """Start a command in a fork and return the id of the process; the file `flushed` tells of its first flush."""
+    child = os.fork()
+    if child:
+        return child
+    status = 1
+    try:
+        os.chdir(folder)
+        with open(".said", "wb") as said:
+            os.dup2(said.fileno(), 1)
+            os.dup2(said.fileno(), 2)
+        mbdkit.archive.writer.FLUSH_INTERVAL = FLUSH
+        write_more = mbdkit.archive.writer.ArchiveWriter._write_more
+
+        def noted(writer: Any) -> None:
+            write_more(writer)
+            Path("flushed").touch()
+
+        mbdkit.archive.writer.ArchiveWriter._write_more = noted  # type: ignore[method-assign]
+        sys.argv = ["mbdkit", *arguments]
+        main()
+        status = 0
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else 1
+    finally:
+        os._exit(status)
+
+
+def _said(folder: Path) -> str:
+    with contextlib.suppress(OSError):
+        return (folder / ".said").read_text(errors="replace")[-300:]
+    return ""
+
+
+def _finish(folder: Path, *arguments: str) -> list[str]:
+    """Run a command to its end, which must be a success."""
+    status, _ = wait_for(_start(folder, *arguments), time.monotonic() + PATIENCE)
+    return [] if status == 0 else [f"`mbdkit {' '.join(arguments)}` ended with {status}: {_said(folder)}"]
+
+
+def _write_spec(folder: Path, spec: dict[str, Any]) -> None:
+    (folder / "spec.json").write_text(json.dumps(spec))
+
+
+@cache
+def _whole_run() -> tuple[Run, float]:
+    """Return the run that nobody disturbs, in memory, and the time that it takes [s]."""
+    start = time.monotonic()
+    run = mbdkit.run(RUN)
+    return run, time.monotonic() - start
+
+
+@cache
+def _whole_study() -> tuple[dict[str, str], float]:
+    """Return the hashes of the study that nobody disturbs by run id, and the time that it takes [s]."""
+    with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
+        start = time.monotonic()
+        study = mbdkit.study(STUDY, out=Path(folder) / "out", workers=2)
+        return {point.run_id: point.row.data_sha256 for point in study.points}, time.monotonic() - start
+
+
+def _rows_problems(run: Run, least: int, last_is_free: bool = False) -> list[str]:
+    """Compare the rows of a run with those of the undisturbed one; its last row may be one of an early end."""
+    whole, _ = _whole_run()
+    rows = len(run.time)
+    found = [] if rows >= least else [f"it has {rows} rows, not at least {least}"]
+    for array in LAYOUT:
+        if not array.grows or not run.records(array.path):
+            continue
+        values, expected = run.array(array.path), whole.array(array.path)
+        count = rows if array.dims[0] == "time" else max(rows - 1, 0)
+        if len(values) != count:
+            found.append(f"{array.path} has {len(values)} rows, not {count}")
+        elif not is_timing(array.path):
+            same = count - last_is_free
+            if not np.array_equal(values[: max(same, 0)], expected[: max(same, 0)], equal_nan=True):
+                found.append(f"{array.path} differs from the undisturbed run")
+    return found
+
+
+def _left(folder: Path) -> list[str]:
+    return sorted(set(os.listdir(folder)) - {"spec.json", "flushed", ".said"})
+
+
+def kill_run(random: np.random.Generator, folder: Path) -> list[str]:
+    """Kill a run, and run it again."""
+    _write_spec(folder, RUN)
+    whole, seconds = _whole_run()
+    child = _start(folder, "run", "spec.json", "-o", "run.h5", "--quiet")
+    time.sleep(random.uniform(0, 1.3 * seconds))
+    os.kill(child, signal.SIGKILL)
+    wait_for(child, time.monotonic() + PATIENCE)
+    found = []
+    left = _left(folder)
+    if left not in ([], ["run.h5"], ["run.h5.part"], ["run.h5", "run.h5.part"]):
+        found.append(f"the killed run left {', '.join(left)}")
+    if "run.h5" in left:
+        found += check(folder / "run.h5")
+    elif left:
+        try:
+            with mbdkit.load(folder / "run.h5.part") as run:
+                found += _rows_problems(run, least=(folder / "flushed").exists())
+        except MbdkitError as error:
+            if (folder / "flushed").exists():
+                found.append(f"the .part cannot be read: {error}")
+    found += _finish(folder, "run", "spec.json", "-o", "run.h5", "--quiet", "--overwrite")
+    if not found:
+        if _left(folder) != ["run.h5"]:
+            found.append(f"the second run left {', '.join(_left(folder))}")
+        with mbdkit.load(folder / "run.h5") as run:
+            if run.data_sha256 != whole.data_sha256:
+                found.append("the second run differs from the undisturbed one")
+    return found
+
+
+def stop_run(random: np.random.Generator, folder: Path) -> list[str]:
+    """Stop a run by SIGTERM, in half of the cases sent twice as `timeout` does."""
+    _write_spec(folder, RUN)
+    _, seconds = _whole_run()
+    child = _start(folder, "run", "spec.json", "-o", "run.h5", "--quiet")
+    time.sleep(random.uniform(0, 1.3 * seconds))
+    sent = time.monotonic()
+    os.kill(child, signal.SIGTERM)
+    if random.random() < 0.5:
+        os.kill(child, signal.SIGTERM)
+    status, _ = wait_for(child, time.monotonic() + PATIENCE)
+    left = _left(folder)
+    found = []
+    if left == [] and status in (130, -signal.SIGTERM):
+        return []  # it had not begun
+    if status not in (0, 130):
+        found.append(f"it ended with exit status {status}, {time.monotonic() - sent:.1f} s later: {_said(folder)}")
+    if left != ["run.h5"]:
+        return [*found, f"it left {', '.join(left) or 'nothing'}"]
+    found += check(folder / "run.h5")
+    with mbdkit.load(folder / "run.h5") as run:
+        if run.status not in (("complete",) if status == 0 else ("interrupted", "complete")):
+            found.append(f"exit status {status}, but the status of the run is {run.status}")
+        found += _rows_problems(run, least=1, last_is_free=True)
+    return found
+
+
+def _study_problems(folder: Path) -> list[str]:
+    """Return what is wrong with the archives of a study that was disturbed."""
+    hashes, _ = _whole_study()
+    found = []
+    for path in sorted((folder / "out" / "runs").glob("*.h5")):
+        found += [f"{path.name}: {problem}" for problem in check(path)]
+        with mbdkit.load(path) as run:
+            if run.status == "complete" and run.data_sha256 != hashes[path.stem]:
+                found.append(f"{path.name} differs from the undisturbed study")
+    return found
+
+
+def _repeated_problems(folder: Path) -> list[str]:
+    """Repeat a study that was disturbed, and compare it with the undisturbed one."""
+    hashes, _ = _whole_study()
+    found = _finish(folder, "study", "spec.json", "-o", "out", "--workers", "2", "--quiet")
+    if found:
+        return found
+    study = mbdkit.load_study(folder / "out")
+    if {point.run_id: point.row.data_sha256 for point in study.points} != hashes:
+        found.append("the repeated study differs from the undisturbed one")
+    left = sorted(os.listdir(folder / "out")), sorted(os.listdir(folder / "out" / "runs"))
+    if left != (["index.h5", "runs", "study.yaml"], sorted(f"{run_id}.h5" for run_id in hashes)):
+        found.append(f"the repeated study left {left}")
+    return found
+
+
+def kill_study(random: np.random.Generator, folder: Path) -> list[str]:
+    """Kill a study, and repeat it."""
+    _write_spec(folder, STUDY)
+    _, seconds = _whole_study()
+    child = _start(folder, "study", "spec.json", "-o", "out", "--workers", "2", "--quiet")
+    time.sleep(random.uniform(0, seconds))
+    os.kill(child, signal.SIGKILL)
+    wait_for(child, time.monotonic() + PATIENCE)
+    deadline = time.monotonic() + PATIENCE  # its workers end when they notice, and an archive may be renamed until then
+    while time.monotonic() < deadline and any(_is_locked(path) for path in (folder / "out" / "runs").glob("*")):
+        time.sleep(0.01)
+    return _study_problems(folder) + _repeated_problems(folder)
+
+
+def stop_study(random: np.random.Generator, folder: Path) -> list[str]:
+    """Stop a study by SIGTERM, and repeat it."""
+    _write_spec(folder, STUDY)
+    _, seconds = _whole_study()
+    child = _start(folder, "study", "spec.json", "-o", "out", "--workers", "2", "--quiet")
+    time.sleep(random.uniform(0, seconds))
+    os.kill(child, signal.SIGTERM)
+    if random.random() < 0.5:
+        os.kill(child, signal.SIGTERM)
+    status, _ = wait_for(child, time.monotonic() + PATIENCE)
+    found = []
+    if status not in (0, 130) and (folder / "out").exists():
+        found.append(f"it ended with exit status {status}: {_said(folder)}")
+    if list((folder / "out" / "runs").glob("*.part")):
+        found.append("it left an unfinished archive")
+    there = {path.stem for path in (folder / "out" / "runs").glob("*.h5")}
+    if there:
+        study = mbdkit.load_study(folder / "out")
+        indexed = {point.run_id for point in study.points if point.status == "complete"}
+        if indexed != there:
+            found.append(f"its index has {len(indexed)} of {len(there)} runs")
+    return found + _study_problems(folder) + _repeated_problems(folder)
+
+
+def kill_worker(random: np.random.Generator, folder: Path) -> list[str]:
+    """Kill one worker of a study, by SIGKILL, SIGTERM or SIGSEGV: the same call computes its run again."""
+    _write_spec(folder, STUDY)
+    hashes, seconds = _whole_study()
+    child = _start(folder, "study", "spec.json", "-o", "out", "--workers", "2", "--quiet")
+    time.sleep(random.uniform(0, seconds))
+    with contextlib.suppress(OSError, IndexError, ValueError):
+        workers = Path(f"/proc/{child}/task/{child}/children").read_text().split()
+        os.kill(int(random.choice(workers)), random.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV]))
+    status, _ = wait_for(child, time.monotonic() + PATIENCE)
+    if status != 0:
+        return [f"it ended with exit status {status}: {_said(folder)}"]
+    study = mbdkit.load_study(folder / "out")
+    if {point.run_id: point.row.data_sha256 for point in study.points} != hashes:
+        return ["the study differs from the undisturbed one"]
+    return []
+
+
+def begin_parts(random: np.random.Generator, folder: Path) -> list[str]:
+    """Begin the two parts of a study in a new folder within milliseconds."""
+    _write_spec(folder, STUDY)
+    hashes, _ = _whole_study()
+    children = []
+    for part in ("1/2", "2/2"):
+        children.append(_start(folder, "study", "spec.json", "-o", "out", "--workers", "1", "--quiet", "--shard", part))
+        time.sleep(random.uniform(0, 0.005))
+    found = []
+    for part, child in enumerate(children, start=1):
+        status, _ = wait_for(child, time.monotonic() + PATIENCE)
+        if status != 0:
+            found.append(f"part {part} ended with exit status {status}: {_said(folder)}")
+    if not found:
+        study = mbdkit.load_study(folder / "out")
+        if {point.run_id: point.row.data_sha256 for point in study.points} != hashes:
+            found.append("the parts differ from the undisturbed study")
+    return found
+
+
+def _is_locked(path: Path) -> bool:
+    import fcntl
+
+    try:
+        with path.open("rb") as handle:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        pass
+    return False
+
+
+ATTACKS = (
+    Attack(
+        "kill-run", "SIGKILL to a run: whole rows in the .part, no damaged archive, and it runs again", 200, kill_run
+    ),
+    Attack("stop-run", "SIGTERM to a run: its archive has its final name and is sound", 200, stop_run),
+    Attack(
+        "kill-study", "SIGKILL to a study: the next call completes it, equal to the undisturbed one", 200, kill_study
+    ),
+    Attack("stop-study", "SIGTERM to a study: its index is there, and the next call completes it", 200, stop_study),
+    Attack("kill-worker", "a signal to a worker of a study: the same call completes it", 200, kill_worker),
+    Attack("begin-parts", "two parts of a study begin at the same time", 100, begin_parts),
+)

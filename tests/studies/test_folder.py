@@ -1,0 +1,67 @@
+"""Several calls begin in one folder at the same time."""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mbdkit.errors import MbdkitError
+from mbdkit.spec import load_study_spec
+from mbdkit.studies.study_folder import StudyFolder
+
+
+def together(calls: list[Any]) -> list[MbdkitError | OSError]:
+    """Call functions at the same time, and return the errors that they raise."""
+    errors: list[MbdkitError | OSError] = []
+    barrier = threading.Barrier(len(calls))
+
+    def run(call: Any) -> None:
+        barrier.wait()
+        try:
+            call()
+        except (MbdkitError, OSError) as error:
+            errors.append(error)
+
+    threads = [threading.Thread(target=run, args=(call,)) for call in calls]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return errors
+
+
+def begin(path: Path, spec: Any) -> None:
+    folder = StudyFolder(path)
+    folder.check(spec)
+    folder.prepare(spec)
+    with folder.locked(shared=True):
+        assert load_study_spec(folder.spec).sha256() == spec.sha256()
+
+
+@pytest.mark.parametrize("attempt", range(20))
+def test_parts_of_a_study_may_begin_at_the_same_time(attempt, small, tmp_path):
+    specs = [load_study_spec(small) for _ in range(6)]
+    assert together([lambda spec=spec: begin(tmp_path / "out", spec) for spec in specs]) == []
+    assert sorted(os.listdir(tmp_path / "out")) == ["runs", "study.yaml"]
+
+
+@pytest.mark.parametrize("attempt", range(10))
+def test_of_two_studies_that_begin_in_one_folder_one_is_refused(attempt, small, tmp_path):
+    specs = [load_study_spec(small | {"title": title}) for title in ("one", "two")]
+    errors = together([lambda spec=spec: begin(tmp_path / "out", spec) for spec in specs])
+    assert len(errors) == 1
+    assert "belongs to another study" in str(errors[0])
+
+
+def test_what_a_killed_call_left_is_removed(small, tmp_path):
+    folder, spec = StudyFolder(tmp_path / "out"), load_study_spec(small)
+    folder.path.mkdir()
+    (folder.path / ".study.yaml-0000").write_text("mbdkit_st")
+    folder.check(spec)
+    folder.prepare(spec)
+    with folder.locked():
+        assert sorted(os.listdir(folder.path)) == ["runs", "study.yaml"]
