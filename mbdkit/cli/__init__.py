@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import sys
+import warnings
 from typing import Annotated
 
 import typer
@@ -20,7 +21,7 @@ from mbdkit.cli.plugins import plugins_app
 from mbdkit.cli.runs import rerun, run, validate
 from mbdkit.cli.specs import examples_app, schema_app
 from mbdkit.cli.studies import StudyCommand, study
-from mbdkit.terminal import Commands
+from mbdkit.terminal import Commands, keep_results_apart, open_streams, show
 
 app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=False, **PLAIN)
 
@@ -29,7 +30,7 @@ def _print_version(value: bool) -> None:
     if value:
         from mbdkit import __version__
 
-        print(f"mbdkit {__version__}")
+        show(f"mbdkit {__version__}")
         raise typer.Exit
 
 
@@ -64,6 +65,10 @@ for name, group in {
 
 def main() -> None:
     """Run the command line."""
+    open_streams()
+    # Where numbers overflow, messages say so; the warnings of NumPy would name lines of code.
+    warnings.filterwarnings("ignore", category=RuntimeWarning, module=r"(mbdkit|numpy|scipy)\b")
+    keep_results_apart()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(

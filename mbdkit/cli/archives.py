@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
-
 import typer
 
 from mbdkit import terminal
 from mbdkit.cli.common_options import PLAIN, Archives, AsJson, Debug, Quiet
-from mbdkit.terminal import say
+from mbdkit.terminal import say, show, show_json
 
 archive_app = typer.Typer(help="Describe and check run archives.", **PLAIN)
 
@@ -23,9 +21,9 @@ def archive_info(archives: Archives, as_json: AsJson = False, debug: Debug = Fal
 
     descriptions = [describe(archive) for archive in archives]
     if as_json:
-        print(json.dumps({"archives": descriptions}))
+        show_json({"archives": descriptions})
     else:
-        print("\n\n".join(text(description) for description in descriptions))
+        show("\n\n".join(text(description) for description in descriptions))
 
 
 @archive_app.command("check")
@@ -43,6 +41,6 @@ def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False
         for problem in problems:
             say(f"{archive}: {problem}")
         if not problems and not quiet:
-            print(f"{archive}: sound")
+            show(f"{archive}: sound")
     if not sound:
         raise typer.Exit(terminal.WRONG_INPUT)

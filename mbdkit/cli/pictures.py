@@ -9,6 +9,7 @@ import typer
 
 from mbdkit.cli.common_options import Archive, Debug, Overwrite, Quiet
 from mbdkit.plot.plot_kinds import PLOT_KINDS
+from mbdkit.terminal import show
 
 _KINDS_HELP = "; ".join(f"{kind}: {summary}" for kind, summary in PLOT_KINDS.items()) + "."
 
@@ -36,7 +37,7 @@ def plot(
     with load(archive) as loaded:
         target = draw(loaded, kind, output or archive.with_name(f"{archive.stem}-{kind}.png"))
     if not quiet:
-        print(target)
+        show(target)
 
 
 def animate(
@@ -55,7 +56,7 @@ def animate(
     with load(archive) as loaded:
         target = draw(loaded, output or archive.with_suffix(".gif"))
     if not quiet:
-        print(target)
+        show(target)
 
 
 def report(
@@ -91,4 +92,4 @@ def report(
 
     target = write(path, output, figures=figures, overwrite=overwrite)
     if not quiet:
-        print(target)
+        show(target)
