@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
+
+from mbdkit.text import one_line
 
 
 class MbdkitError(Exception):
@@ -48,6 +52,20 @@ class SpecError(MbdkitError, ValueError):
 
 class PluginError(MbdkitError):
     """A plugin could not be imported, conflicts with another, or raised an exception."""
+
+
+@contextmanager
+def blaming(what: str) -> Iterator[None]:
+    """Convert whatever a plugin raises in this block, an exit included, to a PluginError that begins with `what`.
+
+    Ctrl-C and errors of mbdkit about the input or a plugin pass unchanged.
+    """
+    try:
+        yield
+    except (KeyboardInterrupt, SpecError, PluginError):
+        raise
+    except BaseException as error:
+        raise PluginError(f"{what}: {one_line(error)}") from error
 
 
 class RunError(MbdkitError):

@@ -27,10 +27,22 @@ def counted(number: int, one: str, many: str = "") -> str:
 
 
 def one_line(error: BaseException) -> str:
-    """Return the type and message of an exception on one line; messages are truncated to 300 characters."""
-    text = " ".join(str(error).split())
+    """Return the type and message of an exception on one line; messages are truncated to 300 characters.
+
+    Control characters are escaped, see `printable`.
+    """
+    try:
+        text = str(error)
+    except Exception:  # of a plugin
+        return f"{type(error).__name__}, whose message cannot be shown"
+    text = printable(" ".join(text[:10_000].split()))
     text = text if len(text) <= 300 else text[:297] + "..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def printable(text: str) -> str:
+    """Return text with control characters and lone surrogates escaped: HDF5, terminals and streams may refuse them."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def table(rows: Sequence[Sequence[str]], indent: str = "") -> str:
