@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
+
+from mbdkit.text import one_line
 
 
 class MbdkitError(Exception):
@@ -88,6 +92,20 @@ def file_error(number: int | None, message: str, *, file: str | Path | None = No
 
 class PluginError(MbdkitError):
     """A plugin could not be imported, conflicts with another, or raised an exception."""
+
+
+@contextmanager
+def blaming(what: str) -> Iterator[None]:
+    """Convert whatever a plugin raises in this block, an exit included, to a PluginError that begins with `what`.
+
+    Ctrl-C and errors of mbdkit about the input or a plugin pass unchanged.
+    """
+    try:
+        yield
+    except (KeyboardInterrupt, SpecError, PluginError):
+        raise
+    except BaseException as error:
+        raise PluginError(f"{what}: {one_line(error)}") from error
 
 
 class RunError(MbdkitError):

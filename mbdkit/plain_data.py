@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import re
+import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,6 +16,12 @@ from mbdkit.errors import SpecError
 from mbdkit.text import listed
 
 Path = tuple[str | int, ...]
+
+DEEPEST = 100
+"""Levels of mappings and lists in a spec."""
+
+LARGEST_NUMBER = int(sys.float_info.max)
+"""Largest magnitude of a whole number in a spec: that of a number in double precision."""
 
 
 def path_text(path: Path) -> str:
@@ -40,12 +48,17 @@ def plain(value: Any, path: Path = ()) -> Any:
     Raises
     ------
     SpecError
-        For a number that is not finite, a key that is not text, or an object that a spec cannot contain.
+        For a number that is too large or not finite, a key that is not text, an object that a spec cannot contain, or
+        more than `DEEPEST` levels, as in a list that contains itself.
     """
+    if len(path) > DEEPEST:
+        raise SpecError(f"is nested too deeply (more than {DEEPEST} levels), or contains itself", key=str(path[0]))
     match value:
         case None | bool() | str():
             return value
         case int():
+            if not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:
+                raise SpecError(f"is too large: numbers go up to {float(LARGEST_NUMBER):.2g}", key=path_text(path))
             return int(value)
         case float():
             if not math.isfinite(value):
@@ -62,6 +75,24 @@ def plain(value: Any, path: Path = ()) -> Any:
     if hasattr(value, "tolist"):  # a NumPy array or number
         return plain(value.tolist(), path)
     raise SpecError(f"a spec cannot contain an object of type {type(value).__name__}", key=path_text(path))
+
+
+def copied(value: Any, path: Path = ()) -> Any:
+    """Return a copy of a mapping or list in which only mappings and lists are copied, at all levels.
+
+    Raises
+    ------
+    SpecError
+        If it has more than `DEEPEST` levels, as a list that contains itself, or if a key is not text.
+    """
+    if len(path) > DEEPEST:
+        raise SpecError(f"is nested too deeply (more than {DEEPEST} levels), or contains itself", key=str(path[0]))
+    match value:
+        case Mapping():
+            return {_key(key, path): copied(item, (*path, key)) for key, item in value.items()}
+        case list():
+            return [copied(item, (*path, index)) for index, item in enumerate(value)]
+    return value
 
 
 def canonical(value: Any) -> Any:
@@ -85,6 +116,24 @@ def canonical(value: Any) -> Any:
         case set() | frozenset():
             return sorted(canonical(item) for item in value)
     return value
+
+
+def json_text(data: Any, indent: int | None = None) -> str:
+    """Return data as JSON; numbers that are not finite become null, and objects unknown to JSON become text."""
+    return json.dumps(_finite(data), indent=indent, ensure_ascii=indent is None, allow_nan=False)
+
+
+def _finite(data: Any) -> Any:
+    match data:
+        case None | bool() | str() | int():
+            return data
+        case float():
+            return float(data) if math.isfinite(data) else None
+        case Mapping():
+            return {str(key): _finite(value) for key, value in data.items()}
+        case list() | tuple():
+            return [_finite(value) for value in data]
+    return _finite(data.tolist()) if hasattr(data, "tolist") else str(data)
 
 
 def found(value: Any) -> str:
@@ -112,5 +161,5 @@ def found(value: Any) -> str:
 
 def _key(key: Any, path: Path) -> str:
     if not isinstance(key, str):
-        raise SpecError(f"the key {key!r} is not text; put it in quotes", key=path_text(path))
+        raise SpecError(f"the key {found(key)} is not text; put it in quotes", key=path_text(path))
     return key

@@ -10,10 +10,10 @@ from mbdkit.archive.disk_space import check_room, row_bytes
 from mbdkit.archive.layout import CORRECTIONS, EVENTS
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.consistent_start import workspace_at_start
+from mbdkit.engine.consistent_start import within_double_precision, workspace_at_start
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import MbdkitError, PluginError, SpecError
+from mbdkit.errors import PluginError, SpecError, blaming
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
@@ -21,7 +21,6 @@ from mbdkit.run_corners import corner_warnings, stops_of
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Guards, Timetable
 from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
-from mbdkit.text import one_line
 
 
 def caution(spec: RunSpec, method: Method | None = None) -> tuple[str, ...]:
@@ -72,7 +71,8 @@ def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Wor
             formulation=spec.formulation,
             stabilization=spec.stabilized,
         )
-        require_unique_start(workspace)
+        with within_double_precision():
+            require_unique_start(workspace)
     except SpecError as error:
         raise spec.placed(error) from error
     return workspace, start
@@ -103,11 +103,10 @@ def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | N
 def make_method(spec: RunSpec) -> Method:
     """Create the method of a spec; raise PluginError if the plugin fails to do so."""
     try:
-        method: Method = spec.integrator_plugin.create(spec.integrator)
-    except MbdkitError as error:
+        with blaming(f"integrator {spec.integrator_item.id} failed to start"):
+            method: Method = spec.integrator_plugin.create(spec.integrator)
+    except SpecError as error:
         raise PluginError(f"integrator {spec.integrator_item.id}: {error}") from error
-    except Exception as error:
-        raise PluginError(f"integrator {spec.integrator_item.id} failed to start: {one_line(error)}") from error
     if not isinstance(method, Method):
         raise PluginError(
             f"integrator {spec.integrator_item.id} created an object of type {type(method).__name__}; it must "

@@ -27,7 +27,6 @@ from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import MbdkitError
 from mbdkit.interrupts import interrupts_noted
 from mbdkit.methods.kinds import Method
 from mbdkit.provenance import provenance
@@ -49,7 +48,7 @@ from mbdkit.spec import RunSpec, load_spec
 from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch
 from mbdkit.stepping.start import start_method
 from mbdkit.stepping.warm_up import to_stderr
-from mbdkit.text import one_line
+from mbdkit.text import one_line, shown
 from mbdkit.trust.criteria import judge
 
 if TYPE_CHECKING:
@@ -309,13 +308,11 @@ class _Simulation:
 
     @contextmanager
     def _blaming_the_plugin(self) -> Iterator[None]:
-        """Convert an exception raised by a third-party integrator into a failure of the run."""
+        """Convert whatever a third-party integrator raises, errors of mbdkit included, into a failure of the run."""
         item = self.spec.integrator_item
         try:
             yield
-        except MbdkitError:
-            raise
-        except Exception as error:
+        except BaseException as error:
             if item.origin.distribution == "mbdkit":
                 raise
             self.failure = Failure("plugin-error", f"integrator {item.id} raised {one_line(error)}.")
@@ -369,7 +366,7 @@ class _Simulation:
         pairs = len(self.workspace.mechanism.topology.pairs)
         status, reason = "complete", ""
         if self.failure is not None:
-            status, reason = "failed", f"{self.failure.code}: {self.failure.sentence}"
+            status, reason = "failed", shown(f"{self.failure.code}: {self.failure.sentence}")
         elif stepper is not None and not stepper.finished:
             status, reason = "interrupted", f"interrupted: stopped by the user at t = {stepper.time:.6g} s."
         elif self.watch is not None and self.watch.stopped is not None:

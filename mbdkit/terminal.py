@@ -1,20 +1,27 @@
-"""Error messages, exit statuses and progress bars of the commands."""
+"""Results, error messages, exit statuses and progress bars of the commands.
+
+stdout belongs to the results that `show` and `show_json` print. While a command runs, everything else that is written
+to stdout, such as the prints of a plugin, goes to stderr.
+"""
 
 from __future__ import annotations
 
+import functools
+import os
 import sys
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stdout, suppress
 from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 from typer.core import TyperGroup
 
-from mbdkit.errors import MbdkitError, PluginError, ResourceError, RunError, file_error
+from mbdkit.errors import MbdkitError, PluginError, ResourceError, RunError, SpecError, file_error
 from mbdkit.interrupts import INTERRUPTED as INTERRUPTED
-from mbdkit.text import shown
+from mbdkit.plain_data import json_text
+from mbdkit.text import one_line, shown
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,7 +30,7 @@ if TYPE_CHECKING:
 DONE, BUG, WRONG_INPUT, STOPPED_EARLY, PLUGIN_FAILED = 0, 1, 2, 3, 4
 DIFFERS = NOT_VERIFIED = 1
 
-DEBUG = "mbdkit.debug"
+DEBUG, JSON = "mbdkit.debug", "mbdkit.json"
 PATIENCE = 0.5  # seconds before a progress bar appears
 
 
@@ -56,26 +63,141 @@ class PlainStream:
 
 
 class Commands(TyperGroup):
-    """The top-level command group: reports exceptions on stderr and converts them to exit statuses."""
+    """The top-level command group: reports exceptions on stderr and converts them to exit statuses.
+
+    With ``--json``, an exception is also printed on stdout, as one object.
+    """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments, and note whether JSON is asked for."""
+        ctx.meta[JSON] = "--json" in args
+        parsed: list[str] = super().parse_args(ctx, args)
+        return parsed
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command whose function, unlike its help, prints to stdout through `show` only."""
+        command = super().get_command(ctx, cmd_name)
+        if command is not None:
+            _guard(command)
+        return command
 
     def invoke(self, ctx: Any) -> Any:
         """Run the selected command."""
-        try:
-            return super().invoke(ctx)
-        except BrokenPipeError:
-            raise
-        except (Exception, KeyboardInterrupt) as error:
-            if hasattr(error, "exit_code"):  # a usage error or an exit of the framework
+        with _results_apart() as results:
+            try:
+                return super().invoke(ctx)
+            except BrokenPipeError:
                 raise
-            if ctx.meta.get(DEBUG):
-                traceback.print_exc()
-            say(_sentence(error))
-            raise typer.Exit(_status(error)) from None
+            except (Exception, KeyboardInterrupt, SystemExit) as error:
+                if hasattr(error, "exit_code"):  # a usage error or an exit of the framework
+                    if ctx.meta[JSON] and hasattr(error, "format_message"):
+                        results.show(_json_error(error.format_message(), error.exit_code))
+                    raise
+                if ctx.meta.get(DEBUG):
+                    traceback.print_exc()
+                sentence, status = _sentence(error), _status(error)
+                say(sentence)
+                if ctx.meta[JSON] and not results.shown:
+                    with suppress(OSError):
+                        results.show(_json_error(sentence.removeprefix("error: "), status, error))
+                raise typer.Exit(status) from None
+
+
+class _Results:
+    """The stream of results, and whether something was printed there."""
+
+    def __init__(self, stream: TextIO):
+        self.stream, self.shown = stream, False
+
+    def show(self, text: Any) -> None:
+        try:
+            print(text, file=self.stream, flush=True)
+        except OSError:
+            with suppress(OSError, ValueError):  # Python would try again at the exit, and print a warning
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self.stream.fileno())
+            raise
+        self.shown = True
+
+
+_results: _Results | None = None
+
+
+@contextmanager
+def _results_apart() -> Iterator[_Results]:
+    """Yield the stream of results, which is stdout; `show` prints there in this block."""
+    global _results
+    before = _results
+    _results = results = _Results(sys.stdout)
+    try:
+        yield results
+    finally:
+        _results = before
+
+
+def _guard(command: Any) -> None:
+    """Redirect stdout to stderr while the functions of a command and of its subcommands run."""
+    for subcommand in getattr(command, "commands", {}).values():
+        _guard(subcommand)
+    function = command.callback
+    if function is None or hasattr(function, "_is_guarded"):
+        return
+
+    @functools.wraps(function)
+    def guarded(*arguments: Any, **options: Any) -> Any:
+        with redirect_stdout(sys.stderr):
+            return function(*arguments, **options)
+
+    guarded._is_guarded = True  # type: ignore[attr-defined]
+    command.callback = guarded
+
+
+def show(result: Any) -> None:
+    """Print a result to stdout."""
+    (_results or _Results(sys.stdout)).show(result)
+
+
+def show_json(data: Any, indent: int | None = None) -> None:
+    """Print a result to stdout as JSON; numbers that are not finite become null."""
+    show(json_text(data, indent))
+
+
+def _json_error(message: str, status: int, error: BaseException | None = None) -> str:
+    place = {}
+    if isinstance(error, SpecError):
+        place = {"key": error.key or None, "file": error.file, "line": error.line}
+    return json_text({"error": message, "exit_status": status, **place})
+
+
+def open_streams() -> None:
+    """Open the null device in place of standard streams that are closed, as after ``2>&-``.
+
+    Otherwise the next file that is opened would receive what is written to these streams.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # becomes the lowest free number, which is this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, "w" if number else "r", encoding="utf-8"))
+
+
+def keep_results_apart() -> None:
+    """Make file descriptor 1 stderr for the rest of the process, and `sys.stdout` a stream to the former one.
+
+    Compiled code and child processes can then not write into the results.
+    """
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+        stream = os.fdopen(os.dup(1), "w", encoding=sys.stdout.encoding, errors="backslashreplace")
+        os.dup2(2, 1)
+        sys.stdout = stream
 
 
 def say(text: str) -> None:
     """Print a line to stderr; only results go to stdout."""
-    print(text, file=sys.stderr)
+    with suppress(OSError):  # the disk of a redirected stderr may be full
+        print(text, file=sys.stderr, flush=True)
 
 
 def silence(text: str) -> None:
@@ -168,7 +290,7 @@ def _console() -> Console:
 
 def _status(error: BaseException) -> int:
     match error:
-        case PluginError():
+        case PluginError() | SystemExit():
             return PLUGIN_FAILED
         case RunError() | ResourceError() | MemoryError():
             return STOPPED_EARLY
@@ -192,7 +314,9 @@ def _sentence(error: BaseException) -> str:
             return "error: there is not enough memory for this"
         case KeyboardInterrupt():
             return "interrupted"
+        case SystemExit():  # mbdkit never raises it
+            return "error: a plugin tried to end the program"
     return (
-        f"error: this is a bug in mbdkit: {type(error).__name__}: {error}\n"
+        f"error: this is a bug in mbdkit: {one_line(error)}\n"
         "  rerun the command with --debug for a traceback, and please report it"
     )

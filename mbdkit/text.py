@@ -31,8 +31,15 @@ def counted(number: int, one: str, many: str = "") -> str:
 
 
 def one_line(error: BaseException) -> str:
-    """Return the type and message of an exception on one line; messages are truncated to 300 characters."""
-    text = " ".join(str(error).split())
+    """Return the type and message of an exception on one line; messages are truncated to 300 characters.
+
+    Control characters are escaped, see `shown`.
+    """
+    try:
+        text = str(error)
+    except Exception:  # of a plugin
+        return f"{type(error).__name__}, whose message cannot be shown"
+    text = shown(" ".join(text[:10_000].split()))
     text = text if len(text) <= 300 else text[:297] + "..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 

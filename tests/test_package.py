@@ -72,7 +72,7 @@ def imported_by(code: str) -> set[str]:
     return {name.partition(".")[0] for name in json.loads(result.stdout.splitlines()[-1])}
 
 
-HEAVY = {"numpy", "scipy", "sympy", "numba", "h5py", "matplotlib", "pydantic", "typer", "rich", "ruamel", "pluggy"}
+HEAVY = {"numpy", "scipy", "sympy", "numba", "h5py", "matplotlib", "pydantic", "typer", "rich", "yaml", "pluggy"}
 
 
 def test_importing_the_package_imports_nothing_heavy():

@@ -108,7 +108,7 @@ def run_companion(
         failure = "its equations are singular at the start"
     except MbdkitError as error:
         failure = str(error)
-    except Exception as error:  # of a plugin
+    except (Exception, SystemExit) as error:  # of a plugin
         failure = f"its method raised {one_line(error)}"
     return CompanionRows(_observed(found, own), failure.rstrip("."))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import sys
+import warnings
 from typing import Annotated
 
 import typer
@@ -21,7 +22,7 @@ from mbdkit.cli.runs import rerun, run, validate
 from mbdkit.cli.specs import examples_app, schema_app
 from mbdkit.cli.studies import StudyCommand, study
 from mbdkit.interrupts import INTERRUPTED, stop_as_by_ctrl_c
-from mbdkit.terminal import Commands, PlainStream
+from mbdkit.terminal import Commands, PlainStream, keep_results_apart, open_streams, show
 
 app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=False, **PLAIN)
 
@@ -30,7 +31,7 @@ def _print_version(value: bool) -> None:
     if value:
         from mbdkit import __version__
 
-        print(f"mbdkit {__version__}")
+        show(f"mbdkit {__version__}")
         raise typer.Exit
 
 
@@ -68,14 +69,15 @@ def main() -> None:
     """Run the command line."""
     try:
         stop_as_by_ctrl_c()
+        open_streams()
+        # Where numbers overflow, messages say so; the warnings of NumPy would name lines of code.
+        warnings.filterwarnings("ignore", category=RuntimeWarning, module=r"(mbdkit|numpy|scipy)\b")
+        keep_results_apart()
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, io.TextIOWrapper):
                 # a name may contain characters that the terminal cannot encode
                 stream.reconfigure(errors="backslashreplace")
-        if sys.stdout is not None:
-            sys.stdout = PlainStream(sys.stdout)
-        if sys.stderr is not None:
-            sys.stderr = PlainStream(sys.stderr)
+        sys.stdout, sys.stderr = PlainStream(sys.stdout), PlainStream(sys.stderr)
         app(prog_name="mbdkit")
     except KeyboardInterrupt:  # before or after the command itself
         sys.exit(INTERRUPTED)

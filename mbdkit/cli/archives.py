@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-
 import typer
 
 from mbdkit import terminal
 from mbdkit.archive.layout import ATTRIBUTES_HASH
 from mbdkit.cli.common_options import PLAIN, Archives, AsJson, Debug, Quiet
-from mbdkit.terminal import say
+from mbdkit.terminal import say, show, show_json
 
 archive_app = typer.Typer(help="Describe and check run archives.", **PLAIN)
 
@@ -24,9 +22,9 @@ def archive_info(archives: Archives, as_json: AsJson = False, debug: Debug = Fal
 
     descriptions = [describe(archive) for archive in archives]
     if as_json:
-        print(json.dumps({"archives": descriptions}))
+        show_json({"archives": descriptions})
     else:
-        print("\n\n".join(text(description) for description in descriptions))
+        show("\n\n".join(text(description) for description in descriptions))
 
 
 @archive_app.command("check")
@@ -47,6 +45,6 @@ def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False
             without = (
                 "" if checked.covers_attributes else f", without {ATTRIBUTES_HASH}: changed attributes are not found"
             )
-            print(f"{archive}: sound{without}")
+            show(f"{archive}: sound{without}")
     if not sound:
         raise typer.Exit(terminal.WRONG_INPUT)

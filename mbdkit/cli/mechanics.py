@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,6 +9,7 @@ import typer
 
 from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Set, SpecName
 from mbdkit.files import check_output, check_suffix, replacing
+from mbdkit.terminal import show, show_json
 
 
 def equilibrium(
@@ -42,9 +42,10 @@ def equilibrium(
 
         with replacing(write, overwrite=overwrite, source=spec) as temporary:
             temporary.write_text(write_yaml(spec_at(prepared, found)), encoding="utf-8")
-    print(
-        json.dumps(mechanics_summary.equilibrium_data(found)) if as_json else mechanics_summary.equilibrium_text(found)
-    )
+    if as_json:
+        show_json(mechanics_summary.equilibrium_data(found))
+    else:
+        show(mechanics_summary.equilibrium_text(found))
 
 
 def modes(
@@ -83,7 +84,10 @@ def modes(
 
         mechanism = prepared.spec.mechanism()
         plot_modes(found, mechanism, f"Modes: {prepared.spec.title or mechanism.name}", output)
-    print(json.dumps(mechanics_summary.modes_data(found)) if as_json else mechanics_summary.modes_text(found))
+    if as_json:
+        show_json(mechanics_summary.modes_data(found))
+    else:
+        show(mechanics_summary.modes_text(found))
 
 
 def kinematics(
@@ -111,4 +115,7 @@ def kinematics(
     if output is not None:
         with replacing(output, overwrite=overwrite, source=spec) as temporary:
             found.write_csv(temporary)
-    print(json.dumps(mechanics_summary.kinematics_data(found)) if as_json else mechanics_summary.kinematics_text(found))
+    if as_json:
+        show_json(mechanics_summary.kinematics_data(found))
+    else:
+        show(mechanics_summary.kinematics_text(found))

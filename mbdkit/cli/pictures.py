@@ -9,6 +9,7 @@ import typer
 
 from mbdkit.cli.common_options import Archive, Debug, Overwrite, Quiet
 from mbdkit.plot.plot_kinds import PLOT_KINDS
+from mbdkit.terminal import show
 
 _KINDS_HELP = "; ".join(f"{kind}: {summary}" for kind, summary in PLOT_KINDS.items()) + "."
 
@@ -40,7 +41,7 @@ def plot(
     with blaming_damage(archive), load(archive) as loaded:
         target = draw(loaded, kind, target)
     if not quiet:
-        print(target)
+        show(target)
 
 
 def animate(
@@ -63,7 +64,7 @@ def animate(
     with blaming_damage(archive), load(archive) as loaded:
         target = draw(loaded, target)
     if not quiet:
-        print(target)
+        show(target)
 
 
 def report(
@@ -102,4 +103,4 @@ def report(
     with blaming_damage(*archives):
         target = write(path, output, figures=figures, overwrite=overwrite)
     if not quiet:
-        print(target)
+        show(target)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,7 +9,7 @@ import typer
 
 from mbdkit import terminal
 from mbdkit.cli.common_options import PLAIN, AsJson, Debug, Overwrite, Quiet
-from mbdkit.terminal import count_bar, say, silence
+from mbdkit.terminal import count_bar, say, show, show_json, silence
 
 plugins_app = typer.Typer(help="List, verify, diagnose and create plugins.", **PLAIN)
 
@@ -22,7 +21,10 @@ def plugins_list(as_json: AsJson = False, debug: Debug = False) -> None:
     from mbdkit.registry.manager import load_installed
 
     installed = load_installed()
-    print(json.dumps(describe.listing(installed)) if as_json else describe.listing_text(installed))
+    if as_json:
+        show_json(describe.listing(installed))
+    else:
+        show(describe.listing_text(installed))
 
 
 @plugins_app.command("show")
@@ -40,9 +42,9 @@ def plugins_show(
 
     items = describe.find(name)
     if as_json:
-        print(json.dumps({"plugins": [describe.details(item) for item in items]}))
+        show_json({"plugins": [describe.details(item) for item in items]})
     else:
-        print("\n\n".join(describe.page(item) for item in items))
+        show("\n\n".join(describe.page(item) for item in items))
 
 
 @plugins_app.command("verify")
@@ -89,11 +91,11 @@ def plugins_verify(
     if page is not None:
         write_page(reports, page)
     if as_json:
-        print(json.dumps({"reports": [report.to_dict() for report in reports]}))
+        show_json({"reports": [report.to_dict() for report in reports]})
     elif not quiet:
-        print("\n\n".join(report.text() for report in reports))
+        show("\n\n".join(report.text() for report in reports))
         if page is not None:
-            print(page)
+            show(page)
     if not all(report.verified for report in reports):
         raise typer.Exit(terminal.NOT_VERIFIED)
 
@@ -112,9 +114,9 @@ def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
 
     installed = load_installed()
     if as_json:
-        print(json.dumps({**describe.diagnosis(installed), "numba": numba_report()}))
+        show_json({**describe.diagnosis(installed), "numba": numba_report()})
     else:
-        print(f"{describe.diagnosis_text(installed)}\n{numba_text()}")
+        show(f"{describe.diagnosis_text(installed)}\n{numba_text()}")
     if not describe.is_sound(installed):
         raise typer.Exit(terminal.PLUGIN_FAILED)
 
@@ -138,6 +140,6 @@ def plugins_new(
     project = new_project(name, kind)
     if as_json:
         files = sorted(str(path) for path in project.rglob("*") if path.is_file())
-        print(json.dumps({"path": str(project), "kind": kind, "files": files}))
+        show_json({"path": str(project), "kind": kind, "files": files})
     else:
-        print(f"{project}: pip install -e './{project}[test]', and then see {project / 'README.md'}")
+        show(f"{project}: pip install -e './{project}[test]', and then see {project / 'README.md'}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ import typer
 from mbdkit import terminal
 from mbdkit.cli.common_options import Archive, AsJson, Debug, Overwrite, Quiet, Set, SpecName
 from mbdkit.cli.output_paths import check_new, stem
-from mbdkit.terminal import progress_bar, say, silence
+from mbdkit.terminal import progress_bar, say, show, show_json, silence
 from mbdkit.text import table
 
 if TYPE_CHECKING:
@@ -69,9 +68,9 @@ def run(
         result = simulate(checked, path=path, overwrite=overwrite, progress=progress, notify=silence if quiet else say)
     with result:
         if as_json:
-            print(json.dumps(_outcome(result)))
+            show_json(_outcome(result))
         elif not quiet:
-            print(result.summary())
+            show(result.summary())
         if (as_json or quiet) and result.status == "complete" and result.verdict in ("doubtful", "bad"):
             say(f"verdict {result.verdict}: {' '.join(result.verdict_reasons)}")
         _exit_with(result, told=not (as_json or quiet))
@@ -105,24 +104,24 @@ def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> N
     problem, start = build(checked)
     for warning in caution(checked):
         say(f"warning: {warning}")
-    print(f"{spec}: this spec is valid")
-    print(f"model        {checked.model_item.id}: {mechanism.description()}")
-    print(f"freedom      {problem.mechanism.freedoms()}")
+    show(f"{spec}: this spec is valid")
+    show(f"model        {checked.model_item.id}: {mechanism.description()}")
+    show(f"freedom      {problem.mechanism.freedoms()}")
     chosen = {"method": "method and step", "step": "its step or tolerance"}.get(checked.choose or "")
     if chosen:
-        print(f"accuracy     {checked.accuracy:g} of the mechanism's size: the run chooses {chosen}")
+        show(f"accuracy     {checked.accuracy:g} of the mechanism's size: the run chooses {chosen}")
     if checked.choose != "method":
-        print(f"integrator   {checked.integrator_item.id}, {checked.formulation}")
+        show(f"integrator   {checked.integrator_item.id}, {checked.formulation}")
     if checked.stabilized.kind != "none":
-        print(f"stabilized   {checked.stabilized.describe()}")
+        show(f"stabilized   {checked.stabilized.describe()}")
     if checked.events:
-        print("events       with values of their expressions at the start")
-        print(table([("EVENT", "DIRECTION", "ACTION", "AT START", "WHEN"), *_events(checked, problem)], indent="  "))
+        show("events       with values of their expressions at the start")
+        show(table([("EVENT", "DIRECTION", "ACTION", "AT START", "WHEN"), *_events(checked, problem)], indent="  "))
     if start.changed:
-        print(f"start        made consistent, with residuals {start.residual:.2g} and {start.velocity_residual:.2g}")
-        print(table([("BODY", "MOVED", "TURNED", "VELOCITY", "RATE"), *_moves(start)], indent="  "))
+        show(f"start        made consistent, with residuals {start.residual:.2g} and {start.velocity_residual:.2g}")
+        show(table([("BODY", "MOVED", "TURNED", "VELOCITY", "RATE"), *_moves(start)], indent="  "))
     else:
-        print("start        consistent, unchanged")
+        show("start        consistent, unchanged")
 
 
 def _events(spec: RunSpec, problem: Workspace) -> list[tuple[str, ...]]:
@@ -191,8 +190,8 @@ def rerun(
             comparison = compare(before, after)
             if not quiet:
                 if before.status in ("interrupted", "running"):
-                    print(f"{archive} is incomplete ({before.status}), so it has fewer rows")
-                print(comparison)
+                    show(f"{archive} is incomplete ({before.status}), so it has fewer rows")
+                show(comparison)
     if not comparison.same_data or comparison.falsified:
         raise typer.Exit(terminal.DIFFERS)
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from mbdkit.cli.common_options import PLAIN, Debug
+from mbdkit.terminal import show, show_json
 from mbdkit.text import table
 
 schema_app = typer.Typer(help="Print the JSON schema of a spec, for editors.", **PLAIN)
@@ -23,7 +23,7 @@ def schema_run(debug: Debug = False) -> None:
     """
     from mbdkit.spec.schema import run_schema
 
-    print(json.dumps(run_schema(), indent=2, ensure_ascii=False))
+    show_json(run_schema(), indent=2)
 
 
 @schema_app.command("study")
@@ -34,7 +34,7 @@ def schema_study(debug: Debug = False) -> None:
     """
     from mbdkit.spec.schema import study_schema
 
-    print(json.dumps(study_schema(), indent=2, ensure_ascii=False))
+    show_json(study_schema(), indent=2)
 
 
 @examples_app.callback(invoke_without_command=True)
@@ -45,9 +45,9 @@ def examples(context: typer.Context, debug: Debug = False) -> None:
     """
     if context.invoked_subcommand is not None:
         return
-    from mbdkit.spec import example_names, load_spec
+    from mbdkit.spec.loading import example_names, read_source  # without validation, which would import plugins
 
-    print(table([("NAME", "TITLE"), *((name, load_spec(name).title) for name in example_names())]))
+    show(table([("NAME", "TITLE"), *((name, read_source(name).data["title"]) for name in example_names())]))
 
 
 @examples_app.command("copy")
@@ -72,4 +72,4 @@ def examples_copy(
         raise SpecError("this file exists already; choose another name with -o", file=path)
     with replacing(path, overwrite=False) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    print(path)
+    show(path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from pathlib import Path
@@ -13,7 +12,7 @@ from typer.core import TyperCommand
 
 from mbdkit.cli.common_options import AsJson, Debug, Quiet, StudyName
 from mbdkit.cli.output_paths import stem
-from mbdkit.terminal import STOPPED_EARLY, count_bar, say, silence
+from mbdkit.terminal import STOPPED_EARLY, count_bar, say, show, show_json, silence
 
 
 class StudyCommand(TyperCommand):
@@ -78,13 +77,13 @@ def study(
         told, values = terminal_text(verdict), json_values(verdict)
     if as_json:
         more = {} if page is None else {"report": str(page)} | ({"verdict": values} if values else {})
-        print(json.dumps(outcome(result) | more))
+        show_json(outcome(result) | more)
     elif not quiet:
-        print(summary(result))
+        show(summary(result))
         if page is not None:
-            print(f"report     {page}")
+            show(f"report     {page}")
         if told:
-            print(f"\n{told}")
+            show(f"\n{told}")
     if result.unfinished:
         if as_json or quiet:
             say(f"unfinished: {result.unfinished[0]}")

@@ -2,15 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
 from mbdkit.engine.assembly import AssembledState, assemble
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.redundancy import without_redundancy
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
+from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.checks import check_springs
 from mbdkit.mechanism.mechanism import Mechanism
+
+
+@contextmanager
+def within_double_precision() -> Iterator[None]:
+    """Raise SpecError if a computation at the start fails because numbers of the mechanism are too large or small."""
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    except SpecError:
+        raise
+    except (ArithmeticError, ValueError) as error:  # LinAlgError is a ValueError
+        is_numeric = isinstance(error, ArithmeticError | np.linalg.LinAlgError) or "infs or NaNs" in str(error)
+        if not is_numeric:
+            raise
+        raise SpecError(
+            "masses, lengths or positions are so large, so small or so different in size that the start cannot be "
+            "computed in double precision",
+            key="model",
+        ) from error
 
 
 def workspace_at_start(
@@ -45,15 +70,16 @@ def workspace_at_start(
         If the constraints cannot be satisfied, the two ends of a spring coincide, redundant joints contradict each
         other, or the initial position is singular.
     """
-    compiled = compile_mechanism(mechanism)
-    start = assemble(mechanism, t0, compiled)
-    poses = dict(zip(mechanism.bodies, start.q, strict=True))
+    with within_double_precision():
+        compiled = compile_mechanism(mechanism)
+        start = assemble(mechanism, t0, compiled)
+        poses = dict(zip(mechanism.bodies, start.q, strict=True))
 
-    def placed(name: str) -> Body:
-        x, y, angle = map(float, poses[name])
-        return mechanism.bodies[name].model_copy(update={"position": (x, y), "angle": angle})
+        def placed(name: str) -> Body:
+            x, y, angle = map(float, poses[name])
+            return mechanism.bodies[name].model_copy(update={"position": (x, y), "angle": angle})
 
-    check_springs(mechanism.forces, placed)
-    compiled = without_redundancy(compiled, t0, start.q.ravel(), start.v.ravel(), t0 if end is None else end)
+        check_springs(mechanism.forces, placed)
+        compiled = without_redundancy(compiled, t0, start.q.ravel(), start.v.ravel(), t0 if end is None else end)
     q0, v0 = with_ground(start.q), with_ground(start.v)
     return Workspace(compiled, t0, q0, v0, formulation=formulation, stabilization=stabilization), start

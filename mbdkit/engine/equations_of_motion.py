@@ -94,8 +94,10 @@ class EquationsOfMotion:
         self.bodies = mechanism.bodies
         self.constraint_names = tuple(row.label for row in mechanism.solved_rows)
         self.formulation, self.stabilization = workspace.formulation, workspace.stabilization
-        self.mass = mechanism.topology.mass[:-1].ravel()
+        self.mass = mechanism.topology.mass[:-1].ravel()  # a view of what the kernels read
         self.t0, self.q0, self.v0 = workspace.t0, workspace.q0[: self.n].copy(), workspace.v0[: self.n].copy()
+        for array in (self.mass, self.q0, self.v0):
+            array.flags.writeable = False
         self.counters = Counters()
         self._no_force, self._no_rows = np.zeros(self.n), np.zeros(self.m)
         self._classes = classes_of(workspace)

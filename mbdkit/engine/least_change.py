@@ -211,7 +211,10 @@ class LeastChange:
             hessian += csr_array((value, (row, column)), shape=(self.n, self.n)).tocsc()[self.free][:, self.free]
         corner = -diags_array(np.where(trace > 0, trace, 1.0))
         matrix = block_array([[hessian, j.T], [j, corner]], format="csc")
-        lu = splu(matrix)
+        try:
+            lu = splu(matrix)
+        except RuntimeError as error:  # masses or lengths of such different sizes that an entry vanishes
+            raise np.linalg.LinAlgError(str(error)) from None
 
         def solve(gradient: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             right = np.concatenate([-gradient[self.free], -gap])

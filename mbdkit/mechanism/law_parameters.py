@@ -5,9 +5,8 @@ from __future__ import annotations
 from math import isfinite
 from typing import Any
 
-from mbdkit.errors import MbdkitError, PluginError
+from mbdkit.errors import PluginError, blaming
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, FunctionLaw
-from mbdkit.text import one_line
 
 
 def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, ...], list[float]]:
@@ -23,12 +22,8 @@ def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, .
     PluginError
         If the law fails to compute its parameters, or if they are not usable.
     """
-    try:
+    with blaming(f"force law {name} failed to compute its parameters"):
         names, values = _parameters(law, options)
-    except MbdkitError:
-        raise
-    except Exception as error:
-        raise PluginError(f"force law {name} failed to compute its parameters: {one_line(error)}") from error
     if clash := sorted(set(names) & set(ARGUMENTS)):
         raise PluginError(
             f"force law {name}: its parameter '{clash[0]}' has the name of an argument of the law; rename it"

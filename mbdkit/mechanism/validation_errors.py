@@ -40,7 +40,8 @@ BOUNDS = {
     "less_than": "less than {:g}",
     "less_than_equal": "at most {:g}",
 }
-MORE = 5
+EXPLAINED = 12
+"""Problems that a message explains; the others are counted."""
 PYDANTIC_KINDS = frozenset(get_args(ErrorType))
 
 
@@ -66,59 +67,78 @@ def spec_error(
         Error with the key path of the first problem; its message lists the other problems, one per line.
     """
     lookup: PluginLookup = plugins or higher_layers.installed_plugins()
-    complaints: dict[Path, list[str]] = {}
+    problems: dict[Path, list[tuple[ErrorDetails, Path, type[BaseModel] | None]]] = {}
     for details in error.errors(include_url=False):
-        path, sentence = _complaint(details, root, lookup)
-        if sentence not in complaints.setdefault(path, []):
-            complaints[path].append(sentence)
+        path, owner = walk(details["loc"], root, lookup)
+        problems.setdefault(_place(details, path), []).append((details, path, owner))
     # An error inside a value is more specific than the error that no member of a union accepts the value.
-    paths = [path for path in complaints if not any(other[: len(path)] == path != other for other in complaints)]
+    above = {path[:length] for path in problems for length in range(len(path))}
     # Unknown keys come first: a mistyped key explains why another key is missing.
-    paths.sort(key=lambda path: not complaints[path][0].startswith("unknown key"))
-    above = (prefix,) if prefix else ()
-    (key, message), *others = [(path_text((*above, *path)), _either(complaints[path])) for path in paths]
-    for place, sentence in others[:MORE]:
+    paths = sorted((path for path in problems if path not in above), key=lambda path: not _is_unknown(*problems[path]))
+    sentences = []
+    for path in paths[:EXPLAINED]:  # each explanation takes time, and nobody reads thousands of them
+        told = dict.fromkeys(_complaint(*problem, lookup) for problem in problems[path])
+        sentences.append((path_text((*([prefix] if prefix else []), *path)), _either(list(told))))
+    (key, message), *others = sentences
+    for place, sentence in others:
         message += f"\n  also: {place}: {sentence}"
-    if len(others) > MORE:
-        message += f"\n  and {len(others) - MORE} more"
+    if len(paths) > EXPLAINED:
+        message += f"\n  and {len(paths) - EXPLAINED} more"
     return SpecError(message, key=key)
 
 
-def _complaint(details: ErrorDetails, root: Any, plugins: PluginLookup) -> tuple[Path, str]:
-    path, owner = walk(details["loc"], root, plugins)
+def _place(details: ErrorDetails, path: Path) -> Path:
+    """Return the key path that a problem is reported at."""
+    inner = details.get("ctx", {}).get("error")
+    if isinstance(inner, SpecError):
+        return _inner_path(path, parse_path(inner.key))
+    match details["type"]:
+        case "union_tag_not_found" | "union_tag_invalid":
+            return (*path, str(details["ctx"]["discriminator"]).strip("'"))
+    return path
+
+
+def _is_unknown(first: tuple[ErrorDetails, Path, type[BaseModel] | None], *others: Any) -> bool:
+    inner = first[0].get("ctx", {}).get("error")
+    return first[0]["type"] == "extra_forbidden" or (
+        isinstance(inner, SpecError) and inner.message.startswith("unknown key")
+    )
+
+
+def _complaint(details: ErrorDetails, path: Path, owner: type[BaseModel] | None, plugins: PluginLookup) -> str:
     kind, given, context = details["type"], details["input"], details.get("ctx", {})
     inner = context.get("error")
     if isinstance(inner, SpecError):
-        return _inner_path(path, parse_path(inner.key)), inner.message
+        return inner.message
     match kind:
         case "extra_forbidden":
-            return path, _unknown_key(str(path[-1]), owner, plugins)
+            return _unknown_key(str(path[-1]), owner, plugins)
         case "missing":
-            return path, f"is missing{_purpose(owner, str(path[-1]))}"
+            return f"is missing{_purpose(owner, str(path[-1]))}"
         case "union_tag_not_found":
-            return (*path, str(context["discriminator"]).strip("'")), "is missing: it selects the kind of element"
+            return "is missing: it selects the kind of element"
         case "union_tag_invalid":
             tags = [tag.strip("' ") for tag in str(context["expected_tags"]).split(",")]
             key, tag = str(context["discriminator"]).strip("'"), str(context["tag"])
-            return (*path, key), f"there is no {key} '{tag}'{did_you_mean(tag, tags)}; known: {listed(tags)}"
+            return f"there is no {key} '{tag}'{did_you_mean(tag, tags)}; known: {listed(tags)}"
         case "literal_error" | "enum":
             values = re.findall(r"'[^']*'|[^',\s]+", str(context["expected"]).replace(" or ", ", "))
             words = [value.strip("'") for value in values] if len(values) > 1 else []
             hint = did_you_mean(given, words) if isinstance(given, str) else ""
-            return path, f"should be {listed(values, 'or')}, not {found(given)}{hint}"
+            return f"should be {listed(values, 'or')}, not {found(given)}{hint}"
         case "too_short" | "too_long" if isinstance(given, list | tuple):
             bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
-            return path, f"should have {bound} items, not {len(given)}"
+            return f"should have {bound} items, not {len(given)}"
         case "value_error":
-            return path, str(inner)
+            return str(inner)
     if kind in WANTED:
-        return path, f"should be {WANTED[kind]}, not {found(given)}{_hint(kind, given)}"
+        return f"should be {WANTED[kind]}, not {found(given)}{_hint(kind, given)}"
     if kind in BOUNDS:
-        return path, f"should be {BOUNDS[kind].format(*context.values())}, not {found(given)}"
+        return f"should be {BOUNDS[kind].format(*context.values())}, not {found(given)}"
     message = details["msg"]
     if kind in PYDANTIC_KINDS:
         message = f"{message[:1].lower()}{message[1:]}, not {found(given)}"
-    return path, message
+    return message
 
 
 def _inner_path(path: Path, key: Path) -> Path:
@@ -148,7 +168,7 @@ def _purpose(owner: type[BaseModel] | None, key: str) -> str:
 
 
 def _hint(kind: str, given: Any) -> str:
-    if not isinstance(given, str) or not kind.startswith(("float", "int")):
+    if not isinstance(given, str) or len(given) > 60 or not kind.startswith(("float", "int")):
         return ""
     if re.fullmatch(r"\s*[-+]?\d+,\d+\s*", given):
         return " (write the decimal comma as a point)"

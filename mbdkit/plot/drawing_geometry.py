@@ -109,7 +109,7 @@ def draw_spec(spec: Mapping[str, Any], bodies: Sequence[str]) -> Drawing:
     """
     try:
         mechanism = build_mechanism(spec)
-    except Exception:  # a missing, outdated or broken plugin must not prevent a picture
+    except (Exception, SystemExit):  # a missing, outdated or broken plugin must not prevent a picture
         return draw_centres(bodies)
     return draw_mechanism(mechanism) if list(mechanism.bodies) == list(bodies) else draw_centres(bodies)
 

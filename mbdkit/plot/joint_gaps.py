@@ -57,7 +57,7 @@ def gaps(spec: Mapping[str, Any], drawing: Drawing, poses: Array) -> Gaps:
     """
     try:
         mechanism = build_mechanism(spec)
-    except Exception:  # as in `draw_spec`: a missing or broken plugin must not prevent a picture
+    except (Exception, SystemExit):  # as in `draw_spec`: a missing or broken plugin must not prevent a picture
         return Gaps((), (), np.zeros((len(poses), 0, 2)))
     if tuple(mechanism.bodies) != drawing.bodies:
         return Gaps((), (), np.zeros((len(poses), 0, 2)))

@@ -231,7 +231,7 @@ class IntegratorPlugin(Plugin):
         """Return the claims with default options, by name; empty where an option has no default."""
         try:
             claims: Any = self.claims(self.options())
-        except Exception:  # an option without default, or any failure of the plugin
+        except (Exception, SystemExit):  # an option without default, or any failure of the plugin
             return {}
         if not isinstance(claims, Claims):
             return {}

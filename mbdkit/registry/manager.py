@@ -179,4 +179,4 @@ def _order(entry_point: EntryPoint) -> tuple[bool, str, str]:
 
 
 def _sentence(error: BaseException) -> str:
-    return str(error) if isinstance(error, PluginError) else one_line(error)
+    return str(error) if type(error) is PluginError else one_line(error)

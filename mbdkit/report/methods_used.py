@@ -95,7 +95,7 @@ def _claims(plugin: IntegratorPlugin, options: Mapping[str, Any], *, alone: bool
     """Return the claims of an integrator with these options; the order only if they are the only ones."""
     try:
         claims = plugin.claims(plugin.options.model_validate_json(json.dumps(options)))
-    except Exception:  # another version of a plugin may refuse them or fail in any way
+    except (Exception, SystemExit):  # another version of a plugin may refuse them or fail in any way
         return ""
     return _claim_words(claims, alone) if isinstance(claims, Claims) else ""
 

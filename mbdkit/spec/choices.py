@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic import BaseModel, GetCoreSchemaHandler
+from pydantic import BaseModel, GetCoreSchemaHandler, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
-from mbdkit.errors import SpecError
+from mbdkit.errors import PluginError, SpecError, blaming
 from mbdkit.plain_data import found
-from mbdkit.registry.catalogue import Kind, Registry
+from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of, named_options
 from mbdkit.registry.manager import registry
 from mbdkit.text import listed
@@ -39,7 +39,7 @@ class Choice:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         items = self.registry.of_kind(self.kind)
-        choices = {item.id: handler.generate_schema(named_options(item)) for item in items}
+        choices = {item.id: _blaming(item, handler.generate_schema(named_options(item))) for item in items}
         union: CoreSchema = core_schema.no_info_plain_validator_function(self._tag)
         if choices:
             union = core_schema.tagged_union_schema(choices, self._tag)
@@ -64,6 +64,23 @@ class Choice:
             return item_of(data).id
         name = data.get("name") if isinstance(data, dict) else None
         return self.registry.get(self.kind, name).id if isinstance(name, str) else None
+
+
+def _blaming(item: Registered, schema: CoreSchema) -> CoreSchema:
+    """Return a schema of a plugin's options that raises PluginError if their validation fails in another way."""
+    if item.origin.distribution == "mbdkit":
+        return schema
+
+    def validate(data: Any, handler: Callable[[Any], Any]) -> Any:
+        try:
+            with blaming(f"{item.kind} {item.id} failed to check its options"):
+                return handler(data)
+        except PluginError as error:
+            if isinstance(error.__cause__, ValidationError):
+                raise error.__cause__ from None
+            raise
+
+    return core_schema.no_info_wrap_validator_function(validate, schema)
 
 
 def choice_of(root: type[BaseModel], kind: Kind) -> Choice:

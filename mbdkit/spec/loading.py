@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import importlib.resources
 import os
 from collections.abc import Iterable, Mapping
@@ -10,6 +9,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from mbdkit.errors import SpecError
+from mbdkit.plain_data import copied
 from mbdkit.spec.reading import read_file, read_stdin, read_text, set_value
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.source_document import Document
@@ -92,7 +92,7 @@ def read_source(source: Any) -> Document:
             {name: value for name, (value, default) in values.items() if name not in _OMITTED or value != default}
         )
     if isinstance(source, Mapping):
-        return Document(copy.deepcopy(dict(source)))
+        return Document(copied(source))
     if isinstance(source, str | FilePath):
         return _named(source)
     if hasattr(source, "to_spec"):

@@ -12,11 +12,11 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path, found, parse_path, path_text
+from mbdkit.plain_data import DEEPEST, Path, copied, found, parse_path, path_text
 from mbdkit.spec.source_document import Document
-from mbdkit.spec.yaml_reader import read_yaml
+from mbdkit.spec.yaml_reader import LARGEST, read_data, read_yaml
 
-LARGEST_FILE = 64 * 2**20  # bytes
+LARGEST_FILE = 16 * 2**20  # bytes
 STDIN = "<stdin>"
 
 
@@ -54,6 +54,7 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
     suffix
         ``.json`` or ``.toml``; any other suffix means YAML.
     """
+    _check_size(text, suffix, file)
     try:
         match suffix:
             case ".json":
@@ -61,8 +62,7 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
             case ".toml":
                 data, document = _toml(text), Document({}, file, lambda: _toml_lines(text))
             case _:
-                data, lines = read_yaml(text)
-                document = Document({}, file, lambda: lines)
+                data, document = read_data(text), Document({}, file, lambda: read_yaml(text)[1])
     except SpecError as error:
         raise error.located(file=file) from None
     if data is None:
@@ -71,13 +71,28 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
         raise SpecError(
             f"a spec should be a mapping (`key: value`) at the top level, not {found(data)}", file=file, line=1
         )
-    document.data = dict(data)
+    try:
+        document.data = copied(data)  # checks the depth
+    except SpecError as error:
+        raise error.located(file=file) from None
     return document
+
+
+_SEPARATORS = {".json": ",:[{", ".toml": ",=[{."}
+"""Characters of which a document has at least as many as values; in YAML, only documents that are usual."""
+
+
+def _check_size(text: str, suffix: str, file: str) -> None:
+    """Raise SpecError if a document has too many values, which is cheaper to find out than to read them."""
+    if len(text) > LARGEST_FILE:
+        raise SpecError(f"this is larger than {LARGEST_FILE >> 20} MiB, the limit for a spec", file=file)
+    if sum(text.count(separator) for separator in _SEPARATORS.get(suffix, ",\n")) > LARGEST:
+        raise SpecError(f"this is too large: more than {LARGEST} values", file=file)
 
 
 def read_value(text: str) -> Any:
     """Parse the value of ``--set key=value``, which is written in YAML."""
-    return read_yaml(text)[0]
+    return read_data(text)
 
 
 def _decoded(raw: bytes, file: str) -> str:
@@ -124,9 +139,16 @@ def _json(text: str) -> Any:
         raise SpecError(f"this is not valid JSON: {error}") from None
 
 
+_WORD = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_DEEP_KEY = re.compile(rf"(?<![\w.-]){_WORD}(?:[ \t]*+\.[ \t]*+{_WORD}){{{DEEPEST}}}")
+"""A dotted key that is so long that reading it takes time and memory that are quadratic in its length."""
+
+
 def _toml(text: str) -> Any:
     if not text.strip():
         return None
+    if _DEEP_KEY.search(text):
+        raise SpecError(f"this TOML is nested too deeply: a key of more than {DEEPEST} parts")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -145,8 +167,8 @@ def _toml_lines(text: str) -> dict[Path, int]:
     lines: dict[Path, int] = {}
     table: Path = ()
     for number, line in enumerate(text.splitlines(), start=1):
-        header = re.match(r"\s*\[\[?\s*([^\]]+?)\s*\]", line)
-        entry = re.match(r"""\s*((?:[\w-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[\w-]+|"[^"]*"|'[^']*'))*)\s*=""", line)
+        header = re.match(r"\s*+\[\[?+([^\]]++)\]", line)
+        entry = re.match(rf"\s*+({_WORD}(?:\s*+\.\s*+{_WORD})*+)\s*+=", line)
         if header:
             table = _toml_key(header[1])
             lines.setdefault(table, number)

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
 
 from mbdkit.engine.stabilization import Stabilization
-from mbdkit.errors import PluginError, SpecError
+from mbdkit.errors import PluginError, SpecError, blaming
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin, ModelPlugin
 from mbdkit.spec.asked_accuracy import LARGEST, SMALLEST, asked
 from mbdkit.spec.choices import Choice, choice_of
-from mbdkit.spec.sections import Event, Limits, Output, Time, named_events
+from mbdkit.spec.sections import LARGEST_COUNT, Event, Limits, Output, Time, named_events
 from mbdkit.spec.stabilization_section import UNSTABILIZED, stabilization_of
 from mbdkit.spec.stabilization_section import Choice as StabilizationChoice
 from mbdkit.spec.strict_spec import StrictSpec
-from mbdkit.text import listed, one_line
+from mbdkit.text import listed
 
 if TYPE_CHECKING:
     from mbdkit.events.event_expression import RunExpression
@@ -110,7 +110,10 @@ class RunSpec(StrictSpec):
             raise SpecError(
                 f"is missing: the fixed-step method '{item.name}' needs a step in seconds{choice}", key="time.step"
             )
-        if self.output.interval is not None and not self.integrator_plugin.dense_output:
+        interval = self.output.interval
+        if interval is not None and not (self.time.final - self.time.start) / interval < LARGEST_COUNT:
+            raise SpecError(f"{interval!r} is too small: the run would have too many rows", key="output.interval")
+        if interval is not None and not self.integrator_plugin.dense_output:
             dense = [
                 other.name
                 for other in choice_of(type(self), "integrator").registry.of_kind("integrator")
@@ -181,7 +184,7 @@ class RunSpec(StrictSpec):
         """Return a phrase that lists the installed integrators whose claims satisfy `can`."""
         able = []
         for item in choice_of(type(self), "integrator").registry.of_kind("integrator"):
-            with suppress(Exception):  # options without defaults, or a plugin that raises any exception
+            with suppress(Exception, SystemExit):  # options without defaults, or a plugin that raises any exception
                 plugin = item.plugin
                 assert isinstance(plugin, IntegratorPlugin)
                 if can(plugin.claims(plugin.options())):
@@ -221,12 +224,8 @@ class RunSpec(StrictSpec):
     @property
     def claims(self) -> Claims:
         """The capabilities that the integrator claims with these options."""
-        try:
-            claims = self.integrator_plugin.claims(self.integrator)
-        except SpecError:
-            raise
-        except Exception as error:
-            raise PluginError(f"{self.integrator_item.id} failed to return its claims: {one_line(error)}") from error
+        with blaming(f"{self.integrator_item.id} failed to return its claims"):
+            claims: Any = self.integrator_plugin.claims(self.integrator)
         if not isinstance(claims, Claims):
             raise PluginError(
                 f"{self.integrator_item.id} returned its claims as {type(claims).__name__}, not as Claims"
@@ -273,18 +272,21 @@ class RunSpec(StrictSpec):
         from mbdkit.mechanism.mechanism import Mechanism
 
         try:
-            mechanism = self.model_plugin.build(self.model)
+            with blaming(f"model {self.model_item.id} failed to build"):
+                mechanism: Any = self._built()
             if isinstance(mechanism, Mechanism):
                 mechanism.check_span(self.time.start, self.time.final)
         except SpecError as error:
             raise error if error.key.startswith("model") else error.located(prefix="model") from None
-        except OverflowError:
-            raise SpecError("a parameter is so large or so small that numbers overflow", key="model") from None
-        except Exception as error:
-            raise PluginError(f"model {self.model_item.id} failed to build: {one_line(error)}") from error
         if not isinstance(mechanism, Mechanism):
             raise PluginError(f"model {self.model_item.id} built {type(mechanism).__name__}, not a Mechanism")
         return mechanism
+
+    def _built(self) -> Any:
+        try:
+            return self.model_plugin.build(self.model)
+        except ArithmeticError:
+            raise SpecError("a parameter is so large or so small that numbers overflow", key="model") from None
 
     def run_id(self) -> str:
         """Return 16 hexadecimal digits that identify this spec and the versions of the plugins it uses."""

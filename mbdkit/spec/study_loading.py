@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import copy
 import os
 from collections.abc import Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
 from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path, parse_path, path_text
+from mbdkit.plain_data import Path, copied, parse_path, path_text
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
@@ -73,7 +72,7 @@ def _packaged(name: str) -> Registered | None:
 def _document(source: Any) -> tuple[Document, FilePath]:
     """Return the document of a study, and the folder to which file names in it are relative."""
     if isinstance(source, Mapping):
-        return Document(copy.copy(dict(source))), FilePath()
+        return Document(copied(source)), FilePath()
     if not isinstance(source, str | FilePath):
         what = type(source).__name__
         raise SpecError(f"a study is a file, the name of a packaged study, a dict or a StudySpec, not {what}")

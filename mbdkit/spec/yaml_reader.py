@@ -1,26 +1,41 @@
-"""Reading of YAML 1.2 as plain data with line numbers; rejects object tags, duplicate keys and alias bombs."""
+"""Reading of YAML 1.2 as plain data with line numbers; rejects object tags, duplicate keys and alias bombs.
+
+libyaml splits the text into events, and this module builds the data from them: the limits hold before anything large
+exists, and the types of scalars are those of YAML 1.2.
+"""
 
 from __future__ import annotations
 
-import io
 import re
+from collections.abc import Callable
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
-from ruamel.yaml.representer import SafeRepresenter
+import yaml
+from yaml.events import (
+    AliasEvent,
+    DocumentStartEvent,
+    Event,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    SequenceStartEvent,
+    StreamEndEvent,
+)
 
 from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path, path_text
+from mbdkit.plain_data import DEEPEST, LARGEST_NUMBER, Path, path_text
 
-LARGEST = 1_000_000  # values, after expansion of aliases
+LARGEST = 500_000  # values, after expansion of aliases
+LONGEST = 16 * 2**20  # characters in scalars, after expansion of aliases
 
 CORE = "tag:yaml.org,2002:"
 IMPLICIT = ("null", "bool", "int", "float", "timestamp", "merge", "value")
-NULL = re.compile(r"~|null|Null|NULL|")
-TRUE = re.compile(r"true|True|TRUE")
-FALSE = re.compile(r"false|False|FALSE")
+CONSTANTS = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL")),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+}
 WHOLE = re.compile(r"[-+]?[0-9]+")
 OTHER_BASE = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
 NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
@@ -32,6 +47,9 @@ HINTS = {
     "undefined alias": " (a text that begins with * needs quotes)",
     "could not find expected ':'": " (is there a colon and a space after the key?)",
 }
+
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_DUMPER: Any = yaml.SafeDumper
 
 
 def read_yaml(text: str) -> tuple[Any, dict[Path, int]]:
@@ -47,127 +65,229 @@ def read_yaml(text: str) -> tuple[Any, dict[Path, int]]:
     SpecError
         If the text is not YAML, or not plain data, with the line number.
     """
-    try:
-        node = YAML(typ="safe", pure=True).compose(text)
-        if node is None:
-            return None, {}
-        reader = _Reader()
-        return reader.value(node, ()), reader.lines
-    except MarkedYAMLError as error:
-        raise _syntax(error, text) from None
-    except (YAMLError, ValueError) as error:
-        if isinstance(error, SpecError):
-            raise
-        raise SpecError(f"this is not valid YAML: {_first_line(error)}") from None
-    except RecursionError:
-        raise SpecError("this YAML is nested too deeply") from None
+    reader = _Reader(text, {})
+    return reader.document(), reader.lines
+
+
+def read_data(text: str) -> Any:
+    """Parse YAML as `read_yaml` does, without line numbers, which takes less time and memory."""
+    return _Reader(text, None).document()
 
 
 class _Reader:
-    def __init__(self) -> None:
-        self.lines: dict[Path, int] = {}
-        self.count = 0
-        self.open: set[int] = set()
+    """Builds plain data from events.
 
-    def value(self, node: Node, path: Path) -> Any:
-        self.count += 1
+    `count` and `length` are the numbers of values and of characters in scalars so far, after expansion of aliases.
+    """
+
+    def __init__(self, text: str, lines: dict[Path, int] | None):
+        self.text = text
+        self.loader = _LOADER(text)
+        self.next: Callable[[], Event] = self.loader.get_event
+        self.has_lines, self.lines = lines is not None, lines or {}
+        self.placed: list[tuple[Path, int]] = []
+        self.count = self.length = 0
+        self.anchors: dict[str, tuple[Any, int, int, list[tuple[Path, int]]]] = {}
+        self.open: set[str] = set()
+
+    def document(self) -> Any:
+        """Return the data of the only document; None if there is none."""
+        data: Any = None
+        documents = 0
+        try:
+            while not isinstance(event := self.next(), StreamEndEvent):
+                if isinstance(event, DocumentStartEvent):
+                    documents += 1
+                    if documents > 1:
+                        message = "a second YAML document begins here; a spec is a single document"
+                        raise SpecError(message, line=event.start_mark.line + 1)
+                    data = self.value(self.next(), ())
+        except yaml.MarkedYAMLError as error:
+            raise _syntax(error, self.text) from None
+        except (yaml.YAMLError, ValueError) as error:
+            if isinstance(error, SpecError):
+                raise
+            raise SpecError(f"this is not valid YAML: {_first_line(error)}") from None
+        finally:
+            self.loader.dispose()
+        return data
+
+    def value(self, event: Event, path: Path) -> Any:
+        """Return the value that begins with an event."""
+        if isinstance(event, AliasEvent):
+            return self._alias(event, path)
+        before = self.count, self.length, len(self.placed)
+        self._add(1, 0, event, path)
+        anchor = event.anchor
+        if anchor is not None:
+            self.anchors.pop(anchor, None)
+            self.open.add(anchor)
+        data = self._new(event, path)
+        if anchor is not None:
+            self.open.discard(anchor)
+            below = [(place[len(path) :], line) for place, line in self.placed[before[2] :]]
+            self.anchors[anchor] = (data, self.count - before[0], self.length - before[1], below)
+        return data
+
+    def _new(self, event: Event, path: Path) -> Any:
+        if isinstance(event, ScalarEvent):
+            return self._scalar(event, path)
+        if len(path) >= DEEPEST:
+            raise self._error(f"this YAML is nested too deeply: more than {DEEPEST} levels", event, ())
+        if isinstance(event, MappingStartEvent):
+            self._expect(event, "map", path)
+            return self._mapping(path)
+        self._expect(event, "seq", path)
+        items: list[Any] = []
+        assert isinstance(event, SequenceStartEvent)
+        while not isinstance(item := self.next(), SequenceEndEvent):
+            here = (*path, len(items))
+            self._place(here, item)
+            items.append(self.value(item, here))
+        return items
+
+    def _alias(self, event: AliasEvent, path: Path) -> Any:
+        name = event.anchor
+        if name in self.open:
+            raise self._error("this alias (*name) refers to a value that contains the alias", event, path)
+        if name not in self.anchors:
+            raise self._error(
+                f"this is not valid YAML: found undefined alias '{name}'{HINTS['undefined alias']}", event
+            )
+        data, count, length, lines = self.anchors[name]
+        self._add(count, length, event, path)
+        if len(path) + _depth(data) > DEEPEST:
+            raise self._error(f"this YAML is nested too deeply: more than {DEEPEST} levels", event, ())
+        if self.has_lines:
+            self.lines |= {(*path, *below): line for below, line in lines}
+        return _copied(data)
+
+    def _place(self, path: Path, event: Event) -> None:
+        if self.has_lines:
+            line = event.start_mark.line + 1
+            self.lines[path] = line
+            self.placed.append((path, line))
+
+    def _add(self, count: int, length: int, event: Event, path: Path) -> None:
+        self.count += count
+        self.length += length
         if self.count > LARGEST:
             raise self._error(
-                f"this is too large: more than {LARGEST} values after expansion of aliases", node, path[:1]
+                f"this is too large: more than {LARGEST} values after expansion of aliases", event, path[:1]
             )
-        if isinstance(node, ScalarNode):
-            return self._scalar(node, path)
-        if id(node) in self.open:
-            raise self._error("this alias (*name) refers to a value that contains the alias", node, path)
-        self.open.add(id(node))
-        try:
-            match node:
-                case MappingNode():
-                    self._expect(node, "map", path)
-                    return self._mapping(node, path)
-                case SequenceNode():
-                    self._expect(node, "seq", path)
-                    items = []
-                    for index, item in enumerate(node.value):
-                        self.lines.setdefault((*path, index), item.start_mark.line + 1)
-                        items.append(self.value(item, (*path, index)))
-                    return items
-        finally:
-            self.open.discard(id(node))
-        raise self._error("this is not plain data", node, path)
+        if self.length > LONGEST:
+            raise self._error(
+                f"this is too large: more than {LONGEST >> 20} MiB after expansion of aliases", event, path[:1]
+            )
 
-    def _mapping(self, node: MappingNode, path: Path) -> dict[str, Any]:
+    def _mapping(self, path: Path) -> dict[str, Any]:
         result: dict[str, Any] = {}
         merged: dict[str, Any] = {}
-        for key_node, value_node in node.value:
-            if isinstance(key_node, ScalarNode) and key_node.tag == f"{CORE}merge":
-                merged = self._merge(value_node, path) | merged
+        first: dict[str, int] = {}
+        while not isinstance(event := self.next(), MappingEndEvent):
+            if isinstance(event, ScalarEvent) and _is_merge(event):
+                merged = self._merge(self.next(), path) | merged
                 continue
-            key = self._key(key_node, path)
-            line = key_node.start_mark.line + 1
+            key = self._key(event, path)
+            line = event.start_mark.line + 1
             if key in result:
-                first = self.lines[*path, key]
-                raise self._error(f"the key '{key}' occurs twice (first on line {first})", key_node, (*path, key))
-            self.lines[*path, key] = line
-            result[key] = self.value(value_node, (*path, key))
+                raise self._error(f"the key '{key}' occurs twice (first on line {first[key]})", event, (*path, key))
+            first[key] = line
+            self._place((*path, key), event)
+            result[key] = self.value(self.next(), (*path, key))
         return merged | result
 
-    def _merge(self, node: Node, path: Path) -> dict[str, Any]:
-        sources = node.value if isinstance(node, SequenceNode) else [node]
+    def _merge(self, event: Event, path: Path) -> dict[str, Any]:
+        sources = self.value(event, path)
         merged: dict[str, Any] = {}
-        for source in sources:
-            if not isinstance(source, MappingNode):
-                raise self._error("`<<` takes a mapping, or a list of mappings", source, path)
-            merged = self.value(source, path) | merged
+        for source in sources if isinstance(sources, list) else [sources]:
+            if not isinstance(source, dict):
+                raise self._error("`<<` takes a mapping, or a list of mappings", event, path)
+            merged = source | merged
         return merged
 
-    def _key(self, node: Node, path: Path) -> str:
-        if not isinstance(node, ScalarNode):
-            raise self._error("a key should be text, not a list or mapping", node, path)
-        return str(node.value)
+    def _key(self, event: Event, path: Path) -> str:
+        key = self.anchors.get(event.anchor, (None,))[0] if isinstance(event, AliasEvent) else None
+        if isinstance(event, ScalarEvent):
+            key = str(event.value)
+            self._add(0, len(key), event, path)
+            if event.anchor is not None:
+                self.anchors[event.anchor] = (key, 1, len(key), [])
+        if not isinstance(key, str):
+            raise self._error("a key should be text, not a list or mapping", event, path)
+        return key
 
-    def _scalar(self, node: ScalarNode, path: Path) -> Any:
-        text = str(node.value)
-        if not node.style and str(node.tag).removeprefix(CORE) in IMPLICIT:
-            return self._resolved(text, node, path)
-        self._expect(node, "str", path)
+    def _scalar(self, event: ScalarEvent, path: Path) -> Any:
+        text = str(event.value)
+        self._add(0, len(text), event, path)
+        if not event.style and (event.tag is None or event.tag.removeprefix(CORE) in IMPLICIT):
+            return self._resolved(text, event, path)
+        self._expect(event, "str", path)
         return text
 
-    def _resolved(self, text: str, node: Node, path: Path) -> Any:
-        if NULL.fullmatch(text):
-            return None
-        if TRUE.fullmatch(text) or FALSE.fullmatch(text):
-            return bool(TRUE.fullmatch(text))
-        if WHOLE.fullmatch(text):
-            if len(text) > 300:
-                raise self._error("this number is too large", node, path)
-            return int(text)
-        if OTHER_BASE.fullmatch(text):
-            return int(text, 0)
-        if NUMBER.fullmatch(text):
-            return float(text)
-        if NOT_FINITE.fullmatch(text):
-            return float(text.replace(".", ""))
+    def _resolved(self, text: str, event: Event, path: Path) -> Any:
+        data = resolved(text)
+        if isinstance(data, int) and abs(data) > LARGEST_NUMBER:
+            raise self._error("this number is too large", event, path)
+        return data
+
+    def _expect(self, event: Any, kind: str, path: Path) -> None:
+        if event.tag not in (None, "!", f"{CORE}{kind}"):
+            tag = str(event.tag).replace(CORE, "!!")
+            raise self._error(f"the tag {tag} is not allowed: a spec is plain data", event, path)
+
+    def _error(self, message: str, event: Event, path: Path = ()) -> SpecError:
+        return SpecError(message, key=path_text(path), line=event.start_mark.line + 1)
+
+
+def _is_merge(event: ScalarEvent) -> bool:
+    return bool(event.value == "<<" and not event.style and event.tag in (None, f"{CORE}merge"))
+
+
+def _copied(data: Any) -> Any:
+    match data:
+        case dict():
+            return {key: _copied(value) for key, value in data.items()}
+        case list():
+            return [_copied(value) for value in data]
+    return data
+
+
+def _depth(data: Any) -> int:
+    match data:
+        case dict():
+            return 1 + max(map(_depth, data.values()), default=0)
+        case list():
+            return 1 + max(map(_depth, data), default=0)
+    return 0
+
+
+def resolved(text: str) -> Any:
+    """Return the value of a scalar without quotes and tag."""
+    if text in CONSTANTS:
+        return CONSTANTS[text]
+    if text[0] not in "+-.0123456789":
         return text
+    if len(text) > 400 and (WHOLE.fullmatch(text) or OTHER_BASE.fullmatch(text)):
+        return LARGEST_NUMBER + 1  # converting it would take long, or fail
+    if WHOLE.fullmatch(text):
+        return int(text)
+    if OTHER_BASE.fullmatch(text):
+        return int(text, 0)
+    if NUMBER.fullmatch(text):
+        return float(text)
+    if NOT_FINITE.fullmatch(text):
+        return float(text.replace(".", ""))
+    return text
 
-    def _expect(self, node: Node, kind: str, path: Path) -> None:
-        if node.tag != f"{CORE}{kind}":
-            tag = str(node.tag).replace(CORE, "!!")
-            raise self._error(f"the tag {tag} is not allowed: a spec is plain data", node, path)
 
-    def _error(self, message: str, node: Node, path: Path) -> SpecError:
-        return SpecError(message, key=path_text(path), line=node.start_mark.line + 1)
-
-
-def _syntax(error: MarkedYAMLError, text: str) -> SpecError:
+def _syntax(error: yaml.MarkedYAMLError, text: str) -> SpecError:
     mark = error.problem_mark or error.context_mark
     line = None if mark is None else mark.line + 1
     problem = " ".join(str(error.problem or error.context or "it cannot be read").split())
     lines = text.splitlines()
     if line is not None and line <= len(lines) and re.match(r" *\t", lines[line - 1]):
         return SpecError("this line is indented with a tab; YAML allows only spaces", line=line)
-    if "another document" in problem:
-        return SpecError("a second YAML document begins here; a spec is a single document", line=line)
     begin = error.context_mark.line + 1 if error.context_mark is not None else line
     if begin != line:
         problem += f", in the block that begins on line {begin}"
@@ -187,25 +307,21 @@ def write_yaml(data: Any) -> str:
     data
         Dicts, lists, text, numbers, booleans and None.
     """
-    yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = None  # mappings and lists of scalars on one line
-    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    yaml.width = 120
-    yaml.Representer = _Representer
-    stream = io.StringIO()
-    yaml.dump(data, stream)
-    return stream.getvalue()
+    text: str = yaml.dump(data, Dumper=_Dumper, default_flow_style=None, sort_keys=False, width=120, allow_unicode=True)
+    return text
 
 
-class _Representer(SafeRepresenter):
-    """Representer that puts text in quotes if it would otherwise be read as another type."""
+class _Dumper(_DUMPER):  # type: ignore[misc]
+    """Dumper without aliases that puts text in quotes if it would otherwise be read as another type."""
 
-    def represent_str(self, data: str) -> ScalarNode:
-        stays = isinstance(_Reader()._resolved(data, ScalarNode("", data), ()), str) and data[:1] not in (":", "?")
-        style = (
-            None if stays else '"'
-        )  # ruamel writes texts that begin with : or ? without quotes, but reads them as syntax
-        return self.represent_scalar(f"{CORE}str", data, style=style)
+    def ignore_aliases(self, data: Any) -> bool:
+        """Write equal values again instead of aliases."""
+        return True
 
 
-_Representer.add_representer(str, _Representer.represent_str)
+def _text(dumper: Any, data: str) -> Any:
+    style = None if isinstance(resolved(data), str) else '"'
+    return dumper.represent_scalar(f"{CORE}str", data, style=style)
+
+
+_Dumper.add_representer(str, _text)

@@ -15,14 +15,16 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
 from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.iteration_matrix import vector
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import StepError
+from mbdkit.errors import MbdkitError, StepError
 from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.stepping import interface
 from mbdkit.stepping.driver import SAME_TIME
 from mbdkit.stepping.impulse import impulse
 from mbdkit.stepping.interface import Failure, Impact, StepEvidence, StepTaken, Stretch, Timetable
+from mbdkit.stepping.kept_state import kept, protect
 from mbdkit.stepping.python_projection import StabilizedSteps, Taken
 from mbdkit.stepping.step_watch import StepWatch
+from mbdkit.text import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -279,12 +281,22 @@ class PythonStepper:
         return with_ground(state.q), with_ground(state.v)
 
     def _own_step(self, t: float, state: StepState, h: float) -> StepState:
-        """Take a step of the method and check its result; raises TypeError or ValueError that names the method."""
-        try:
-            new = self.method.step(self.equations, t, state, h)
-        except SystemExit:
-            raise RuntimeError("SystemExit") from None
+        """Take a step of the method, check its result, and return it with arrays of its own.
+
+        Raises StepError, and other exceptions that are neither exits nor errors of mbdkit: they blame the method.
+        """
         name, equations = type(self.method).__name__, self.equations
+        protect(state)
+        try:
+            new = self.method.step(equations, t, state, h)
+        except (KeyboardInterrupt, StepError):
+            raise
+        except BaseException as error:  # a plugin may raise anything, SystemExit included
+            if isinstance(error, ValueError) and "read-only" in str(error):
+                raise ValueError(f"{name}.step changes an array in place that belongs to a state ({error})") from error
+            if isinstance(error, Exception) and not isinstance(error, MbdkitError):
+                raise
+            raise RuntimeError(one_line(error)) from error
         if not isinstance(new, StepState):
             raise TypeError(f"{name}.step returned {type(new).__name__}, not a StepState")
         wanted: list[tuple[str, Any, int]] = [("q", new.q, equations.n), ("v", new.v, equations.n)]
@@ -298,7 +310,10 @@ class PythonStepper:
                 raise ValueError(f"{name}.step returned an invalid `{field_name}`: {error}") from None
         if len(found) == 3 and not np.all(np.isfinite(found[2])):
             raise StepError("not-finite", "multipliers overflowed")
-        return new if found[0] is new.q and found[1] is new.v else replace(new, q=found[0], v=found[1])
+        # The method may use its arrays again: without copies, states recorded or resumed from would change with them.
+        q, v, *own = (array.copy() for array in found)
+        multipliers = own[0] if own else kept(new.multipliers)
+        return StepState(q, v, multipliers, kept(new.memory), new.work, new.dissipated, kept(new.low))
 
     def _booked(self, begin: Reached, t: float, h: float, taken: Taken) -> tuple[np.ndarray, np.ndarray]:
         """Return work and dissipated energy after the step of the method, computed by compensated summation."""

@@ -33,7 +33,7 @@ def ensure_compiled(notify: Callable[[str], None] = to_stderr) -> None:
         if cold:
             with _interrupts_kept() as check:
                 _run_everything(check)
-            notify(f"... compiled in {time.perf_counter() - begin:.0f} s, kept in {FOLDER}")
+            notify(f"... compiled in {time.perf_counter() - begin:.0f} s; the cache is {FOLDER}")
 
 
 @contextmanager

@@ -42,7 +42,7 @@ def judge(study: Study) -> Verdict:
             f"the verdict '{name}' requires the families and axes of the packaged study '{name}'; this one has others"
         )
         raise study.spec.placed(SpecError(wrong, key="verdict")) from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         if item.origin.distribution == "mbdkit":
             raise
         raise PluginError(f"the verdict of '{item.id}' raised {one_line(error)}") from error

@@ -16,6 +16,7 @@ from mbdkit.run_preparation import build
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Stretch, Timetable
 from mbdkit.stepping.start import start_method
+from mbdkit.text import one_line
 
 LOOKS = 16
 """Number of states along the run at which the mechanism is tested for reversibility."""
@@ -118,8 +119,8 @@ def _states(spec: RunSpec, workspace: Workspace, table: Timetable) -> Stretch:
             parts.append(stepper.advance())
     except MbdkitError:
         raise
-    except Exception as error:
-        raise _StoppedError(f"error: {type(error).__name__}: {error}") from error
+    except (Exception, SystemExit) as error:
+        raise _StoppedError(f"error: {one_line(error)}") from error
     if stepper.failure is not None:
         raise _StoppedError(f"{stepper.failure.code}: {stepper.failure.sentence}")
     rows = [part for part in parts if len(part.time)]

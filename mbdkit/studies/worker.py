@@ -58,7 +58,7 @@ def _outcome(task: dict[str, Any], notify: Any) -> dict[str, Any]:
         return {"status": "failed", "reason": f"plugin-error: {error}"}
     except MbdkitError as error:
         return {"status": "failed", "reason": f"error: {error}"}
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         return {"status": "failed", "reason": f"error: {one_line(error)}"}
 
 

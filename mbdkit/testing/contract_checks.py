@@ -65,7 +65,7 @@ def method(integrator: IntegratorUnderTest) -> Result:
 
 @check("contract.inputs")
 def inputs(integrator: IntegratorUnderTest) -> Result:
-    """It does not modify its options, the start of the run, or the states passed to it."""
+    """It does not modify its options, the start of the run, the states passed to it, or those that it returned."""
     given = validated(integrator.plugin.options, integrator.options)
     before = given.model_dump_json()
     made = integrator.plugin.create(given)
@@ -79,22 +79,38 @@ def inputs(integrator: IntegratorUnderTest) -> Result:
         return failed("it modified the start of the run")
     if isinstance(watched, _Watched) and watched.changed:
         return failed(f"its step modified {listed(sorted(watched.changed), 'and')} of the state passed to it")
+    if isinstance(watched, _Watched) and watched.reused:
+        return failed(
+            f"its step returns {listed(sorted(watched.reused), 'and')} in an array that its next step uses again; it "
+            "should return new arrays"
+        )
     return passed()
 
 
+_PARTS = ("q", "v", "multipliers", "memory")
+
+
 class _Watched(StepMethod):
-    """A method that records which parts of the passed state a step modifies."""
+    """A method that records which parts of the passed state, and of the state returned before, a step modifies.
+
+    The arrays that it passes on are not read-only, so that every part that is modified is found.
+    """
 
     def __init__(self, method: StepMethod):
         self.method = method
         self.changed: set[str] = set()
+        self.reused: set[str] = set()
+        self.returned: tuple[StepState, StepState] | None = None
         self.carries_multipliers = method.carries_multipliers  # type: ignore[misc]
         self.hint = method.hint  # type: ignore[misc]
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        before = copy.deepcopy(state)
+        before, state = copy.deepcopy(state), copy.deepcopy(state)
         after = self.method.step(equations, t, state, h)
-        self.changed |= {name for name in ("q", "v", "multipliers", "memory") if not _same(before, state, name)}
+        self.changed |= {name for name in _PARTS if not _same(before, state, name)}
+        if self.returned is not None:
+            self.reused |= {name for name in _PARTS if not _same(*self.returned, name)}
+        self.returned = after, copy.deepcopy(after)
         return after
 
 

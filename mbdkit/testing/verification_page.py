@@ -6,11 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.compat import StringIO
-
 from mbdkit.files import check_output, check_suffix, replacing
 from mbdkit.report.templating import render
+from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit.testing.check_result import Report, figures_text
 
 _TONES = {"pass": "yes", "fail": "no", "warn": "partly", "skip": "open"}
@@ -39,7 +37,5 @@ def write_page(reports: Sequence[Report], target: Path) -> None:
 
 
 def _claimed(report: Report) -> str:
-    text = StringIO()
     plain = {key: list(value) if isinstance(value, tuple) else value for key, value in report.claims.items()}
-    YAML().dump({"options": report.options, "claims": plain}, text)
-    return str(text.getvalue())
+    return write_yaml({"options": report.options, "claims": plain})

@@ -88,7 +88,7 @@ def _said(folder: Path) -> str:
 
 def _finish(folder: Path, *arguments: str) -> list[str]:
     """Run a command to its end, which must be a success."""
-    status, _ = wait_for(_start(folder, *arguments), time.monotonic() + PATIENCE)
+    status, *_ = wait_for(_start(folder, *arguments), time.monotonic() + PATIENCE)
     return [] if status == 0 else [f"`mbdkit {' '.join(arguments)}` ended with {status}: {_said(folder)}"]
 
 
@@ -177,7 +177,7 @@ def stop_run(random: np.random.Generator, folder: Path) -> list[str]:
     os.kill(child, signal.SIGTERM)
     if random.random() < 0.5:
         os.kill(child, signal.SIGTERM)
-    status, _ = wait_for(child, time.monotonic() + PATIENCE)
+    status, *_ = wait_for(child, time.monotonic() + PATIENCE)
     left = _left(folder)
     found = []
     if left == [] and status in (130, -signal.SIGTERM):
@@ -244,7 +244,7 @@ def stop_study(random: np.random.Generator, folder: Path) -> list[str]:
     os.kill(child, signal.SIGTERM)
     if random.random() < 0.5:
         os.kill(child, signal.SIGTERM)
-    status, _ = wait_for(child, time.monotonic() + PATIENCE)
+    status, *_ = wait_for(child, time.monotonic() + PATIENCE)
     found = []
     if status not in (0, 130) and (folder / "out").exists():
         found.append(f"it ended with exit status {status}: {_said(folder)}")
@@ -268,7 +268,7 @@ def kill_worker(random: np.random.Generator, folder: Path) -> list[str]:
     with contextlib.suppress(OSError, IndexError, ValueError):
         workers = Path(f"/proc/{child}/task/{child}/children").read_text().split()
         os.kill(int(random.choice(workers)), random.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV]))
-    status, _ = wait_for(child, time.monotonic() + PATIENCE)
+    status, *_ = wait_for(child, time.monotonic() + PATIENCE)
     if status != 0:
         return [f"it ended with exit status {status}: {_said(folder)}"]
     study = mbdkit.load_study(folder / "out")
@@ -287,7 +287,7 @@ def begin_parts(random: np.random.Generator, folder: Path) -> list[str]:
         time.sleep(random.uniform(0, 0.005))
     found = []
     for part, child in enumerate(children, start=1):
-        status, _ = wait_for(child, time.monotonic() + PATIENCE)
+        status, *_ = wait_for(child, time.monotonic() + PATIENCE)
         if status != 0:
             found.append(f"part {part} ended with exit status {status}: {_said(folder)}")
     if not found:

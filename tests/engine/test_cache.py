@@ -74,7 +74,7 @@ def copied(to: Path) -> Path:
 
 
 def compiled_files(folder: Path) -> dict[str, int]:
-    return {str(path): path.stat().st_mtime_ns for path in folder.rglob("*.nb[ic]")}
+    return {str(path): path.stat().st_mtime_ns for path in folder.rglob("*.code")}
 
 
 @pytest.mark.slow
@@ -99,7 +99,7 @@ def test_an_edited_kernel_is_compiled_anew_by_one_process_while_another_waits(tm
     kept = compiled_files(folder)
     assert kept
     assert all(Path(path).is_relative_to(both[0][0]["folder"]) for path in kept)
-    assert not list(package.rglob("*.nb[ic]"))
+    assert not list(package.rglob("*.code"))
     again, quiet = end(start(ACCELERATION, package, folder), package)
     assert again == both[0][0]
     assert quiet == ""
@@ -112,7 +112,7 @@ def test_an_unwritable_cache_costs_a_warning_and_not_the_run(tmp_path: Path) -> 
     blocked.touch()
     package = copied(tmp_path / "package")
     found, messages = end(start(RUN, package, blocked / "cache", NUMBA_DISABLE_JIT="1"), package)
-    assert "cannot be written" in messages
+    assert "cannot be created" in messages
     assert "MBDKIT_CACHE_DIR" in messages
     assert not Path(found["folder"]).exists()  # the temporary folder went with its process
     assert blocked.read_bytes() == b""

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 import mbdkit
-from mbdkit import ExpressionLaw, ForceLawPlugin, Mechanism, PluginError, SpecError
+from mbdkit import ExpressionLaw, ForceLawPlugin, FunctionLaw, Mechanism, PluginError, SpecError
+from mbdkit.engine.jit.law_compiler import bind_law
 from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
 from tests.spec_texts import changed, mechanism, place
@@ -260,3 +261,13 @@ def test_an_item_that_is_no_law_is_reported_and_left_out(changes: dict[str, Any]
 
 def test_the_plugin_of_these_tests_is_loaded_whole() -> None:
     assert not registry().failures
+
+
+def test_a_law_that_changes_its_parameters_is_refused():
+    # they belong to the mechanism: the next step would use the changed ones
+    def law(length, rate, time, parameters):
+        parameters[0] = 2.0 * parameters[0]
+        return parameters[0] * length, parameters[0], 0.0, 0.0
+
+    with pytest.raises(PluginError, match=r"force law mine cannot be compiled: .*readonly"):
+        bind_law(FunctionLaw(law, parameters=lambda options: [1.0]), None, "mine")

@@ -80,7 +80,7 @@ EXPLOSION = "a0: &a0 [1]\n" + "".join(f"a{i}: &a{i} [{NINE.format(f'a{i - 1}')}]
 REFUSED = {
     "a duplicate key": ("a: 1\nb: 2\na: 3\n", "occurs twice", 3),
     "a recursive alias": ("a: &x [1, *x]\n", "contains the alias", 1),
-    "a recursive merge": ("a: &x\n  <<: *x\n", "contains the alias", 1),
+    "a recursive merge": ("a: &x\n  <<: *x\n", "contains the alias", 2),
     "an alias explosion": (EXPLOSION, "too large", None),
     "an unknown alias": ("a: *x\n", "undefined alias", 1),
     "a tab": ("a:\n\tb: 1\n", "tab", 2),

@@ -87,6 +87,7 @@ WRONG: dict[str, tuple[Any, Registry, str]] = {
     ),
     "hidden stabilization": ("integrator", corpus.offer_method(corpus.Stabilized, **RK4), "honesty.projections"),
     "a changed input": ("integrator", corpus.offer_method(corpus.ChangesItsInput, **RK4), "contract.inputs"),
+    "a buffer": ("integrator", corpus.offer_method(corpus.ReturnsItsBuffer, **RK4), "contract.inputs"),
     "a swallowed NaN": ("integrator", corpus.offer_method(corpus.SwallowsNaN, **RK4), "failure.not-a-number"),
     "a memory outside the state": (
         "integrator",

@@ -3,27 +3,47 @@
 Numba's own cache checks only the file that contains a kernel. After a change to a callee in another file, it would load
 outdated machine code. The name of the cache folder therefore contains a hash of *all* kernel sources, the version of
 Numba and the processor: ``<user cache>/mbdkit/<hash>``. It is determined when this module is imported.
+
+Every file begins with the SHA-256 digest of its name and content, which is checked when the file is read: executing
+damaged machine code would crash the process or compute wrong numbers. A damaged file is replaced. A folder that cannot
+be written is read only; a run never fails because of its cache.
+
+`KernelCache` uses internals of Numba: the attribute `_cache` of compiled functions, `Cache._index_key`, and the reduced
+form of a `CompileResult`.
 """
 
 from __future__ import annotations
 
 import atexit
 import hashlib
+import logging
 import os
+import pickle
 import shutil
 import sys
 import tempfile
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import llvmlite.binding as llvm
-from numba import config
+from numba.core.caching import FunctionCache
+from numba.core.ccallback import CFunc
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+from numba.core.sigutils import normalize_signature
+from numba.extending import is_jitted
 
 from mbdkit.engine.jit.numba_version import INSTALLED, PLAIN
+from mbdkit.errors import SpecError
+from mbdkit.files import replacing
+
+log = logging.getLogger("mbdkit")
 
 _PACKAGE = Path(__file__).resolve().parents[2]
+_DIGEST = hashlib.sha256().digest_size  # bytes
 
 
 def kernel_sources() -> list[Path]:
@@ -47,27 +67,27 @@ def _user_cache() -> Path:
     if chosen := os.environ.get("MBDKIT_CACHE_DIR"):
         return Path(chosen)
     if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "mbdkit"
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "mbdkit"
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches" / "mbdkit"
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mbdkit"
 
 
 def _open_cache() -> Path:
-    """Return a writable folder for compiled kernels; a temporary one, with a warning, if the user's is not writable."""
-    folder = _user_cache() / fingerprint()
+    """Return the folder for compiled kernels; a temporary one, with a warning, if the user's cannot be created."""
     try:
+        folder = _user_cache() / fingerprint()
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except (OSError, RuntimeError) as error:
-        warnings.warn(
-            f"the cache folder {folder} cannot be written ({error}), so that kernels are compiled again in every "
+    except (OSError, RuntimeError) as error:  # RuntimeError: the user has no home folder
+        log.warning(
+            "mbdkit: warning: the cache folder cannot be created (%s), so that kernels are compiled again in every "
             "process; set MBDKIT_CACHE_DIR to a writable folder",
-            RuntimeWarning,
-            stacklevel=2,
+            error,
         )
-        folder = Path(tempfile.mkdtemp(prefix="mbdkit-"))
+        try:
+            folder = Path(tempfile.mkdtemp(prefix="mbdkit-"))
+        except OSError:
+            return Path(os.devnull) / "mbdkit"  # nothing can be stored
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
 
@@ -75,57 +95,144 @@ def _open_cache() -> Path:
 FOLDER = _open_cache()
 
 
-@contextmanager
-def cached_here() -> Iterator[None]:
-    """Make Numba use `FOLDER` as its cache for functions that are decorated inside this context.
+@cache
+def _warn_once(message: str) -> None:
+    log.warning("mbdkit: warning: %s", message)
 
-    CACHE_DIR corresponds to the documented environment variable NUMBA_CACHE_DIR, which Numba reads only once and
-    applies to all packages. If a later version of Numba renames it, the lookup raises KeyError; kernels are then never
-    cached in a wrong folder.
-    """
-    before = vars(config)["CACHE_DIR"]
-    vars(config)["CACHE_DIR"] = str(FOLDER)
+
+def _digest(path: Path, content: bytes) -> bytes:
+    return hashlib.sha256(path.name.encode() + b"\0" + content).digest()
+
+
+def stored(path: Path) -> bytes | None:
+    """Return the content of a file of the cache; None if it does not exist, cannot be read or is damaged."""
     try:
-        yield
-    finally:
-        vars(config)["CACHE_DIR"] = before
+        whole = path.read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        _warn_once(f"compiled code in the cache {FOLDER} cannot be read ({error.strerror or error})")
+        return None
+    content = whole[_DIGEST:]
+    if _digest(path, content) == whole[:_DIGEST]:
+        return content
+    _warn_once(f"compiled code in the cache {FOLDER} is damaged, and is compiled again")
+    return None
 
 
-def _marker() -> Path:
-    """Return the path of the file that exists once all kernels have been compiled.
+def store(path: Path, content: bytes) -> None:
+    """Write a file of the cache atomically; warn once if that is not possible."""
+    try:
+        with replacing(path) as draft:
+            draft.write_bytes(_digest(path, content) + content)
+    except (OSError, SpecError) as error:
+        reason = error.__cause__ or error
+        _warn_once(
+            f"compiled code cannot be kept in the cache {FOLDER} ({getattr(reason, 'strerror', None) or reason}), so "
+            "that it is compiled again in the next process; set MBDKIT_CACHE_DIR to a writable folder"
+        )
 
-    Its name depends on the path and modification time of each source. Numba's own index files depend on them too, so
-    Numba would compile kernels again after they change.
+
+class KernelCache(FunctionCache):
+    """The machine code of a function in `FOLDER`, one file for each signature.
+
+    Numba's own class would share one index file between signatures, in which processes can overwrite each other's
+    entries, and needs a writable folder.
     """
-    stamps = [f"{path} {path.stat().st_mtime_ns}" for path in kernel_sources()]
-    return FOLDER / f"compiled-{hashlib.sha256(chr(10).join(stamps).encode()).hexdigest()[:16]}"
+
+    def __init__(self, function: Callable[..., Any]):
+        self._py_func = function
+        self._name = f"{function.__module__}.{function.__qualname__}"
+        self._cache_path = str(FOLDER)
+        self.enable()
+
+    def _file(self, signature: Any, codegen: Any) -> Path:
+        key = repr(self._index_key(signature, codegen))
+        return FOLDER / f"{self._name}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.code"
+
+    def flush(self) -> None:
+        """Do nothing: the folder does not outlive a change of the sources."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled function for a signature; None if it is not in the cache."""
+        target_context.refresh()
+        content = stored(self._file(sig, target_context.codegen()))
+        return None if content is None else CompileResult._rebuild(target_context, *pickle.loads(content))
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Store the compiled function for a signature."""
+        if not data.lifted and not data.library.has_dynamic_globals:  # other functions cannot be stored
+            store(self._file(sig, data.codegen), dumps(data._reduce()))
+
+
+def cached(compiled: Any) -> Any:
+    """Make a function compiled by ``numba.njit`` use the cache, and return it."""
+    if is_jitted(compiled):  # not with NUMBA_DISABLE_JIT=1
+        compiled._cache = KernelCache(compiled.py_func)  # type: ignore[attr-defined]
+    return compiled
+
+
+def cached_cfunc(signature: Any, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator like ``numba.cfunc`` that uses the cache."""
+
+    def compile_callback(function: Callable[..., Any]) -> Any:
+        callback: Any = CFunc(function, normalize_signature(signature), locals={}, options=options)
+        callback._cache = KernelCache(function)
+        callback.compile()
+        return callback
+
+    return compile_callback
+
+
+_MARKER = FOLDER / "compiled"
+_compiled_here = False
+"""Whether this process has compiled all kernels, which a folder that cannot be written does not remember."""
+
+
+def exists(path: Path) -> bool:
+    """Return whether a file of the cache exists and is accessible."""
+    return os.path.exists(path)
+
+
+def mark(path: Path) -> None:
+    """Create an empty file in the cache, if possible."""
+    with suppress(OSError):
+        path.touch()
 
 
 def is_warm() -> bool:
-    """Return whether all kernels have been compiled into the cache folder."""
-    return _marker().exists()
+    """Return whether all kernels have been compiled into the cache folder, or by this process."""
+    return _compiled_here or exists(_MARKER)
 
 
 @contextmanager
 def locked() -> Iterator[None]:
-    """Hold the compile lock; wait until no other process holds it."""
-    with open(FOLDER / "lock", "w", encoding="ascii") as lock:
-        if sys.platform == "win32":
-            import msvcrt
+    """Hold the compile lock; wait until no other process holds it. Without a writable folder there is no lock."""
+    try:
+        lock = open(FOLDER / "lock", "w", encoding="ascii")  # noqa: SIM115
+    except OSError:
+        yield
+        return
+    with lock:
+        with suppress(OSError):  # some network file systems have no locks
+            if sys.platform == "win32":
+                import msvcrt
 
-            msvcrt.locking(lock.fileno(), msvcrt.LK_LOCK, 1)
-        else:
-            import fcntl
+                msvcrt.locking(lock.fileno(), msvcrt.LK_LOCK, 1)
+            else:
+                import fcntl
 
-            fcntl.flock(lock, fcntl.LOCK_EX)
+                fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 
 
 @contextmanager
 def compiling() -> Iterator[bool]:
     """Hold the compile lock; yield whether kernels remain to be compiled (another process may have compiled them)."""
+    global _compiled_here
     with locked():
         cold = not is_warm()
         yield cold
         if cold:
-            _marker().touch()
+            mark(_MARKER)
+            _compiled_here = True

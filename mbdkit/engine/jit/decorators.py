@@ -11,11 +11,11 @@ from typing import Any
 
 from numba import njit
 
-from mbdkit.engine.jit.cache import cached_here
+from mbdkit.engine.jit.cache import cached
 from mbdkit.engine.jit.entry import Entry
 from mbdkit.engine.jit.numba_version import PLAIN
 
-_KERNEL: dict[str, Any] = {"cache": True, "nogil": True}
+_KERNEL: dict[str, Any] = {"nogil": True}
 _SUBKERNEL: dict[str, Any] = {}
 if not PLAIN:
     from mbdkit.engine.jit.subkernel_compiler import SubkernelCompiler
@@ -34,8 +34,7 @@ if not PLAIN:
 
 def _compiled(function: Callable[..., Any], **options: Any) -> Any:
     compiler: Any = njit
-    with cached_here():
-        return compiler(function, error_model="numpy", **options)
+    return compiler(function, error_model="numpy", **options)
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -44,7 +43,7 @@ def kernel(function: Callable[..., Any]) -> Any:
     Its machine code is cached on disk, it releases the global interpreter lock, and division by zero follows IEEE 754
     instead of raising an exception.
     """
-    return _compiled(function, **_KERNEL)
+    return cached(_compiled(function, **_KERNEL))
 
 
 def subkernel(function: Callable[..., Any]) -> Any:

@@ -1,7 +1,7 @@
 """Entries: functions that kernels call by address, so that they are compiled independently of their callers.
 
 An entry is a C callback of Numba. Its arguments are two addresses (int) and three numbers (float), and it returns a
-status (int). `cfunc` and `intrinsic` are public API of Numba; `call_entry` generates its code with the IR builder of
+status (int). `intrinsic` is public API of Numba; `call_entry` generates its code with the IR builder of
 llvmlite.
 """
 
@@ -14,10 +14,10 @@ from functools import cached_property
 from typing import Any
 
 from llvmlite import ir
-from numba import cfunc, config, types
+from numba import config, types
 from numba.extending import intrinsic
 
-from mbdkit.engine.jit.cache import FOLDER, cached_here, is_warm, locked
+from mbdkit.engine.jit.cache import FOLDER, cached_cfunc, exists, is_warm, locked, mark
 from mbdkit.engine.jit.numba_version import PLAIN
 
 _SIGNATURE = types.int64(types.int64, types.int64, types.float64, types.float64, types.float64)
@@ -39,17 +39,15 @@ class Entry:
         if _JIT_DISABLED:
             _PYTHON_ENTRIES[id(self)] = self.function
             return id(self)
-        make: Any = cfunc
         done = FOLDER / f"entry-{self.function.__module__}.{self.function.__name__}"
         with ExitStack() as stack:
             # While the kernels are compiled, `compiling` already holds the lock. If `done` exists, the entry is only
             # read from the cache, which needs no lock.
-            if is_warm() and not done.exists():
+            if is_warm() and not exists(done):
                 print("mbdkit compiles the kernels of this method; this happens once ...", file=sys.stderr, flush=True)
                 stack.enter_context(locked())
-            with cached_here():
-                self._compiled = make(_SIGNATURE, cache=True, error_model="numpy", **_OPTIONS)(self.function)
-            done.touch()
+            self._compiled = cached_cfunc(_SIGNATURE, error_model="numpy", **_OPTIONS)(self.function)
+            mark(done)
         return int(self._compiled.address)
 
 

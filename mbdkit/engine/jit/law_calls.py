@@ -26,6 +26,21 @@ SIGNATURE = types.void(
     types.float64, types.float64, types.float64, types.CPointer(types.float64), types.CPointer(types.float64)
 )
 
+PARAMETERS = types.Array(types.float64, 1, "C", readonly=True)
+"""Type of the parameters passed to a law: they belong to the mechanism, so a law that changes them is not compiled."""
+
+
+def _read_only(typing, array):
+    """Return an array (N,) of floats as a read-only array, without copying it."""
+
+    def generate(context, builder, signature, arguments):
+        return arguments[0]
+
+    return PARAMETERS(array), generate
+
+
+read_only: Any = intrinsic(_read_only)
+
 
 def _call_law(typing, address, length, rate, time, parameters, begin, out, row):
     """Call the law at `address` with `parameters` (N,) from index `begin` on; it writes row `row` of `out` (K, 4)."""

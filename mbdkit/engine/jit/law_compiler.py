@@ -8,20 +8,18 @@ after any change. A function that cannot be imported, such as a lambda, is compi
 from __future__ import annotations
 
 import hashlib
-import importlib.util
-import os
 import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from numba import types
 
-from mbdkit.engine.jit.cache import FOLDER, cached_here
-from mbdkit.engine.jit.law_calls import HAS_POTENTIAL, PASSIVE, compiled
+from mbdkit.engine.jit.cache import FOLDER, store, stored
+from mbdkit.engine.jit.law_calls import HAS_POTENTIAL, PARAMETERS, PASSIVE, compiled
 from mbdkit.errors import PluginError
 from mbdkit.mechanism.force_law import ExpressionLaw, ForceLaw
 from mbdkit.mechanism.law_parameters import law_parameters
@@ -31,18 +29,19 @@ _HEAD = """from math import nan
 
 from numba import carray, cfunc
 
-from mbdkit.engine.jit.law_calls import SIGNATURE, compiled
+from mbdkit.engine.jit.cache import cached_cfunc
+from mbdkit.engine.jit.law_calls import SIGNATURE, compiled, read_only
 
 """
 _ENTRY = '''
 
-@cfunc(SIGNATURE, cache={cache}, error_model="numpy")
+@{decorator}(SIGNATURE, error_model="numpy")
 def entry(length, rate, time, parameters, out):
     """Write force, its derivatives by length and by rate, and the potential; all stay NaN if the law raises."""
     results = carray(out, (4,))
     results[0] = results[1] = results[2] = results[3] = nan
     count = int(carray(parameters, (1,))[0])
-    force, by_length, by_rate, potential = law(length, rate, time, carray(parameters, (count + 1,))[1:])
+    force, by_length, by_rate, potential = law(length, rate, time, read_only(carray(parameters, (count + 1,))[1:]))
     results[0] = force
     results[1] = by_length
     results[2] = by_rate
@@ -51,7 +50,7 @@ def entry(length, rate, time, parameters, out):
 _COMPILED: dict[tuple[ForceLaw, tuple[str, ...]], CompiledLaw] = {}
 """Laws compiled or loaded by this process; the key is the law and the names of its parameters."""
 
-_ARGUMENTS = (types.float64, types.float64, types.float64, types.float64[::1])
+_ARGUMENTS = (types.float64, types.float64, types.float64, PARAMETERS)
 
 
 @dataclass(frozen=True)
@@ -143,7 +142,7 @@ def _of_function(function: Callable[..., Any]) -> dict[str, Any]:
     if sources is None or getattr(sys.modules[module], name, None) is not function:
         _check_results(function)
         space: dict[str, Any] = {"law": compiled(function), "__name__": "mbdkit_law"}
-        exec(_HEAD + _ENTRY.format(cache=False), space)
+        exec(_HEAD + _ENTRY.format(decorator="cfunc"), space)
         return space
 
     def body() -> str:
@@ -191,9 +190,7 @@ def _package_hash(package: str, file: str) -> str:
 
 
 def _generated_module(origin: str, body: Callable[[], str]) -> dict[str, Any]:
-    """Return the namespace of the generated module of a law; the module is written first if it does not exist.
-
-    It is written to a temporary file and renamed, so that another process never reads an incomplete module.
+    """Return the namespace of the generated module of a law; it is written first if it is not in the cache.
 
     Parameters
     ----------
@@ -203,18 +200,12 @@ def _generated_module(origin: str, body: Callable[[], str]) -> dict[str, Any]:
         Returns source code that defines the function ``law``.
     """
     name = f"mbdkit_law_{hashlib.sha256((origin + _HEAD + _ENTRY).encode()).hexdigest()[:24]}"
-    path = FOLDER / f"{name}.py"
-    if not path.exists():
-        text = _HEAD + body() + _ENTRY.format(cache=True)
-        handle, draft = tempfile.mkstemp(dir=FOLDER, suffix=".draft")
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
-        os.replace(draft, path)
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
+    path = FOLDER / f"{name}.law"
+    text = stored(path)
+    if text is None:
+        text = (_HEAD + body() + _ENTRY.format(decorator="cached_cfunc")).encode()
+        store(path, text)
+    module = ModuleType(name)
     sys.modules[name] = module
-    with cached_here():
-        spec.loader.exec_module(module)
+    exec(compile(text, str(path), "exec"), vars(module))
     return vars(module)

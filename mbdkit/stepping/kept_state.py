@@ -1,0 +1,36 @@
+"""Ownership of the arrays of a state: a method cannot change a state behind the back of the framework."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mbdkit.methods.step_method import StepState
+
+
+def kept(value: Any) -> Any:
+    """Return a value of `StepState.memory` with read-only copies of its arrays, also inside lists, tuples and dicts.
+
+    Other objects are returned as they are.
+    """
+    match value:
+        case np.ndarray():
+            copy = value.copy()
+            copy.flags.writeable = False
+            return copy
+        case tuple():
+            items = [kept(item) for item in value]
+            return type(value)._make(items) if hasattr(value, "_make") else tuple(items)
+        case list():
+            return [kept(item) for item in value]
+        case dict():
+            return {key: kept(item) for key, item in value.items()}
+    return value
+
+
+def protect(state: StepState) -> None:
+    """Make the arrays of a state that is passed to a method read-only."""
+    for array in (state.q, state.v, state.multipliers, *state.low):
+        if isinstance(array, np.ndarray):
+            array.flags.writeable = False
