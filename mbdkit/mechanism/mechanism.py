@@ -15,6 +15,7 @@ from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, Tor
 from mbdkit.mechanism.joints import Distance, Driver, Joint, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
+from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Point, Table
 from mbdkit.plain_data import found, plain
@@ -483,7 +484,7 @@ class Mechanism:
         return spec
 
     @classmethod
-    def from_spec(cls, spec: Mapping[str, Any]) -> Mechanism:
+    def from_spec(cls, spec: Mapping[str, Any], parameters: Mapping[str, float | str] | None = None) -> Mechanism:
         """Return the mechanism described by a `model` mapping, the format of :meth:`to_spec`.
 
         Parameters
@@ -491,6 +492,8 @@ class Mechanism:
         spec
             Mapping with the keys ``gravity``, ``bodies``, ``joints``, ``forces`` and ``assembly``; ``name`` is optional
             and must be ``mechanism``.
+        parameters
+            Named numbers, or expressions of each other, which the numbers in `spec` may be expressions of.
 
         Raises
         ------
@@ -503,7 +506,9 @@ class Mechanism:
         name = values.pop("name", "mechanism")
         if name != "mechanism":
             raise SpecError(f"only the free-form model 'mechanism' can be read here; got {name!r}", key="model.name")
-        return cls.from_data(_validated(MechanismData, "model", values))
+        numbers = parameter_values(parameters)
+        data, _ = with_expressions(MechanismData.model_validate, values, MechanismData, numbers, prefix="model")
+        return cls.from_data(data)
 
     @classmethod
     def from_data(cls, data: MechanismData) -> Mechanism:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -45,7 +46,12 @@ PYDANTIC_KINDS = frozenset(get_args(ErrorType))
 
 
 def spec_error(
-    error: ValidationError, root: Any, *, prefix: str = "", plugins: PluginLookup | None = None
+    error: ValidationError,
+    root: Any,
+    *,
+    prefix: str = "",
+    plugins: PluginLookup | None = None,
+    written: Mapping[Path, str] | None = None,
 ) -> SpecError:
     """Convert a pydantic validation error to a SpecError.
 
@@ -59,6 +65,8 @@ def spec_error(
         Key path of the validated value in a spec; empty if it is a whole spec.
     plugins
         Lookup of the models that plugins add; by default, of the installed plugins.
+    written
+        Expressions by key path whose values were validated.
 
     Returns
     -------
@@ -69,6 +77,8 @@ def spec_error(
     complaints: dict[Path, list[str]] = {}
     for details in error.errors(include_url=False):
         path, sentence = _complaint(details, root, lookup)
+        if written and path in written:
+            sentence += f" (the value of '{written[path]}')"
         if sentence not in complaints.setdefault(path, []):
             complaints[path].append(sentence)
     # An error inside a value is more specific than the error that no member of a union accepts the value.
@@ -89,7 +99,7 @@ def _complaint(details: ErrorDetails, root: Any, plugins: PluginLookup) -> tuple
     kind, given, context = details["type"], details["input"], details.get("ctx", {})
     inner = context.get("error")
     if isinstance(inner, SpecError):
-        return _inner_path(path, parse_path(inner.key)), inner.message
+        return value_path(path, parse_path(inner.key)), inner.message
     match kind:
         case "extra_forbidden":
             return path, _unknown_key(str(path[-1]), owner, plugins)
@@ -121,7 +131,7 @@ def _complaint(details: ErrorDetails, root: Any, plugins: PluginLookup) -> tuple
     return path, message
 
 
-def _inner_path(path: Path, key: Path) -> Path:
+def value_path(path: Path, key: Path) -> Path:
     """Return the path of an error raised inside a validator; its key may be relative to `path` or to the whole spec."""
     return key if path and key[: len(path)] == path else path + key
 
@@ -159,7 +169,7 @@ def _hint(kind: str, given: Any) -> str:
     except SpecError:
         return ""
     if len(program) == 1 and program[0][0] == "const":
-        return f" (expressions are allowed only in motions and values: write {program[0][1]!r})"
+        return f" (only the model of a spec and its motions can have expressions: write {program[0][1]!r})"
     return ""
 
 

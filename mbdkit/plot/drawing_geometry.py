@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbdkit.mechanism.parameters import parameter_values, with_expressions
+from mbdkit.plain_data import plain
 from mbdkit.plot.plane_geometry import Array, convex_hull
 
 if TYPE_CHECKING:
@@ -120,17 +122,21 @@ def build_mechanism(spec: Mapping[str, Any]) -> Mechanism:
     Raises
     ------
     SpecError
-        The model is not installed.
-    pydantic.ValidationError
-        The installed model does not accept the parameters.
+        The model is not installed, or does not accept its options.
     """
     from mbdkit.registry.items import ModelPlugin
     from mbdkit.registry.manager import registry
 
-    parameters = dict(spec["model"])
-    plugin = registry().get("model", parameters.pop("name")).plugin
+    given = plain(spec["model"])
+    plugin = registry().get("model", given.pop("name")).plugin
     assert isinstance(plugin, ModelPlugin)
-    return plugin.build(plugin.options.model_validate_json(json.dumps(parameters)))
+
+    def validate(values: Any) -> Any:
+        return plugin.options.model_validate_json(json.dumps(values))
+
+    numbers = parameter_values(spec.get("parameters"))
+    options, _ = with_expressions(validate, given, plugin.options, numbers, prefix="model")
+    return plugin.build(options)
 
 
 def draw_centres(bodies: Sequence[str]) -> Drawing:
