@@ -24,6 +24,9 @@ ON_GRID = 1e-4
 """A knot without a jump of the acceleration needs no stop if it is nearer to the end of a fixed step than this share of
 the step."""
 
+QUINTIC_ORDER = 4
+"""Highest order of methods whose fixed steps may cross the knots of a quintic spline."""
+
 OVERSHOOT = 0.1
 """Share of the range of its values by which a table may leave it without a warning."""
 
@@ -48,7 +51,7 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
         corners = corners_of(motion, start, end)
         for corner in corners:
             is_impact = _is_driver(key) and corner.jumps[1]
-            if is_impact or (len(corners) <= MOST_STOPS and (all_knots or _needs_stop(spec, corner))):
+            if is_impact or (len(corners) <= MOST_STOPS and (all_knots or _needs_stop(spec, corner, motion))):
                 found.append((corner, is_impact))
     margin = max([4.0 * EPS * max(abs(start), abs(end)), *(corner.margin for corner, _ in found)])
     times: list[float] = []
@@ -106,13 +109,15 @@ def corner_warnings(spec: RunSpec) -> tuple[str, ...]:
     for key, motion in _motions(spec):
         if isinstance(motion, Table) and (share := overshoot(motion)) > OVERSHOOT:
             warnings.append(
-                f"the cubic spline of the table at {key} leaves the range of its values by {share:.3g} times this "
-                "range; use points closer together where the values change quickly, or `interpolation: linear`"
+                f"the {motion.interpolation} spline of the table at {key} leaves the range of its values by "
+                f"{share:.3g} times this range; use points closer together where the values change quickly, or "
+                "`interpolation: linear`"
             )
         count = len(corners_of(motion, spec.time.start, spec.time.final))
-        if count > MOST_STOPS and not isinstance(motion, Table):
+        if count > MOST_STOPS and not (isinstance(motion, Table) and not motion.period):
+            what = "periodic table" if isinstance(motion, Table) else "expression"
             warnings.append(
-                f"the expression at {key} has {count} corners, more than {MOST_STOPS}, so that steps do not end there; "
+                f"the {what} at {key} has {count} corners, more than {MOST_STOPS}, so that steps do not end there; "
                 "methods of high order lose their order"
             )
     return tuple(warnings)
@@ -127,11 +132,20 @@ def _is_driver(key: str) -> bool:
     return key.startswith("model.joints.")
 
 
-def _needs_stop(spec: RunSpec, corner: Corner) -> bool:
-    """Return whether steps have to end at a corner: not at knots that are close to the fixed grid."""
+def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:
+    """Return whether steps have to end at a corner.
+
+    They need not for fixed steps at knots that are close to the grid, nor at knots of quintic splines for methods of up
+    to order 4. Only the fifth derivative jumps there. It is the third derivative of accelerations if a driver follows
+    the spline, and a step across a jump of the third derivative has an error of order 4.
+    """
     step = spec.time.step
     if spec.claims.adaptive or step is None or not (corner.is_knot and corner.is_smooth):
         return True
+    if isinstance(motion, Table) and motion.interpolation == "quintic":
+        orders = spec.claims.orders_on(spec.formulation)
+        if orders is not None and max(orders.positions, orders.velocities) <= QUINTIC_ORDER:
+            return False
     place = (corner.time - spec.time.start) / step
     return abs(place - round(place)) > ON_GRID
 

@@ -18,6 +18,7 @@ from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
 from mbdkit.run_corners import corner_warnings, stops_of
+from mbdkit.run_warnings import spec_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Guards, Timetable
 from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
@@ -38,7 +39,7 @@ def caution(spec: RunSpec, method: Method | None = None) -> tuple[str, ...]:
     """
     method = method if method is not None else make_method(spec)
     unstable = stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
-    return (*([unstable] if unstable else []), *corner_warnings(spec))
+    return (*([unstable] if unstable else []), *spec_warnings(spec), *corner_warnings(spec))
 
 
 def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Workspace, AssembledState]:

@@ -44,6 +44,7 @@ from mbdkit.run_preparation import (
     size_at_start,
     timetable,
 )
+from mbdkit.run_warnings import start_warnings
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch
 from mbdkit.stepping.start import start_method
@@ -178,10 +179,13 @@ def _prepared(
     """Return a simulation whose archive is begun; see `simulate`."""
     method = make_method(spec)
     check_jumps(spec)
-    warnings = caution(spec, method)
-    for warning in warnings:
+    cautions = caution(spec, method)
+    for warning in cautions:
         notify(f"warning: {warning}")
     workspace, start = build(spec, notify)
+    moves = start_warnings(spec, start)
+    for warning in moves:
+        notify(f"warning: {warning}")
     check_disk_space(spec, workspace.mechanism, path)
     noted: list[bool] = []
     with interrupts_noted(lambda: noted.append(True)):  # an archive that nobody knows of could not be removed
@@ -198,7 +202,7 @@ def _prepared(
             shared=shared_forces(workspace.mechanism),
         )
         try:
-            simulation = _Simulation(spec, workspace, method, writer, begin, warnings, choice)
+            simulation = _Simulation(spec, workspace, method, writer, begin, (*cautions, *moves), choice)
         except BaseException:
             writer.abandon()
             raise

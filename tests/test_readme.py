@@ -55,6 +55,14 @@ def test_a_plugin_of_the_readme_loads_and_its_laws_compile(code: str) -> None:
         bind_law(item.plugin.law, options, item.id)
 
 
+def test_the_parameters_that_the_readme_shows_are_those_of_a_mechanism() -> None:
+    model = read_yaml(next(block for block in blocks("yaml") if block.startswith("parameters:")))[0]
+    spec = load_spec({"mbdkit": 1, **model, "integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.01}})
+    rows = [row for row, _ in spec.mechanism().constraint_rows()]
+    assert rows == ["A.x", "A.y", "B.x", "B.y", "C.normal"]
+    assert spec.mechanism().joints["C"].points[1] == pytest.approx((0.3, 0.0))
+
+
 def test_the_forces_that_the_readme_shows_are_those_of_a_mechanism() -> None:
     forces = read_yaml(next(block for block in blocks("yaml") if block.startswith("forces:")))[0]["forces"]
     m = Mechanism()

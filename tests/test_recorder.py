@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 import mbdkit
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
-from mbdkit.mechanism.joints import Distance, Driver, Prismatic, Revolute, Weld
+from mbdkit.mechanism.joints import Distance, Driver, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Table
 
@@ -64,6 +64,8 @@ def press() -> Mechanism:
     m.prismatic("slide", "frame", "ram", points=((0.1, 0.2), (-0.1, 0.05)), axis=(1.0, 0.4))
     m.weld("neck", "ram", "head", points=((0.3, 0.1), (-0.05, 0.1)))
     m.spring_damper("s", "frame", "ram", points=((-0.3, 0.1), (0.1, 0.0)), stiffness=90.0, damping=2.0, free_length=0.5)
+    m.body("roller", mass=0.4, inertia=0.01, position=(1.0, 1.3), angle=0.6, angular_velocity=2.0)
+    m.point_on_line("slot", "head", "roller", points=((0.1, 0.1), (0.05, -0.1)), axis=(-1.0, 0.7))
     m.force("load", "head", value=[TILT, 0.5], point=(0.1, 0.0))
     return m
 
@@ -242,13 +244,13 @@ def test_misalignment_is_the_gap_of_a_joint_and_its_velocity(case: str) -> None:
         if isinstance(joint, Driver):
             gap, speed, angle = driver_gap(r, joint)
         else:
-            assert isinstance(joint, Revolute | Distance | Prismatic | Weld)
+            assert isinstance(joint, Revolute | Distance | Prismatic | PointOnLine | Weld)
             (pa, va), (pb, vb) = r.point(a, joint.points[0]), r.point(b, joint.points[1])
             gap, speed = np.hypot(*(pb - pa).T), np.hypot(*(vb - va).T)
             if isinstance(joint, Distance):
                 along = (pb - pa) / gap[:, None]
                 gap, speed = np.abs(gap - joint.length), np.abs(np.sum((vb - va) * along, axis=1))
-            if isinstance(joint, Prismatic):
+            if isinstance(joint, Prismatic | PointOnLine):
                 normal = r.arm(a, (-joint.axis[1] / np.hypot(*joint.axis), joint.axis[0] / np.hypot(*joint.axis)))
                 turning = r.pose(a)[1][:, 2:] * np.column_stack([-normal[:, 1], normal[:, 0]])
                 speed = np.abs(np.sum((vb - va) * normal + (pb - pa) * turning, axis=1))

@@ -98,11 +98,12 @@ def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> N
     checked = load_spec(spec, assignments or ())
     from mbdkit.run_corners import check_jumps
     from mbdkit.run_preparation import build, caution
+    from mbdkit.run_warnings import start_warnings
 
     mechanism = checked.mechanism()
     check_jumps(checked)
     problem, start = build(checked)
-    for warning in caution(checked):
+    for warning in (*caution(checked), *start_warnings(checked, start)):
         say(f"warning: {warning}")
     show(f"{spec}: this spec is valid")
     show(f"model        {checked.model_item.id}: {mechanism.description()}")

@@ -54,7 +54,7 @@ class _Motions:
         if not isinstance(motion, Table):
             return (("const", float(motion)),)
         begin = len(self.tables)
-        self.tables += _piecewise_cubic(motion)
+        self.tables += _piecewise_polynomial(motion)
         return (("table", float(begin)),)
 
     @property
@@ -64,16 +64,16 @@ class _Motions:
         return [x + len(self.ops) if op == OPCODES["table"] else x for op, x in ops] + self.tables
 
 
-def _piecewise_cubic(table: Table) -> list[float]:
-    """Return the curve of a table for the kernel: number of pieces, breakpoints, coefficients of the pieces."""
+def _piecewise_polynomial(table: Table) -> list[float]:
+    """Return the curve of a table for the kernel: numbers of pieces and coefficients, period, times, coefficients."""
     times = np.array(table.table[0])
     coefficients = np.full((len(times) - 1, 4), np.nan)  # reported later, by `check_motions` of assembly
     with np.errstate(all="ignore"), suppress(ValueError, np.linalg.LinAlgError):
-        curve = curve_of(table).c[::-1].T
-        if np.all(np.isfinite(curve)):
-            coefficients[:] = 0.0
-            coefficients[:, : curve.shape[1]] = curve
-    return [float(len(times) - 1), *times.tolist(), *coefficients.ravel().tolist()]
+        curve = curve_of(table)
+        if np.all(np.isfinite(curve.c)):
+            times, coefficients = curve.x, curve.c[::-1].T
+    pieces, terms = coefficients.shape
+    return [float(pieces), float(terms), table.period, *times.tolist(), *coefficients.ravel().tolist()]
 
 
 def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:

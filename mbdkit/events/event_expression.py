@@ -82,15 +82,15 @@ class RunExpression:
     quantities: tuple[Quantity, ...]
 
     @staticmethod
-    def parse(text: str, mechanism: Mechanism) -> RunExpression:
-        """Parse an expression of quantities of a mechanism.
+    def parse(text: str, mechanism: Mechanism, parameters: Mapping[str, float] | None = None) -> RunExpression:
+        """Parse an expression of quantities of a mechanism and of named parameters.
 
         Raises
         ------
         SpecError
             If the syntax is wrong, a quantity does not exist, or the expression cannot cross zero.
         """
-        compiler = _RunCompiler(text, mechanism)
+        compiler = _RunCompiler(text, mechanism, parameters)
         program = tuple(compiler.program())
         _check_crossing(program, compiler.quantities)
         return RunExpression(text, program, tuple(compiler.quantities))
@@ -147,7 +147,7 @@ _BINARY: dict[str, Callable[[float, float], float]] = {
 }
 _UNARY: dict[str, Callable[[float], float]] = {
     "neg": operator.neg,
-    **{name: function for name, function in FUNCTIONS.items() if name not in _BINARY},
+    **{name: function for name, function in FUNCTIONS.items() if name not in _BINARY and name != "degrees"},
 }
 
 
@@ -203,14 +203,14 @@ class _RunCompiler(Compiler):
 
     wanted = "an expression of a run, which has numbers, t, pi, NAME.ATTRIBUTE of bodies and joints, energy.total"
 
-    def __init__(self, text: str, mechanism: Mechanism):
+    def __init__(self, text: str, mechanism: Mechanism, parameters: Mapping[str, float] | None = None):
         self.mechanism = mechanism
         self.known: dict[str, list[str]] = {"bodies": list(mechanism.bodies), "joints": list(mechanism.joints)}
         self.quantities: list[Quantity] = []
         self.quoted = {name: kind for kind, names in self.known.items() for name in names if not name.isidentifier()}
         if self.quoted:
             self.hint = self.spelling(next(iter(self.quoted)))
-        super().__init__(text)
+        super().__init__(text, parameters)
 
     def unquoted(self) -> str:
         """Return the source with quoted names replaced by blanks of the same length."""

@@ -1,21 +1,26 @@
 """Bodies, and the base classes of the elements that act on them.
 
-Each body has its own frame with its origin at the centre of mass; `points` are given in these frames. The frame of
-``ground`` is the global frame. A relative angle is always ``angle_b - angle_a`` for ``bodies: [a, b]``. Units are SI;
-angles are in radians.
+Each body has its own frame with its origin at the centre of mass; `points` are given in these frames, `at`, `from` and
+`to` in the global frame at the initial positions as given, before assembly. The frame of ``ground`` is the global
+frame. A relative angle is always ``angle_b - angle_a`` for ``bodies: [a, b]``. Units are SI; angles are in radians.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self
 
-from pydantic import model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.values import BodyPair, Motion, Number, Point, Points, Positive
 from mbdkit.strict_model import StrictModel
 
 GROUND = "ground"
+
+ON_POINT_MASS = 1e-9
+"""A global point counts as the place of a point mass within this distance, relative to the largest coordinate."""
 
 Attachment = tuple[str, str, tuple[float, float]]
 """Key in the spec, body name, and point in the body's frame [m]."""
@@ -79,6 +84,16 @@ class Element(StrictModel):
         """Return (key, value) of each prescribed function of time."""
         return []
 
+    def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
+        """Return the element with its points in the frames of the bodies; `bodies` have the positions as given.
+
+        Raises
+        ------
+        SpecError
+            With a key path below `key`, if a point mass is held at a point where it is not.
+        """
+        return self
+
 
 class Between(Element):
     """An element between two bodies."""
@@ -92,11 +107,131 @@ class Between(Element):
 
 
 class BetweenPoints(Between):
-    """An element between a point of one body and a point of another."""
+    """An element between a point of one body and a point of another.
 
-    points: Points
+    The points are given either in the frames of the bodies or in the global frame; `placed` converts the latter, so
+    that `points` is None only before.
+    """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("points", "at", "from_", "to")
+    GLOBAL: ClassVar[tuple[str, ...]] = ()
+    """Keys of the points in the global frame: one for both bodies, or one for each."""
+
+    points: Points | None = None
     """One point in each body's own frame [m]."""
+
+    @model_validator(mode="after")
+    def _points_once(self) -> Self:
+        given = [key for key, point in zip(self.GLOBAL, self._global(), strict=True) if point is not None]
+        names = " and ".join(f"`{key}`" for key in self.GLOBAL)
+        if self.points is None and not given:
+            raise SpecError(
+                f"is missing: one point in each body's own frame [m]; or give {names} in the global frame at the "
+                "initial positions",
+                key="points",
+            )
+        if self.points is not None and given:
+            raise SpecError(
+                f"give the position either as `points` (in the frames of the bodies) or as {names} (in the global "
+                "frame), not both",
+                key=given[0],
+            )
+        if given and len(given) < len(self.GLOBAL):
+            lacking = next(key for key in self.GLOBAL if key not in given)
+            raise SpecError(f"is missing: {names} go together", key=lacking)
+        return self
+
+    @property
+    def ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The two points [m], each in the frame of its body."""
+        assert self.points is not None, "the element is not placed"
+        return self.points
 
     def attachments(self) -> list[Attachment]:
         """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""
-        return [("points[0]", self.bodies[0], self.points[0]), ("points[1]", self.bodies[1], self.points[1])]
+        return [(f"points[{i}]", self.bodies[i], self.ends[i]) for i in range(2)]
+
+    def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
+        """Return the element with its points in the frames of the bodies; see `Element.placed`."""
+        if self.points is not None:
+            return self
+        keys = [f"{key}.{self.GLOBAL[0]}", f"{key}.{self.GLOBAL[-1]}"]
+        points = [self._global()[0], self._global()[-1]]
+        held = tuple(
+            local_point(bodies, name, point, where)
+            for name, point, where in zip(self.bodies, points, keys, strict=True)
+            if point is not None
+        )
+        return self.model_copy(update={"points": held, **self._once_placed()})
+
+    def _global(self) -> tuple[tuple[float, float] | None, ...]:
+        """Return the points in the global frame [m], in the order of `GLOBAL`."""
+        return ()
+
+    def _once_placed(self) -> dict[str, Any]:
+        """Return the fields that change when the points in the global frame are converted."""
+        return {}
+
+
+class At(BetweenPoints):
+    """An element whose two points are at one place at the start."""
+
+    model_config = ConfigDict(json_schema_extra={"anyOf": [{"required": ["points"]}, {"required": ["at"]}]})
+    GLOBAL: ClassVar[tuple[str, ...]] = ("at",)
+
+    at: Point | None = None
+    """Instead of `points`: the place of both points (x, y) [m] in the global frame, at the initial positions as given
+    (before assembly)."""
+
+    def _global(self) -> tuple[tuple[float, float] | None, ...]:
+        return (self.at,)
+
+    def _once_placed(self) -> dict[str, Any]:
+        return {"at": None}
+
+
+class FromTo(BetweenPoints):
+    """An element whose two points are apart."""
+
+    # `from` is a keyword of Python, so that a keyword argument is called `from_`
+    model_config = ConfigDict(
+        populate_by_name=True,
+        serialize_by_alias=True,
+        json_schema_extra={"anyOf": [{"required": ["points"]}, {"required": ["from", "to"]}]},
+    )
+    GLOBAL: ClassVar[tuple[str, ...]] = ("from", "to")
+
+    from_: Point | None = Field(default=None, alias="from")
+    """Instead of `points`, with `to`: the point of the first body (x, y) [m] in the global frame, at the initial
+    positions as given (before assembly)."""
+    to: Point | None = None
+    """The point of the second body (x, y) [m] in the global frame, at the initial positions as given."""
+
+    def _global(self) -> tuple[tuple[float, float] | None, ...]:
+        return (self.from_, self.to)
+
+    def _once_placed(self) -> dict[str, Any]:
+        return {"from_": None, "to": None}
+
+
+def local_point(bodies: Mapping[str, Body], name: str, point: tuple[float, float], key: str) -> tuple[float, float]:
+    """Return a global point in the frame of a body at its initial position, (0, 0) for a point mass.
+
+    Raises
+    ------
+    SpecError
+        With the key path `key`, if the body is a point mass at another place.
+    """
+    if name == GROUND:
+        return point
+    body = bodies[name]
+    local = body.to_local(point)
+    if body.inertia is not None:
+        return local
+    if math.hypot(*local) <= ON_POINT_MASS * max(1e-3, *map(abs, (*point, *body.position))):
+        return 0.0, 0.0
+    raise SpecError(
+        f"'{name}' is a point mass (it has no inertia), so its only point is its position "
+        f"[{body.position[0]:.6g}, {body.position[1]:.6g}]",
+        key=key,
+    )

@@ -26,11 +26,7 @@ def check_mechanism(
     bodies: Mapping[str, Body], joints: Mapping[str, Joint], forces: Mapping[str, Force], assembly: Assembly
 ) -> None:
     """Raise a SpecError with the key path of the first error."""
-    if not bodies:
-        raise SpecError("a mechanism needs at least one body", key="model.bodies")
-    for kind, names in (("bodies", bodies), ("joints", joints), ("forces", forces)):
-        for name in names:
-            check_name(name, f"model.{kind}.{name}")
+    check_names(bodies, joints, forces)
     points = {name for name, body in bodies.items() if body.inertia is None}
     for name, joint in joints.items():
         _check_element(f"model.joints.{name}", joint, bodies, points)
@@ -46,6 +42,15 @@ def check_mechanism(
         check_known(name, bodies, f"model.assembly.fix[{index}]")
 
 
+def check_names(bodies: Iterable[str], joints: Iterable[str], forces: Iterable[str]) -> None:
+    """Raise a SpecError if there are no bodies, or for the first name that is not valid."""
+    if not bodies:
+        raise SpecError("a mechanism needs at least one body", key="model.bodies")
+    for kind, names in (("bodies", bodies), ("joints", joints), ("forces", forces)):
+        for name in names:
+            check_name(name, f"model.{kind}.{name}")
+
+
 def motions_by_key(joints: Mapping[str, Joint], forces: Mapping[str, Force]) -> list[tuple[str, Motion]]:
     """Return (key path, motion) of every driver and load."""
     used = [(f"model.joints.{name}.{key}", value) for name, joint in joints.items() for key, value in joint.motions()]
@@ -54,9 +59,9 @@ def motions_by_key(joints: Mapping[str, Joint], forces: Mapping[str, Force]) -> 
 
 
 def check_tables(joints: Mapping[str, Joint], forces: Mapping[str, Force], start: float, end: float) -> None:
-    """Raise a SpecError for the first table that does not cover the times from `start` to `end` [s]."""
+    """Raise a SpecError for the first table that neither covers the times from `start` to `end` [s] nor is periodic."""
     for key, motion in motions_by_key(joints, forces):
-        if not isinstance(motion, Table):
+        if not isinstance(motion, Table) or motion.period:
             continue
         first, last = motion.span
         slack = ROUNDING * max(last - first, end - start)

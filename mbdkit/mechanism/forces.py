@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
-from pydantic import Field, SerializeAsAny
+from pydantic import Field, SerializeAsAny, model_validator
 
-from mbdkit.mechanism.bodies import GROUND, Attachment, Element
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.bodies import GROUND, Attachment, Body, Element, local_point
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.pathways import AnglePathway, LinePathway
 from mbdkit.mechanism.values import Motion, MotionPair, NotNegative, Number, Point
@@ -131,15 +133,51 @@ class Torque(Element):
 class PointForce(Element):
     """A force on a point of a body, with components in the global frame or in the body's frame."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("at",)
+
     type: Literal["force"] = "force"
     body: str
     """Name of the body that the force acts on."""
-    point: Point = (0.0, 0.0)
-    """Point of application in the body's frame [m]."""
+    point: Point | None = (0.0, 0.0)
+    """Point of application in the body's frame [m]; the centre of mass by default."""
+    at: Point | None = None
+    """Instead of `point`: point of application (x, y) [m] in the global frame, at the initial position as given (before
+    assembly)."""
     value: MotionPair
     """Force (x, y) [N]: numbers, expressions of t, or tables."""
     frame: Literal["global", "body"] = "global"
     """Frame of the components of the force: `global`, or `body`, in which case the force turns with the body."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_default_beside_at(cls, data: Any) -> Any:
+        is_placed = isinstance(data, Mapping) and data.get("at") is not None and "point" not in data
+        return {**data, "point": None} if is_placed else data
+
+    @model_validator(mode="after")
+    def _point_once(self) -> PointForce:
+        if self.at is not None and self.point is not None:
+            raise SpecError(
+                "give the position either as `point` (in the frame of the body) or as `at` (in the global frame), not "
+                "both",
+                key="at",
+            )
+        if self.at is None and self.point is None:
+            raise SpecError("should be a point [x, y]; leave it out for the centre of mass", key="point")
+        return self
+
+    @property
+    def held(self) -> tuple[float, float]:
+        """The point of application in the frame of the body [m]."""
+        assert self.point is not None, "the element is not placed"
+        return self.point
+
+    def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
+        """Return the force with its point in the frame of the body; see `Element.placed`."""
+        if self.at is None:
+            return self
+        point = local_point(bodies, self.body, self.at, f"{key}.at")
+        return self.model_copy(update={"point": point, "at": None})
 
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element refers to."""
@@ -147,7 +185,7 @@ class PointForce(Element):
 
     def attachments(self) -> list[Attachment]:
         """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""
-        return [("point", self.body, self.point)]
+        return [("point", self.body, self.held)]
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
@@ -161,7 +199,7 @@ class PointForce(Element):
     def load(self) -> AppliedLoad:
         """The load that the element applies."""
         kind: LoadKind = "body_force" if self.frame == "body" else "point_force"
-        return AppliedLoad(kind, self.body, GROUND, self.value, self.point)
+        return AppliedLoad(kind, self.body, GROUND, self.value, self.held)
 
 
 # Each law has its own subclass of `Law` with the options as fields; SerializeAsAny includes these fields in dumps.

@@ -7,13 +7,14 @@ constraint, define it in ``mbdkit/symbolic/definitions.py``.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.bodies import Attachment, Between, BetweenPoints
+from mbdkit.mechanism.bodies import At, Attachment, Between, BetweenPoints, Body, FromTo
 from mbdkit.mechanism.values import Motion, Number, Point, Points, Positive
 
 if TYPE_CHECKING:
@@ -91,10 +92,10 @@ class PointJoint(JointBase, BetweenPoints):
     @property
     def flat_points(self) -> tuple[float, float, float, float]:
         """The two points (x_a, y_a, x_b, y_b) [m], each in the frame of its body."""
-        return (*self.points[0], *self.points[1])
+        return (*self.ends[0], *self.ends[1])
 
 
-class Revolute(PointJoint):
+class Revolute(PointJoint, At):
     """A pin: both points coincide, ``p_b - p_a = 0`` in the global frame."""
 
     type: Literal["revolute"] = "revolute"
@@ -114,30 +115,58 @@ def _not_zero(value: Any) -> Any:
     return value
 
 
-class Distance(PointJoint):
+class Distance(PointJoint, FromTo):
     """A massless link: ``|p_b - p_a| - length = 0``."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*FromTo.ABSENT_BY_DEFAULT, "length")
+
     type: Literal["distance"] = "distance"
-    length: Annotated[Positive, BeforeValidator(_not_zero)]
-    """Distance between the two points [m]; use a revolute joint for a distance of zero."""
+    length: Annotated[Positive, BeforeValidator(_not_zero)] | None = None
+    """Distance between the two points [m], required with `points`; by default, the distance from `from` to `to`. Use a
+    revolute joint for a distance of zero."""
     rows: ClassVar[tuple[str, ...]] = ("length",)
     units: ClassVar[tuple[str, ...]] = ("m",)
     mark: ClassVar[Mark] = "bar"
 
     def constraints(self, initial_angle: float) -> list[Constraint]:
         """Return the constraints of the joint."""
-        return [Constraint("distance", 0, 1, self.flat_points, (self.length, 0.0))]
+        return [Constraint("distance", 0, 1, self.flat_points, (self._length, 0.0))]
+
+    @model_validator(mode="after")
+    def _has_a_length(self) -> Distance:
+        if self.length is None and self.points is not None:
+            raise SpecError(
+                "is missing: distance between the two points [m]; it can be omitted only with `from` and `to`",
+                key="length",
+            )
+        return self
+
+    @property
+    def _length(self) -> float:
+        assert self.length is not None, "the joint is not placed"
+        return self.length
+
+    def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
+        """Return the joint with its points in the frames of the bodies, and with its length."""
+        joint = super().placed(bodies, key)
+        if self.length is not None or self.from_ is None or self.to is None:
+            return joint
+        length = math.dist(self.from_, self.to)
+        try:
+            return joint.model_copy(update={"length": _not_zero(length)})
+        except SpecError as error:
+            raise error.located(prefix=f"{key}.to") from None
 
     def gap(self, separation: np.ndarray, angle: np.ndarray) -> np.ndarray:
         """Return the misalignment of the joint as a vector, (F, 2) [m]."""
         import numpy as np
 
         apart = np.hypot(separation[:, 0], separation[:, 1])[:, None]
-        gap: np.ndarray = separation * np.divide(apart - self.length, apart, out=np.zeros_like(apart), where=apart > 0)
+        gap: np.ndarray = separation * np.divide(apart - self._length, apart, out=np.zeros_like(apart), where=apart > 0)
         return gap
 
 
-class SlidingJoint(PointJoint):
+class SlidingJoint(PointJoint, At):
     """Base class of joints that hold b's point on the line through a's point along `axis`; plots show the line."""
 
     axis: Point
@@ -174,6 +203,22 @@ class SlidingJoint(PointJoint):
         return gap
 
 
+class PointOnLine(SlidingJoint):
+    """A pin in a slot, or a roller: b's point stays on the line through a's point along `axis`, and b may turn."""
+
+    type: Literal["point-on-line"] = "point-on-line"
+    rows: ClassVar[tuple[str, ...]] = ("normal",)
+    units: ClassVar[tuple[str, ...]] = ("m",)
+
+    def angles(self) -> list[tuple[str, str]]:
+        """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
+        return self.places()[:1]
+
+    def constraints(self, initial_angle: float) -> list[Constraint]:
+        """Return the constraints of the joint."""
+        return [self.on_line()]
+
+
 class Prismatic(SlidingJoint):
     """A slide: b's point stays on the line through a's point along `axis`, and b does not rotate relative to a."""
 
@@ -193,7 +238,7 @@ class Prismatic(SlidingJoint):
         return [self.on_line(), Constraint("fixed_angle", 1, 1, self.flat_points, (angle, 0.0))]
 
 
-class Weld(PointJoint):
+class Weld(PointJoint, At):
     """A rigid connection: both points coincide, and b does not rotate relative to a."""
 
     type: Literal["weld"] = "weld"
@@ -277,5 +322,5 @@ class Driver(JointBase):
         return [Constraint(f"driver_{self.coordinate}", 0, 1, (0.0, 0.0, *self.point), motion=self.motion)]
 
 
-Joint = Annotated[Revolute | Prismatic | Weld | Distance | Driver, Field(discriminator="type")]
+Joint = Annotated[Revolute | Prismatic | PointOnLine | Weld | Distance | Driver, Field(discriminator="type")]
 """A joint or driver; `type` selects its class."""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol, Self
 
 from pydantic import BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
 from pydantic_core import InitErrorDetails, to_json
 
 from mbdkit.mechanism import higher_layers
-from mbdkit.mechanism.bodies import Attachment, Element
+from mbdkit.mechanism.bodies import Attachment, Body, Element
 from mbdkit.mechanism.force_law import ForceLaw
 from mbdkit.mechanism.pathways import Pathway
 
@@ -68,6 +68,10 @@ class Law(Element):
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
         return [(f"pathway.{key}", name) for key, name in self.pathway.angles()]
+
+    def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
+        """Return the element with the points of its pathway in the frames of the bodies; see `Element.placed`."""
+        return self.model_copy(update={"pathway": self.pathway.placed(bodies, f"{key}.pathway")})
 
 
 class PluginLookup(Protocol):

@@ -9,12 +9,13 @@ from pydantic import TypeAdapter, ValidationError
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism import higher_layers
-from mbdkit.mechanism.bodies import GROUND, Body
-from mbdkit.mechanism.checks import check_known, check_mechanism, check_name, check_tables
+from mbdkit.mechanism.bodies import GROUND, Body, Element
+from mbdkit.mechanism.checks import check_known, check_mechanism, check_name, check_names, check_tables
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
-from mbdkit.mechanism.joints import Distance, Driver, Joint, Prismatic, Revolute, Weld
+from mbdkit.mechanism.joints import Distance, Driver, Joint, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
+from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Point, Table
 from mbdkit.plain_data import found, plain
@@ -28,6 +29,7 @@ Pair = Sequence[float]
 Value = float | str | Table | Mapping[str, Any]
 """A number, an expression of t, or ``{"table": [[t, ...], [value, ...]]}``."""
 AnyElement = TypeVar("AnyElement", bound=StrictModel)
+AnyJointOrForce = TypeVar("AnyJointOrForce", bound=Element)
 
 _POINT: TypeAdapter[tuple[float, float]] = TypeAdapter(Point)
 
@@ -129,8 +131,7 @@ class Mechanism:
             Alternative to `at`: position of the joint in the frames of a and of b, ((x, y), (x, y)) [m].
         """
         key = self._new(name, self.joints, "joints")
-        held = self._points(key, a, b, points, at, at, "at")
-        self.joints[name] = _make(Revolute, key, bodies=(a, b), points=held)
+        self.joints[name] = self._placed(Revolute, key, bodies=(a, b), points=points, at=at)
 
     def prismatic(
         self,
@@ -160,8 +161,27 @@ class Mechanism:
             angle_b - angle_a [rad]; by default, the difference of the initial angles as given.
         """
         key = self._new(name, self.joints, "joints")
-        held = self._points(key, a, b, points, at, at, "at")
-        self.joints[name] = _make(Prismatic, key, bodies=(a, b), points=held, axis=axis, angle=angle)
+        values = {"bodies": (a, b), "points": points, "at": at, "axis": axis, "angle": angle}
+        self.joints[name] = self._placed(Prismatic, key, **values)
+
+    def point_on_line(
+        self, name: str, a: str, b: str, *, at: Pair | None = None, points: Sequence[Pair] | None = None, axis: Pair
+    ) -> None:
+        """Hold a point of `b` on a line of `a`, as a pin in a slot or a roller does; `b` may turn.
+
+        Parameters
+        ----------
+        name, a, b
+            Name of the joint, and the two bodies; the line is fixed to a.
+        at
+            Point (x, y) [m] in the global frame at the initial positions: both the point of b and a point of the line.
+        points
+            Alternative to `at`: a point of the line in a's frame and the point of b in b's, ((x, y), (x, y)) [m].
+        axis
+            Direction of the line (x, y) in a's frame; any length.
+        """
+        key = self._new(name, self.joints, "joints")
+        self.joints[name] = self._placed(PointOnLine, key, bodies=(a, b), points=points, at=at, axis=axis)
 
     def weld(
         self,
@@ -187,8 +207,7 @@ class Mechanism:
             angle_b - angle_a [rad]; by default, the difference of the initial angles as given.
         """
         key = self._new(name, self.joints, "joints")
-        held = self._points(key, a, b, points, at, at, "at")
-        self.joints[name] = _make(Weld, key, bodies=(a, b), points=held, angle=angle)
+        self.joints[name] = self._placed(Weld, key, bodies=(a, b), points=points, at=at, angle=angle)
 
     def distance(
         self,
@@ -215,14 +234,8 @@ class Mechanism:
             Distance [m]; by default, the distance between `from_` and `to`.
         """
         key = self._new(name, self.joints, "joints")
-        held = self._points(key, a, b, points, from_, to, "from_ and to")
-        if length is None:
-            if from_ is None or to is None:
-                message = "is missing: distance between the two points [m]; it can be omitted only with from_ and to"
-                raise SpecError(message, key=f"{key}.length")
-            (x1, y1), (x2, y2) = _point(from_, f"{key}.from_"), _point(to, f"{key}.to")
-            length = ((x2 - x1) ** 2 + (y2 - y1) ** 2) ** 0.5
-        self.joints[name] = _make(Distance, key, bodies=(a, b), points=held, length=length)
+        values = {"bodies": (a, b), "points": points, "from": from_, "to": to, "length": length}
+        self.joints[name] = self._placed(Distance, key, **values)
 
     def driver(
         self,
@@ -248,9 +261,9 @@ class Mechanism:
             For `x` and `y`: ((0, 0), b's point in b's frame) [m]; by default, b's origin.
         """
         key = self._new(name, self.joints, "joints")
-        self._known(a, f"{key}.bodies[0]")
-        self._known(b, f"{key}.bodies[1]")
-        self.joints[name] = _make(Driver, key, bodies=(a, b), coordinate=coordinate, motion=motion, points=points)
+        self.joints[name] = self._placed(
+            Driver, key, bodies=(a, b), coordinate=coordinate, motion=motion, points=points
+        )
 
     def spring_damper(
         self,
@@ -279,14 +292,9 @@ class Mechanism:
             Stiffness [N/m], damping [N s/m], and length at which the spring exerts no force [m].
         """
         key = self._new(name, self.forces, "forces")
-        self.forces[name] = _make(
-            SpringDamper,
-            key,
-            bodies=(a, b),
-            points=self._points(key, a, b, points, from_, to, "from_ and to"),
-            stiffness=stiffness,
-            damping=damping,
-            free_length=free_length,
+        ends = {"bodies": (a, b), "points": points, "from": from_, "to": to}
+        self.forces[name] = self._placed(
+            SpringDamper, key, **ends, stiffness=stiffness, damping=damping, free_length=free_length
         )
 
     def torsion_spring(
@@ -302,9 +310,7 @@ class Mechanism:
             Stiffness [N m/rad], damping [N m s/rad], and relative angle at which the spring exerts no torque [rad].
         """
         key = self._new(name, self.forces, "forces")
-        self._known(a, f"{key}.bodies[0]")
-        self._known(b, f"{key}.bodies[1]")
-        self.forces[name] = _make(
+        self.forces[name] = self._placed(
             TorsionSpring, key, bodies=(a, b), stiffness=stiffness, damping=damping, free_angle=free_angle
         )
 
@@ -343,17 +349,14 @@ class Mechanism:
         key = self._new(name, self.forces, "forces")
         pathway: dict[str, Any] = {"bodies": (a, b)}
         if along == "line":
-            held = self._points(key, a, b, points, from_, to, "from_ and to")
-            pathway |= {"type": "two-points", "points": held}
+            pathway |= {"type": "two-points", "points": points, "from": from_, "to": to}
         else:
-            self._known(a, f"{key}.pathway.bodies[0]")
-            self._known(b, f"{key}.pathway.bodies[1]")
             if from_ is not None or to is not None:
                 raise SpecError(f"from_ and to can be given only with along='line', not with along='{along}'", key=key)
             pathway |= {"type": "relative-angle"} if along == "angle" else {"type": "coordinate", "coordinate": along}
             if points is not None:
                 pathway["points"] = points
-        self.forces[name] = _validated(Law, key, {"law": law, "pathway": pathway, **options})
+        self.forces[name] = self._placed(Law, key, law=law, pathway=pathway, **options)
 
     def torque(self, name: str, body: str, *, value: Value, reaction_body: str | None = None) -> None:
         """Apply a torque to a body.
@@ -368,10 +371,7 @@ class Mechanism:
             Name of the body that the opposite torque acts on, if any.
         """
         key = self._new(name, self.forces, "forces")
-        self._known(body, f"{key}.body")
-        if reaction_body is not None:
-            self._known(reaction_body, f"{key}.reaction_body")
-        self.forces[name] = _make(Torque, key, body=body, value=value, reaction_body=reaction_body)
+        self.forces[name] = self._placed(Torque, key, body=body, value=value, reaction_body=reaction_body)
 
     def force(
         self,
@@ -399,13 +399,8 @@ class Mechanism:
             Frame of the components of `value`: ``global``, or ``body``, in which case the force turns with the body.
         """
         key = self._new(name, self.forces, "forces")
-        self._known(body, f"{key}.body")
-        if at is not None and point is not None:
-            raise SpecError("give either 'at' or 'point', not both", key=key)
-        if at is not None:
-            point = self.to_local(body, _point(at, f"{key}.at"))
-        place = (0.0, 0.0) if point is None else point
-        self.forces[name] = _make(PointForce, key, body=body, point=place, value=value, frame=frame)
+        where = {"at": at} if point is None else {"at": at, "point": point}
+        self.forces[name] = self._placed(PointForce, key, body=body, value=value, frame=frame, **where)
 
     def hold(self, *bodies: str, tolerance: float = 1e-12) -> None:
         """Set the bodies that assembly does not move, and the tolerance of assembly.
@@ -489,7 +484,7 @@ class Mechanism:
         return spec
 
     @classmethod
-    def from_spec(cls, spec: Mapping[str, Any]) -> Mechanism:
+    def from_spec(cls, spec: Mapping[str, Any], parameters: Mapping[str, float | str] | None = None) -> Mechanism:
         """Return the mechanism described by a `model` mapping, the format of :meth:`to_spec`.
 
         Parameters
@@ -497,6 +492,8 @@ class Mechanism:
         spec
             Mapping with the keys ``gravity``, ``bodies``, ``joints``, ``forces`` and ``assembly``; ``name`` is optional
             and must be ``mechanism``.
+        parameters
+            Named numbers, or expressions of each other, which the numbers in `spec` may be expressions of.
 
         Raises
         ------
@@ -509,15 +506,22 @@ class Mechanism:
         name = values.pop("name", "mechanism")
         if name != "mechanism":
             raise SpecError(f"only the free-form model 'mechanism' can be read here; got {name!r}", key="model.name")
-        return cls.from_data(_validated(MechanismData, "model", values))
+        numbers = parameter_values(parameters)
+        data, _ = with_expressions(MechanismData.model_validate, values, MechanismData, numbers, prefix="model")
+        return cls.from_data(data)
 
     @classmethod
     def from_data(cls, data: MechanismData) -> Mechanism:
         """Return the mechanism described by validated `data`, after checks across its elements."""
         mechanism = cls(data.gravity)
+        check_names(data.bodies, data.joints, data.forces)
         mechanism.bodies = dict(data.bodies)
-        mechanism.joints = dict(data.joints)
-        mechanism.forces = dict(data.forces)
+        mechanism.joints = {
+            name: mechanism._with_points(joint, f"model.joints.{name}") for name, joint in data.joints.items()
+        }
+        mechanism.forces = {
+            name: mechanism._with_points(force, f"model.forces.{name}") for name, force in data.forces.items()
+        }
         mechanism.assembly = data.assembly
         mechanism.validate()
         return mechanism
@@ -553,33 +557,17 @@ class Mechanism:
     def _known(self, name: str, key: str) -> None:
         check_known(name, self.bodies, key)
 
-    def _points(
-        self,
-        key: str,
-        a: str,
-        b: str,
-        points: Sequence[Pair] | None,
-        at_a: Pair | None,
-        at_b: Pair | None,
-        alternative: str,
-    ) -> Sequence[Pair]:
-        self._known(a, f"{key}.bodies[0]")
-        self._known(b, f"{key}.bodies[1]")
-        if points is not None and at_a is None and at_b is None:
-            return points
-        if points is not None or at_a is None or at_b is None:
-            raise SpecError(
-                f"give the position either as points= (in the frames of the bodies) or as {alternative} (global frame)",
-                key=key,
-            )
-        first, _, second = alternative.partition(" and ")
-        return (
-            self.to_local(a, _point(at_a, f"{key}.{first}")),
-            self.to_local(b, _point(at_b, f"{key}.{second or first}")),
-        )
+    def _placed(self, cls: type[AnyJointOrForce], key: str, /, **values: Any) -> AnyJointOrForce:
+        return self._with_points(_make(cls, key, **values), key)
+
+    def _with_points(self, element: AnyJointOrForce, key: str) -> AnyJointOrForce:
+        """Return an element with its points in the frames of its bodies, which must exist."""
+        for place, body in element.places():
+            self._known(body, f"{key}.{place}")
+        return element.placed(self.bodies, key)
 
 
-def _make(cls: type[AnyElement], key: str, **values: Any) -> AnyElement:
+def _make(cls: type[AnyElement], key: str, /, **values: Any) -> AnyElement:
     return _validated(cls, key, values)
 
 

@@ -1,6 +1,7 @@
 """Knots and corners of motions and loads: the times at which one of their derivatives jumps.
 
-*Knots* are the points of a table: the third derivative of a cubic spline jumps there, the rate of a linear table.
+*Knots* are the points where the pieces of a table meet: the third derivative of a cubic spline jumps there, the fifth
+of a quintic one, the rate of a linear table. The knots of a periodic table repeat.
 *Corners* are the times at which ``abs``, ``min`` or ``max`` change their form, and the jumps of ``atan2``.
 
 The arguments of these functions are sampled over the span of the run, at `SAMPLES` times and at all corners of
@@ -37,6 +38,9 @@ BISECTIONS = 80
 
 JUMP, JUMP_OF_LARGEST = 1e-9, 1e-13
 """Differences below this share of the larger side, or of the largest value over the run, are rounding, not jumps."""
+
+MOST_KNOTS = 100_000
+"""Largest number of knots of a periodic table that are looked at; the further ones are the same again."""
 
 WIDEST_MARGIN = 1e-10
 """Largest margin of a corner, as a share of the span."""
@@ -94,8 +98,7 @@ def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES)
     rounding = 4.0 * EPS * max(abs(start), abs(end))
     widest = WIDEST_MARGIN * (end - start)
     if isinstance(motion, Table):
-        inner = [t for t in motion.table[0][1:-1] if start <= t <= end]
-        found = [(t, rounding) for t in inner] if _has_curve(motion) else []
+        found = [(t, rounding) for t in _knots(motion, start, end)] if _has_curve(motion) else []
         return _described(motion, found, start, end, is_knot=True)
     if not isinstance(motion, str):
         return ()
@@ -120,6 +123,18 @@ def overshoot(table: Table) -> float:
     turns = np.asarray(curve.derivative().roots(extrapolate=False))
     reached = np.concatenate([values, curve(turns[np.isfinite(turns)])])
     return float(max(low - reached.min(), reached.max() - high) / (high - low))
+
+
+def _knots(table: Table, start: float, end: float) -> list[float]:
+    """Return the times from `start` to `end` at which two pieces of the curve of a table meet, in order."""
+    times = curve_of(table).x
+    if not table.period:
+        return [float(t) for t in times[1:-1] if start <= t <= end]
+    first = np.floor((start - times[0]) / table.period)
+    periods = min(np.ceil((end - times[0]) / table.period) - first + 1, np.ceil(MOST_KNOTS / (len(times) - 1)))
+    knots = (times[:-1] + table.period * (first + np.arange(periods))[:, None]).ravel()
+    found: list[float] = knots[(start <= knots) & (knots <= end)].tolist()
+    return found
 
 
 def _has_curve(table: Table) -> bool:

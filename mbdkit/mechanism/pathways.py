@@ -8,11 +8,11 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.bodies import Attachment, Between, BetweenPoints
+from mbdkit.mechanism.bodies import Attachment, Between, FromTo
 from mbdkit.mechanism.values import Points
 
 
-class LinePathway(BetweenPoints):
+class LinePathway(FromTo):
     """Base class of pathways whose length is the distance between two points [m]."""
 
     is_line: ClassVar[bool] = True
@@ -27,7 +27,7 @@ class LinePathway(BetweenPoints):
     @property
     def flat_points(self) -> tuple[float, float, float, float]:
         """The two points (x_a, y_a, x_b, y_b) [m], each in the frame of its body."""
-        return (*self.points[0], *self.points[1])
+        return (*self.ends[0], *self.ends[1])
 
 
 class AnglePathway(Between):

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from mbdkit.errors import SpecError
-from mbdkit.text import did_you_mean
+from mbdkit.text import did_you_mean, listed
 
 if TYPE_CHECKING:
     import sympy
@@ -42,8 +42,12 @@ FUNCTIONS: dict[str, Callable[..., float]] = {
     "tanh": math.tanh,
     "min": min,
     "max": max,
+    "degrees": math.radians,
 }
-"""Functions by name; `atan2` takes two arguments, `min` and `max` take two or more, the others take one."""
+"""Functions by name; `atan2` takes two arguments, `min` and `max` take two or more, the others take one.
+
+``degrees(45)`` is the angle of 45 degrees in radians; programs contain a multiplication instead.
+"""
 
 _OPERATORS: dict[type[ast.operator], str] = {
     ast.Add: "add",
@@ -65,6 +69,10 @@ _BINARY = {"add", "sub", "mul", "div", "pow", "atan2", "min", "max"}
 
 TIME = dict.fromkeys(("time", "T"), " (the time is t)")
 """Hints for names of the time in other programs."""
+
+
+class ExpressionError(SpecError):
+    """An expression that is not valid."""
 
 
 @dataclass(frozen=True)
@@ -150,6 +158,8 @@ class Compiler:
     ----------
     text
         Text of the expression as the user wrote it.
+    parameters
+        Numbers that the expression may use by name.
 
     Attributes
     ----------
@@ -162,7 +172,8 @@ class Compiler:
     wanted = "an expression of t, which consists of numbers, t, pi"
     hint = ""
 
-    def __init__(self, text: str):
+    def __init__(self, text: str, parameters: Mapping[str, float] | None = None):
+        self.parameters: Mapping[str, float] = parameters or {}
         if len(text) > MAX_LENGTH:
             raise SpecError(f"the expression has {len(text)} characters, more than {MAX_LENGTH}")
         self.source = " ".join(text.splitlines()).rstrip()
@@ -180,20 +191,23 @@ class Compiler:
 
     def program(self) -> list[tuple[str, float]]:
         """Return the postfix program of the text; raises SpecError with the position of the first error."""
+        return self.compile(self.tree(), 0)
+
+    def tree(self) -> ast.expr:
+        """Return the syntax tree of the text; raises SpecError if it cannot be parsed."""
         try:
-            tree = ast.parse(self.source, mode="eval")
+            return ast.parse(self.source, mode="eval").body
         except SyntaxError as error:
             place = min(max((error.offset or 1) - 1, 0), len(self.source) - 1)
             self.refuse(f"the expression cannot be parsed ({error.msg}){self.hint}", place)
         except (RecursionError, MemoryError, ValueError):
             raise SpecError("the expression is too deeply nested") from None
-        return self.compile(tree.body, 0)
 
     def refuse(self, message: str, place: ast.AST | int) -> NoReturn:
         """Raise SpecError with the message and the position in the text."""
         column = place if isinstance(place, int) else getattr(place, "col_offset", 0)
         shown = self.source if len(self.source) <= 60 else self.source[max(column - 30, 0) :][:60] + "..."
-        raise SpecError(f"{message} (position {column + self.shift + 1} of '{shown}')")
+        raise ExpressionError(f"{message} (position {column + self.shift + 1} of '{shown}')")
 
     def segment(self, node: ast.expr) -> str:
         """Return the text of a node, at most 40 characters."""
@@ -210,6 +224,8 @@ class Compiler:
                 return [("t", 0.0)]
             case ast.Name(id="pi"):
                 return [("const", math.pi)]
+            case ast.Name(id=name) if name in self.parameters:
+                return [("const", self.parameters[name])]
             case ast.Name(id=name) if name in FUNCTIONS:
                 self.refuse(f"'{name}' is a function and needs its argument in parentheses", node)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
@@ -226,7 +242,9 @@ class Compiler:
         """Return the program of any other operand; subclasses may add operands, this class rejects them all."""
         if isinstance(node, ast.Name):
             name = self.segment(node)
-            hint = TIME.get(name) or did_you_mean(name, ["t", "pi", *FUNCTIONS]) or "; known: t, pi and functions"
+            known = ["t", "pi", *FUNCTIONS, *self.parameters]
+            hint = TIME.get(name) or did_you_mean(name, known)
+            hint = hint or f"; known: {listed(['t', 'pi', *self.parameters])} and functions"
             self.refuse(f"unknown name '{name}'{hint}", node)
         self.refuse(
             f"'{self.segment(node)}' is not part of {self.wanted}, + - * / **, "
@@ -260,6 +278,8 @@ class Compiler:
             wanted = f"{least} or more arguments" if most is None else "1 argument" if least == 1 else "2 arguments"
             self.refuse(f"'{name}' takes {wanted}", node)
         operands = [self.compile(argument, nesting + 1) for argument in node.args]
+        if name == "degrees":
+            return self.apply("mul", [operands[0], [("const", math.pi / 180.0)]], node)
         if most is not None:
             return self.apply(name, operands, node)
         program = operands[0]
@@ -289,6 +309,8 @@ class Compiler:
         """Return the program of a constant: a number in the text, or the result of an operation on constants."""
         try:
             value = compute()
+        except ZeroDivisionError:
+            self.refuse(f"'{self.segment(node)}' divides by zero, so it is not a finite number", node)
         except (ArithmeticError, ValueError):
             value = math.nan
         if not math.isfinite(value):

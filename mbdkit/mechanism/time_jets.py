@@ -20,6 +20,12 @@ if TYPE_CHECKING:
 
 EPS = float(np.finfo(float).eps)
 
+QUINTIC_ENDS = {
+    "natural": ([(3, 0.0), (4, 0.0)], [(3, 0.0), (4, 0.0)]),
+    "clamped": ([(1, 0.0), (2, 0.0)], [(1, 0.0), (2, 0.0)]),
+}
+"""Derivatives of a quintic spline that vanish at its two ends; SciPy has names for the other conditions."""
+
 
 @dataclass(frozen=True)
 class Jet:
@@ -64,16 +70,24 @@ def jet_of(motion: Motion, times: np.ndarray) -> Jet:
 
 @lru_cache(maxsize=64)
 def curve_of(table: Table) -> Any:
-    """Return the piecewise cubic of a table, as ``scipy.interpolate.PPoly``, whose outer pieces extrapolate it.
+    """Return the curve of a table, as ``scipy.interpolate.PPoly``; its outer pieces, or its periods, continue it.
 
     Raises ValueError or LinAlgError if it cannot be computed in double precision.
     """
-    from scipy.interpolate import CubicSpline, PPoly
+    from scipy.interpolate import CubicSpline, PPoly, make_interp_spline
 
     times, values = (np.array(column) for column in table.table)
+    beyond: Any = "periodic" if table.ends == "periodic" else True
+    if beyond == "periodic":
+        values[-1] = values[0]  # equal to rounding, which `Table` checks
+    if table.interpolation == "linear":
+        return PPoly(np.array([np.diff(values) / np.diff(times), values[:-1]]), times, extrapolate=beyond)
     if table.interpolation == "cubic":
-        return CubicSpline(times, values)
-    return PPoly(np.array([np.diff(values) / np.diff(times), values[:-1]]), times)
+        return CubicSpline(times, values, bc_type=table.ends, extrapolate=beyond)
+    spline = make_interp_spline(times, values, k=5, bc_type=QUINTIC_ENDS.get(table.ends, table.ends))
+    curve = PPoly.from_spline(spline)
+    # without the five pieces at either end that are empty, or beyond the period
+    return PPoly(curve.c[:, 5:-5], curve.x[5:-5], extrapolate=beyond)
 
 
 def jet_and_switches(program: Program, times: np.ndarray) -> tuple[Jet, list[Switch]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -46,7 +47,12 @@ PYDANTIC_KINDS = frozenset(get_args(ErrorType))
 
 
 def spec_error(
-    error: ValidationError, root: Any, *, prefix: str = "", plugins: PluginLookup | None = None
+    error: ValidationError,
+    root: Any,
+    *,
+    prefix: str = "",
+    plugins: PluginLookup | None = None,
+    written: Mapping[Path, str] | None = None,
 ) -> SpecError:
     """Convert a pydantic validation error to a SpecError.
 
@@ -60,6 +66,8 @@ def spec_error(
         Key path of the validated value in a spec; empty if it is a whole spec.
     plugins
         Lookup of the models that plugins add; by default, of the installed plugins.
+    written
+        Expressions by key path whose values were validated.
 
     Returns
     -------
@@ -77,7 +85,8 @@ def spec_error(
     paths = sorted((path for path in problems if path not in above), key=lambda path: not _is_unknown(*problems[path]))
     sentences = []
     for path in paths[:EXPLAINED]:  # each explanation takes time, and nobody reads thousands of them
-        told = dict.fromkeys(_complaint(*problem, lookup) for problem in problems[path])
+        value = f" (the value of '{written[path]}')" if written and path in written else ""
+        told = dict.fromkeys(_complaint(*problem, lookup) + value for problem in problems[path])
         sentences.append((path_text((*([prefix] if prefix else []), *path)), _either(list(told))))
     (key, message), *others = sentences
     for place, sentence in others:
@@ -91,7 +100,7 @@ def _place(details: ErrorDetails, path: Path) -> Path:
     """Return the key path that a problem is reported at."""
     inner = details.get("ctx", {}).get("error")
     if isinstance(inner, SpecError):
-        return _inner_path(path, parse_path(inner.key))
+        return value_path(path, parse_path(inner.key))
     match details["type"]:
         case "union_tag_not_found" | "union_tag_invalid":
             return (*path, str(details["ctx"]["discriminator"]).strip("'"))
@@ -141,7 +150,7 @@ def _complaint(details: ErrorDetails, path: Path, owner: type[BaseModel] | None,
     return message
 
 
-def _inner_path(path: Path, key: Path) -> Path:
+def value_path(path: Path, key: Path) -> Path:
     """Return the path of an error raised inside a validator; its key may be relative to `path` or to the whole spec."""
     return key if path and key[: len(path)] == path else path + key
 
@@ -179,7 +188,7 @@ def _hint(kind: str, given: Any) -> str:
     except SpecError:
         return ""
     if len(program) == 1 and program[0][0] == "const":
-        return f" (expressions are allowed only in motions and values: write {program[0][1]!r})"
+        return f" (only the model of a spec and its motions can have expressions: write {program[0][1]!r})"
     return ""
 
 

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import BeforeValidator, Field
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.time_expression import Expression
 from mbdkit.strict_model import StrictModel
+from mbdkit.text import did_you_mean, listed
+
+
+class TextForNumberError(SpecError):
+    """Text in place of a number, which may be an expression of parameters."""
 
 
 def _shown(value: Any) -> str:
@@ -46,16 +51,19 @@ def _motion(value: Any) -> Any:
     if isinstance(value, str):
         Expression.parse(value)
     elif isinstance(value, Mapping):
-        if "table" not in value or not {*value} <= {"table", "interpolation"}:
+        if "table" not in value or not {*value} <= {"table", *_TABLE_OPTIONS}:
             raise SpecError(
-                f"should be {{table: [[t, ...], [value, ...]]}}, not a mapping with the keys {_shown([*value])}"
+                "should be {table: [[t, ...], [value, ...]]}, with the options interpolation and ends, not a mapping "
+                f"with the keys {_shown([*value])}"
             )
-        interpolation = value.get("interpolation", "cubic")
-        if interpolation not in ("cubic", "linear"):
-            raise SpecError(f"should be cubic or linear, not {_shown(interpolation)}", key="interpolation")
-        return Table(table=columns_of(value["table"], "table"), interpolation=interpolation)
+        options = {key: option for key, option in value.items() if key in _TABLE_OPTIONS}
+        for key, option in options.items():
+            if option not in (known := get_args(_TABLE_OPTIONS[key])):
+                hint = did_you_mean(option, known) if isinstance(option, str) else ""
+                raise SpecError(f"should be {listed(known, 'or')}, not {_shown(option)}{hint}", key=key)
+        return _consistent(Table(table=columns_of(value["table"], "table"), **options))
     elif isinstance(value, Table):
-        return value
+        return _consistent(value)
     elif isinstance(value, bool) or not isinstance(value, int | float):
         raise SpecError(
             'should be a number, an expression of t such as "0.5*sin(2*pi*t)", or {table: [[t, ...], [value, ...]]}, '
@@ -96,7 +104,8 @@ def columns_of(value: Any, key: str = "", *, at: str = "times", of: str = "value
             raise SpecError(f"should be a list of numbers, not {_shown(column)}", key=f"{key}[{number}]")
         for row, x in enumerate(column):
             if isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= sys.float_info.max:
-                raise SpecError(f"should be a finite number, not {_shown(x)}", key=f"{key}[{number}][{row}]")
+                kind = TextForNumberError if isinstance(x, str) else SpecError
+                raise kind(f"should be a finite number, not {_shown(x)}", key=f"{key}[{number}][{row}]")
     times, values = (tuple(float(x) for x in column) for column in columns)
     if len(times) != len(values):
         raise SpecError(f"a table needs as many {of} as {at}; it has {len(values)} and {len(times)}", key=key)
@@ -110,6 +119,28 @@ def columns_of(value: Any, key: str = "", *, at: str = "times", of: str = "value
     return times, values
 
 
+def _consistent(table: Table) -> Table:
+    """Return a table unchanged; raise SpecError if its options do not fit its points or each other."""
+    times, values = table.table
+    if table.interpolation == "linear" and table.ends in ("natural", "clamped"):
+        raise SpecError(
+            f"the ends of lines cannot be {table.ends}; use `interpolation: cubic` or quintic, or leave `ends` out",
+            key="ends",
+        )
+    if table.interpolation == "quintic" and table.ends == "not-a-knot" and len(times) < 6:
+        raise SpecError(
+            f"a quintic spline needs six points or more, not {len(times)}, unless its ends are natural, clamped or "
+            "periodic",
+            key="interpolation",
+        )
+    if table.ends == "periodic" and not abs(values[-1] - values[0]) <= 1e-12 * max(map(abs, values)):
+        raise SpecError(
+            f"the first and the last value of a periodic table must be equal, not {values[0]!r} and {values[-1]!r}",
+            key="ends",
+        )
+    return table
+
+
 # `StrictModel` sets allow_inf_nan too; it is repeated here because these types are also validated outside of models.
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -117,28 +148,41 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Point = Annotated[tuple[Number, Number], BeforeValidator(pair("two numbers [x, y]"))]
 Points = Annotated[tuple[Point, Point], BeforeValidator(pair("two points, one in each body's frame, [[x, y], [x, y]]"))]
 BodyPair = Annotated[tuple[str, str], BeforeValidator(pair("two body names [first, second]"))]
+Interpolation = Literal["cubic", "quintic", "linear"]
+Ends = Literal["natural", "clamped", "periodic", "not-a-knot"]
+_TABLE_OPTIONS: Mapping[str, Any] = {"interpolation": Interpolation, "ends": Ends}
 Columns = Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidator(columns_of)]
 
 
 class Table(StrictModel):
-    """A function of time given by points and interpolated by a cubic spline with not-a-knot ends, or by lines.
+    """A function of time given by points and interpolated by a cubic or quintic spline, or by lines.
 
-    Three points give a parabola, and two points give a line. The first and second derivatives of a spline are
-    continuous; the third derivative jumps at the points, and that of lines the first. Steps end at the points. The
-    table must cover the time span of the run.
+    A cubic spline has two continuous derivatives, and a quintic one four. With the default ends, three points of a
+    cubic spline give a parabola and two a line, and a quintic one needs six points. Steps end at the points where a
+    derivative jumps that matters to the method. The table must cover the time span of the run, unless it is periodic.
     """
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("interpolation",)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("interpolation", "ends")
 
     table: Columns
     """Strictly increasing times [s] and the value at each time: ``[[t, ...], [value, ...]]``."""
-    interpolation: Literal["cubic", "linear"] = "cubic"
-    """A cubic spline, or lines between the points, whose rate jumps there: for loads, not for drivers."""
+    interpolation: Interpolation = "cubic"
+    """A cubic or quintic spline, or lines between the points, whose rate jumps there: for loads, not for drivers."""
+    ends: Ends = "not-a-knot"
+    """Condition at the ends of a spline: `not-a-knot` (the outer pieces continue the polynomials of their neighbours),
+    `natural` (no curvature at the ends; a quintic spline: no third and fourth derivative), `clamped` (no rate there; a
+    quintic spline: no rate and no second derivative), or `periodic`: the table repeats, its first and last values
+    are equal, and it may be shorter than the run."""
 
     @property
     def span(self) -> tuple[float, float]:
         """First and last time [s]."""
         return self.table[0][0], self.table[0][-1]
+
+    @property
+    def period(self) -> float:
+        """Time after which the table repeats [s]; 0 if it does not."""
+        return self.span[1] - self.span[0] if self.ends == "periodic" else 0.0
 
 
 Motion = Annotated[Number | str | Table, BeforeValidator(_motion)]

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbdkit.mechanism.parameters import parameter_values, with_expressions
+from mbdkit.plain_data import plain
 from mbdkit.plot.plane_geometry import Array, convex_hull
 
 if TYPE_CHECKING:
@@ -50,7 +52,7 @@ class Drawing:
     springs, bars
         Pairs of points joined by a spring, or by a massless bar (a distance joint).
     guides, sliders
-        Pairs of points that are the ends of the line of a prismatic joint, and the points that slide on them.
+        Pairs of points that are the ends of the line of a sliding joint, and the points that slide on them.
     welds
         Points drawn as rigid connections.
     traces
@@ -120,17 +122,21 @@ def build_mechanism(spec: Mapping[str, Any]) -> Mechanism:
     Raises
     ------
     SpecError
-        The model is not installed.
-    pydantic.ValidationError
-        The installed model does not accept the parameters.
+        The model is not installed, or does not accept its options.
     """
     from mbdkit.registry.items import ModelPlugin
     from mbdkit.registry.manager import registry
 
-    parameters = dict(spec["model"])
-    plugin = registry().get("model", parameters.pop("name")).plugin
+    given = plain(spec["model"])
+    plugin = registry().get("model", given.pop("name")).plugin
     assert isinstance(plugin, ModelPlugin)
-    return plugin.build(plugin.options.model_validate_json(json.dumps(parameters)))
+
+    def validate(values: Any) -> Any:
+        return plugin.options.model_validate_json(json.dumps(values))
+
+    numbers = parameter_values(spec.get("parameters"))
+    options, _ = with_expressions(validate, given, plugin.options, numbers, prefix="model")
+    return plugin.build(options)
 
 
 def draw_centres(bodies: Sequence[str]) -> Drawing:
@@ -167,7 +173,7 @@ def _travel(mechanism: Mechanism, joint: SlidingJoint) -> tuple[float, float]:
     elements = [*mechanism.joints.values(), *mechanism.forces.values()]
     places = [mechanism.to_global(name, point) for one in elements for _, name, point in one.attachments()]
     room = 0.25 * float(np.max(np.ptp(np.array(places), axis=0))) or 1.0
-    (a, b), (start, slider) = joint.bodies, joint.points
+    (a, b), (start, slider) = joint.bodies, joint.ends
     x, y = mechanism.to_local(a, mechanism.to_global(b, slider))
     along = (x - start[0]) * joint.direction[0] + (y - start[1]) * joint.direction[1]
     return min(along, 0.0) - room, max(along, 0.0) + room
@@ -234,8 +240,8 @@ class _Sketch:
                 self.traced.update(self.owner[index] for index in moving)
 
     def guide(self, joint: SlidingJoint, travel: tuple[float, float]) -> None:
-        """Add the line of a prismatic joint between two distances along its axis [m]."""
-        (x, y), (dx, dy) = joint.points[0], joint.direction
+        """Add the line of a sliding joint between two distances along its axis [m]."""
+        (x, y), (dx, dy) = joint.ends[0], joint.direction
         low, high = (self.point(self.index[joint.bodies[0]], (x + s * dx, y + s * dy)) for s in travel)
         self.guides.append((low, high))
 

@@ -86,10 +86,10 @@ def _examples() -> Any:
 def read_source(source: Any) -> Document:
     """Read `source` into a document without validation; see `load_spec` for the kinds of source."""
     if isinstance(source, RunSpec):
-        fields = type(source).model_fields
-        values = {name: (getattr(source, name), info.default) for name, info in fields.items()}
+        default = {name: info.get_default(call_default_factory=True) for name, info in RunSpec.model_fields.items()}
+        values = source.sections()
         return Document(
-            {name: value for name, (value, default) in values.items() if name not in _OMITTED or value != default}
+            {name: value for name, value in values.items() if name not in _OMITTED or value != default[name]}
         )
     if isinstance(source, Mapping):
         return Document(copied(source))

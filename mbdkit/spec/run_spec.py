@@ -44,13 +44,17 @@ class RunSpec(StrictSpec):
     """
 
     model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("events", "check", "accuracy", "choose", "impacts")
+    EXPRESSIONS_IN: ClassVar[str] = "model"
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("parameters", "events", "check", "accuracy", "choose", "impacts")
     """Keys that the canonical form omits by default, so that specs written before they existed keep hash and run id."""
 
     mbdkit: Literal[1]
     """Version of the spec format."""
     title: str = ""
     """Title of the run, free text."""
+    parameters: dict[str, float | str] = Field(default_factory=dict)
+    """Named numbers. Any number of the model may be an expression of them, such as `0.5*crank`, and so may motions,
+    events and, in any order, other parameters. Angles may be written as `degrees(45)`."""
     model: Annotated[BaseModel, Choice("model")]
     """The model: its name and its parameters."""
     formulation: Literal["index-1", "index-2", "index-3", "ggl"] = "index-1"
@@ -170,7 +174,7 @@ class RunSpec(StrictSpec):
             Step [s]; for an adaptive method the first step, or None.
         """
         time = {"start": self.time.start, "end": self.time.final, "step": step}
-        data = {name: getattr(self, name) for name in type(self).model_fields}
+        data = self.sections()
         spec = type(self)(**data | {"integrator": integrator, "time": time, "choose": "nothing"})
         spec._document, spec._mechanism, spec._watched = self._document, self._mechanism, self._watched
         return spec
@@ -263,7 +267,7 @@ class RunSpec(StrictSpec):
         parsed = {}
         for name, event in self.events.items():
             try:
-                parsed[name] = RunExpression.parse(event.when, mechanism)
+                parsed[name] = RunExpression.parse(event.when, mechanism, self.numbers)
             except SpecError as error:
                 raise SpecError(error.message, key=f"events.{name}.when") from None
         return parsed

@@ -18,6 +18,8 @@ from mbdkit.spec.run_spec import spec_type
 from mbdkit.spec.study_spec import StudySpec
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
+EXPRESSION = "[-+*/(A-Za-z]"
+"""Pattern that distinguishes an expression from a number in quotes."""
 HOME = "https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/{}.schema.json"
 
 
@@ -41,7 +43,29 @@ def run_schema(installed: Registry | None = None) -> dict[str, Any]:
     if laws:  # an element of type law must use one of the installed laws
         definitions[names[1]] = {"oneOf": [{"$ref": f"#/$defs/{name}"} for name in names[2:]]}
     schema = {"$defs": definitions, **schema}
+    _allow_expressions(schema)
     return {"$schema": DRAFT, **_described(schema)}
+
+
+def _allow_expressions(schema: dict[str, Any]) -> None:
+    """Let every number of the model also be an expression, in a schema of run specs; limits hold for numbers only."""
+    definitions = schema["$defs"]
+    reached: set[str] = set()
+    pending: list[Any] = [schema["properties"]["model"]]
+    while pending:
+        part = pending.pop()
+        if isinstance(part, list):
+            pending += part
+            continue
+        if not isinstance(part, dict):
+            continue
+        name = part.get("$ref", "").rpartition("/")[2] if isinstance(part.get("$ref"), str) else ""
+        if name and name not in reached:
+            reached.add(name)
+            pending.append(definitions[name])
+        if part.get("type") in ("number", "integer"):
+            part |= {"type": [part["type"], "string"], "pattern": EXPRESSION}
+        pending += part.values()
 
 
 def study_schema(installed: Registry | None = None) -> dict[str, Any]:

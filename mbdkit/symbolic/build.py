@@ -337,7 +337,9 @@ def _jet(motion: Any) -> Jet:
     """Return the value and the first two time derivatives of a motion: a number, an expression in t, or a table."""
     if isinstance(motion, Table):
         value = _spline(motion)
-        return value, value.diff(TIME), value.diff(TIME, 2)
+        within = _within_the_period(motion)
+        jet = value, value.diff(TIME), value.diff(TIME, 2)
+        return jet if within is None else tuple(one.xreplace({TIME: within}) for one in jet)
     if not isinstance(motion, str):
         return _number(motion), sp.Integer(0), sp.Integer(0)
     value = Expression.parse(motion).to_sympy()
@@ -348,14 +350,22 @@ def _jet(motion: Any) -> Jet:
 
 def _spline(table: Table) -> sp.Expr:
     """Return the piecewise polynomial of a table; the first and last pieces extrapolate it."""
-    times = table.table[0]
     curve = curve_of(table)
+    times = curve.x.tolist()
     degree = len(curve.c) - 1
     pieces = []
     for begin, end, coefficients in zip(times, times[1:], curve.c.T, strict=False):
         piece = sum(_number(c) * (TIME - _number(begin)) ** (degree - i) for i, c in enumerate(coefficients))
         pieces.append((piece, sp.true if end == times[-1] else sp.Lt(TIME, _number(end))))
     return sp.Piecewise(*pieces)
+
+
+def _within_the_period(table: Table) -> sp.Expr | None:
+    """Return the time at which the curve of a periodic table has its value; None if the table is not periodic."""
+    if not table.period:
+        return None
+    first = _number(table.table[0][0])
+    return first + sp.Mod(TIME - first, _number(table.period))
 
 
 def _angle(value: float) -> sp.Expr:

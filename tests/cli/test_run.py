@@ -6,6 +6,7 @@ import json
 import os
 
 import h5py
+import numpy as np
 import pytest
 
 from mbdkit import load
@@ -342,3 +343,35 @@ def test_what_is_no_archive_is_refused(command, name, mbdkit, in_tmp_path):
     assert result.exit_code == 2
     assert result.stderr.startswith(f"error: {name}: ")
     assert len(result.stderr.splitlines()) == 1
+
+
+def test_a_parameter_is_set_from_the_command_line(mbdkit, tmp_path):
+    short = ["--set", "time.end=0.02", "--quiet"]
+    result = mbdkit("run", "quick-return", "--set", "parameters.crank=0.12", *short, "-o", tmp_path / "a.h5")
+    assert result.exit_code == 0
+    assert result.stderr == ""
+    with load(tmp_path / "a.h5") as run:
+        assert np.hypot(*run["crank"].position[0]) == pytest.approx(0.06, abs=1e-12)
+        assert run.spec["parameters"]["crank"] == 0.12
+
+
+@pytest.mark.parametrize(
+    ("assignment", "message"),
+    [
+        ("parameters.crank=1/0", "parameters.crank: '1/0' divides by zero"),
+        ("parameters.crank=2*stroke", "depends on itself: "),
+        ("parameters.crank=-0.1*leverr", "parameters.crank: there is no parameter 'leverr' (did you mean 'lever'?)"),
+        ("model.bodies.ram.mass=2*crnk", "model.bodies.ram.mass: there is no parameter 'crnk' (did you mean 'crank'?)"),
+    ],
+)
+def test_a_wrong_parameter_from_the_command_line_is_answered_with_its_key(mbdkit, tmp_path, assignment, message):
+    result = mbdkit("run", "quick-return", "--set", assignment, "-o", tmp_path / "a.h5")
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_misspelled_parameter_is_told(mbdkit, tmp_path):
+    assignments = ["--set", "parameters.cranck=0.12", "--set", "time.end=0.02"]
+    result = mbdkit("run", "quick-return", *assignments, "-o", tmp_path / "a.h5")
+    assert "warning: the parameter at parameters.cranck is not used (did you mean 'crank'?)" in result.stderr

@@ -55,7 +55,7 @@ WRONG = {
         free('"0.1*cos(t)"', "{table: [[0, 1], [0, 1]], interpolation: steps}"),
         13,
         "model.forces.m.value.interpolation",
-        "cubic or linear",
+        "cubic, quintic or linear",
     ),
     "unknown key at the top": (small("time:", "tiem:"), 6, "tiem", "did you mean 'time'?"),
     "unknown key below": (small("step:", "stpe:"), 8, "time.stpe", "did you mean 'step'?"),

@@ -11,10 +11,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PPoly, make_interp_spline
 
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
-from mbdkit.mechanism.joints import Distance, Driver, Prismatic, Revolute, Weld
+from mbdkit.mechanism.joints import Distance, Driver, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Coordinate, RelativeAngle, TwoPoints
@@ -66,7 +66,11 @@ _NAMES: dict[str, Any] = {
 
 @lru_cache(maxsize=1024)
 def _spline(table: Table) -> Any:
-    return CubicSpline(*table.table)
+    if table.interpolation == "cubic":
+        return CubicSpline(*table.table, bc_type=table.ends)
+    assert table.interpolation == "quintic"
+    ends = {"natural": [(3, 0.0), (4, 0.0)], "clamped": [(1, 0.0), (2, 0.0)]}[table.ends]
+    return PPoly.from_spline(make_interp_spline(*table.table, k=5, bc_type=(ends, ends)))
 
 
 @lru_cache(maxsize=1024)
@@ -174,6 +178,7 @@ class ByHand:
             elif isinstance(joint, Distance):
                 rows.append(np.sqrt(gap[0] ** 2 + gap[1] ** 2) - joint.length)
             else:
+                assert isinstance(joint, Prismatic | PointOnLine)
                 rows.append(cross(turned(self.angle(q, a), joint.axis), gap) / np.hypot(*joint.axis))
             if isinstance(joint, Prismatic | Weld):
                 rows.append(turn - self.held_angle(joint))

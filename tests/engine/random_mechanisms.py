@@ -100,6 +100,8 @@ def slides(rng: np.random.Generator) -> Mechanism:
     m.prismatic("cross", "rod", "frame", points=((0.0, 0.1), (0.3, 0.2)), axis=(0.2, 0.5))
     m.weld("foot", "rod", "fin", points=((-0.3, 0.0), (0.1, 0.4)))
     m.spring_damper("s", "arm", "rod", points=((0.0, 0.4), (0.2, 0.0)), stiffness=20.0, damping=1.0)
+    add_rod(m, rng, "roller", rng.normal(size=2), 0.5)
+    m.point_on_line("slot", "frame", "roller", points=((0.1, -0.2), (0.3, 0.1)), axis=(0.4, 1.0))
     return m
 
 

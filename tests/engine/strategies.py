@@ -120,7 +120,10 @@ def motion(draw: DrawFn, start: float, value: float, size: float) -> Any:
         return f"{value!r} + {number(draw, -size, size)!r}*({text})"
     away = [0.25 * number(draw, -size, size) for _ in range(4)]
     times = [start + KNOTS * k for k in range(-1, 4)]
-    return {"table": [times, [value + away[0], value, *(value + x for x in away[1:])]]}
+    shape = draw(
+        st.sampled_from([{}, {"ends": "natural"}, {"ends": "clamped"}, {"interpolation": "quintic", "ends": "natural"}])
+    )
+    return {"table": [times, [value + away[0], value, *(value + x for x in away[1:])]], **shape}
 
 
 # ---- bodies ------------------------------------------------------------------------------------------------------
@@ -196,6 +199,20 @@ def prismatic(draw: DrawFn, m: Mechanism, name: str, a: str, b: str, start: floa
     return True
 
 
+def point_on_line(draw: DrawFn, m: Mechanism, name: str, a: str, b: str, start: float) -> bool:
+    """Add a pin of `b`, which may be a point mass, in a slot of `a`."""
+    if is_point_mass(m, a):
+        return False
+    pin = a_point(draw, m, b, between(m, a, b))
+    tilt, along = number(draw, -3, 3), number(draw, -1, 1)
+    at = moved(pin, (along * math.cos(tilt), along * math.sin(tilt)))
+    inward = tilt - m.relative_angle(GROUND, a)
+    scale = draw(st.sampled_from([1.0, 0.2, 5.0]))
+    axis = (scale * math.cos(inward), scale * math.sin(inward))
+    m.point_on_line(name, a, b, points=(local(m, a, at), local(m, b, pin)), axis=axis)
+    return True
+
+
 def weld(draw: DrawFn, m: Mechanism, name: str, a: str, b: str, start: float) -> bool:
     if is_point_mass(m, a) or is_point_mass(m, b):
         return False
@@ -233,7 +250,7 @@ def driver(draw: DrawFn, m: Mechanism, name: str, a: str, b: str, start: float) 
 
 
 JOINTS: tuple[Callable[[DrawFn, Mechanism, str, str, str, float], bool], ...] = (
-    revolute, prismatic, weld, distance, driver,
+    revolute, prismatic, point_on_line, weld, distance, driver,
 )  # fmt: skip
 assert len(JOINTS) == len(get_args(get_args(Joint)[0])), "every type of joint is drawn"
 

@@ -9,7 +9,7 @@ import pytest
 import sympy as sp
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 from mbdkit.engine.assembly import assemble
 from mbdkit.errors import SpecError
@@ -149,6 +149,47 @@ def test_a_table_has_the_value_rate_and_acceleration_of_the_spline_of_scipy(tabl
     for order in range(3):
         expected = spline(times, order)
         np.testing.assert_allclose(found[:, order], expected, rtol=1e-13, atol=1e-13 * np.abs(expected).max())
+
+
+NO_DERIVATIVES = {"natural": [(3, 0.0), (4, 0.0)], "clamped": [(1, 0.0), (2, 0.0)]}
+"""Derivatives of a quintic spline that vanish at either end."""
+
+
+def spline_of_scipy(columns: Any, interpolation: str, ends: str) -> Any:
+    """Return the spline of SciPy for a table with these options."""
+    if interpolation == "cubic":
+        return CubicSpline(*columns, bc_type=ends)
+    return make_interp_spline(*columns, k=5, bc_type=(NO_DERIVATIVES[ends],) * 2 if ends in NO_DERIVATIVES else ends)
+
+
+@pytest.mark.parametrize("table", ["seven points", "many points", "two points"])
+@pytest.mark.parametrize("ends", ["natural", "clamped", "periodic", "not-a-knot"])
+@pytest.mark.parametrize("interpolation", ["cubic", "quintic"])
+def test_splines_with_other_ends_are_those_of_scipy(table: str, ends: str, interpolation: str) -> None:
+    # expected: SciPy's splines at the points, between them, a little outside, and for periodic ones far outside
+    columns = [list(column) for column in TABLES[table]]
+    if ends == "periodic":
+        columns[1][-1] = columns[1][0]
+    elif interpolation == "quintic" and ends == "not-a-knot" and len(columns[0]) < 6:
+        return
+    first, last = columns[0][0], columns[0][-1]
+    spline = spline_of_scipy(columns, interpolation, ends)
+    beyond = 2.3 * (last - first) if ends == "periodic" else 1e-9
+    times = tuple(np.concatenate([columns[0][:-1], np.linspace(first - beyond, last + beyond, 301)]))
+    found = jets([{"table": columns, "interpolation": interpolation, "ends": ends}], times)[:, 0]
+    pieces = 1.0 / np.min(np.diff(columns[0]))
+    for order in range(3):
+        expected = spline(times, order)
+        rounding = 1e-13 * max(np.abs(expected).max(), pieces**order * np.abs(columns[1]).max())
+        np.testing.assert_allclose(found[:, order], expected, rtol=0, atol=rounding)
+
+
+def test_lines_repeat_if_they_are_periodic() -> None:
+    # expected: a sawtooth, by hand
+    table = {"table": [[1.0, 2.0, 4.0], [0.5, 2.5, 0.5]], "interpolation": "linear", "ends": "periodic"}
+    found = jets([table], (0.5, 1.25, 3.0, 4.5, 7.0, -2.0))[:, 0]
+    np.testing.assert_allclose(found[:, 0], (1.0, 1.0, 1.5, 1.5, 0.5, 0.5), rtol=1e-15)
+    np.testing.assert_allclose(found[:5, 1], (-1.0, 2.0, -1.0, 2.0, 2.0))
 
 
 def test_two_and_three_points_are_a_line_and_a_parabola() -> None:

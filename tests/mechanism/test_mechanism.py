@@ -2,10 +2,12 @@
 
 import copy
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
+from mbdkit.engine.assembly import assemble
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.joints import Revolute
@@ -189,7 +191,7 @@ CHANGES = {
         "joints.A.type",
         "torque",
         "model.joints.A.type",
-        "known: revolute, prismatic, weld, distance, driver",
+        "known: revolute, prismatic, point-on-line, weld, distance, driver",
     ),
     "slide without axis": (
         "joints.A",
@@ -215,7 +217,7 @@ CHANGES = {
         "joints.A",
         {**SLIDE, "type": "weld"},
         "model.joints.A.axis",
-        "unknown key; known here: bodies, points, type, angle",
+        "unknown key; known here: bodies, points, at, type, angle",
     ),
     "angle as text": ("joints.A", {**SLIDE, "angle": "pi"}, "model.joints.A.angle", "number"),
     "motion as a list": ("joints.E.motion", [1, 2], "model.joints.E.motion", "or {table: [[t, ...], [value, ...]]}"),
@@ -307,11 +309,11 @@ def test_the_builder_answers_at_once():
         m.body("bob", mass=0)
     with pytest.raises(SpecError, match="did you mean 'rod'"):
         m.revolute("A", m.ground, "rodd", at=(0, 0))
-    with pytest.raises(SpecError, match=r"either as points= .* or as at "):
+    with pytest.raises(SpecError, match=r"A\.points: is missing: .* or give `at` in the global frame"):
         m.revolute("A", m.ground, rod)
-    with pytest.raises(SpecError, match=r"either as points= .* or as from_ and to "):
+    with pytest.raises(SpecError, match=r"s\.to: is missing: `from` and `to` go together"):
         m.spring_damper("s", m.ground, rod, from_=(0, 0), stiffness=1)
-    with pytest.raises(SpecError, match=r"model\.joints\.D\.length: is missing: .*only with from_ and to"):
+    with pytest.raises(SpecError, match=r"model\.joints\.D\.length: is missing: .*only with `from` and `to`"):
         m.distance("D", m.ground, rod, points=[(0, 0), (0, 0)])
     with pytest.raises(SpecError, match="use a revolute joint"):
         m.distance("D", m.ground, rod, from_=(1, 1), to=(1, 1))
@@ -351,3 +353,109 @@ def test_validate_finds_what_was_put_in_by_hand():
     m.joints["J"] = Revolute(bodies=("ground", "a"), points=((0, 0), (0.1, 0)))
     with pytest.raises(SpecError, match="point mass"):
         m.validate()
+
+
+# ---- points in the global frame ------------------------------------------------------------------------------------
+
+TURNED = {"mass": 1.0, "inertia": 0.1, "position": [1.0, 2.0], "angle": 0.7}
+GLOBALLY: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
+    "revolute": ("joints", {"type": "revolute"}, {"at": [0.3, -0.4]}),
+    "prismatic": ("joints", {"type": "prismatic", "axis": [1.0, 2.0]}, {"at": [0.3, -0.4]}),
+    "point-on-line": ("joints", {"type": "point-on-line", "axis": [1.0, 2.0]}, {"at": [0.3, -0.4]}),
+    "weld": ("joints", {"type": "weld"}, {"at": [0.3, -0.4]}),
+    "distance": ("joints", {"type": "distance"}, {"from": [0.3, -0.4], "to": [0.6, 0.0]}),
+    "spring-damper": ("forces", {"type": "spring-damper", "stiffness": 2.0}, {"from": [0.3, -0.4], "to": [0.6, 0.0]}),
+}
+CALLS = {
+    "revolute": Mechanism.revolute,
+    "prismatic": Mechanism.prismatic,
+    "point-on-line": Mechanism.point_on_line,
+    "weld": Mechanism.weld,
+    "distance": Mechanism.distance,
+    "spring-damper": Mechanism.spring_damper,
+}
+
+
+def with_element(kind: str, element: dict[str, Any], **rod: Any) -> dict[str, Any]:
+    bodies = {"rod": {**TURNED, **rod}, "bob": {"mass": 1.0, "position": [0.1 + 0.2, 0.5]}}
+    return {"name": "mechanism", "bodies": bodies, kind: {"E": {"bodies": ["bob", "rod"], **element}}}
+
+
+@pytest.mark.parametrize("case", GLOBALLY)
+def test_an_element_placed_in_the_global_frame_is_that_of_the_builder(case: str) -> None:
+    kind, element, places = GLOBALLY[case]
+    first = "at" if "at" in places else "from"
+    m = Mechanism.from_spec(with_element(kind, {**element, **places, "bodies": ["ground", "rod"]}))
+    built = Mechanism()
+    rod = built.body("rod", **TURNED)
+    options = {key: value for key, value in element.items() if key != "type"}
+    options |= {"from_" if key == "from" else key: place for key, place in places.items()}
+    CALLS[case](built, "E", built.ground, rod, **options)
+    one = getattr(m, kind)["E"]
+    assert one == getattr(built, kind)["E"]
+    # by hand: R(-0.7) (p - r)
+    x, y = places["at" if first == "at" else "to"]
+    c, s = math.cos(0.7), math.sin(0.7)
+    assert one.points == (
+        tuple(places[first]),
+        pytest.approx((c * (x - 1) + s * (y - 2), -s * (x - 1) + c * (y - 2))),
+    )
+    if case == "distance":
+        assert one.length == pytest.approx(0.5)
+    assert Mechanism.from_spec(m.to_spec()).to_spec() == m.to_spec()
+    assert "points" in m.to_spec()[kind]["E"]
+    assert first not in m.to_spec()[kind]["E"]
+
+
+def test_a_pathway_and_a_force_are_placed_in_the_global_frame() -> None:
+    pathway = {"type": "two-points", "bodies": ["ground", "rod"], "from": [0.3, -0.4], "to": [1.0, 2.0]}
+    spec = with_element("forces", {"type": "force", "body": "rod", "at": [1.0, 2.0], "value": [1, 0]})
+    del spec["forces"]["E"]["bodies"]
+    spec["forces"]["L"] = {"type": "law", "law": "linear", "pathway": pathway, "stiffness": 1.0}
+    m = Mechanism.from_spec(spec)
+    assert m.forces["E"].point == (0, 0)
+    assert m.forces["L"].pathway.points == ((0.3, -0.4), (0, 0))
+
+
+WRONGLY: dict[str, tuple[dict[str, Any], str, str]] = {
+    "neither": ({"type": "revolute"}, "points", "or give `at` in the global frame"),
+    "both": ({"type": "weld", "at": [0, 0], "points": [[0, 0], [0, 0]]}, "at", "or as `at` (in the global frame), not"),
+    "from alone": ({"type": "distance", "from": [0, 0]}, "to", "`from` and `to` go together"),
+    "to alone": ({"type": "distance", "to": [0, 0], "length": 1}, "from", "`from` and `to` go together"),
+    "both of a distance": (
+        {"type": "distance", "from": [0, 0], "to": [1, 0], "points": [[0, 0], [0, 0]]},
+        "from",
+        "either as `points`",
+    ),
+    "no length": ({"type": "distance", "points": [[0, 0], [0, 0]]}, "length", "only with `from` and `to`"),
+    "one place": ({"type": "distance", "from": [0.3, 0.5], "to": [0.3, 0.5]}, "to", "use a revolute joint"),
+    "point mass": ({"type": "revolute", "at": [0.31, 0.5]}, "at", "its only point is its position [0.3, 0.5]"),
+    "slot in a point mass": (
+        {"type": "point-on-line", "at": [0.3, 0.5], "axis": [1, 0]},
+        "bodies[0]",
+        "'bob' is a point mass (it has no inertia), so it has no angle for a point-on-line",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONGLY)
+def test_a_wrong_place_in_the_global_frame_is_answered_with_its_key(case: str) -> None:
+    element, key, message = WRONGLY[case]
+    with pytest.raises(SpecError) as caught:
+        Mechanism.from_spec(with_element("joints", element))
+    assert caught.value.key == f"model.joints.E.{key}"
+    assert message in caught.value.message
+
+
+def test_a_point_mass_is_held_at_its_place_whatever_its_rounding() -> None:
+    m = Mechanism.from_spec(with_element("joints", {"type": "revolute", "at": [0.3, 0.5]}))
+    assert m.joints["E"].points[0] == (0.0, 0.0)
+
+
+def test_a_place_is_in_the_position_as_given_before_assembly() -> None:
+    spec = with_element("joints", {"type": "revolute", "bodies": ["ground", "rod"], "at": [1.5, 2.0]}, angle=0.0)
+    spec["joints"]["D"] = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle", "motion": 0.2}
+    m = Mechanism.from_spec(spec)
+    assert m.joints["E"].points == ((1.5, 2.0), (0.5, 0.0))
+    x, y, angle = assemble(m).q[0]
+    assert (x + 0.5 * math.cos(angle), y + 0.5 * math.sin(angle)) == pytest.approx((1.5, 2.0))

@@ -24,6 +24,7 @@ NAMES = [
     "limit-stop",
     "n-four-bar",
     "pendulum",
+    "quick-return",
     "slider-crank",
     "spring-pendulum",
     "watt-six-bar",

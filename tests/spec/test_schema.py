@@ -72,3 +72,17 @@ def test_the_schema_of_a_study_knows_the_keys_of_its_base_and_refers_to_nothing_
     text = json.dumps(schema)
     for reference in re.findall(r'"#/\$defs/(.*?)"', text):
         assert reference in schema["$defs"]
+
+
+def test_every_number_of_the_model_may_be_an_expression_and_no_other():
+    schema = run_schema()
+    numbers = schema["$defs"]["Body"]["properties"]["mass"], schema["$defs"]["Body"]["properties"]["position"]
+    assert numbers[0]["type"] == ["number", "string"]
+    assert numbers[0]["exclusiveMinimum"] == 0
+    assert numbers[1]["prefixItems"][0]["type"] == ["number", "string"]
+    for text, meant in {"0.5*crank": True, "degrees(45)": True, "crank": True, "2.5": False}.items():
+        assert bool(re.search(numbers[0]["pattern"], text)) is meant
+    assert "string" not in json.dumps(schema["$defs"]["Time"])
+    assert schema["properties"]["parameters"]["additionalProperties"] == {
+        "anyOf": [{"type": "number"}, {"type": "string"}]
+    }

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import make_interp_spline
 
 import mbdkit
 from mbdkit.engine.consistent_start import workspace_at_start
@@ -345,3 +346,73 @@ def test_a_step_that_ends_at_an_impact_ends_with_the_velocities_before_it() -> N
     at = next(t for t in ends if t == pytest.approx(1.0037, abs=1e-9))
     assert ends[at] == pytest.approx((1.0, 1.0))
     assert ends[min(t for t in ends if t > at)] == pytest.approx((0.0, 0.0), abs=1e-12)
+
+
+# ---- quintic and periodic tables -----------------------------------------------------------------------------------
+
+KNOTS = [-0.5, 0.0371, 0.4113, 0.7317, 1.0531, 1.3919, 1.7673, 2.5]
+"""Times of a table, none of which is on the grids below [s]."""
+
+
+def quintic(ends: str = "clamped") -> dict[str, Any]:
+    values = [math.sin(3.0 * t) for t in KNOTS]
+    return {"table": [KNOTS, values], "interpolation": "quintic", "ends": ends}
+
+
+@pytest.mark.parametrize(
+    ("integrator", "stops_of_a_load", "stops_of_a_driver"), [({"name": "rk4"}, 0, 0), (GAUSS, 6, 6), (DOP853, 6, 6)]
+)
+def test_steps_end_at_knots_of_a_quintic_table_only_where_the_method_needs_it(
+    integrator: dict[str, Any], stops_of_a_load: int, stops_of_a_driver: int
+) -> None:
+    time = {"end": 2.0} if integrator.get("adaptive") else {"end": 2.0, "step": 0.1}
+    for model, stops in ((pushed(quintic()), stops_of_a_load), (driven(quintic()), stops_of_a_driver)):
+        spec = load_spec({"mbdkit": 1, "model": model, "integrator": integrator, "time": time})
+        assert stops_of(spec).times == pytest.approx([t for t in KNOTS if 0 < t < 2][:stops])
+
+
+@pytest.mark.parametrize(("integrator", "order"), [({"name": "rk4"}, 4), (GAUSS, 6), ({"name": "radau-iia"}, 5)])
+def test_a_method_keeps_its_order_over_the_knots_of_a_quintic_load(integrator: dict[str, Any], order: int) -> None:
+    # expected: the spline of SciPy, integrated twice; the mass is at rest at the start
+    curve = make_interp_spline(*quintic()["table"], k=5, bc_type=([(1, 0.0), (2, 0.0)],) * 2)
+    once, twice = curve.antiderivative(), curve.antiderivative(2)
+    errors = []
+    for step in (0.2, 0.1):
+        with run(pushed(quintic()), integrator, 2.0, step=step) as there:
+            exact = twice(there.time) - twice(0.0) - there.time * once(0.0)
+            errors.append(np.max(np.abs(there["a"].position[:, 0] - exact)))
+    assert math.log2(errors[0] / errors[1]) > order - 0.5 or errors[1] < 1e-12
+
+
+@pytest.mark.parametrize(("integrator", "order"), [({"name": "rk4"}, 4), (GAUSS, 6)])
+def test_a_method_keeps_its_order_over_the_knots_of_a_quintic_driver(integrator: dict[str, Any], order: int) -> None:
+    # expected: the spline of SciPy; a driven position is the second integral of an acceleration with jumps in its third
+    # derivative
+    curve = make_interp_spline(*quintic()["table"], k=5, bc_type=([(1, 0.0), (2, 0.0)],) * 2)
+    errors = []
+    for step in (0.1, 0.05):
+        with run(driven(quintic()), integrator, 2.0, step=step) as there:
+            errors.append(np.max(np.abs(there["a"].position[:, 0] - curve(there.time))))
+    assert math.log2(errors[0] / errors[1]) > order - 0.5 or errors[1] < 1e-12
+
+
+def test_a_periodic_table_goes_on_beyond_its_end_and_its_knots_repeat() -> None:
+    # expected: two integrals of a sine whose table has one period; a cubic spline with steps of 1/48 of the period
+    # differs from the sine by at most 5/384 (2 pi / 48)^4 = 4e-6, and the integrals by less
+    times = np.linspace(0.0, 0.5, 49)
+    table = {"table": [times.tolist(), np.sin(4 * np.pi * times).tolist()], "ends": "periodic"}
+    spec = {"mbdkit": 1, "model": pushed(table), "integrator": GAUSS, "time": {"end": 3.0, "step": 0.07}}
+    stops = stops_of(load_spec(spec)).times
+    assert stops[:3] == pytest.approx([0.5 / 48 * k for k in (1, 2, 3)])
+    assert len(stops) > 250
+    with mbdkit.run(spec).check() as there:
+        w = 4 * np.pi
+        exact = there.time / w - np.sin(w * there.time) / w**2
+        assert there["a"].position[:, 0] == pytest.approx(exact, abs=4e-6)
+        assert there.warnings == []
+
+
+def test_a_table_that_does_not_repeat_is_told_at_its_key() -> None:
+    table = {"table": [[0.0, 1.0, 2.0], [0.0, 1.0, 0.5]], "ends": "periodic"}
+    with pytest.raises(SpecError, match=r"forces\.f\.value\[0\]\.ends: the first and the last value of a periodic"):
+        load_spec({"mbdkit": 1, "model": pushed(table), "integrator": GAUSS, "time": {"end": 3.0, "step": 0.07}})

@@ -46,6 +46,8 @@ def every_element() -> Mechanism:
     m.weld("bolts", "disc_2", "plate", points=((0.4, 0.5), (-0.3, 0.1)), angle=0.15)
     m.body("slider", mass=0.6, inertia=0.02, position=(3.0, 1.0), angle=-0.1)
     m.prismatic("rail", "plate", "slider", points=((0.1, 0.2), (-0.1, 0.3)), axis=(0.6, 0.7))
+    m.body("roller", mass=0.3, inertia=0.01, position=(2.2, 1.1), angle=0.7)
+    m.point_on_line("slot", "plate", "roller", points=((0.2, 0.1), (0.04, -0.1)), axis=(-0.3, 0.8))
     m.driver("cam", "plate", "slider", coordinate="x", motion={"table": [[0, 0.5, 1, 2, 3], [0.4, 0.5, 0.3, 0.2, 0.1]]})
     m.spring_damper(
         "s", "arm", "disc_2", points=((0.1, 0.2), (0.2, -0.3)), stiffness=31.0, damping=1.7, free_length=0.4
@@ -263,8 +265,8 @@ def test_redundant_joints_have_accelerations_all_the_same() -> None:
 
 def test_a_state_that_is_not_one_is_refused() -> None:
     s = every_element().to_sympy()
-    with pytest.raises(ValueError, match="v should have 18 numbers, 3 for each of 6 bodies, not 2"):
-        s.evaluate(0.0, np.zeros(18), [0.0, 1.0])
+    with pytest.raises(ValueError, match="v should have 21 numbers, 3 for each of 7 bodies, not 2"):
+        s.evaluate(0.0, np.zeros(21), [0.0, 1.0])
     m = Mechanism()
     m.body("b", mass=1.0, inertia=1.0)
     m.distance("d", m.ground, "b", points=((0, 0), (0, 0)), length=1.0)
@@ -278,20 +280,21 @@ def test_a_mechanism_that_is_not_valid_is_refused() -> None:
 
 
 FIELDS = {
-    "spring-damper": {"type", "bodies", "points", "stiffness", "damping", "free_length"},
+    "spring-damper": {"type", "bodies", "points", "from_", "to", "stiffness", "damping", "free_length"},
     "torsion-spring": {"type", "bodies", "stiffness", "damping", "free_angle"},
     "torque": {"type", "body", "value", "reaction_body"},
-    "force": {"type", "body", "point", "value", "frame"},
+    "force": {"type", "body", "point", "at", "value", "frame"},
     "law": {"type", "law", "pathway"},
 }
-"""What `mbdkit.symbolic.build` reads of each force element."""
+"""What `mbdkit.symbolic.build` reads of each force element; once it is placed, `at`, `from_` and `to` are None."""
 
 
 def test_every_force_element_has_a_symbolic_form_and_no_key_of_one_is_left_out() -> None:
     kinds = get_args(get_args(Force)[0])
     assert {kind.model_fields["type"].default: set(kind.model_fields) for kind in kinds} == FIELDS
     present = [*every_element().joints.values(), *every_element().forces.values()]
-    assert {one.type for one in present} >= FIELDS.keys() | {"revolute", "distance", "driver", "prismatic", "weld"}
+    joints = {"revolute", "distance", "driver", "prismatic", "point-on-line", "weld"}
+    assert {one.type for one in present} >= FIELDS.keys() | joints
 
 
 # ---- LaTeX --------------------------------------------------------------------------------------------------------

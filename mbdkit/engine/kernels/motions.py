@@ -2,7 +2,7 @@
 
 Each stack entry is a jet: value, first and second derivative by t. The derivatives are therefore exact up to rounding
 errors. Jets are used instead of symbolic derivatives because they need no SymPy at run time, and a new expression
-requires no compilation. A table is a single instruction, a piecewise cubic, whose data follow the constants of all
+requires no compilation. A table is a single instruction, a piecewise polynomial, whose data follow the constants of all
 programs in `values`.
 """
 
@@ -116,24 +116,34 @@ def _binary(op, a0, a1, a2, b0, b1, b2):
 
 
 @subkernel
-def _piecewise_cubic(t, values, start):
-    """Return the jet of a piecewise cubic; the first and last pieces extrapolate it.
+def _piecewise_polynomial(t, values, start):
+    """Return the jet of a piecewise polynomial; the first and last pieces extrapolate it unless it is periodic.
 
-    Starting at index `start`, `values` holds the number of pieces n, their n + 1 end times, and for each piece four
-    coefficients in ascending powers of the time since its beginning. The piece is found by bisection.
+    Starting at index `start`, `values` holds the number of pieces n, the number m of coefficients of a piece, the
+    period or 0, the n + 1 end times of the pieces, and for each piece m coefficients in ascending powers of the time
+    since its beginning. The piece is found by bisection, its value and derivatives by Horner's rule.
     """
-    pieces = int(values[start])
+    pieces, terms, period = int(values[start]), int(values[start + 1]), values[start + 2]
+    first = start + 3
+    if period > 0.0:
+        t = values[first] + (t - values[first]) % period  # as SciPy does, with the same rounding
     low, high = 0, pieces
     while high - low > 1:
         middle = (low + high) // 2
-        if values[start + 1 + middle] <= t:
+        if values[first + middle] <= t:
             low = middle
         else:
             high = middle
-    x = t - values[start + 1 + low]
-    c = start + pieces + 2 + 4 * low
-    c0, c1, c2, c3 = values[c], values[c + 1], values[c + 2], values[c + 3]
-    return c0 + x * (c1 + x * (c2 + x * c3)), c1 + x * (2.0 * c2 + x * (3.0 * c3)), 2.0 * c2 + 6.0 * x * c3
+    x = t - values[first + low]
+    c = first + pieces + 1 + terms * low
+    value, rate, acceleration = 0.0, 0.0, 0.0
+    for k in range(terms - 1, -1, -1):
+        value = value * x + values[c + k]
+        if k >= 1:
+            rate = rate * x + k * values[c + k]
+        if k >= 2:
+            acceleration = acceleration * x + k * (k - 1) * values[c + k]
+    return value, rate, acceleration
 
 
 @subkernel
@@ -163,7 +173,7 @@ def evaluate_motions(t, ptr, ops, values, stack, u):
                 stack[top, 0], stack[top, 1], stack[top, 2] = t, 1.0, 0.0
                 top += 1
             elif op == _TABLE:
-                stack[top, 0], stack[top, 1], stack[top, 2] = _piecewise_cubic(t, values, int(values[j]))
+                stack[top, 0], stack[top, 1], stack[top, 2] = _piecewise_polynomial(t, values, int(values[j]))
                 top += 1
             elif op in (_ADD, _SUB, _MUL, _DIV, _POW, _ATAN2, _MIN, _MAX):
                 top -= 1

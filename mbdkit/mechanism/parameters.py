@@ -1,0 +1,260 @@
+"""Named parameters of a model, and expressions of them that stand for its numbers.
+
+An expression consists of numbers, names of parameters, ``pi``, ``+ - * / **``, parentheses and the functions of
+motions; ``degrees(45)`` is an angle in radians. Only validation knows where a model wants a number: it is repeated with
+the values of the expressions that it refused as text. In functions of time, the names of parameters are replaced by
+their values.
+"""
+
+from __future__ import annotations
+
+import ast
+import graphlib
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Literal, TypeVar
+
+from pydantic import ValidationError
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism import higher_layers
+from mbdkit.mechanism.key_path import walk
+from mbdkit.mechanism.law_element import PluginLookup
+from mbdkit.mechanism.time_expression import FUNCTIONS, Compiler, ExpressionError
+from mbdkit.mechanism.validation_errors import spec_error, value_path
+from mbdkit.mechanism.values import TextForNumberError
+from mbdkit.plain_data import Path, found, parse_path, path_text
+from mbdkit.text import did_you_mean, listed
+
+Validated = TypeVar("Validated")
+Values = Mapping[str, float]
+Written = dict[Path, str]
+"""Expressions by key path."""
+Kind = Literal["number", "whole number", "function of time"]
+
+RESERVED = frozenset({"t", "pi", *FUNCTIONS})
+
+_NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)(,\d+)?([eE][-+]?\d+)?\s*")
+_NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
+
+
+def parameter_values(given: Any) -> dict[str, float]:
+    """Return the values of named parameters.
+
+    Parameters
+    ----------
+    given
+        Numbers, and expressions of other parameters in any order, by name.
+
+    Raises
+    ------
+    SpecError
+        With the key path, ``parameters.NAME``, of a wrong name, an expression that is not valid or not finite, or a
+        parameter that depends on itself.
+    """
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise SpecError(f"should be a mapping of names and numbers, not {found(given)}", key="parameters")
+    for name, value in given.items():
+        _check(name, value)
+    values: dict[str, float] = {}
+    for name in _in_order_of_use({name: names_in(value) & given.keys() for name, value in given.items()}):
+        value = given[name]
+        try:
+            values[name] = evaluate(value, values, [*given]) if isinstance(value, str) else float(value)
+        except SpecError as error:
+            raise error.located(prefix=f"parameters.{name}") from None
+    return {name: values[name] for name in given}
+
+
+def evaluate(text: str, values: Values, known: list[str] | None = None) -> float:
+    """Return the value of an expression of parameters.
+
+    Parameters
+    ----------
+    known
+        Names for hints on a misspelled name; by default those in `values`.
+
+    Raises
+    ------
+    SpecError
+        With the position in the text of the first error.
+    """
+    (_, value), *_ = _NumberCompiler(text, values, known).program()
+    return value
+
+
+def names_in(text: Any) -> set[str]:
+    """Return the names in an expression; none if it is not text."""
+    return set(_NAME.findall(text)) if isinstance(text, str) else set()
+
+
+def with_expressions(
+    validate: Callable[[Any], Validated],
+    data: Any,
+    root: Any,
+    values: Values,
+    *,
+    section: Path = (),
+    prefix: str = "",
+    plugins: PluginLookup | None = None,
+) -> tuple[Validated, Written]:
+    """Validate plain data whose numbers may be expressions of parameters.
+
+    Parameters
+    ----------
+    validate
+        Validates the data and returns the result.
+    data
+        The data; expressions are replaced by their values in place.
+    root
+        The model that is validated.
+    values
+        Values of the parameters by name.
+    section
+        Key path of the part that may contain expressions.
+    prefix
+        Key path of the data in a spec; empty if it is a whole spec.
+    plugins
+        Lookup of the models that plugins add; by default, of the installed plugins.
+
+    Returns
+    -------
+    Validated
+        The result of `validate`.
+    Written
+        The expressions that were replaced.
+
+    Raises
+    ------
+    SpecError
+        With the key path of the first error.
+    """
+    lookup: PluginLookup = plugins or higher_layers.installed_plugins()
+    written: Written = {}
+    while True:
+        try:
+            return validate(data), written
+        except ValidationError as error:
+            fresh = {
+                path: (text, kind)
+                for path, text, kind in _replacements(error, data, root, lookup, values)
+                if path not in written and path[: len(section)] == section
+            }
+            if not fresh:
+                raise spec_error(error, root, prefix=prefix, plugins=lookup, written=written) from None
+            for path, (text, kind) in fresh.items():
+                _at(data, path[:-1])[path[-1]] = _value(text, kind, values, (*parse_path(prefix), *path))
+                written[path] = text
+
+
+def insert(data: Any, written: Written) -> Any:
+    """Return plain data with the expressions in place of their values, at the key paths that it has."""
+    for path, text in written.items():
+        try:
+            holder = _at(data, path[:-1])
+            holder[path[-1]]
+        except (LookupError, TypeError):  # a model may store its options in another form
+            continue
+        holder[path[-1]] = text
+    return data
+
+
+class _NumberCompiler(Compiler):
+    """Compiles an expression of parameters, which is a constant."""
+
+    wanted = "an expression of the parameters, which consists of numbers, their names, pi"
+
+    def __init__(self, text: str, parameters: Values, known: list[str] | None = None):
+        self.known = [*parameters] if known is None else known
+        super().__init__(text, parameters)
+
+    def compile(self, node: ast.expr, nesting: int) -> list[tuple[str, float]]:
+        """Return the program of a node; the time is no operand."""
+        if isinstance(node, ast.Name) and node.id == "t":
+            self.refuse("only motions and loads depend on the time t, this is a number", node)
+        return super().compile(node, nesting)
+
+    def operand(self, node: ast.expr) -> list[tuple[str, float]]:
+        """Raise SpecError for a name that is not a parameter, or for anything else."""
+        if isinstance(node, ast.Name):
+            hint = did_you_mean(node.id, ["pi", *FUNCTIONS, *self.known])
+            told = f"; parameters: {listed(self.known)}" if self.known else "; the spec has no `parameters`"
+            self.refuse(f"there is no parameter '{node.id}'{hint or told}", node)
+        return super().operand(node)
+
+
+def _check(name: Any, value: Any) -> None:
+    """Raise SpecError unless `name` can be used in expressions, and `value` is a number or text."""
+    key = f"parameters.{name}"
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
+        raise SpecError("a parameter has a name of letters, digits and underscores, such as crank_length", key=key)
+    if name in RESERVED:
+        raise SpecError(f"'{name}' has a meaning in expressions already; choose another name", key=key)
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise SpecError(f"should be a number, or an expression of other parameters, not {found(value)}", key=key)
+    if not isinstance(value, str) and not abs(value) <= sys.float_info.max:
+        raise SpecError(f"should be a finite number, not {value!r}", key=key)
+
+
+def _in_order_of_use(uses: Mapping[str, set[str]]) -> Iterator[str]:
+    """Return the names so that each one comes after those that it uses; raise SpecError for a cycle."""
+    sorter = graphlib.TopologicalSorter({name: sorted(used) for name, used in uses.items()})
+    try:
+        sorter.prepare()
+    except graphlib.CycleError as error:
+        cycle: list[str] = error.args[1][::-1]  # each one uses the next
+        message = f"depends on itself: {' -> '.join(cycle)}"
+        raise SpecError(message, key=f"parameters.{cycle[0]}") from None
+    while sorter.is_active():
+        ready = sorter.get_ready()
+        yield from ready
+        sorter.done(*ready)
+
+
+def _replacements(
+    error: ValidationError, data: Any, root: Any, plugins: PluginLookup, values: Values
+) -> Iterator[tuple[Path, str, Kind]]:
+    """Return the key path and text of each expression that was refused, and what it should be."""
+    for details in error.errors(include_url=False):
+        inner = details.get("ctx", {}).get("error")
+        path, _ = walk(details["loc"], root, plugins)
+        if isinstance(inner, TextForNumberError):  # raised for the first number of a list
+            path = value_path(path, parse_path(inner.key))
+            items = enumerate(_at(data, path[:-1]))
+            yield from (((*path[:-1], i), text, "number") for i, text in items if _is_expression(text, values))
+            continue
+        text = details["input"]
+        if isinstance(inner, ExpressionError) and isinstance(text, str) and values:
+            yield path, text, "function of time"
+        elif details["type"] == "float_type" and _is_expression(text, values):
+            yield path, text, "number"
+        elif details["type"] == "int_type" and _is_expression(text, values):
+            yield path, text, "whole number"
+
+
+def _is_expression(text: Any, values: Values) -> bool:
+    """Return whether a value is meant as an expression: text with an operator or a parameter, no number in quotes."""
+    if not isinstance(text, str) or _NUMBER.fullmatch(text):
+        return False
+    return bool(re.search(r"[-+*/(]", text)) or text.strip() in values
+
+
+def _value(text: str, kind: Kind, values: Values, path: Path) -> float | int | str:
+    """Return the value of an expression, or a function of time with the values of the parameters in it."""
+    try:
+        if kind != "function of time":
+            value = evaluate(text, values)
+            return int(value) if kind == "whole number" and value.is_integer() else value
+        Compiler(text, values).program()
+    except SpecError as error:
+        raise error.located(prefix=path_text(path)) from None
+    return _NAME.sub(lambda match: f"({values[match[0]]!r})" if match[0] in values else match[0], text)
+
+
+def _at(data: Any, path: Path) -> Any:
+    for part in path:
+        data = data[part]
+    return data

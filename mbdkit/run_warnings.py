@@ -1,0 +1,107 @@
+"""Warnings about values of a spec that are valid but probably not meant: angles in degrees, a start far from closed."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+
+from pydantic import BaseModel
+
+from mbdkit.engine.assembly import AssembledState
+from mbdkit.mechanism.joints import Driver
+from mbdkit.mechanism.parameters import names_in
+from mbdkit.mechanism.size import mechanism_size
+from mbdkit.plain_data import Path, path_text
+from mbdkit.spec import RunSpec
+from mbdkit.text import did_you_mean
+
+FAR = 0.1
+"""Share of the mechanism's size by which assembly may move the start without a warning."""
+
+DIGITS = 3
+"""Angles above one turn with at most this many decimals look like degrees; radians rarely have so few."""
+
+_ANGLE = re.compile(r"\[rad( or m)?\]")
+
+
+def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
+    """Return warnings about angles that look like degrees, a step longer than the run, and unused parameters."""
+    return (*_angles_in_degrees(spec), *_long_step(spec), *_unused_parameters(spec))
+
+
+def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
+    """Return a warning if assembly moved the start by more than a tenth of the mechanism's size.
+
+    Parameters
+    ----------
+    start
+        The initial state after assembly.
+    """
+    mechanism = spec.mechanism()
+    if not start.changed:
+        return ()
+    points: dict[str, set[tuple[float, float]]] = {name: {(0.0, 0.0)} for name in mechanism.bodies}
+    for joint in mechanism.joints.values():
+        for _, name, point in joint.attachments():
+            points.get(name, set()).add(point)
+    moved, name = 0.0, ""
+    for (body, given), (x, y, angle) in zip(mechanism.bodies.items(), start.q.tolist(), strict=True):
+        now = given.model_copy(update={"position": (x, y), "angle": angle})
+        for point in points[body]:
+            distance = math.dist(given.to_global(point), now.to_global(point))
+            moved, name = max((moved, name), (distance, body))
+    size = mechanism_size(mechanism, start.q)
+    if not moved > FAR * size:
+        return ()
+    key = f"model.bodies.{name}" if mechanism.name == "mechanism" else "model"
+    warning = (
+        f"assembly moves a point of {name} by {moved:.3g} m at the start, more than a tenth of the mechanism's size of "
+        f"{size:.3g} m; check the positions and angles at {key} and its neighbours, because the mechanism may have "
+        "been closed in another way than meant (`mbdkit validate` lists all changes)"
+    )
+    return (warning,)
+
+
+def _angles_in_degrees(spec: RunSpec) -> Iterator[str]:
+    for path, value in _angles(spec.model, ("model",)):
+        if abs(value) > 2.0 * math.pi and round(value, DIGITS) == value and path not in spec.written:
+            yield (
+                f"the angle of {value:g} rad at {path_text(path)} is more than a turn; if degrees are meant, write "
+                f"degrees({value:g}), otherwise an expression such as {value / math.pi:.6g}*pi"
+            )
+
+
+def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tuple[Path, float]]:
+    """Return the key path and value of each angle in the options of a model: fields with the unit radian."""
+    if isinstance(value, BaseModel):
+        for name, field in type(value).model_fields.items():
+            unit = _ANGLE.search(field.description or "")
+            is_length = isinstance(value, Driver) and value.coordinate != "angle"
+            yield from _angles(getattr(value, name), (*path, name), is_angle=bool(unit) and not is_length)
+    elif isinstance(value, Mapping):
+        for name, item in value.items():
+            yield from _angles(item, (*path, name), is_angle=is_angle)
+    elif isinstance(value, list | tuple):
+        for index, item in enumerate(value):
+            yield from _angles(item, (*path, index), is_angle=is_angle)
+    elif is_angle and isinstance(value, int | float):
+        yield path, float(value)
+
+
+def _long_step(spec: RunSpec) -> Iterator[str]:
+    length = spec.time.final - spec.time.start
+    if spec.time.step is not None and spec.time.step > length * (1.0 + 1e-9):
+        yield (
+            f"the step of {spec.time.step:g} s at time.step is longer than the run of {length:g} s, which is then a "
+            "single shorter step"
+        )
+
+
+def _unused_parameters(spec: RunSpec) -> Iterator[str]:
+    texts = [*spec.written.values(), *spec.parameters.values(), *(event.when for event in spec.events.values())]
+    used = set().union(*map(names_in, texts))
+    for name in spec.parameters:
+        if name not in used:
+            hint = did_you_mean(name, [other for other in spec.parameters if other != name])
+            yield f"the parameter at parameters.{name} is not used{hint}"

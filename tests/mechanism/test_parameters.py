@@ -1,0 +1,201 @@
+"""Named parameters and expressions of them in the numbers of a model."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.parameters import parameter_values
+from mbdkit.plain_data import parse_path
+from mbdkit.plot.drawing_geometry import draw_spec
+from mbdkit.spec import load_spec
+from mbdkit.spec.reading import put
+
+SPEC: dict[str, Any] = {
+    "mbdkit": 1,
+    "parameters": {"half": "0.5*crank", "crank": 0.4, "speed": "3 + 0*half"},
+    "model": {
+        "name": "mechanism",
+        "bodies": {
+            "crank": {
+                "mass": "2*crank",
+                "inertia": "crank**2/12",
+                "position": ["half*cos(degrees(45))", "half*sin(degrees(45))"],
+                "angle": "degrees(45)",
+            }
+        },
+        "joints": {
+            "A": {"type": "revolute", "bodies": ["ground", "crank"], "at": [0, 0]},
+            "D": {
+                "type": "driver",
+                "bodies": ["ground", "crank"],
+                "coordinate": "angle",
+                "motion": "degrees(45) + speed*t",
+            },
+        },
+        "forces": {
+            "f": {"type": "force", "body": "crank", "at": ["crank*cos(pi/4)", 0.1], "value": ["speed*t", "half"]},
+            "s": {
+                "type": "spring-damper",
+                "bodies": ["ground", "crank"],
+                "from": ["2*crank", 0],
+                "to": [0.1, 0.1],
+                "stiffness": "100*speed",
+            },
+            "p": {
+                "type": "law",
+                "law": "table",
+                "table": [[0, "crank", 1], [0, "-speed", "2*speed"]],
+                "pathway": {"type": "two-points", "bodies": ["ground", "crank"], "from": [2, 0], "to": [0, 0]},
+            },
+        },
+    },
+    "integrator": {"name": "rk4"},
+    "time": {"end": 1, "step": 0.01},
+    "events": {"e": {"when": "crank.angle - degrees(90) - crank"}},
+}
+
+
+def changed(**values: Any) -> dict[str, Any]:
+    """Return the spec with other values; ``__`` separates the parts of a key."""
+    spec = copy.deepcopy(SPEC)
+    for key, value in values.items():
+        put(spec, parse_path(key.replace("__", ".")), value)
+    return spec
+
+
+@pytest.mark.parametrize("crank", [0.4, 0.3])
+def test_numbers_motions_points_and_tables_may_be_expressions(crank: float) -> None:
+    spec = load_spec(SPEC, [f"parameters.crank={crank}"])
+    m = spec.mechanism()
+    body, (c, s) = m.bodies["crank"], (math.cos(math.pi / 4), math.sin(math.pi / 4))
+    assert (body.mass, body.inertia) == pytest.approx((2 * crank, crank**2 / 12))
+    assert body.angle == math.radians(45)
+    assert body.position == pytest.approx((0.5 * crank * c, 0.5 * crank * s))
+    assert m.joints["A"].points == (pytest.approx((0, 0)), pytest.approx((-0.5 * crank, 0)))
+    assert m.forces["f"].value == ("(3.0)*t", f"({0.5 * crank!r})")
+    assert m.to_global("crank", m.forces["f"].point) == pytest.approx((crank * c, 0.1))
+    assert (m.forces["s"].stiffness, m.forces["s"].points[0]) == (300, (2 * crank, 0))
+    assert m.forces["p"].table == ((0, crank, 1), (0, -3, 6))
+
+
+def test_whole_numbers_and_lists_of_a_model_may_be_expressions() -> None:
+    model = {"name": "n-pendulum", "n": "2*k", "angles": ["degrees(10)", "degrees(-90)", 0, "k"]}
+    spec = load_spec({**SPEC, "parameters": {"k": 2}, "model": model, "events": {}})
+    assert spec.model.n == 4
+    assert spec.model.angles == (math.radians(10), -math.pi / 2, 0, 2)
+    with pytest.raises(SpecError, match=r"model\.n: should be a whole number, not 3\.5 \(the value of '2\*k'\)"):
+        load_spec({**SPEC, "parameters": {"k": 1.75}, "model": model, "events": {}})
+
+
+def test_the_canonical_form_keeps_expressions_and_is_read_to_the_same_hash() -> None:
+    spec = load_spec(SPEC)
+    data = json.loads(spec.canonical_json())
+    assert data["parameters"] == SPEC["parameters"]
+    assert data["model"]["bodies"]["crank"]["mass"] == "2*crank"
+    assert data["model"]["forces"]["p"]["table"] == [[0, "crank", 1], [0, "-speed", "2*speed"]]
+    assert data["model"]["forces"]["s"]["from"] == ["2*crank", 0]
+    assert data["model"]["joints"]["A"] == {"type": "revolute", "bodies": ["ground", "crank"], "at": [0, 0]}
+    again = load_spec(data)
+    assert again.sha256() == spec.sha256() == load_spec(spec).sha256()
+    assert again.mechanism().to_spec() == spec.mechanism().to_spec()
+    assert load_spec(spec, ["parameters.crank=0.3"]).model.bodies["crank"].mass == 0.6
+    plain = load_spec({**SPEC, "model": {"name": "single-pendulum"}, "parameters": {}, "events": {}})
+    assert "parameters" not in json.loads(plain.canonical_json())
+
+
+def test_a_mechanism_is_read_with_parameters_and_written_with_numbers() -> None:
+    m = Mechanism.from_spec(SPEC["model"], SPEC["parameters"])
+    assert m.to_spec() == load_spec(SPEC).mechanism().to_spec()
+    assert Mechanism.from_spec(m.to_spec()).to_spec() == m.to_spec()
+    with pytest.raises(SpecError, match=r"model\.bodies\.crank\.mass: there is no parameter 'crank'; the spec has no"):
+        Mechanism.from_spec(SPEC["model"])
+
+
+def test_parameters_depend_on_each_other_in_any_order() -> None:
+    links = {f"p{i}": f"p{i + 1} + 1" for i in range(3000)}
+    assert parameter_values({**links, "p3000": 1})["p0"] == 3001
+    assert parameter_values({"a": "max(b, 2)*c", "c": "-b", "b": "sqrt(16)"}) == {"a": -16, "c": -4, "b": 4}
+
+
+WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
+    "cycle": ({"parameters__crank": "2*half"}, "parameters.", "depends on itself: "),
+    "itself": ({"parameters__crank": "2*crank"}, "parameters.crank", "depends on itself: crank -> crank"),
+    "division by zero": ({"parameters__crank": "1/(2 - 2)"}, "parameters.crank", "divides by zero"),
+    "not finite": ({"parameters__crank": "exp(1000)"}, "parameters.crank", "is not a finite number"),
+    "misspelled": ({"parameters__half": "0.5*crnk"}, "parameters.half", "did you mean 'crank'"),
+    "function": ({"parameters__sin": 1}, "parameters.sin", "has a meaning in expressions"),
+    "no name": ({"parameters": {"a b": 1}}, "parameters.a b", "letters, digits and underscores"),
+    "true": ({"parameters__crank": True}, "parameters.crank", "should be a number, or an expression"),
+    "list": ({"parameters": [1]}, "parameters", "should be a mapping"),
+    "attack": ({"parameters__crank": "__import__('os')"}, "parameters.crank", "not a function that can be used"),
+    "number of t": ({"model__bodies__crank__mass": "crank*t"}, "model.bodies.crank.mass", "depend on the time t"),
+    "misspelled in the model": (
+        {"model__bodies__crank__mass": "2*crnk"},
+        "model.bodies.crank.mass",
+        "there is no parameter 'crnk' (did you mean 'crank'?) (position 3 of '2*crnk')",
+    ),
+    "misspelled in a motion": (
+        {"model__joints__D__motion": "sped*t"},
+        "model.joints.D.motion",
+        "unknown name 'sped' (did you mean 'speed'?)",
+    ),
+    "misspelled in an event": ({"events__e__when": "crank.angle - crnk"}, "events.e.when", "did you mean 'crank'"),
+    "zero in the model": ({"model__bodies__crank__mass": "1/(speed - 3)"}, "model.bodies.crank.mass", "by zero"),
+    "out of range": (
+        {"model__bodies__crank__mass": "-crank"},
+        "model.bodies.crank.mass",
+        "should be greater than 0, not -0.4 (the value of '-crank')",
+    ),
+    "in a table": ({"model__forces__p__table": [[0, "crank/0"], [0, 1]]}, "model.forces.p.table[0][1]", "by zero"),
+    "no expression": ({"model__bodies__crank__mass": "heavy"}, "model.bodies.crank.mass", "not the text 'heavy'"),
+    "quotes": ({"model__bodies__crank__mass": "2.5"}, "model.bodies.crank.mass", "leave out the quotes"),
+    "elsewhere": ({"time__end": "2*3"}, "time.end", "only the model of a spec and its motions can have expressions"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_parameter_or_expression_is_answered_with_its_key(case: str) -> None:
+    changes, key, message = WRONG[case]
+    with pytest.raises(SpecError) as caught:
+        load_spec(changed(**changes))
+    assert caught.value.key.startswith(key)
+    assert message in caught.value.message
+
+
+def test_a_study_sweeps_the_geometry_by_one_key(tmp_path: Path) -> None:
+    # expected: the centre of mass is half the length from the joint, at the angle given
+    model = {"name": "single-pendulum", "length": "2*half", "angle": "degrees(-90) + tilt"}
+    base = {
+        "mbdkit": 1,
+        "parameters": {"half": 0.5, "tilt": "degrees(30)"},
+        "model": model,
+        "integrator": {"name": "gauss", "stages": 2},
+        "time": {"end": 0.1, "step": 0.05},
+    }
+    spec = {"mbdkit_study": 1, "base": base, "axes": [{"parameters.half": [0.5, 1.0]}, {"parameters.tilt": [0.1, 0.2]}]}
+    study = mbdkit.study(spec, out=tmp_path / "sweep", workers=1)
+    lengths = []
+    for point in study.points:
+        with study.run(point) as run:
+            assert run.spec["model"]["length"] == "2*half"
+            lengths.append(float(np.hypot(*run["rod1"].position[0])) * 2)
+            assert run["rod1"].angle[0] == pytest.approx(-math.pi / 2 + run.spec["parameters"]["tilt"])
+    assert lengths == pytest.approx([1.0, 1.0, 2.0, 2.0])
+
+
+def test_an_archive_with_expressions_is_drawn_and_run_again(tmp_path: Path) -> None:
+    with mbdkit.run("quick-return", archive=tmp_path / "a.h5", time={"end": 0.1, "step": 0.01}) as run:
+        drawn = draw_spec(run.spec, tuple(run.bodies))
+        assert len(drawn.sliders) == 3
+        again = load_spec(dict(run.spec))
+        assert again.sha256() == load_spec("quick-return", time={"end": 0.1, "step": 0.01}).sha256()

@@ -1,0 +1,123 @@
+"""Warnings about values of a spec that are valid but probably not meant: printed, and kept in the archive."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mbdkit
+from mbdkit.run_preparation import build
+from mbdkit.run_warnings import spec_warnings, start_warnings
+from mbdkit.spec import example_names, load_spec
+from mbdkit.spec.reading import parse_key, put
+
+SPEC: dict[str, Any] = {
+    "mbdkit": 1,
+    "model": {
+        "name": "mechanism",
+        "bodies": {"rod": {"mass": 1.0, "inertia": 0.1, "position": [0.5, 0.0]}},
+        "joints": {"A": {"type": "revolute", "bodies": ["ground", "rod"], "points": [[0, 0], [-0.5, 0]]}},
+    },
+    "integrator": {"name": "rk4"},
+    "time": {"end": 0.1, "step": 0.01},
+}
+
+
+def warnings_of(**values: Any) -> tuple[str, ...]:
+    """Return the warnings about the spec with other values; ``__`` separates the parts of a key."""
+    data = copy.deepcopy(SPEC)
+    for key, value in values.items():
+        put(data, parse_key(key.replace("__", ".")), value)
+    return spec_warnings(load_spec(data))
+
+
+DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
+
+
+@pytest.mark.parametrize(
+    ("values", "place"),
+    [
+        ({"model__bodies__rod__angle": 45}, "45 rad at model.bodies.rod.angle"),
+        ({"model__bodies__rod__angle": -22.5}, "-22.5 rad at model.bodies.rod.angle"),
+        ({"model__joints__A": {**SPEC["model"]["joints"]["A"], "type": "weld", "angle": 90}}, "model.joints.A.angle"),
+        ({"model__joints__D": {**DRIVER, "motion": 30}}, "30 rad at model.joints.D.motion"),
+        (
+            {"model__forces": {"t": {"type": "torsion-spring", "bodies": ["ground", "rod"], "free_angle": 180}}},
+            "180 rad at model.forces.t.free_angle",
+        ),
+        ({"model": {"name": "double-pendulum", "angles": [0.3, 60]}}, "60 rad at model.angles[1]"),
+        ({"model": {"name": "four-bar-knee", "flexion": 0.6, "thigh_angle": -90}}, "-90 rad at model.thigh_angle"),
+        ({"time__step": 1.0}, "the step of 1 s at time.step is longer than the run of 0.1 s"),
+        ({"parameters": {"crank": 1, "crnk": 2}, "model__bodies__rod__mass": "crank"}, "parameters.crnk is not used"),
+    ],
+)
+def test_a_value_that_is_probably_not_meant_is_told_with_its_key(values: dict[str, Any], place: str) -> None:
+    told = warnings_of(**values)
+    assert len(told) == 1
+    assert place in told[0]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"model__bodies__rod__angle": 6.0},
+        {"model__bodies__rod__angle": 7.853981633974483},
+        {"model__bodies__rod__angle": "degrees(720)"},
+        {"model__bodies__rod__angle": "4*pi"},
+        {"model__bodies__rod__angular_velocity": 90},
+        {"model__joints__D": {**DRIVER, "coordinate": "x", "motion": 30}},
+        {"time__step": 0.1},
+        {"parameters": {"a": 1, "b": "a"}, "model__bodies__rod__mass": "b"},
+        {"parameters": {"a": 1}, "events": {"e": {"when": "rod.angle - a"}}},
+    ],
+)
+def test_a_value_that_may_be_meant_is_not_told(values: dict[str, Any]) -> None:
+    assert warnings_of(**values) == ()
+
+
+def test_no_packaged_example_is_warned_about() -> None:
+    for name in example_names():
+        spec = load_spec(name)
+        assert spec_warnings(spec) == ()
+        assert start_warnings(spec, build(spec)[1]) == ()
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        # expected: by hand; the pin is moved from x to 0, the size is 0.5 m
+        ({"position": [0.56, 0.0]}, 0.06),
+        ({"position": [0.54, 0.0]}, None),
+        ({"position": [0.0, 0.0], "angle": 0.0}, 0.5),
+    ],
+)
+def test_a_start_that_assembly_moves_far_is_told_with_the_body(values: dict[str, Any], told: float | None) -> None:
+    data = copy.deepcopy(SPEC)
+    data["model"]["bodies"]["rod"] |= values
+    data["model"]["joints"]["A"]["bodies"] = ["ground", "rod"]
+    spec = load_spec(data)
+    _, start = build(spec)
+    warnings = start_warnings(spec, start)
+    if told is None:
+        assert warnings == ()
+        return
+    assert len(warnings) == 1
+    assert f"moves a point of rod by {told:.3g} m" in warnings[0]
+    assert "model.bodies.rod" in warnings[0]
+
+
+def test_warnings_are_printed_and_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = copy.deepcopy(SPEC)
+    data["model"]["bodies"]["rod"] |= {"position": [0.7, 0.0]}
+    data["time"] = {"end": 0.1, "step": 0.5}
+    with mbdkit.run(data, archive=tmp_path / "warned.h5") as run:
+        assert [warning.partition(" ")[0] for warning in run.warnings] == ["the", "assembly"]
+        kept = run.warnings
+    assert all(f"warning: {warning}" in capsys.readouterr().err for warning in kept[:1])
+    with mbdkit.load(tmp_path / "warned.h5") as run:
+        assert run.warnings == kept
+        assert run.verdict == "doubtful"
