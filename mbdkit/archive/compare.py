@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import h5py
 import numpy as np
 
-from mbdkit.archive.fingerprint import blocks, datasets, is_text
+from mbdkit.archive import layout
+from mbdkit.archive.fingerprint import blocks, dataset_line, datasets, is_text
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.layout import is_hashed
+from mbdkit.archive.layout import FORMAT_VERSION, is_hashed
 from mbdkit.archive.run import Run
+from mbdkit.text import counted, listed
 
 #: Provenance attributes that cannot affect the results.
 _NOT_VERSIONS = {"command"}
@@ -24,19 +26,25 @@ class Comparison:
     Parameters
     ----------
     same_data
-        Whether their `data_sha256` are equal, that is, whether all arrays except timings are bitwise equal.
+        Whether all arrays that are compared are bitwise equal. If no array is left out, their `data_sha256` are equal.
     differences
         Largest difference of each array except timings, relative to the largest magnitude of that array in either
         run. Infinite if only one run has the array, or if the shapes, the names or the positions of non-finite values
         differ.
     versions
         Provenance attributes that differ, except the command, with the values of the first and the second run.
+    left_out
+        Arrays that only one run has, because the format of the other archive is older; they are not compared.
+    formats
+        Versions of the format of both archives.
     """
 
     same_data: bool
     same_spec: bool
     differences: Mapping[str, float]
     versions: Mapping[str, tuple[str, str]]
+    left_out: tuple[str, ...] = ()
+    formats: tuple[str, str] = (FORMAT_VERSION, FORMAT_VERSION)
 
     @property
     def largest(self) -> float:
@@ -45,12 +53,20 @@ class Comparison:
 
     def __str__(self) -> str:
         """Return the comparison as plain text."""
+        data = "the data that both archives have" if self.left_out else "the data"
         if self.same_data:
-            lines = ["the data are the same to the bit"]
+            lines = [f"{data} are the same to the bit"]
         else:
-            lines = [f"the data differ by {self.largest:.2g}, relative to the largest value of the array"]
+            lines = [f"{data} differ by {self.largest:.2g}, relative to the largest value of the array"]
             worst = sorted(self.differences.items(), key=lambda item: -item[1])
             lines += [f"  {path:<32} {value:.2g}" for path, value in worst if value > 0]
+        if self.left_out:
+            older, newer = sorted(self.formats)
+            names = listed(sorted({path.rpartition("/")[0] for path in self.left_out}), "and")
+            lines.append(
+                f"not compared: {counted(len(self.left_out), 'array')} of {names}, which format {newer} has and format "
+                f"{older} does not"
+            )
         if not self.same_spec:
             lines.append("the specs differ")
         lines += [
@@ -67,16 +83,21 @@ def compare(first: Run, second: Run) -> Comparison:
     MbdkitError
         If a run is closed.
     """
-    same = bool(first.data_sha256) and first.data_sha256 == second.data_sha256
+    formats = first.format_version, second.format_version
     with reading("its contents", first.path):
         one = _arrays(first)
     with reading("its contents", second.path):
         two = _arrays(second)
+    left_out = frozenset.union(*(layout.later({*one} ^ {*two}, version) for version in formats))
+    with reading("its contents", None):
+        same = _same(first, second, one, two, left_out)
     differences = {}
-    for path in sorted({*one, *two}):
+    for path in sorted({*one, *two} - left_out):
         with reading(path, None):
             differences[path] = 0.0 if same else _difference(one.get(path), two.get(path))
     return Comparison(
+        left_out=tuple(sorted(left_out)),
+        formats=formats,
         same_data=same,
         same_spec=first.spec_sha256 == second.spec_sha256,
         differences=differences,
@@ -86,6 +107,23 @@ def compare(first: Run, second: Run) -> Comparison:
             if first.provenance.get(name) != second.provenance.get(name)
         },
     )
+
+
+def _same(
+    first: Run,
+    second: Run,
+    one: Mapping[str, h5py.Dataset],
+    two: Mapping[str, h5py.Dataset],
+    left_out: frozenset[str],
+) -> bool:
+    """Return whether the data are bitwise equal: by the stored hashes, or array by array if some are left out."""
+    if not (first.data_sha256 and second.data_sha256):
+        return False
+    if not left_out:
+        return first.data_sha256 == second.data_sha256
+    if {*one} - left_out != {*two} - left_out:
+        return False
+    return all(dataset_line(one[path]) == dataset_line(two[path]) for path in sorted({*one} - left_out))
 
 
 def _arrays(run: Run) -> dict[str, h5py.Dataset]:

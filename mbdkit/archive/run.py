@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType, TracebackType
@@ -22,8 +22,10 @@ from mbdkit.archive.history import (
     ConstraintHistory,
     Energy,
     Events,
+    ForceHistory,
     Histories,
     JointHistory,
+    MarkerHistory,
     NotRecordedError,
     Steps,
     UnknownNameError,
@@ -74,6 +76,13 @@ class Run:
                         "joints/joint",
                         "joints/first_body",
                         "joints/second_body",
+                        "joints/angle_row_units",
+                        "forces/force",
+                        "forces/first_body",
+                        "forces/second_body",
+                        "forces/value_row_units",
+                        "markers/marker",
+                        "markers/body",
                         "constraints/constraint",
                         "constraints/row_units",
                     )
@@ -204,16 +213,68 @@ class Run:
 
     @cached_property
     def joints(self) -> Histories[JointHistory]:
-        """Misalignments and reactions of the joints by name."""
+        """Misalignments, reactions and angles of the joints by name."""
         largest = self._largest_misalignments
-        first, second = (self._names.get(f"joints/{which}_body", ()) for which in ("first", "second"))
+        bodies, units = self._body_pairs("joints"), self._names.get("joints/angle_row_units", ())
         return Histories(
             "joint",
             self._names["joints/joint"],
             lambda name, index: JointHistory(
-                self, name, index, float(largest[index]), (first[index], second[index]) if first else ("", "")
+                self,
+                name,
+                index,
+                float(largest[index]),
+                bodies[index] if bodies else ("", ""),
+                units[index] if units else "",
             ),
         )
+
+    @cached_property
+    def forces(self) -> Histories[ForceHistory]:
+        """Lengths, forces and energies of the force elements by name.
+
+        Raises
+        ------
+        MbdkitError
+            If the run did not record them.
+        """
+        bodies, units = self._body_pairs("forces"), self._names.get("forces/value_row_units", ())
+        return Histories(
+            "force element",
+            self._elements("forces", "force"),
+            lambda name, index: ForceHistory(self, name, index, bodies[index], units[index]),
+        )
+
+    @cached_property
+    def markers(self) -> Histories[MarkerHistory]:
+        """Positions and velocities of the markers by name.
+
+        Raises
+        ------
+        MbdkitError
+            If the run did not record them.
+        """
+        bodies = self._names.get("markers/body", ())
+        return Histories(
+            "marker",
+            self._elements("markers", "marker"),
+            lambda name, index: MarkerHistory(self, name, index, bodies[index]),
+        )
+
+    def _body_pairs(self, group: str) -> Sequence[tuple[str, str]]:
+        """Return the first and second bodies of the elements of a group; empty if the archive does not name them."""
+        first, second = (self._names.get(f"{group}/{which}_body", ()) for which in ("first", "second"))
+        return list(zip(first, second, strict=True))
+
+    def _elements(self, group: str, axis: str) -> Sequence[str]:
+        """Return the names of the elements of a group, which is missing if the mechanism has none."""
+        if f"{group}/{axis}" in self._names:
+            return self._names[f"{group}/{axis}"]
+        output = self.spec.get("output") or {}
+        asked = output.get("quantities", "all")
+        if layout.later([f"{group}/{axis}"], self.format_version) or (asked != "all" and group not in asked):
+            raise NotRecordedError(group, self.format_version)
+        return ()
 
     @property
     def redundancy(self) -> str:
@@ -229,7 +290,7 @@ class Run:
     def constraints(self) -> Histories[ConstraintHistory]:
         """Residuals and multipliers of the constraint rows by name, ``joint.row``."""
         if "constraints/constraint" not in self._names:
-            raise NotRecordedError("constraints")
+            raise NotRecordedError("constraints", self.format_version)
         units = self._names["constraints/row_units"]
         return Histories(
             "constraint",
@@ -359,10 +420,10 @@ class Run:
         array = layout.BY_PATH.get(path)
         if array is None:
             raise UnknownNameError("array", path, list(layout.BY_PATH))
-        group = file.get(array.group)
+        group = None if layout.later([path], self.format_version) else file.get(array.group)
         if self.status == "running" and array.grows and not array.optional and group is not None:
             return np.empty((0, *(len(group[dim]) for dim in array.dims[1:])), array.dtype)
-        raise NotRecordedError(path)
+        raise NotRecordedError(path, self.format_version)
 
     @property
     def file(self) -> h5py.File:

@@ -10,6 +10,7 @@ from mbdkit.mechanism.bodies import GROUND, Body
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import Assembly
 from mbdkit.mechanism.values import Motion, Table
 from mbdkit.plain_data import found
@@ -23,12 +24,16 @@ COINCIDENT = 1e-12
 
 
 def check_mechanism(
-    bodies: Mapping[str, Body], joints: Mapping[str, Joint], forces: Mapping[str, Force], assembly: Assembly
+    bodies: Mapping[str, Body],
+    joints: Mapping[str, Joint],
+    forces: Mapping[str, Force],
+    markers: Mapping[str, Marker],
+    assembly: Assembly,
 ) -> None:
     """Raise a SpecError with the key path of the first error."""
     if not bodies:
         raise SpecError("a mechanism needs at least one body", key="model.bodies")
-    for kind, names in (("bodies", bodies), ("joints", joints), ("forces", forces)):
+    for kind, names in (("bodies", bodies), ("joints", joints), ("forces", forces), ("markers", markers)):
         for name in names:
             check_name(name, f"model.{kind}.{name}")
     points = {name for name, body in bodies.items() if body.inertia is None}
@@ -42,6 +47,8 @@ def check_mechanism(
                 f"joint '{pin}' holds these two points together, so a spring between them has no effect",
                 key=f"model.forces.{name}.{line.pathway_key}points",
             )
+    for name, marker in markers.items():
+        _check_element(f"model.markers.{name}", marker, bodies, points)
     for index, name in enumerate(assembly.fix):
         check_known(name, bodies, f"model.assembly.fix[{index}]")
 
@@ -92,7 +99,7 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
 
 
 def check_name(name: object, key: str) -> None:
-    """Raise a SpecError unless `name` is a valid name of a body, joint, force or event in specs and archives."""
+    """Raise a SpecError unless `name` is a valid name of an element or event in specs and archives."""
     if not isinstance(name, str):
         raise SpecError(f"should be text, not {found(name)}", key=key)
     if name == GROUND:
@@ -124,16 +131,20 @@ def _ends(element: Joint | SpringDamper | Law) -> frozenset[tuple[str, tuple[flo
     return frozenset((name, point) for _, name, point in element.attachments())
 
 
-def _described(element: Joint | Force) -> str:
+def _described(element: Joint | Force | Marker) -> str:
     match element:
         case Law():
             return f"pathway of type {element.pathway.type}"
         case PointForce():
             return "force in its frame"
+        case Marker():
+            return "marker"
     return element.type
 
 
-def _check_element(key: str, element: Joint | Force, bodies: Iterable[str], point_masses: Container[str]) -> None:
+def _check_element(
+    key: str, element: Joint | Force | Marker, bodies: Iterable[str], point_masses: Container[str]
+) -> None:
     places = element.places()
     for place, body in places:
         check_known(body, bodies, f"{key}.{place}")

@@ -1,4 +1,4 @@
-"""The mechanism: named bodies, joints and forces, with a builder, checks, and conversion to and from a spec."""
+"""The mechanism: named bodies, joints, forces and markers, with a builder, checks, and conversion from and to specs."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from mbdkit.mechanism.checks import check_known, check_mechanism, check_name, ch
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Distance, Driver, Joint, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Point, Table
@@ -48,7 +49,7 @@ class Mechanism:
 
     Attributes
     ----------
-    bodies, joints, forces : dict
+    bodies, joints, forces, markers : dict
         The elements by name, in the order in which they were added.
     assembly : Assembly
         Settings for making the initial state consistent.
@@ -68,6 +69,7 @@ class Mechanism:
         self.bodies: dict[str, Body] = {}
         self.joints: dict[str, Joint] = {}
         self.forces: dict[str, Force] = {}
+        self.markers: dict[str, Marker] = {}
         self.assembly = Assembly()
 
     @property
@@ -399,13 +401,23 @@ class Mechanism:
             Frame of the components of `value`: ``global``, or ``body``, in which case the force turns with the body.
         """
         key = self._new(name, self.forces, "forces")
-        self._known(body, f"{key}.body")
-        if at is not None and point is not None:
-            raise SpecError("give either 'at' or 'point', not both", key=key)
-        if at is not None:
-            point = self.to_local(body, _point(at, f"{key}.at"))
-        place = (0.0, 0.0) if point is None else point
+        place = self._point_of(key, body, at, point)
         self.forces[name] = _make(PointForce, key, body=body, point=place, value=value, frame=frame)
+
+    def marker(self, name: str, body: str, *, at: Pair | None = None, point: Pair | None = None) -> None:
+        """Name a point of a body, whose position and velocity the run records.
+
+        Parameters
+        ----------
+        name, body
+            Name of the marker, and of its body.
+        at
+            The point (x, y) [m] in the global frame at the initial position.
+        point
+            Alternative to `at`: the point in the body's frame (x, y) [m]; the centre of mass by default.
+        """
+        key = self._new(name, self.markers, "markers")
+        self.markers[name] = _make(Marker, key, body=body, point=self._point_of(key, body, at, point))
 
     def hold(self, *bodies: str, tolerance: float = 1e-12) -> None:
         """Set the bodies that assembly does not move, and the tolerance of assembly.
@@ -448,9 +460,11 @@ class Mechanism:
         """Return a line of text with the numbers of elements and of constraint rows."""
         drivers = sum(joint.is_driver for joint in self.joints.values())
         rows = sum(len(joint.rows) for joint in self.joints.values())
+        markers = f", {counted(len(self.markers), 'marker')}" if self.markers else ""
         return (
             f"{counted(len(self.bodies), 'body', 'bodies')}, {counted(len(self.joints) - drivers, 'joint')}, "
-            f"{counted(drivers, 'driver')}, {counted(len(self.forces), 'force')}; {counted(rows, 'constraint row')}"
+            f"{counted(drivers, 'driver')}, {counted(len(self.forces), 'force')}{markers}; "
+            f"{counted(rows, 'constraint row')}"
         )
 
     def validate(self) -> None:
@@ -461,7 +475,7 @@ class Mechanism:
         SpecError
             With the key path of the first error.
         """
-        check_mechanism(self.bodies, self.joints, self.forces, self.assembly)
+        check_mechanism(self.bodies, self.joints, self.forces, self.markers, self.assembly)
 
     def check_span(self, start: float, end: float) -> None:
         """Check that every table covers the times from `start` to `end` [s].
@@ -484,6 +498,8 @@ class Mechanism:
         for kind, elements in (("joints", self.joints), ("forces", self.forces)):
             if elements:
                 spec[kind] = {name: {"type": one.type, **_plain(one)} for name, one in elements.items()}
+        if self.markers:
+            spec["markers"] = {name: _plain(one) for name, one in self.markers.items()}
         if self.assembly != Assembly():
             spec["assembly"] = _plain(self.assembly)
         return spec
@@ -495,8 +511,8 @@ class Mechanism:
         Parameters
         ----------
         spec
-            Mapping with the keys ``gravity``, ``bodies``, ``joints``, ``forces`` and ``assembly``; ``name`` is optional
-            and must be ``mechanism``.
+            Mapping with the keys ``gravity``, ``bodies``, ``joints``, ``forces``, ``markers`` and ``assembly``;
+            ``name`` is optional and must be ``mechanism``.
 
         Raises
         ------
@@ -518,6 +534,7 @@ class Mechanism:
         mechanism.bodies = dict(data.bodies)
         mechanism.joints = dict(data.joints)
         mechanism.forces = dict(data.forces)
+        mechanism.markers = dict(data.markers)
         mechanism.assembly = data.assembly
         mechanism.validate()
         return mechanism
@@ -552,6 +569,15 @@ class Mechanism:
 
     def _known(self, name: str, key: str) -> None:
         check_known(name, self.bodies, key)
+
+    def _point_of(self, key: str, body: str, at: Pair | None, point: Pair | None) -> Pair:
+        """Return a point in the frame of a body, given there or in the global frame; by default, its origin."""
+        self._known(body, f"{key}.body")
+        if at is not None and point is not None:
+            raise SpecError("give either 'at' or 'point', not both", key=key)
+        if at is not None:
+            return self.to_local(body, _point(at, f"{key}.at"))
+        return (0.0, 0.0) if point is None else point
 
     def _points(
         self,

@@ -1,4 +1,4 @@
-"""The tables of a run's report: joints, events and cost."""
+"""The tables of a run's report: joints, force elements, events and cost."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.archive.layout import COUNTERS, TIMINGS
+from mbdkit.plot.downsampling import bands
 from mbdkit.plot.joint_quantity import joint_quantity
 
 if TYPE_CHECKING:
@@ -15,17 +16,22 @@ if TYPE_CHECKING:
 
 JOINTS = 50
 """Largest number of joints in the table."""
+FORCES = 50
+"""Largest number of force elements in the table."""
 EVENTS = 50
 """Largest number of event crossings in the table."""
 _QUANTITIES = (
     ("velocity misalignment", "joints/velocity_misalignment", "m/s"),
     ("reaction force", "joints/reaction_force", "N"),
 )
+_DRIVER_POWER = ("driver power", "joints/driver_power", "W")
 
 
 def run_tables(run: Run) -> tuple[Table, ...]:
     """Return the tables of a run."""
     tables = [_joints(run)] if run.joint_names else []
+    if run.records("forces/value"):
+        tables.append(_forces(run))
     if run.spec.get("events"):
         tables.append(_events(run))
     return (*tables, _cost(run))
@@ -53,7 +59,8 @@ def _events(run: Run) -> Table:
 def _joints(run: Run) -> Table:
     columns = [Column("joint"), Column("between"), Column("largest misalignment", "m")]
     found = []
-    for name, path, unit in _QUANTITIES:
+    driven = run.records(_DRIVER_POWER[1]) and bool(np.any(run.array(_DRIVER_POWER[1])))
+    for name, path, unit in (*_QUANTITIES, *([_DRIVER_POWER] if driven else [])):
         if run.records(path):
             columns.append(Column(f"largest {name}", unit))
             found.append(joint_quantity(run, name, path, unit, _magnitude).data.peaks)
@@ -67,6 +74,31 @@ def _joints(run: Run) -> Table:
     left = len(run.joint_names) - len(rows)
     note = f"The {JOINTS} of {len(run.joint_names)} joints with the largest misalignment." if left else ""
     return Table("joints", "Joints", tuple(columns), tuple(rows), note)
+
+
+def _forces(run: Run) -> Table:
+    """Return the table of the largest force, torque and power of each force element, limited to the first."""
+    time = np.asarray(run.time)
+    value, power = (bands(time, run.dataset(f"forces/{name}")).peaks for name in ("value", "power"))
+    rows: list[tuple[Cell, ...]] = [
+        (
+            force.name,
+            " - ".join(force.bodies),
+            float(value[column]) if force.units == "N" else None,
+            float(value[column]) if force.units == "N m" else None,
+            float(power[column]),
+        )
+        for column, force in enumerate(run.forces.values())
+    ]
+    columns = (
+        Column("force element"),
+        Column("between"),
+        Column("largest force", "N"),
+        Column("largest torque", "N m"),
+        Column("largest power", "W"),
+    )
+    note = f"The first {FORCES} of {len(rows)} force elements." if len(rows) > FORCES else ""
+    return Table("forces", "Forces", columns, tuple(rows[:FORCES]), note)
 
 
 def _magnitude(part: np.ndarray) -> np.ndarray:
