@@ -5,6 +5,7 @@ Only its attributes `platform` and `command` were chosen.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -59,6 +60,8 @@ def test_a_rerun_compares_the_arrays_that_both_have_and_says_so(earlier: mbdkit.
     told = " ".join(result.stdout.split())
     assert "the data that both archives have" in told
     assert "not compared: 17 arrays of forces and joints, which format 1.1 has and format 1.0 does not" in told
+    result = CliRunner().invoke(app, ["archive", "diff", str(EARLIER), str(tmp_path / "new.h5"), "--json"])
+    assert len(json.loads(result.stdout)["left_out"]) == 17
     with mbdkit.load(tmp_path / "new.h5") as later:
         found = compare(earlier, later)
         assert found.largest < 1e-6  # not to the bit, because machines and versions differ
