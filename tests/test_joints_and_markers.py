@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
+import xarray
 from scipy.interpolate import CubicSpline
 
 import mbdkit
 from mbdkit import Mechanism, SpecError
+from mbdkit.archive.archive_check import check
+from mbdkit.archive.info import describe
 from mbdkit.mechanism.joints import Driver, Prismatic
 
 from .test_recorder import TILT, Recorded, cases, hanging, recorded
@@ -240,3 +244,31 @@ def test_output_quantities_choose_forces_and_markers(tmp_path: Any) -> None:
                 if not there:
                     with pytest.raises(mbdkit.MbdkitError, match=f"did not record {group}; `output.quantities`"):
                         getattr(run, group)
+
+
+def test_archive_and_xarray_name_what_acts(tmp_path: Any) -> None:
+    file = tmp_path / "run.h5"
+    with mbdkit.run(marked(), integrator=GAUSS, time={"end": 0.05, "step": 0.005}, archive=file) as run:
+        assert check(file) == []
+        told = describe(file)
+        assert told["forces"]["push"] == "ground - bar"
+        assert told["markers"] == {"tip": "bar", "corner": "bar", "middle": "bar", "bob": "bob", "nail": "ground"}
+        assert told["arrays"]["joints/angle"]["units"] == "mixed"
+        for tree in (run.to_xarray(), xarray.open_datatree(file, engine="h5netcdf")):
+            position, value = tree["markers"]["position"], tree["forces"]["value"]
+            assert (position.dims, value.dims) == (("time", "marker", "axis"), ("time", "force"))
+            np.testing.assert_array_equal(position.sel(marker="tip"), run.markers["tip"].position)
+            np.testing.assert_array_equal(value.sel(force="twist"), run.forces["twist"].value)
+            assert tree["forces"]["value_row_units"].sel(force="twist") == "N m"
+            tree.close()
+
+
+def test_the_checker_sees_changed_forces_and_missing_markers(tmp_path: Any) -> None:
+    file = tmp_path / "run.h5"
+    mbdkit.run(marked(), integrator=GAUSS, time={"end": 0.05, "step": 0.005}, archive=file).close()
+    with h5py.File(file, "r+") as archive:
+        archive["forces/value"][3, 0] += 1e-12
+        del archive["markers/velocity"]
+    problems = check(file)
+    assert "markers/velocity is missing" in problems
+    assert any("data_sha256 does not match" in problem for problem in problems)

@@ -215,17 +215,18 @@ class Run:
     def joints(self) -> Histories[JointHistory]:
         """Misalignments, reactions and angles of the joints by name."""
         largest = self._largest_misalignments
-        bodies, units = self._body_pairs("joints"), self._names.get("joints/angle_row_units", ())
+        names = self._names["joints/joint"]
+        bodies, units = self._body_pairs("joints", names), self._texts("joints/angle_row_units", names)
         return Histories(
             "joint",
-            self._names["joints/joint"],
+            names,
             lambda name, index: JointHistory(
                 self,
                 name,
                 index,
                 float(largest[index]),
-                bodies[index] if bodies else ("", ""),
-                units[index] if units else "",
+                bodies[index],
+                units[index],
             ),
         )
 
@@ -238,10 +239,11 @@ class Run:
         MbdkitError
             If the run did not record them.
         """
-        bodies, units = self._body_pairs("forces"), self._names.get("forces/value_row_units", ())
+        names = self._elements("forces", "force")
+        bodies, units = self._body_pairs("forces", names), self._texts("forces/value_row_units", names)
         return Histories(
             "force element",
-            self._elements("forces", "force"),
+            names,
             lambda name, index: ForceHistory(self, name, index, bodies[index], units[index]),
         )
 
@@ -254,25 +256,32 @@ class Run:
         MbdkitError
             If the run did not record them.
         """
-        bodies = self._names.get("markers/body", ())
+        names = self._elements("markers", "marker")
+        bodies = self._texts("markers/body", names)
         return Histories(
             "marker",
-            self._elements("markers", "marker"),
+            names,
             lambda name, index: MarkerHistory(self, name, index, bodies[index]),
         )
 
-    def _body_pairs(self, group: str) -> Sequence[tuple[str, str]]:
-        """Return the first and second bodies of the elements of a group; empty if the archive does not name them."""
-        first, second = (self._names.get(f"{group}/{which}_body", ()) for which in ("first", "second"))
+    def _texts(self, path: str, elements: Sequence[str]) -> Sequence[str]:
+        """Return the text of each of the `elements` in an array; empty texts if the archive lacks them."""
+        texts = self._names.get(path, ())
+        return texts if len(texts) == len(elements) else [""] * len(elements)
+
+    def _body_pairs(self, group: str, elements: Sequence[str]) -> Sequence[tuple[str, str]]:
+        """Return the first and second bodies of the `elements` of a group; empty texts if the archive lacks them."""
+        first, second = (self._texts(f"{group}/{which}_body", elements) for which in ("first", "second"))
         return list(zip(first, second, strict=True))
 
     def _elements(self, group: str, axis: str) -> Sequence[str]:
         """Return the names of the elements of a group, which is missing if the mechanism has none."""
         if f"{group}/{axis}" in self._names:
             return self._names[f"{group}/{axis}"]
-        output = self.spec.get("output") or {}
-        asked = output.get("quantities", "all")
-        if layout.later([f"{group}/{axis}"], self.format_version) or (asked != "all" and group not in asked):
+        output = self.spec.get("output")
+        asked = output.get("quantities") if isinstance(output, Mapping) else None
+        is_left_out = isinstance(asked, list) and group not in asked
+        if is_left_out or layout.later([f"{group}/{axis}"], self.format_version):
             raise NotRecordedError(group, self.format_version)
         return ()
 
