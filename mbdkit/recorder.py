@@ -61,7 +61,8 @@ def shared_forces(mechanism: CompiledMechanism) -> SharedForces | None:
     redundancy = mechanism.redundancy
     if not redundancy.rows:
         return None
-    return SharedForces(redundancy.describe(mechanism.drivers), redundancy.not_unique, mechanism.length)
+    drivers = [name for name in redundancy.not_unique if name in mechanism.drivers]
+    return SharedForces(redundancy.describe(mechanism.drivers), redundancy.not_unique, mechanism.length, drivers)
 
 
 class Recorder:

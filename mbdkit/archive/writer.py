@@ -109,11 +109,14 @@ class SharedForces:
     length
         Characteristic length [m]. Of all reactions that produce the same motion, the recorded ones minimize the sum
         over joints of ``|force|^2 + (torque / length)^2``.
+    drivers
+        The drivers among these joints, whose powers are not unique.
     """
 
     redundancy: str
     joints: Sequence[str]
     length: float
+    drivers: Sequence[str] = ()
 
 
 class ArchiveWriter:
@@ -398,8 +401,9 @@ class ArchiveWriter:
             joints["misalignment"].attrs["misalignment_max"] = misalignment_max
         if self._shared is not None:
             for path in layout.SHARED:
-                if path in self._file:
-                    set_text(self._file[path], "not_unique", ", ".join(self._shared.joints))
+                names = self._shared.drivers if path == "joints/driver_power" else self._shared.joints
+                if path in self._file and names:
+                    set_text(self._file[path], "not_unique", ", ".join(names))
         grown = (series.line() for table in self._tables for series in table.series)
         self._file.attrs.modify("data_sha256", digest_lines([*self._lines, *filter(None, grown)]))
         self._file.attrs.modify("status_reason", reason)
