@@ -11,6 +11,7 @@ import numpy as np
 
 from mbdkit.analysis.energy import Trend, energy_trend
 from mbdkit.analysis.reference import EVERY_ROW, LAST_ROW, carries_multipliers, common_rows, multiplier_error, offsets
+from mbdkit.archive.history import NotRecordedError
 from mbdkit.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.spec import RunSpec
@@ -56,12 +57,14 @@ def _reaction(run: Run, reference: Run | None) -> float:
 
 
 def _largest_value(units: str) -> Callable[[Run, Run | None], float]:
-    """Return the measure of the largest value of the force elements whose values have these `units`."""
+    """Return the measure of the largest value of the force elements with these `units`; 0 if there are none."""
 
     def take(run: Run, reference: Run | None) -> float:
-        if not run.records("forces/value"):
+        try:
+            forces = run.forces
+        except NotRecordedError:
             return math.nan
-        chosen = [force.value for force in run.forces.values() if force.units == units]
+        chosen = [force.value for force in forces.values() if force.units == units]
         return max((float(np.max(np.abs(value), initial=0.0)) for value in chosen), default=0.0)
 
     return take
