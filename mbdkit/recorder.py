@@ -40,13 +40,19 @@ NO_GUARDS = Guards()
 
 
 def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
-    """Return the names of bodies, joints and constraint rows, with the units of the rows."""
+    """Return the names of bodies, joints, constraint rows, force elements and markers, with units and bodies."""
     return ArchiveNames(
         bodies=list(mechanism.bodies),
         joints=list(mechanism.joints),
         constraints=[row.label for row in mechanism.rows],
         constraint_units=[row.unit for row in mechanism.rows],
         joint_bodies=list(mechanism.joint_bodies),
+        joint_units=list(mechanism.joint_units),
+        forces=[force.name for force in mechanism.forces],
+        force_bodies=[force.bodies for force in mechanism.forces],
+        force_units=[force.unit for force in mechanism.forces],
+        markers=[name for name, _ in mechanism.markers],
+        marker_bodies=[body for _, body in mechanism.markers],
     )
 
 
@@ -55,7 +61,8 @@ def shared_forces(mechanism: CompiledMechanism) -> SharedForces | None:
     redundancy = mechanism.redundancy
     if not redundancy.rows:
         return None
-    return SharedForces(redundancy.describe(mechanism.drivers), redundancy.not_unique, mechanism.length)
+    drivers = [name for name in redundancy.not_unique if name in mechanism.drivers]
+    return SharedForces(redundancy.describe(mechanism.drivers), redundancy.not_unique, mechanism.length, drivers)
 
 
 class Recorder:

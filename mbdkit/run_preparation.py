@@ -17,6 +17,7 @@ from mbdkit.errors import PluginError, SpecError, blaming
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
+from mbdkit.recorder import archive_names
 from mbdkit.run_corners import corner_warnings, stops_of
 from mbdkit.run_warnings import spec_warnings
 from mbdkit.spec import RunSpec
@@ -94,7 +95,8 @@ def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | N
         rows = math.ceil(min(time.count, spec.limits.max_steps) / (output.every or 1)) + 1
     else:
         return
-    row = row_bytes(len(mechanism.bodies), len(mechanism.joints), len(mechanism.rows), output.recorded)
+    names = archive_names(mechanism)
+    row = row_bytes(names.sizes, names.present(output.recorded))
     try:
         check_room(path, rows, row, output.every)
     except SpecError as error:

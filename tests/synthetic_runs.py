@@ -63,6 +63,8 @@ def make_run() -> Iterator[MakeRun]:
             "joints/angle_misalignment": np.zeros_like(gap),
             "joints/reaction_force": np.stack([gap, 9.81 + np.sin(3.0 * time)[:, None] + gap], axis=-1),
             "joints/reaction_torque": np.zeros_like(gap),
+            "joints/angle": np.zeros_like(gap),
+            "joints/driver_power": np.zeros_like(gap),
             "energy/kinetic": np.sin(time) ** 2,
             "energy/potential": np.cos(time) ** 2 - 5.0,
             "energy/total": np.full(rows, -4.0),
@@ -70,6 +72,8 @@ def make_run() -> Iterator[MakeRun]:
             "energy/work": np.zeros(rows),
             "energy/balance": 1e-11 * np.sin(7.0 * time),
         }
+        for body in ("first", "second"):
+            data[f"joints/reaction_force_{body}"] = data["joints/reaction_force"].copy()
         for name in ("position_residual", "velocity_residual", "multiplier"):
             data[f"constraints/{name}"] = np.zeros((rows, len(constraints)))
         change(data)

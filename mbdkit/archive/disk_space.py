@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 
 from mbdkit.archive import layout
@@ -11,23 +12,16 @@ from mbdkit.errors import ResourceError, SpecError
 from mbdkit.memory import available_memory, in_gib, installed_memory
 
 
-def row_bytes(bodies: int, joints: int, constraints: int, quantities: frozenset[str]) -> int:
+def row_bytes(sizes: Mapping[str, int], quantities: frozenset[str]) -> int:
     """Return the size of one recorded row, including the statistics of the interval that ends there [bytes].
 
     Parameters
     ----------
-    bodies, joints, constraints
-        Numbers of bodies, joints and constraint rows.
+    sizes
+        Lengths of the axes that do not grow, by name.
     quantities
-        Which of ``joints``, ``constraints``, ``energy`` are recorded.
+        Which of `layout.QUANTITIES` are recorded.
     """
-    sizes = {
-        "body": bodies,
-        "coordinate": len(layout.COORDINATES),
-        "joint": joints,
-        "axis": len(layout.AXES),
-        "constraint": constraints,
-    }
     return sum(
         8 * math.prod(sizes[dim] for dim in array.dims[1:]) for array in layout.recorded(quantities) if array.grows
     )

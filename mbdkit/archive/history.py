@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeVar, overload
 
 import numpy as np
 
-from mbdkit.archive.layout import BY_PATH, MIXED
+from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, MIXED, later
 from mbdkit.errors import MbdkitError
 from mbdkit.text import did_you_mean, listed
 
@@ -26,14 +26,24 @@ class UnknownNameError(MbdkitError, KeyError):
 
 
 class NotRecordedError(MbdkitError, KeyError):
-    """The requested array was not recorded by the run."""
+    """The requested array was not recorded by the run.
 
-    def __init__(self, what: str):
+    Parameters
+    ----------
+    what
+        Path of the array or name of the group.
+    version
+        Version of the archive's format.
+    """
+
+    def __init__(self, what: str, version: str = FORMAT_VERSION):
         why = "`output.quantities` in its spec selects the recorded quantities"
         if what in BY_PATH and BY_PATH[what].optional:
             why = "its method, stabilization and events do not produce it"
         if what.startswith("accuracy/"):
             why = "`check: true` in its spec, or `--check`, estimates errors"
+        if later([path for path in BY_PATH if path == what or BY_PATH[path].group == what], version):
+            why = f"its archive has format {version}; `mbdkit rerun` with `-o` writes one of format {FORMAT_VERSION}"
         super().__init__(f"this run did not record {what}; {why}")
 
     def __str__(self) -> str:
@@ -131,13 +141,60 @@ class JointHistory(View):
     angle_misalignment = Column("joints/angle_misalignment")
     reaction_force = Column("joints/reaction_force")
     reaction_torque = Column("joints/reaction_torque")
+    reaction_force_first = Column("joints/reaction_force_first")
+    reaction_force_second = Column("joints/reaction_force_second")
+    angle = Column("joints/angle")
+    driver_power = Column("joints/driver_power")
 
-    def __init__(self, source: Source, name: str, index: int, misalignment_max: float, bodies: tuple[str, str]):
+    def __init__(
+        self,
+        source: Source,
+        name: str,
+        index: int,
+        misalignment_max: float,
+        bodies: tuple[str, str],
+        angle_units: str,
+    ):
         super().__init__(source, name, index)
+        #: Unit of `angle`: ``rad``, or ``m`` for the travel of a slide.
+        self.angle_units = angle_units
         #: First and second body; reactions are exerted by the first on the second.
         self.bodies = bodies
         #: Largest misalignment over every step, recorded or not, m.
         self.misalignment_max = misalignment_max
+
+
+class ForceHistory(View):
+    """Length, force and energy of one force element.
+
+    The value is a tension [N], positive where it pulls the bodies together; a torque on the second body [N m], positive
+    counter-clockwise; or the magnitude of a force at a point [N].
+    """
+
+    length = Column("forces/length")
+    rate = Column("forces/rate")
+    value = Column("forces/value")
+    power = Column("forces/power")
+    potential = Column("forces/potential")
+
+    def __init__(self, source: Source, name: str, index: int, bodies: tuple[str, str], units: str):
+        super().__init__(source, name, index)
+        #: First and second body; the second body of a load is the one that it acts on.
+        self.bodies = bodies
+        #: Unit of `value`: ``N`` or ``N m``.
+        self.units = units
+
+
+class MarkerHistory(View):
+    """Position and velocity of one marker in the global frame."""
+
+    position = Column("markers/position")
+    velocity = Column("markers/velocity")
+
+    def __init__(self, source: Source, name: str, index: int, body: str):
+        super().__init__(source, name, index)
+        #: Body of the marker.
+        self.body = body
 
 
 class ConstraintHistory(View):
@@ -272,7 +329,7 @@ class Histories(Mapping[str, V]):
     Parameters
     ----------
     what
-        Kind of object: ``body``, ``joint`` or ``constraint``.
+        Kind of object, such as ``body`` or ``joint``.
     make
         Creates a history from a name and its index.
     """

@@ -15,6 +15,7 @@ from mbdkit.archive.hdf5 import dims
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import COUNTERS, TEXT, TIMINGS
 from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import accuracy_sentence, corrections
 from mbdkit.text import shown
 
@@ -29,7 +30,8 @@ def describe(path: str | Path) -> dict[str, Any]:
     -------
     dict
         Identity and status of the run; title, model, integrator, formulation and stabilization of its spec; names of
-        bodies, joints and events; statistics, provenance and hashes; dimensions, shape, type and units of each array.
+        bodies, joints, force elements, markers and events; statistics, provenance and hashes; dimensions, shape, type
+        and units of each array.
 
     Raises
     ------
@@ -66,6 +68,8 @@ def describe(path: str | Path) -> dict[str, Any]:
                 name: None if math.isnan(joint.misalignment_max) else joint.misalignment_max
                 for name, joint in run.joints.items()
             },
+            "forces": {name: " - ".join(run.forces[name].bodies) for name in _elements(run, "forces/force")},
+            "markers": {name: run.markers[name].body for name in _elements(run, "markers/marker")},
             "redundancy": run.redundancy,
             "events": [f"{event.name} at {event.time:.10g} s" for event in run.events],
             "stats": {name: run.stats[name] for name in (*COUNTERS, *TIMINGS) if name in run.stats},
@@ -74,6 +78,11 @@ def describe(path: str | Path) -> dict[str, Any]:
             "data_sha256": run.data_sha256,
             "arrays": {dataset.name.lstrip("/"): _array(dataset) for dataset in datasets(run.file)},
         }
+
+
+def _elements(run: Run, path: str) -> list[str]:
+    """Return the names in the array at `path`; none if the run did not record it."""
+    return [str(name) for name in run.array(path)] if run.records(path) else []
 
 
 def _array(dataset: h5py.Dataset) -> dict[str, Any]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 FORMAT = "mbdkit-run"
-FORMAT_VERSION = "1.0"
+FORMAT_VERSION = "1.1"
+VERSIONS = ("1.0", FORMAT_VERSION)
+"""Versions of the format whose arrays the layout lists."""
 
 #: Attribute of the group ``trajectory`` while the run is under way: the rows of the tables up to the last flush.
 ROWS_FLUSHED = "rows_flushed"
@@ -28,7 +31,7 @@ REASONS = (
     "event",
     "plugin-error",
 )
-QUANTITIES = frozenset({"joints", "constraints", "energy"})
+QUANTITIES = frozenset({"joints", "constraints", "energy", "forces", "markers"})
 
 ROOT_ATTRIBUTES = (
     "format",
@@ -92,6 +95,8 @@ class Array:
         If `units` is ``mixed``, the array in the same group that holds the units of each row.
     optional
         Whether an archive may lack the array.
+    since
+        Version of the format that introduced the array.
     """
 
     path: str
@@ -101,6 +106,7 @@ class Array:
     dtype: str = FLOAT
     row_units: str = ""
     optional: bool = False
+    since: str = "1.0"
 
     @property
     def group(self) -> str:
@@ -129,7 +135,14 @@ class Array:
 
 
 #: Arrays with the attribute `not_unique`, which lists the joints with non-unique reactions in a redundant mechanism.
-SHARED = ("joints/reaction_force", "joints/reaction_torque", "constraints/multiplier")
+SHARED = (
+    "joints/reaction_force",
+    "joints/reaction_torque",
+    "joints/reaction_force_first",
+    "joints/reaction_force_second",
+    "joints/driver_power",
+    "constraints/multiplier",
+)
 
 #: Axes that grow during a run: recorded rows, intervals between them, and events.
 GROWING = ("time", "interval", "event")
@@ -145,6 +158,14 @@ def _names(path: str, what: str) -> Array:
 
 def _row_units(path: str, dim: str, what: str) -> Array:
     return Array(path, (dim,), "1", f"units of {what}, row by row", TEXT)
+
+
+def _forces(name: str, units: str, what: str, row_units: str = "") -> Array:
+    return Array(f"forces/{name}", ("time", "force"), units, what, row_units=row_units, since="1.1")
+
+
+def _texts(path: str, dim: str, what: str) -> Array:
+    return Array(path, (dim,), "1", what, TEXT, since="1.1")
 
 
 def _events(name: str, dims: tuple[str, ...], units: str, what: str, dtype: str = FLOAT, row_units: str = "") -> Array:
@@ -186,7 +207,7 @@ LAYOUT: tuple[Array, ...] = (
     Array("trajectory/elapsed_s", _T, "s", "wall time since the first step"),
     _time("joints"),
     _names("joints/joint", "name of the joint"),
-    _names("joints/axis", "axis of the global frame"),
+    _names("joints/axis", "axis of the global frame, or of the frame of a body"),
     Array("joints/first_body", ("joint",), "1", "first body of the joint, which exerts the reaction", TEXT),
     Array("joints/second_body", ("joint",), "1", "second body of the joint, on which the reaction acts", TEXT),
     Array("joints/misalignment", _TJ, "m", "distance by which the joint fails to meet"),
@@ -199,6 +220,59 @@ LAYOUT: tuple[Array, ...] = (
         "force of the first body on the second, global frame",
     ),
     Array("joints/reaction_torque", _TJ, "N m", "torque of the first body on the second, at the second's joint point"),
+    Array(
+        "joints/reaction_force_first",
+        ("time", "joint", "axis"),
+        "N",
+        "reaction_force in the frame of the first body",
+        since="1.1",
+    ),
+    Array(
+        "joints/reaction_force_second",
+        ("time", "joint", "axis"),
+        "N",
+        "reaction_force in the frame of the second body",
+        since="1.1",
+    ),
+    _texts("joints/angle_row_units", "joint", "units of angle, row by row"),
+    Array(
+        "joints/angle",
+        _TJ,
+        MIXED,
+        "angle of the second body relative to the first, not wrapped; of a slide, its travel",
+        row_units="angle_row_units",
+        since="1.1",
+    ),
+    Array("joints/driver_power", _TJ, "W", "power that a driver supplies; 0 for other joints", since="1.1"),
+    Array("forces/time", _T, "s", "time of the recorded row", since="1.1"),
+    _texts("forces/force", "force", "name of the force element"),
+    _texts("forces/first_body", "force", "first body of the force element"),
+    _texts("forces/second_body", "force", "second body of the force element; of a load, the body it acts on"),
+    _texts("forces/row_units", "force", "units of length, row by row"),
+    _texts("forces/rate_row_units", "force", "units of rate, row by row"),
+    _texts("forces/value_row_units", "force", "units of value, row by row"),
+    _forces("length", MIXED, "length or angle of the force element; 0 for a force at a point", "row_units"),
+    _forces(
+        "rate",
+        MIXED,
+        "rate of length; of a force at a point, the velocity of the point along the force",
+        "rate_row_units",
+    ),
+    _forces(
+        "value",
+        MIXED,
+        "tension, positive where it pulls together; torque on the second body, positive counter-clockwise; magnitude "
+        "of a force at a point",
+        "value_row_units",
+    ),
+    _forces("power", "W", "power that the force element supplies to the bodies"),
+    _forces("potential", "J", "potential energy of the force element; 0 for loads and laws without a potential"),
+    Array("markers/time", _T, "s", "time of the recorded row", since="1.1"),
+    _texts("markers/marker", "marker", "name of the marker"),
+    Array("markers/axis", ("axis",), "1", "axis of the global frame", TEXT, since="1.1"),
+    _texts("markers/body", "marker", "body of the marker"),
+    Array("markers/position", ("time", "marker", "axis"), "m", "position of the marker, global frame", since="1.1"),
+    Array("markers/velocity", ("time", "marker", "axis"), "m/s", "velocity of the marker, global frame", since="1.1"),
     _time("constraints"),
     _names("constraints/constraint", "joint and row of the constraint: joint.row"),
     _row_units("constraints/row_units", "constraint", "position_residual"),
@@ -342,7 +416,10 @@ CORRECTIONS: Mapping[str, tuple[str, ...]] = {
 ALWAYS = frozenset(("joints/joint", "joints/first_body", "joints/second_body"))
 
 BY_PATH: Mapping[str, Array] = {array.path: array for array in LAYOUT}
-GROUPS = ("trajectory", "joints", "constraints", "energy", "steps", "events", "accuracy")
+GROUPS = ("trajectory", "joints", "forces", "markers", "constraints", "energy", "steps", "events", "accuracy")
+
+#: Groups that exist only if the mechanism has such elements.
+ELEMENTS = frozenset({"forces", "markers"})
 
 
 def is_timing(path: str) -> bool:
@@ -355,7 +432,24 @@ def is_hashed(path: str) -> bool:
     return not is_timing(path) and not path.lstrip("/").startswith("accuracy/") and not path.endswith("/file_sha256")
 
 
-def recorded(quantities: frozenset[str], extra: frozenset[str] = frozenset()) -> tuple[Array, ...]:
+def is_in(array: Array, version: str) -> bool:
+    """Whether archives of a `version` 1.x have the array; all of them in versions later than `FORMAT_VERSION`."""
+    return _minor(array.since) <= _minor(version)
+
+
+def later(paths: Iterable[str], version: str) -> frozenset[str]:
+    """Return those of the `paths` of arrays that archives of a `version` 1.x do not have."""
+    return frozenset(path for path in paths if path in BY_PATH and not is_in(BY_PATH[path], version))
+
+
+def _minor(version: str) -> float:
+    text = version.partition(".")[2]
+    return int(text) if text.isdecimal() else math.inf
+
+
+def recorded(
+    quantities: frozenset[str], extra: frozenset[str] = frozenset(), version: str = FORMAT_VERSION
+) -> tuple[Array, ...]:
     """Return the arrays of an archive that records `quantities`.
 
     Parameters
@@ -364,10 +458,13 @@ def recorded(quantities: frozenset[str], extra: frozenset[str] = frozenset()) ->
         Subset of `QUANTITIES`; trajectory, steps and the names of the joints are always recorded.
     extra
         Paths of the optional arrays to include.
+    version
+        Version of the format.
     """
     return tuple(
         array
         for array in LAYOUT
         if (array.group not in QUANTITIES or array.group in quantities or array.path in ALWAYS)
         and (not array.optional or array.path in extra)
+        and is_in(array, version)
     )

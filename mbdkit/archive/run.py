@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType, TracebackType
@@ -21,8 +21,10 @@ from mbdkit.archive.history import (
     ConstraintHistory,
     Energy,
     Events,
+    ForceHistory,
     Histories,
     JointHistory,
+    MarkerHistory,
     NotRecordedError,
     Steps,
     UnknownNameError,
@@ -68,6 +70,13 @@ class Run:
                         "joints/joint",
                         "joints/first_body",
                         "joints/second_body",
+                        "joints/angle_row_units",
+                        "forces/force",
+                        "forces/first_body",
+                        "forces/second_body",
+                        "forces/value_row_units",
+                        "markers/marker",
+                        "markers/body",
                         "constraints/constraint",
                         "constraints/row_units",
                     )
@@ -231,16 +240,77 @@ class Run:
 
     @cached_property
     def joints(self) -> Histories[JointHistory]:
-        """Misalignments and reactions of the joints by name."""
+        """Misalignments, reactions and angles of the joints by name."""
         largest = self._largest_misalignments
-        first, second = (self._names.get(f"joints/{which}_body", ()) for which in ("first", "second"))
+        names = self._names["joints/joint"]
+        bodies, units = self._body_pairs("joints", names), self._texts("joints/angle_row_units", names)
         return Histories(
             "joint",
-            self._names["joints/joint"],
+            names,
             lambda name, index: JointHistory(
-                self, name, index, float(largest[index]), (first[index], second[index]) if first else ("", "")
+                self,
+                name,
+                index,
+                float(largest[index]),
+                bodies[index],
+                units[index],
             ),
         )
+
+    @cached_property
+    def forces(self) -> Histories[ForceHistory]:
+        """Lengths, forces and energies of the force elements by name.
+
+        Raises
+        ------
+        MbdkitError
+            If the run did not record them.
+        """
+        names = self._elements("forces", "force")
+        bodies, units = self._body_pairs("forces", names), self._texts("forces/value_row_units", names)
+        return Histories(
+            "force element",
+            names,
+            lambda name, index: ForceHistory(self, name, index, bodies[index], units[index]),
+        )
+
+    @cached_property
+    def markers(self) -> Histories[MarkerHistory]:
+        """Positions and velocities of the markers by name.
+
+        Raises
+        ------
+        MbdkitError
+            If the run did not record them.
+        """
+        names = self._elements("markers", "marker")
+        bodies = self._texts("markers/body", names)
+        return Histories(
+            "marker",
+            names,
+            lambda name, index: MarkerHistory(self, name, index, bodies[index]),
+        )
+
+    def _texts(self, path: str, elements: Sequence[str]) -> Sequence[str]:
+        """Return the text of each of the `elements` in an array; empty texts if the archive lacks them."""
+        texts = self._names.get(path, ())
+        return texts if len(texts) == len(elements) else [""] * len(elements)
+
+    def _body_pairs(self, group: str, elements: Sequence[str]) -> Sequence[tuple[str, str]]:
+        """Return the first and second bodies of the `elements` of a group; empty texts if the archive lacks them."""
+        first, second = (self._texts(f"{group}/{which}_body", elements) for which in ("first", "second"))
+        return list(zip(first, second, strict=True))
+
+    def _elements(self, group: str, axis: str) -> Sequence[str]:
+        """Return the names of the elements of a group, which is missing if the mechanism has none."""
+        if f"{group}/{axis}" in self._names:
+            return self._names[f"{group}/{axis}"]
+        output = self.spec.get("output")
+        asked = output.get("quantities") if isinstance(output, Mapping) else None
+        is_left_out = isinstance(asked, list) and group not in asked
+        if is_left_out or layout.later([f"{group}/{axis}"], self.format_version):
+            raise NotRecordedError(group, self.format_version)
+        return ()
 
     @property
     def redundancy(self) -> str:
@@ -256,7 +326,7 @@ class Run:
     def constraints(self) -> Histories[ConstraintHistory]:
         """Residuals and multipliers of the constraint rows by name, ``joint.row``."""
         if "constraints/constraint" not in self._names:
-            raise NotRecordedError("constraints")
+            raise NotRecordedError("constraints", self.format_version)
         units = self._names["constraints/row_units"]
         return Histories(
             "constraint",
@@ -388,7 +458,7 @@ class Run:
                 return file[path]
         if array is None:
             raise UnknownNameError("array", path, list(layout.BY_PATH))
-        raise NotRecordedError(path)
+        raise NotRecordedError(path, self.format_version)
 
     def _crashed(self, array: layout.Array) -> h5py.Dataset | np.ndarray:
         """Return the whole rows of a growing array of a crashed run."""
@@ -399,9 +469,9 @@ class Run:
                 return dataset
             values: np.ndarray = (dataset.asstr() if is_text(dataset) else dataset)[:rows]
             return values
-        group = self.file.get(array.group)
+        group = None if layout.later([array.path], self.format_version) else self.file.get(array.group)
         if is_flushed or array.optional or group is None:
-            raise NotRecordedError(array.path)
+            raise NotRecordedError(array.path, self.format_version)
         return np.empty((0, *(len(group[dim]) for dim in array.dims[1:])), array.dtype)
 
     @property

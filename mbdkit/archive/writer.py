@@ -55,6 +55,14 @@ class ArchiveNames:
         Unit of the constraint function of every constraint row, ``m`` or ``rad``.
     joint_bodies
         First and second body of every joint.
+    joint_units
+        Unit of the coordinate of every joint, ``rad`` or ``m``; by default, ``rad``.
+    forces, force_bodies
+        Names of the force elements, and first and second body of each.
+    force_units
+        Unit of the length of every force element, ``m`` or ``rad``.
+    markers, marker_bodies
+        Names of the markers, and the body of each.
     """
 
     bodies: Sequence[str]
@@ -62,6 +70,30 @@ class ArchiveNames:
     constraints: Sequence[str]
     constraint_units: Sequence[str]
     joint_bodies: Sequence[tuple[str, str]]
+    joint_units: Sequence[str] = ()
+    forces: Sequence[str] = ()
+    force_bodies: Sequence[tuple[str, str]] = ()
+    force_units: Sequence[str] = ()
+    markers: Sequence[str] = ()
+    marker_bodies: Sequence[str] = ()
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Lengths of the axes that do not grow, by name."""
+        return {
+            "body": len(self.bodies),
+            "coordinate": len(layout.COORDINATES),
+            "joint": len(self.joints),
+            "axis": len(layout.AXES),
+            "constraint": len(self.constraints),
+            "force": len(self.forces),
+            "marker": len(self.markers),
+        }
+
+    def present(self, quantities: frozenset[str]) -> frozenset[str]:
+        """Return the `quantities` without the groups of elements that the mechanism does not have."""
+        there = {"forces": self.forces, "markers": self.markers}
+        return frozenset(group for group in quantities if group not in layout.ELEMENTS or there[group])
 
 
 @dataclass(frozen=True)
@@ -77,11 +109,14 @@ class SharedForces:
     length
         Characteristic length [m]. Of all reactions that produce the same motion, the recorded ones minimize the sum
         over joints of ``|force|^2 + (torque / length)^2``.
+    drivers
+        The drivers among these joints, whose powers are not unique.
     """
 
     redundancy: str
     joints: Sequence[str]
     length: float
+    drivers: Sequence[str] = ()
 
 
 class ArchiveWriter:
@@ -100,7 +135,7 @@ class ArchiveWriter:
     provenance
         Attributes of ``/provenance``: versions, platform, command.
     quantities
-        Which of ``joints``, ``constraints``, ``energy`` are recorded.
+        Which of `layout.QUANTITIES` are recorded.
     extra_datasets
         Paths of the optional arrays to record, such as ``constraints/method_multiplier``.
     overwrite
@@ -130,14 +165,8 @@ class ArchiveWriter:
         overwrite: bool = False,
         shared: SharedForces | None = None,
     ):
-        arrays = layout.recorded(quantities, frozenset(extra_datasets))
-        sizes = {
-            "body": len(names.bodies),
-            "coordinate": len(layout.COORDINATES),
-            "joint": len(names.joints),
-            "axis": len(layout.AXES),
-            "constraint": len(names.constraints),
-        }
+        arrays = layout.recorded(names.present(quantities), frozenset(extra_datasets))
+        sizes = names.sizes
         growing = [array for array in arrays if array.grows]
         self._rows = Table([array for array in growing if array.dims[0] == "time"], sizes, self._write_more)
         self._steps = Table([array for array in growing if array.dims[0] == "interval"], sizes, self._write_more)
@@ -156,7 +185,8 @@ class ArchiveWriter:
             else self._target.file
         )
         try:
-            text = len(spec_json) + 64 * (len(names.bodies) + len(names.joints) + 4 * len(names.constraints))
+            counted = len(names.bodies) + 2 * len(names.joints) + 4 * len(names.constraints)
+            text = len(spec_json) + 64 * (counted + 6 * len(names.forces) + 2 * len(names.markers))
             with self._storing(), self._room(more=False, also=_ATTRIBUTE_BYTES + text):
                 self._write_head(spec_json, spec_sha256, run_id, provenance, arrays)
                 self._write_names([array for array in arrays if not array.grows], names)
@@ -346,9 +376,18 @@ class ArchiveWriter:
             **{f"{group}/velocity_row_units": rates for group in ("trajectory", "events")},
             "trajectory/acceleration_row_units": [f"{rate}^2" for rate in rates],
             "joints/joint": names.joints,
-            "joints/axis": layout.AXES,
+            **{f"{group}/axis": layout.AXES for group in ("joints", "markers")},
             "joints/first_body": [first for first, _ in names.joint_bodies],
             "joints/second_body": [second for _, second in names.joint_bodies],
+            "joints/angle_row_units": names.joint_units or ["rad"] * len(names.joints),
+            "forces/force": names.forces,
+            "forces/first_body": [first for first, _ in names.force_bodies],
+            "forces/second_body": [second for _, second in names.force_bodies],
+            "forces/row_units": names.force_units,
+            "forces/rate_row_units": [layout.RATE_UNITS[unit] for unit in names.force_units],
+            "forces/value_row_units": [layout.MULTIPLIER_UNITS[unit] for unit in names.force_units],
+            "markers/marker": names.markers,
+            "markers/body": names.marker_bodies,
             "constraints/constraint": names.constraints,
             "constraints/row_units": units,
             "constraints/velocity_row_units": [layout.RATE_UNITS[unit] for unit in units],
@@ -369,8 +408,9 @@ class ArchiveWriter:
             joints["misalignment"].attrs["misalignment_max"] = misalignment_max
         if self._shared is not None:
             for path in layout.SHARED:
-                if path in self._file:
-                    set_text(self._file[path], "not_unique", ", ".join(self._shared.joints))
+                names = self._shared.drivers if path == "joints/driver_power" else self._shared.joints
+                if path in self._file and names:
+                    set_text(self._file[path], "not_unique", ", ".join(names))
         grown = (series.line() for table in self._tables for series in table.series)
         self._file.attrs.modify("data_sha256", digest_lines([*self._lines, *filter(None, grown)]))
         self._file.attrs.modify("status_reason", reason)

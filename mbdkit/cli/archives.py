@@ -6,10 +6,10 @@ import typer
 
 from mbdkit import terminal
 from mbdkit.archive.layout import ATTRIBUTES_HASH
-from mbdkit.cli.common_options import PLAIN, Archives, AsJson, Debug, Quiet
+from mbdkit.cli.common_options import PLAIN, Archive, Archives, AsJson, Debug, Quiet
 from mbdkit.terminal import say, show, show_json
 
-archive_app = typer.Typer(help="Describe and check run archives.", **PLAIN)
+archive_app = typer.Typer(help="Describe, check and compare run archives.", **PLAIN)
 
 
 @archive_app.command("info")
@@ -48,3 +48,25 @@ def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False
             show(f"{archive}: sound{without}")
     if not sound:
         raise typer.Exit(terminal.WRONG_INPUT)
+
+
+@archive_app.command("diff")
+def archive_diff(first: Archive, second: Archive, as_json: AsJson = False, debug: Debug = False) -> None:
+    """Compare the data of two run archives.
+
+    Exit status 1 if the data differ; prints the largest relative difference of each
+    array. If one archive has an earlier format, the arrays that both have are compared.
+    """
+    from mbdkit.archive.compare import compare
+    from mbdkit.archive.reader import load
+
+    with load(first) as one, load(second) as two:
+        found = compare(one, two)
+    if as_json:
+        told = {"same_data": found.same_data, "same_spec": found.same_spec, "differences": found.differences}
+        more = {"left_out": found.left_out, "falsified": found.falsified, "versions": found.versions}
+        show_json({**told, **more})
+    else:
+        show(found)
+    if not found.same_data or found.falsified:
+        raise typer.Exit(terminal.DIFFERS)

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.engine.compiled_mechanism import CompiledMechanism, Row
+from mbdkit.engine.compiled_mechanism import CompiledMechanism, ForceElement, Row
 from mbdkit.engine.elimination_order import minimum_degree, neighbours
 from mbdkit.engine.jit.law_compiler import CompiledLaw, bind_law
+from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
 from mbdkit.engine.kernels.applied_forces import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQUE
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.motions import OPCODES
@@ -131,6 +132,15 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         law_parameters=np.array(forces.law_parameters, dtype=float),
         loads=np.array(forces.loads, dtype=np.int64).reshape(-1, 5),
         load_points=np.array(forces.load_points, dtype=float).reshape(-1, 2),
+        force_place=np.array(forces.spring_places + forces.load_places, dtype=np.int64),
+        pair_joint=np.array([pairs[k].joint for k in order], dtype=np.int64),
+        joints=np.array(
+            [(ANGLE if joint.travel is None else TRAVEL, *(number[x] for x in joint.bodies)) for _, joint in joints],
+            dtype=np.int64,
+        ).reshape(-1, 3),
+        joint_lines=np.array([joint.travel or (0.0,) * 6 for _, joint in joints], dtype=float).reshape(-1, 6),
+        markers=np.array([number[marker.body] for marker in mechanism.markers.values()], dtype=np.int64),
+        marker_points=np.array([marker.held for marker in mechanism.markers.values()], dtype=float).reshape(-1, 2),
         motion_start=np.array(motions.start, dtype=np.int64),
         motion_ops=np.array(motions.ops, dtype=np.int64),
         motion_values=np.array(motions.values, dtype=float),
@@ -143,6 +153,9 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         joint_bodies=tuple(joint.bodies for joint in mechanism.joints.values()),
         rows=tuple(rows),
         joint_pairs=tuple(tuple(members) for members in joint_pairs),
+        joint_units=tuple(joint.coordinate_unit for _, joint in joints),
+        forces=tuple(forces.elements),
+        markers=tuple((name, marker.body) for name, marker in mechanism.markers.items()),
         drivers=frozenset(name for name, joint in joints if joint.is_driver),
         coordinates=sum(2 if body.inertia is None else 3 for body in mechanism.bodies.values()),
         length=_length(mechanism),
@@ -190,6 +203,9 @@ class _Forces:
         self.laws: list[tuple[str, CompiledLaw]] = []
         self.law_rows: list[Numbers] = []
         self.law_parameters: list[float] = []
+        self.elements: list[ForceElement] = []
+        self.spring_places: list[int] = []
+        self.load_places: list[int] = []
         self.loads: list[Numbers] = []
         self.load_points: list[Numbers] = []
         for name, force in mechanism.forces.items():
@@ -198,13 +214,17 @@ class _Forces:
     def add(self, name: str, force: Force) -> None:
         match force:
             case SpringDamper() | TorsionSpring():
-                self.add_spring(force.pathway, force.linear)
+                self.add_spring(name, force.pathway, force.linear)
             case Law():
                 self.add_law(name, force)
             case Torque() | PointForce():
-                self.add_load(force.load)
+                self.add_load(name, force.load)
 
-    def add_spring(self, pathway: Pathway | SpringDamper | TorsionSpring, linear: Numbers, law: int = -1) -> None:
+    def add_spring(
+        self, name: str, pathway: Pathway | SpringDamper | TorsionSpring, linear: Numbers, law: int = -1
+    ) -> None:
+        self.spring_places.append(len(self.elements))
+        self.elements.append(ForceElement(name, pathway.bodies, pathway.length_unit))
         self.springs.append((PATHWAYS[pathway.kind], *(self.number[name] for name in pathway.bodies), law))
         self.spring_points.append((*pathway.flat_points, 0.0, 0.0))
         self.linear.append(linear)
@@ -214,12 +234,15 @@ class _Forces:
             compiled, block = bind_law(force.force_law, force, force.law_id)
         except SpecError as error:
             raise error.located(prefix=f"model.forces.{name}") from None
-        self.add_spring(force.pathway, (0.0, 0.0, 0.0), len(self.laws))
+        self.add_spring(name, force.pathway, (0.0, 0.0, 0.0), len(self.laws))
         self.laws.append((name, compiled))
         self.law_rows.append((compiled.address, len(self.law_parameters), compiled.claims))
         self.law_parameters += block
 
-    def add_load(self, load: AppliedLoad) -> None:
+    def add_load(self, name: str, load: AppliedLoad) -> None:
+        self.load_places.append(len(self.elements))
+        unit = "rad" if load.kind == "torque" else "m"
+        self.elements.append(ForceElement(name, (load.reaction_body, load.body), unit))
         motions = [self.motions.add(value) for value in load.values]
         bodies = (self.number[load.body], self.number[load.reaction_body])
         self.loads.append((LOADS[load.kind], *bodies, *motions, *[-1] * (2 - len(motions))))

@@ -29,6 +29,18 @@ class Row:
 
 
 @dataclass(frozen=True)
+class ForceElement:
+    """Name of a force element or load, its first and second body, and the unit of its length, m or rad.
+
+    The second body of a load is the one that it acts on.
+    """
+
+    name: str
+    bodies: tuple[str, str]
+    unit: str
+
+
+@dataclass(frozen=True)
 class Redundancy:
     """Redundant constraints of a mechanism; none by default.
 
@@ -74,6 +86,12 @@ class CompiledMechanism:
         Constraint rows in the order of the mechanism's joints, redundant ones included.
     joint_pairs
         (J,) numbers of the pairs of rows of each joint.
+    joint_units
+        (J,) unit of the coordinate of each joint, m for a travel and rad for an angle.
+    forces
+        Force elements and loads, in the order of the mechanism.
+    markers
+        Name and body of each marker.
     drivers
         Names of the joints that are drivers.
     coordinates
@@ -100,6 +118,9 @@ class CompiledMechanism:
     joint_bodies: tuple[tuple[str, str], ...]
     rows: tuple[Row, ...]
     joint_pairs: tuple[tuple[int, ...], ...]
+    joint_units: tuple[str, ...]
+    forces: tuple[ForceElement, ...]
+    markers: tuple[tuple[str, str], ...]
     drivers: frozenset[str]
     coordinates: int
     length: float

@@ -8,12 +8,6 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.misalignment import squared_misalignment
 
 
-def joint_of_pairs(mechanism: CompiledMechanism) -> np.ndarray:
-    """Return the number of the joint of each pair, (P,)."""
-    joint = {pair: number for number, pairs in enumerate(mechanism.joint_pairs) for pair in pairs}
-    return np.array([joint[pair] for pair in range(len(mechanism.topology.pairs))], dtype=np.int64)
-
-
 class JointSums:
     """Computes values of joints from values of pairs.
 
@@ -30,7 +24,7 @@ class JointSums:
 
     def __init__(self, mechanism: CompiledMechanism):
         self._joints = len(mechanism.joints)
-        self.joint = joint_of_pairs(mechanism)
+        self.joint = mechanism.topology.pair_joint
         pairs = len(mechanism.topology.pairs)
         self._is_length = np.zeros(pairs, dtype=bool)
         self._is_length[[row.pair for row in mechanism.rows if row.unit == "m"]] = True

@@ -8,8 +8,7 @@ from functools import partial
 import numpy as np
 
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.joint_sums import joint_of_pairs
-from mbdkit.engine.kernels.observe import Observed, SelfStress, observe
+from mbdkit.engine.kernels.observe import Observed, SelfStress, observe, observe_joints
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.redundant_gaps import unexplained_gaps
 from mbdkit.engine.redundant_reactions import share_evenly
@@ -29,7 +28,7 @@ class SingularState:
 
 
 class StateObserver:
-    """Computes accelerations, multipliers, reactions, energies and the distance to singularity at states of one run.
+    """Computes accelerations, reactions, forces, markers, energies and the distance to singularity at states of a run.
 
     The distance to singularity is computed by an iteration that starts from the result of the previous state.
     Therefore the states of a run should be passed in order of time.
@@ -48,16 +47,15 @@ class StateObserver:
     def __init__(self, workspace: Workspace):
         self.workspace = workspace
         mechanism = workspace.mechanism
-        self._bodies, self._pairs = len(mechanism.bodies), len(mechanism.topology.pairs)
+        self._pairs = len(mechanism.topology.pairs)
         self._directions = len(mechanism.topology.spare)
-        self._pair_joint = joint_of_pairs(mechanism)
         self._near = new_vectors(workspace)
         self._stress = SelfStress.zeros(0, self._directions, self._pairs)
         self.gaps, self.gap_uncertainty = np.zeros((2, 0, self._directions))
 
     def arrays(self, states: int) -> Observed:
         """Return arrays for the results of `observe`, for T = `states`."""
-        return Observed.zeros(states, self._bodies, self._pairs)
+        return Observed.zeros(states, self.workspace.mechanism.topology)
 
     def observe(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, out: Observed) -> SingularState | None:
         """Evaluate states in order and write the results into `out`; stop at a state without unique accelerations.
@@ -91,6 +89,7 @@ class StateObserver:
                 new = slice(done, done + reached)
                 self._note_gaps(new, q[new], out.rows(new), stress.rows(slice(0, reached)))
                 self._share(out.rows(new), stress.rows(slice(0, reached)))
+                observe_joints(self.workspace.engine, times[new], q[new], out.rows(new))
             done += reached
             return int(status)
 
@@ -112,8 +111,9 @@ class StateObserver:
 
     def _share(self, observed: Observed, stress: SelfStress) -> None:
         """Replace the reactions of redundant joints by those of least norm."""
-        length = self.workspace.mechanism.length
-        share_evenly(observed.lam, observed.reactions, stress.lam, stress.reactions, self._pair_joint, length)
+        mechanism = self.workspace.mechanism
+        joint, length = mechanism.topology.pair_joint, mechanism.length
+        share_evenly(observed.lam, observed.reactions, stress.lam, stress.reactions, joint, length)
 
     def _most_states(self) -> int:
         """Return the number of states whose self-stresses fit into the buffer."""

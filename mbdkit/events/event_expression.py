@@ -3,13 +3,16 @@
 In addition to ``t``, ``pi``, numbers, operators and functions, an expression can contain
 
     NAME.x .y .angle   .vx .vy .angular_velocity   .ax .ay .angular_acceleration       of a body
-    NAME.force .force_x .force_y .torque .misalignment .angle                          of a joint
+    NAME.force .force_x .force_y .torque .misalignment .angle .driver_power
+        .force_first_x .force_first_y .force_second_x .force_second_y                  of a joint
+    forces.NAME.length .rate .value .power .potential                                  of a force element
+    markers.NAME.x .y .vx .vy                                                          of a marker
     energy.kinetic .potential .total
 
 in SI units, as recorded in the archive: accelerations and reactions are the index-1 values at the state. ``force`` is
-the magnitude of a joint's reaction force, ``angle`` the angle of its second body relative to the first. Write
-``bodies.NAME`` or ``joints.NAME`` if a body and a joint have the same name, and ``bodies["NAME"]`` or
-``joints["NAME"]`` if the name is not an identifier.
+the magnitude of a joint's reaction force, ``force_first_x`` its component along the x axis of the first body, ``angle``
+the angle of its second body relative to the first or, of a slide, its travel. Write ``bodies.NAME`` or ``joints.NAME``
+if a body and a joint have the same name, and ``bodies["NAME"]`` if the name is not an identifier.
 """
 
 from __future__ import annotations
@@ -29,18 +32,33 @@ from mbdkit.mechanism.time_expression import FUNCTIONS, Compiler, Program
 from mbdkit.text import did_you_mean, listed
 
 BODY = ("x", "y", "angle", "vx", "vy", "angular_velocity", "ax", "ay", "angular_acceleration")
-JOINT = ("force", "force_x", "force_y", "torque", "misalignment", "angle")
+BODY_FRAMES = ("force_first_x", "force_first_y", "force_second_x", "force_second_y")
+JOINT = ("force", "force_x", "force_y", "torque", "misalignment", "angle", "driver_power", *BODY_FRAMES)
+FORCE = ("length", "rate", "value", "power", "potential")
+MARKER = ("x", "y", "vx", "vy")
 ENERGY = ("kinetic", "potential", "total")
 
 Code = list[tuple[str, float]]
-_ATTRIBUTES: Mapping[str, Sequence[str]] = {"bodies": BODY, "joints": JOINT, "energy": ENERGY}
-_ONE = {"bodies": "body", "joints": "joint"}
+_ATTRIBUTES: Mapping[str, Sequence[str]] = {
+    "bodies": BODY,
+    "joints": JOINT,
+    "forces": FORCE,
+    "markers": MARKER,
+    "energy": ENERGY,
+}
+_ONE = {"bodies": "body", "joints": "joint", "forces": "force element", "markers": "marker"}
+_EXAMPLE = {"bodies": "angle", "joints": "force", "forces": "value", "markers": "x", "energy": "total"}
+_BARE = ("bodies", "joints")
+"""Kinds of elements whose quantities can be written without the kind, as NAME.ATTRIBUTE."""
 _NOT_NEGATIVE = {("joints", "force"), ("joints", "misalignment"), ("energy", "kinetic")}
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One scalar of a run: `kind` is ``bodies``, ``joints`` or ``energy``; `name` is empty for ``energy``."""
+    """One scalar of a run: `kind` is ``bodies``, ``joints``, ``forces``, ``markers`` or ``energy``.
+
+    The `name` is that of the element; empty for ``energy``.
+    """
 
     kind: str
     name: str
@@ -201,11 +219,19 @@ def _check_crossing(program: Program, quantities: Sequence[Quantity]) -> None:
 class _RunCompiler(Compiler):
     """Compiles one expression with the quantities of a run."""
 
-    wanted = "an expression of a run, which has numbers, t, pi, NAME.ATTRIBUTE of bodies and joints, energy.total"
+    wanted = (
+        "an expression of a run, which has numbers, t, pi, NAME.ATTRIBUTE of bodies and joints, forces.NAME.value, "
+        "markers.NAME.x, energy.total"
+    )
 
     def __init__(self, text: str, mechanism: Mechanism, parameters: Mapping[str, float] | None = None):
         self.mechanism = mechanism
-        self.known: dict[str, list[str]] = {"bodies": list(mechanism.bodies), "joints": list(mechanism.joints)}
+        self.known: dict[str, list[str]] = {
+            "bodies": list(mechanism.bodies),
+            "joints": list(mechanism.joints),
+            "forces": list(mechanism.forces),
+            "markers": list(mechanism.markers),
+        }
         self.quantities: list[Quantity] = []
         self.quoted = {name: kind for kind, names in self.known.items() for name in names if not name.isidentifier()}
         if self.quoted:
@@ -222,21 +248,21 @@ class _RunCompiler(Compiler):
             case ast.Attribute(value=ast.Name(id="energy"), attr=attribute):
                 return self.get(Quantity("energy", "", self.checked(attribute, ["energy"], "", node)))
             case ast.Attribute(
-                ast.Attribute(ast.Name(id="bodies" | "joints" as kind), attr=name), attr=attribute
-            ) | ast.Attribute(
-                ast.Subscript(ast.Name(id="bodies" | "joints" as kind), ast.Constant(value=str() as name)),
+                ast.Attribute(ast.Name(id=kind), attr=name)
+                | ast.Subscript(ast.Name(id=kind), ast.Constant(value=str() as name)),
                 attr=attribute,
-            ):
+            ) if kind in self.known:
                 return self.of(kind, name, attribute, node)
-            case ast.Attribute(value=ast.Name(id=name), attr=attribute) if name not in self.known:
+            case ast.Attribute(value=ast.Name(id=name), attr=attribute) if name not in self.known or self.kinds(name):
                 return self.of(self.kind(name, attribute, node), name, attribute, node)
-            case ast.Name(id="energy" | "bodies" | "joints" as group):
-                example = f"{group}.{'NAME.' * (group in self.known)}{_ATTRIBUTES[group][-1]}"
+            case ast.Name(id=group) if group in _ATTRIBUTES:
+                example = f"{group}.{'NAME.' * (group in self.known)}{_EXAMPLE[group]}"
                 self.refuse(f"'{group}' is not a quantity by itself; write {example}, for example", node)
             case ast.Name(id=name) if any(name in names for names in self.known.values()):
-                what, attribute = ("body", "angle") if name in self.known["bodies"] else ("joint", "force")
+                kind = next(kind for kind, names in self.known.items() if name in names)
+                example = f"{'' if kind in _BARE else f'{kind}.'}{name}.{_EXAMPLE[kind]}"
                 self.refuse(
-                    f"'{name}' is a {what}, not a number; use one of its quantities, such as {name}.{attribute}", node
+                    f"'{name}' is a {_ONE[kind]}, not a number; use one of its quantities, such as {example}", node
                 )
             case ast.Name(id=name) if meant := [quoted for quoted in self.quoted if re.match(rf"{name}\W", quoted)]:
                 self.refuse(f"unknown name '{name}'{self.spelling(meant[0])}", node)
@@ -248,8 +274,11 @@ class _RunCompiler(Compiler):
 
     def kind(self, name: str, attribute: str, node: ast.expr) -> str:
         """Return the kind, ``bodies`` or ``joints``, to which a name refers."""
-        kinds = [kind for kind, names in self.known.items() if name in names]
+        kinds = self.kinds(name)
         if not kinds:
+            if other := next((kind for kind, names in self.known.items() if name in names), ""):
+                example = f"{other}.{name}.{attribute if attribute in _ATTRIBUTES[other] else _EXAMPLE[other]}"
+                self.refuse(f"'{name}' is a {_ONE[other]}; write {example}", node)
             self.unknown(name, [*self.known["bodies"], *self.known["joints"]], "body or joint", node)
         fitting = [kind for kind in kinds if self.checked(attribute, kinds, name, node) in _ATTRIBUTES[kind]]
         if len(fitting) > 1:
@@ -257,12 +286,16 @@ class _RunCompiler(Compiler):
             self.refuse(f"'{name}' is both a body and a joint; write {both}", node)
         return fitting[0]
 
+    def kinds(self, name: str) -> list[str]:
+        """Return which of ``bodies`` and ``joints`` have an element of this name."""
+        return [kind for kind in _BARE if name in self.known[kind]]
+
     def of(self, kind: str, name: str, attribute: str, node: ast.expr) -> Code:
-        """Return the program of a quantity of a body or a joint."""
+        """Return the program of a quantity of an element."""
         if name not in self.known[kind]:
             self.unknown(name, self.known[kind], _ONE[kind], node)
         self.checked(attribute, [kind], name, node)
-        if attribute.startswith("ang"):
+        if attribute.startswith("ang") and (kind == "bodies" or self.mechanism.joints[name].travel is None):
             for body in (name,) if kind == "bodies" else self.mechanism.joints[name].bodies:
                 if body != GROUND and self.mechanism.bodies[body].inertia is None:
                     self.refuse(f"'{body}' is a point mass (it has no inertia), so it has no angle", node)

@@ -11,11 +11,13 @@ from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
-from mbdkit.events.event_expression import BODY, Quantity
+from mbdkit.events.event_expression import BODY, BODY_FRAMES, FORCE, MARKER, Quantity
 
 _REACTION = ("force_x", "force_y", "torque")
-_KINEMATIC = (*BODY[:6], "angle")
-"""Attributes that depend only on positions and velocities."""
+_STATE = frozenset(BODY[:6])
+"""Attributes of a body that are entries of the state."""
+_IN_OBSERVED = ("angle", "driver_power", *BODY_FRAMES)
+"""Attributes of joints in the order of `Observed.joints`."""
 
 
 class _States(NamedTuple):
@@ -33,7 +35,7 @@ class _States(NamedTuple):
 
 
 class QuantityEvaluator:
-    """Evaluates quantities at states, without calling the engine if all depend only on positions and velocities.
+    """Evaluates quantities at states, without calling the engine if all are entries of the state.
 
     Parameters
     ----------
@@ -46,9 +48,10 @@ class QuantityEvaluator:
         mechanism = workspace.mechanism
         self._body = {name: index for index, name in enumerate([*mechanism.bodies, "ground"])}
         self._joint = {name: index for index, name in enumerate(mechanism.joints)}
+        self._joint_units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
         self._joints = JointSums(mechanism)
         self._columns = [self._column(quantity) for quantity in quantities]
-        self._needs_engine = any(quantity.attribute not in _KINEMATIC for quantity in quantities)
+        self._needs_engine = not all(self._is_in_state(quantity) for quantity in quantities)
         self._observer = StateObserver(workspace)
         self._buffers: dict[int, Observed] = {}
 
@@ -66,6 +69,12 @@ class QuantityEvaluator:
         columns = [times, *(column(states).tolist() for column in self._columns)]
         return [list(row) for row in zip(*columns, strict=True)]
 
+    def _is_in_state(self, quantity: Quantity) -> bool:
+        """Whether a quantity is an entry of the state, or a difference of two."""
+        if quantity.kind == "joints":
+            return quantity.attribute == "angle" and self._joint_units[quantity.name] == "rad"
+        return quantity.kind == "bodies" and quantity.attribute in _STATE
+
     def _column(self, quantity: Quantity) -> Callable[[_States], np.ndarray]:
         """Return a function for the (K,) values of a quantity."""
         mechanism, name, attribute = self.workspace.mechanism, quantity.name, quantity.attribute
@@ -78,10 +87,19 @@ class QuantityEvaluator:
             if level == 2:
                 return lambda states: states.dynamics.acc[:, place]
             return lambda states: (states.v if level else states.q)[:, place]
+        if quantity.kind == "forces":
+            force, column = [one.name for one in mechanism.forces].index(name), FORCE.index(attribute)
+            return lambda states: states.dynamics.forces[:, force, column]
+        if quantity.kind == "markers":
+            marker, column = [marker for marker, _ in mechanism.markers].index(name), MARKER.index(attribute)
+            return lambda states: states.dynamics.markers[:, marker, column]
         joint = self._joint[name]
-        if attribute == "angle":
+        if self._is_in_state(quantity):
             first, second = (3 * self._body[body] + 2 for body in mechanism.joint_bodies[joint])
             return lambda states: states.q[:, second] - states.q[:, first]
+        if attribute in _IN_OBSERVED:
+            column = _IN_OBSERVED.index(attribute)
+            return lambda states: states.dynamics.joints[:, joint, column]
         if attribute == "misalignment":
             return lambda states: self._joints.misalignment(states.dynamics.phi)[:, joint]
         pairs = list(mechanism.joint_pairs[joint])

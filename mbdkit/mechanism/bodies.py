@@ -95,6 +95,63 @@ class Element(StrictModel):
         return self
 
 
+class AtPoint(Element):
+    """An element at a point of one body.
+
+    The point is given either in the frame of the body or in the global frame; `placed` converts the latter, so that
+    `point` is None only before.
+    """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("at",)
+
+    body: str
+    """Name of the body."""
+    point: Point | None = (0.0, 0.0)
+    """The point in the body's frame [m]; the centre of mass by default."""
+    at: Point | None = None
+    """Instead of `point`: the point (x, y) [m] in the global frame, at the initial position as given (before
+    assembly)."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_default_beside_at(cls, data: Any) -> Any:
+        is_placed = isinstance(data, Mapping) and data.get("at") is not None and "point" not in data
+        return {**data, "point": None} if is_placed else data
+
+    @model_validator(mode="after")
+    def _point_once(self) -> Self:
+        if self.at is not None and self.point is not None:
+            raise SpecError(
+                "give the position either as `point` (in the frame of the body) or as `at` (in the global frame), not "
+                "both",
+                key="at",
+            )
+        if self.at is None and self.point is None:
+            raise SpecError("should be a point [x, y]; leave it out for the centre of mass", key="point")
+        return self
+
+    @property
+    def held(self) -> tuple[float, float]:
+        """The point in the frame of the body [m]."""
+        assert self.point is not None, "the element is not placed"
+        return self.point
+
+    def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
+        """Return the element with its point in the frame of the body; see `Element.placed`."""
+        if self.at is None:
+            return self
+        point = local_point(bodies, self.body, self.at, f"{key}.at")
+        return self.model_copy(update={"point": point, "at": None})
+
+    def places(self) -> list[tuple[str, str]]:
+        """Return (key, body name) of each body that the element refers to."""
+        return [("body", self.body)]
+
+    def attachments(self) -> list[Attachment]:
+        """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""
+        return [("point", self.body, self.held)]
+
+
 class Between(Element):
     """An element between two bodies."""
 

@@ -10,6 +10,7 @@ from mbdkit.mechanism.bodies import GROUND, Body
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import Assembly
 from mbdkit.mechanism.values import Motion, Table
 from mbdkit.plain_data import found
@@ -23,10 +24,14 @@ COINCIDENT = 1e-12
 
 
 def check_mechanism(
-    bodies: Mapping[str, Body], joints: Mapping[str, Joint], forces: Mapping[str, Force], assembly: Assembly
+    bodies: Mapping[str, Body],
+    joints: Mapping[str, Joint],
+    forces: Mapping[str, Force],
+    markers: Mapping[str, Marker],
+    assembly: Assembly,
 ) -> None:
     """Raise a SpecError with the key path of the first error."""
-    check_names(bodies, joints, forces)
+    check_names(bodies, joints, forces, markers)
     points = {name for name, body in bodies.items() if body.inertia is None}
     for name, joint in joints.items():
         _check_element(f"model.joints.{name}", joint, bodies, points)
@@ -38,15 +43,17 @@ def check_mechanism(
                 f"joint '{pin}' holds these two points together, so a spring between them has no effect",
                 key=f"model.forces.{name}.{line.pathway_key}points",
             )
+    for name, marker in markers.items():
+        _check_element(f"model.markers.{name}", marker, bodies, points)
     for index, name in enumerate(assembly.fix):
         check_known(name, bodies, f"model.assembly.fix[{index}]")
 
 
-def check_names(bodies: Iterable[str], joints: Iterable[str], forces: Iterable[str]) -> None:
+def check_names(bodies: Iterable[str], joints: Iterable[str], forces: Iterable[str], markers: Iterable[str]) -> None:
     """Raise a SpecError if there are no bodies, or for the first name that is not valid."""
     if not bodies:
         raise SpecError("a mechanism needs at least one body", key="model.bodies")
-    for kind, names in (("bodies", bodies), ("joints", joints), ("forces", forces)):
+    for kind, names in (("bodies", bodies), ("joints", joints), ("forces", forces), ("markers", markers)):
         for name in names:
             check_name(name, f"model.{kind}.{name}")
 
@@ -97,7 +104,7 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
 
 
 def check_name(name: object, key: str) -> None:
-    """Raise a SpecError unless `name` is a valid name of a body, joint, force or event in specs and archives."""
+    """Raise a SpecError unless `name` is a valid name of an element or event in specs and archives."""
     if not isinstance(name, str):
         raise SpecError(f"should be text, not {found(name)}", key=key)
     if name == GROUND:
@@ -129,16 +136,20 @@ def _ends(element: Joint | SpringDamper | Law) -> frozenset[tuple[str, tuple[flo
     return frozenset((name, point) for _, name, point in element.attachments())
 
 
-def _described(element: Joint | Force) -> str:
+def _described(element: Joint | Force | Marker) -> str:
     match element:
         case Law():
             return f"pathway of type {element.pathway.type}"
         case PointForce():
             return "force in its frame"
+        case Marker():
+            return "marker"
     return element.type
 
 
-def _check_element(key: str, element: Joint | Force, bodies: Iterable[str], point_masses: Container[str]) -> None:
+def _check_element(
+    key: str, element: Joint | Force | Marker, bodies: Iterable[str], point_masses: Container[str]
+) -> None:
     places = element.places()
     for place, body in places:
         check_known(body, bodies, f"{key}.{place}")

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
-from pydantic import Field, SerializeAsAny, model_validator
+from pydantic import Field, SerializeAsAny
 
-from mbdkit.errors import SpecError
-from mbdkit.mechanism.bodies import GROUND, Attachment, Body, Element, local_point
+from mbdkit.mechanism.bodies import GROUND, AtPoint, Element
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.pathways import AnglePathway, LinePathway
-from mbdkit.mechanism.values import Motion, MotionPair, NotNegative, Number, Point
+from mbdkit.mechanism.values import Motion, MotionPair, NotNegative, Number
 
 
 class LinearForce(NamedTuple):
@@ -130,62 +128,14 @@ class Torque(Element):
         return AppliedLoad("torque", self.body, self.reaction_body or GROUND, (self.value,))
 
 
-class PointForce(Element):
+class PointForce(AtPoint):
     """A force on a point of a body, with components in the global frame or in the body's frame."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("at",)
-
     type: Literal["force"] = "force"
-    body: str
-    """Name of the body that the force acts on."""
-    point: Point | None = (0.0, 0.0)
-    """Point of application in the body's frame [m]; the centre of mass by default."""
-    at: Point | None = None
-    """Instead of `point`: point of application (x, y) [m] in the global frame, at the initial position as given (before
-    assembly)."""
     value: MotionPair
     """Force (x, y) [N]: numbers, expressions of t, or tables."""
     frame: Literal["global", "body"] = "global"
     """Frame of the components of the force: `global`, or `body`, in which case the force turns with the body."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _no_default_beside_at(cls, data: Any) -> Any:
-        is_placed = isinstance(data, Mapping) and data.get("at") is not None and "point" not in data
-        return {**data, "point": None} if is_placed else data
-
-    @model_validator(mode="after")
-    def _point_once(self) -> PointForce:
-        if self.at is not None and self.point is not None:
-            raise SpecError(
-                "give the position either as `point` (in the frame of the body) or as `at` (in the global frame), not "
-                "both",
-                key="at",
-            )
-        if self.at is None and self.point is None:
-            raise SpecError("should be a point [x, y]; leave it out for the centre of mass", key="point")
-        return self
-
-    @property
-    def held(self) -> tuple[float, float]:
-        """The point of application in the frame of the body [m]."""
-        assert self.point is not None, "the element is not placed"
-        return self.point
-
-    def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
-        """Return the force with its point in the frame of the body; see `Element.placed`."""
-        if self.at is None:
-            return self
-        point = local_point(bodies, self.body, self.at, f"{key}.at")
-        return self.model_copy(update={"point": point, "at": None})
-
-    def places(self) -> list[tuple[str, str]]:
-        """Return (key, body name) of each body that the element refers to."""
-        return [("body", self.body)]
-
-    def attachments(self) -> list[Attachment]:
-        """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""
-        return [("point", self.body, self.held)]
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""

@@ -52,6 +52,10 @@ class Constraint:
     motion: Motion | None = None
 
 
+Travel = tuple[float, float, float, float, float, float]
+"""The line of a slide: a's point in a's frame, b's point in b's frame, unit vector in a's frame, each (x, y) [m]."""
+
+
 class JointBase(Between):
     """Base class of joints: the properties of a joint type that the engine, the checks and the plots use."""
 
@@ -62,6 +66,19 @@ class JointBase(Between):
     """Whether the joint makes its two points coincide."""
     point_moves_on_first: ClassVar[bool] = False
     """Whether the second body's point moves in the first body's frame; the reaction then acts at the moving point."""
+
+    @property
+    def travel(self) -> Travel | None:
+        """The line along which b's point travels from a's point; None if the coordinate of the joint is an angle.
+
+        The coordinate of a joint is the travel, or ``angle_b - angle_a``.
+        """
+        return None
+
+    @property
+    def coordinate_unit(self) -> str:
+        """Unit of the coordinate of the joint: m for a travel, rad for an angle."""
+        return "rad" if self.travel is None else "m"
 
     def constraints(self, initial_angle: float) -> list[Constraint]:
         """Return the constraints of the joint.
@@ -189,6 +206,11 @@ class SlidingJoint(PointJoint, At):
         length = math.hypot(x, y)
         return x / length, y / length
 
+    @property
+    def travel(self) -> Travel:
+        """The line along which b's point travels from a's point."""
+        return (*self.flat_points, *self.direction)
+
     def on_line(self) -> Constraint:
         """Return the constraint that holds the point on the line, the first row of the joint."""
         return Constraint("point_on_line", 0, 1, self.flat_points, self.direction)
@@ -304,6 +326,13 @@ class Driver(JointBase):
     def point(self) -> tuple[float, float]:
         """The driven point in b's frame [m]."""
         return (0.0, 0.0) if self.points is None else self.points[1]
+
+    @property
+    def travel(self) -> Travel | None:
+        """The axis along which `x` or `y` is measured; None for `angle`."""
+        if self.coordinate == "angle":
+            return None
+        return (0.0, 0.0, *self.point, *((1.0, 0.0) if self.coordinate == "x" else (0.0, 1.0)))
 
     def attachments(self) -> list[Attachment]:
         """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""

@@ -1,4 +1,4 @@
-"""The mechanism: named bodies, joints and forces, with a builder, checks, and conversion to and from a spec."""
+"""The mechanism: named bodies, joints, forces and markers, with a builder, checks, and conversion from and to specs."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from mbdkit.mechanism.checks import check_known, check_mechanism, check_name, ch
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Distance, Driver, Joint, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.validation_errors import spec_error
@@ -29,7 +30,7 @@ Pair = Sequence[float]
 Value = float | str | Table | Mapping[str, Any]
 """A number, an expression of t, or ``{"table": [[t, ...], [value, ...]]}``."""
 AnyElement = TypeVar("AnyElement", bound=StrictModel)
-AnyJointOrForce = TypeVar("AnyJointOrForce", bound=Element)
+AnyPlaced = TypeVar("AnyPlaced", bound=Element)
 
 _POINT: TypeAdapter[tuple[float, float]] = TypeAdapter(Point)
 
@@ -50,7 +51,7 @@ class Mechanism:
 
     Attributes
     ----------
-    bodies, joints, forces : dict
+    bodies, joints, forces, markers : dict
         The elements by name, in the order in which they were added.
     assembly : Assembly
         Settings for making the initial state consistent.
@@ -70,6 +71,7 @@ class Mechanism:
         self.bodies: dict[str, Body] = {}
         self.joints: dict[str, Joint] = {}
         self.forces: dict[str, Force] = {}
+        self.markers: dict[str, Marker] = {}
         self.assembly = Assembly()
 
     @property
@@ -402,6 +404,22 @@ class Mechanism:
         where = {"at": at} if point is None else {"at": at, "point": point}
         self.forces[name] = self._placed(PointForce, key, body=body, value=value, frame=frame, **where)
 
+    def marker(self, name: str, body: str, *, at: Pair | None = None, point: Pair | None = None) -> None:
+        """Name a point of a body, whose position and velocity the run records.
+
+        Parameters
+        ----------
+        name, body
+            Name of the marker, and of its body.
+        at
+            The point (x, y) [m] in the global frame at the initial position.
+        point
+            Alternative to `at`: the point in the body's frame (x, y) [m]; the centre of mass by default.
+        """
+        key = self._new(name, self.markers, "markers")
+        where = {"at": at} if point is None else {"at": at, "point": point}
+        self.markers[name] = self._placed(Marker, key, body=body, **where)
+
     def hold(self, *bodies: str, tolerance: float = 1e-12) -> None:
         """Set the bodies that assembly does not move, and the tolerance of assembly.
 
@@ -443,9 +461,11 @@ class Mechanism:
         """Return a line of text with the numbers of elements and of constraint rows."""
         drivers = sum(joint.is_driver for joint in self.joints.values())
         rows = sum(len(joint.rows) for joint in self.joints.values())
+        markers = f", {counted(len(self.markers), 'marker')}" if self.markers else ""
         return (
             f"{counted(len(self.bodies), 'body', 'bodies')}, {counted(len(self.joints) - drivers, 'joint')}, "
-            f"{counted(drivers, 'driver')}, {counted(len(self.forces), 'force')}; {counted(rows, 'constraint row')}"
+            f"{counted(drivers, 'driver')}, {counted(len(self.forces), 'force')}{markers}; "
+            f"{counted(rows, 'constraint row')}"
         )
 
     def validate(self) -> None:
@@ -456,7 +476,7 @@ class Mechanism:
         SpecError
             With the key path of the first error.
         """
-        check_mechanism(self.bodies, self.joints, self.forces, self.assembly)
+        check_mechanism(self.bodies, self.joints, self.forces, self.markers, self.assembly)
 
     def check_span(self, start: float, end: float) -> None:
         """Check that every table covers the times from `start` to `end` [s].
@@ -479,6 +499,8 @@ class Mechanism:
         for kind, elements in (("joints", self.joints), ("forces", self.forces)):
             if elements:
                 spec[kind] = {name: {"type": one.type, **_plain(one)} for name, one in elements.items()}
+        if self.markers:
+            spec["markers"] = {name: _plain(one) for name, one in self.markers.items()}
         if self.assembly != Assembly():
             spec["assembly"] = _plain(self.assembly)
         return spec
@@ -490,8 +512,8 @@ class Mechanism:
         Parameters
         ----------
         spec
-            Mapping with the keys ``gravity``, ``bodies``, ``joints``, ``forces`` and ``assembly``; ``name`` is optional
-            and must be ``mechanism``.
+            Mapping with the keys ``gravity``, ``bodies``, ``joints``, ``forces``, ``markers`` and ``assembly``;
+            ``name`` is optional and must be ``mechanism``.
         parameters
             Named numbers, or expressions of each other, which the numbers in `spec` may be expressions of.
 
@@ -514,13 +536,16 @@ class Mechanism:
     def from_data(cls, data: MechanismData) -> Mechanism:
         """Return the mechanism described by validated `data`, after checks across its elements."""
         mechanism = cls(data.gravity)
-        check_names(data.bodies, data.joints, data.forces)
+        check_names(data.bodies, data.joints, data.forces, data.markers)
         mechanism.bodies = dict(data.bodies)
         mechanism.joints = {
             name: mechanism._with_points(joint, f"model.joints.{name}") for name, joint in data.joints.items()
         }
         mechanism.forces = {
             name: mechanism._with_points(force, f"model.forces.{name}") for name, force in data.forces.items()
+        }
+        mechanism.markers = {
+            name: mechanism._with_points(marker, f"model.markers.{name}") for name, marker in data.markers.items()
         }
         mechanism.assembly = data.assembly
         mechanism.validate()
@@ -557,10 +582,10 @@ class Mechanism:
     def _known(self, name: str, key: str) -> None:
         check_known(name, self.bodies, key)
 
-    def _placed(self, cls: type[AnyJointOrForce], key: str, /, **values: Any) -> AnyJointOrForce:
+    def _placed(self, cls: type[AnyPlaced], key: str, /, **values: Any) -> AnyPlaced:
         return self._with_points(_make(cls, key, **values), key)
 
-    def _with_points(self, element: AnyJointOrForce, key: str) -> AnyJointOrForce:
+    def _with_points(self, element: AnyPlaced, key: str) -> AnyPlaced:
         """Return an element with its points in the frames of its bodies, which must exist."""
         for place, body in element.places():
             self._known(body, f"{key}.{place}")

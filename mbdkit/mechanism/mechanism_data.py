@@ -1,14 +1,15 @@
-"""Data of the free-form model ``mechanism`` in a spec: gravity, bodies, joints, forces and assembly."""
+"""Data of the free-form model ``mechanism`` in a spec: gravity, bodies, joints, forces, markers and assembly."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import BeforeValidator, Field
 
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.values import Point, Positive, sequence
 from mbdkit.strict_model import StrictModel
 
@@ -23,7 +24,9 @@ class Assembly(StrictModel):
 
 
 class MechanismData(StrictModel):
-    """Data of the model `mechanism`: gravity, named bodies, joints and forces, and assembly."""
+    """Data of the model `mechanism`: gravity, named bodies, joints, forces and markers, and assembly."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("markers",)
 
     gravity: Point = (0.0, -9.81)
     """Gravitational acceleration (x, y) [m/s^2]."""
@@ -33,5 +36,7 @@ class MechanismData(StrictModel):
     """Joints and drivers by name."""
     forces: dict[str, Force] = Field(default_factory=dict)
     """Force elements by name."""
+    markers: dict[str, Marker] = Field(default_factory=dict)
+    """Points of bodies whose positions and velocities are recorded, by name."""
     assembly: Assembly = Assembly()
     """Settings for making the initial state consistent."""

@@ -9,7 +9,7 @@ SUMMARY = "Any mechanism of named bodies, joints, drivers and forces."
 
 
 class MechanismOptions(MechanismData):
-    """Parameters of `mechanism`: bodies, joints and forces by name."""
+    """Parameters of `mechanism`: bodies, joints, forces and markers by name."""
 
 
 def build(options: MechanismOptions) -> Mechanism:

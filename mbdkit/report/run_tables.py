@@ -1,4 +1,4 @@
-"""The tables of a run's report: joints, events and cost."""
+"""The tables of a run's report: joints, force elements, events and cost."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.run_summary import plus_minus
+from mbdkit.plot.downsampling import bands
 from mbdkit.plot.joint_quantity import joint_quantity
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ BODIES = 50
 """Largest number of bodies in the table of errors."""
 JOINTS = 50
 """Largest number of joints in the table."""
+FORCES = 50
+"""Largest number of force elements in the table."""
 EVENTS = 50
 """Largest number of event crossings in the table."""
 FORCE = "joints/reaction_force"
@@ -27,6 +30,7 @@ _QUANTITIES = (
     ("velocity misalignment", "joints/velocity_misalignment", "m/s"),
     ("reaction force", FORCE, "N"),
 )
+_DRIVER_POWER = ("driver power", "joints/driver_power", "W")
 
 
 def run_tables(run: Run) -> tuple[Table, ...]:
@@ -34,6 +38,8 @@ def run_tables(run: Run) -> tuple[Table, ...]:
     tables = [_joints(run)] if run.joint_names else []
     if run.accuracy is not None and run.accuracy.rows_known:
         tables.append(_errors(run, run.accuracy))
+    if run.records("forces/value"):
+        tables.append(_forces(run))
     if run.spec.get("events"):
         tables.append(_events(run))
     return (*tables, _cost(run))
@@ -61,7 +67,8 @@ def _events(run: Run) -> Table:
 def _joints(run: Run) -> Table:
     columns = [Column("joint"), Column("between"), Column("largest misalignment", "m")]
     found = []
-    for name, path, unit in _QUANTITIES:
+    driven = run.records(_DRIVER_POWER[1]) and bool(np.any(run.array(_DRIVER_POWER[1])))
+    for name, path, unit in (*_QUANTITIES, *([_DRIVER_POWER] if driven else [])):
         if run.records(path):
             columns.append(Column(f"largest {name}", unit))
             cells: list[Cell] = joint_quantity(run, name, path, unit, _magnitude).data.peaks.tolist()
@@ -115,6 +122,31 @@ def _errors(run: Run, accuracy: Accuracy) -> Table:
     few = f" The {BODIES} of {len(size)} bodies with the largest errors." if len(size) > BODIES else ""
     note = f"Largest errors {until}.{few} {accuracy.method}"
     return Table("errors", "Estimated errors", columns, tuple(rows), note)
+
+
+def _forces(run: Run) -> Table:
+    """Return the table of the largest force, torque and power of each force element, limited to the first."""
+    time = np.asarray(run.time)
+    value, power = (bands(time, run.dataset(f"forces/{name}")).peaks for name in ("value", "power"))
+    rows: list[tuple[Cell, ...]] = [
+        (
+            force.name,
+            " - ".join(force.bodies),
+            float(value[column]) if force.units == "N" else None,
+            float(value[column]) if force.units == "N m" else None,
+            float(power[column]),
+        )
+        for column, force in enumerate(run.forces.values())
+    ]
+    columns = (
+        Column("force element"),
+        Column("between"),
+        Column("largest force", "N"),
+        Column("largest torque", "N m"),
+        Column("largest power", "W"),
+    )
+    note = f"The first {FORCES} of {len(rows)} force elements." if len(rows) > FORCES else ""
+    return Table("forces", "Forces", columns, tuple(rows[:FORCES]), note)
 
 
 def _magnitude(part: np.ndarray) -> np.ndarray:

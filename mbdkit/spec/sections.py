@@ -12,7 +12,7 @@ from mbdkit.errors import SpecError
 from mbdkit.mechanism.checks import check_name
 from mbdkit.strict_model import StrictModel
 
-QUANTITIES = ("constraints", "energy", "joints")
+QUANTITIES = ("constraints", "energy", "forces", "joints", "markers")
 
 
 def _whole(value: Any) -> Any:
@@ -87,7 +87,7 @@ class Output(Section):
     """Number of steps between records; 1 unless `interval` is given."""
     interval: Positive | None = None
     """Time between records [s], instead of `every`; requires a method with dense output."""
-    quantities: Literal["all"] | tuple[Literal["constraints", "energy", "joints"], ...] = "all"
+    quantities: Literal["all"] | tuple[Literal["constraints", "energy", "forces", "joints", "markers"], ...] = "all"
     """Groups of quantities recorded in addition to trajectory, steps and stats."""
 
     @model_validator(mode="before")
@@ -120,9 +120,11 @@ class Event(Section):
     """An event: a zero crossing of an expression during the run.
 
     Expressions may contain t; NAME.x, .y, .angle, .vx, .vy, .angular_velocity, .ax, .ay and .angular_acceleration of a
-    body; NAME.force, .force_x, .force_y, .torque, .misalignment and .angle of a joint; and energy.kinetic, .potential
-    and .total. If a body and a joint have the same name, write bodies.NAME or joints.NAME. Names with characters other
-    than letters, digits and underscores must be quoted, as in joints["J 1"].force.
+    body; NAME.force, .force_x, .force_y, .torque, .misalignment, .angle, .driver_power, .force_first_x, .force_first_y,
+    .force_second_x and .force_second_y of a joint; forces.NAME.length, .rate, .value, .power and .potential of a force
+    element; markers.NAME.x, .y, .vx and .vy of a marker; and energy.kinetic, .potential and .total. If a body and a
+    joint have the same name, write bodies.NAME or joints.NAME. Names with characters other than letters, digits and
+    underscores must be quoted, as in joints["J 1"].force.
     """
 
     when: str

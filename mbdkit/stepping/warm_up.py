@@ -57,7 +57,7 @@ def _run_everything(check: Callable[[], None]) -> None:
     """
     from mbdkit.engine.consistent_start import workspace_at_start
     from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
-    from mbdkit.engine.kernels.observe import baumgarte_at
+    from mbdkit.engine.kernels.observe import baumgarte_at, observe_joints
     from mbdkit.engine.observed_states import StateObserver
     from mbdkit.engine.singularity import nearest_singularity
     from mbdkit.mechanism.mechanism import Mechanism
@@ -87,5 +87,7 @@ def _run_everything(check: Callable[[], None]) -> None:
         stepper.inside(0.5)
         stepper.within(0.5)
         observer = StateObserver(workspace)
-        observer.observe(stretch.time, stretch.q, stretch.v, observer.arrays(len(stretch.time)))
+        observed = observer.arrays(len(stretch.time))
+        observer.observe(stretch.time, stretch.q, stretch.v, observed)
+        observe_joints(workspace.engine, stretch.time, stretch.q, observed)
     nearest_singularity(at_start, 0.0, at_start.q0)

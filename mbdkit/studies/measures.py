@@ -11,6 +11,7 @@ import numpy as np
 
 from mbdkit.analysis.energy import Trend, energy_trend
 from mbdkit.analysis.reference import EVERY_ROW, LAST_ROW, carries_multipliers, common_rows, multiplier_error, offsets
+from mbdkit.archive.history import NotRecordedError
 from mbdkit.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.spec import RunSpec
@@ -47,6 +48,26 @@ def _largest(path: str) -> Callable[[Run, Run | None], float]:
 
 def _misalignment(run: Run, reference: Run | None) -> float:
     return run.misalignment_max
+
+
+def _reaction(run: Run, reference: Run | None) -> float:
+    if not run.records("joints/reaction_force"):
+        return math.nan
+    return float(np.max(np.linalg.norm(run.array("joints/reaction_force"), axis=-1), initial=0.0))
+
+
+def _largest_value(units: str) -> Callable[[Run, Run | None], float]:
+    """Return the measure of the largest value of the force elements with these `units`; 0 if there are none."""
+
+    def take(run: Run, reference: Run | None) -> float:
+        try:
+            forces = run.forces
+        except NotRecordedError:
+            return math.nan
+        chosen = [force.value for force in forces.values() if force.units == units]
+        return max((float(np.max(np.abs(value), initial=0.0)) for value in chosen), default=0.0)
+
+    return take
 
 
 def _end_balance(run: Run, reference: Run | None) -> float:
@@ -141,6 +162,14 @@ MEASURES: Mapping[str, Measure] = {
     "energy_balance_max": Measure("J", "largest absolute energy balance", _largest("energy/balance")),
     "energy_balance_end": Measure("J", "energy balance at the end", _end_balance),
     "energy_scale": Measure("J", "largest kinetic energy", _largest("energy/kinetic")),
+    "reaction_force_max": Measure("N", "largest reaction force of any joint in the recorded rows", _reaction),
+    "element_force_max": Measure("N", "largest force of any force element in the recorded rows", _largest_value("N")),
+    "element_torque_max": Measure(
+        "N m", "largest torque of any force element in the recorded rows", _largest_value("N m")
+    ),
+    "driver_power_max": Measure(
+        "W", "largest absolute power of any driver in the recorded rows", _largest("joints/driver_power")
+    ),
     "end_error": Measure("m", "largest distance of a body from the reference at the end", _error(_XY, LAST_ROW)),
     "end_angle_error": Measure(
         "rad", "largest angle error of a body against the reference at the end", _error(_THETA, LAST_ROW)

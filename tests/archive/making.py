@@ -31,8 +31,11 @@ STATS = {
 PROVENANCE = {"mbdkit": "0.1.0", "numpy": "2.4.6", "command": "mbdkit run double-pendulum", "platform": "Linux"}
 
 
-def names(bodies: int = 2, joints: int = 2, constraints: int | None = None) -> ArchiveNames:
-    """Return the names of a chain; the last constraint row, if there are an odd number, is an angle."""
+def names(bodies: int = 2, joints: int = 2, constraints: int | None = None, forces: int = 2) -> ArchiveNames:
+    """Return the names of a chain; the last constraint row, if there are an odd number, is an angle.
+
+    The last of several force elements is a torsion spring. There is one marker if there are force elements.
+    """
     count = 2 * joints if constraints is None else constraints
     return ArchiveNames(
         [f"rod{number}" for number in range(1, bodies + 1)],
@@ -40,18 +43,17 @@ def names(bodies: int = 2, joints: int = 2, constraints: int | None = None) -> A
         [f"J{row // 2 + 1}.{'xy'[row % 2]}" for row in range(count)],
         ["rad" if count % 2 and row == count - 1 else "m" for row in range(count)],
         [("ground" if number == 1 else f"rod{number - 1}", f"rod{number}") for number in range(1, joints + 1)],
+        forces=[f"s{number}" for number in range(1, forces + 1)],
+        force_bodies=[("ground", "rod1")] * forces,
+        force_units=["m", "rad", "rad"][:forces],
+        markers=["tip"][:forces],
+        marker_bodies=["rod1"][:forces],
     )
 
 
 def rows(count: int, named: ArchiveNames, start: int = 0) -> dict[str, np.ndarray]:
     """Return rows `start` to `start + count` of a made-up run: smooth, different in every column."""
-    sizes = {
-        "body": len(named.bodies),
-        "coordinate": 3,
-        "joint": len(named.joints),
-        "axis": 2,
-        "constraint": len(named.constraints),
-    }
+    sizes = named.sizes
     time = 0.01 * np.arange(start, start + count)
     made = {"time": time, "trajectory/elapsed_s": 1e-5 * np.arange(start, start + count)}
     growing = [array for array in layout.LAYOUT if array.dims[0] == "time" and array.key not in made]

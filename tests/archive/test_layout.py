@@ -5,7 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 from mbdkit.archive import layout_document
-from mbdkit.archive.layout import BY_PATH, GROUPS, LAYOUT, is_timing
+from mbdkit.archive.layout import (
+    BY_PATH,
+    FORMAT_VERSION,
+    GROUPS,
+    LAYOUT,
+    QUANTITIES,
+    is_timing,
+    later,
+    recorded,
+)
 
 DOCUMENT = Path(__file__).parents[2] / "schemas" / "archive.md"
 
@@ -28,6 +37,27 @@ PROMISED = {
         "angle_misalignment": "TJ",
         "reaction_force": "TJ2",
         "reaction_torque": "TJ",
+        "reaction_force_first": "TJ2",
+        "reaction_force_second": "TJ2",
+        "angle": "TJ",
+        "driver_power": "TJ",
+    },
+    "forces": {
+        "time": "T",
+        "force": "F",
+        "length": "TF",
+        "rate": "TF",
+        "value": "TF",
+        "power": "TF",
+        "potential": "TF",
+    },
+    "markers": {
+        "time": "T",
+        "marker": "K",
+        "axis": "2",
+        "body": "K",
+        "position": "TK2",
+        "velocity": "TK2",
     },
     "constraints": {
         "time": "T",
@@ -56,6 +86,8 @@ AXES = {
     "B": "body",
     "3": "coordinate",
     "J": "joint",
+    "F": "force",
+    "K": "marker",
     "2": "axis",
     "m": "constraint",
     "N": "interval",
@@ -75,6 +107,14 @@ def test_layout_adds_nothing_but_row_units_the_bodies_of_joints_and_what_is_opti
     }
     assert all(path.endswith(("row_units", "_body")) or BY_PATH[path].optional for path in added)
     assert {array.group for array in LAYOUT} == set(GROUPS)
+
+
+def test_an_earlier_version_lacks_what_came_later() -> None:
+    first = {array.path for array in recorded(QUANTITIES, version="1.0")}
+    now = {array.path for array in recorded(QUANTITIES)}
+    assert now - first == later(now, "1.0")
+    assert {path.partition("/")[0] for path in now - first} == {"joints", "forces", "markers"}
+    assert later(now, FORMAT_VERSION) == later(now, "1.9") == frozenset()
 
 
 def test_every_axis_has_its_scale_in_the_same_group() -> None:

@@ -79,7 +79,7 @@ def test_attributes_are_plain_values(run: Run) -> None:
     assert run.provenance == PROVENANCE
     assert type(run.stats["steps"]) is int
     assert type(run.stats["wall_s"]) is float
-    assert (run.status, run.status_reason, run.run_id, run.format_version) == ("complete", "", "run-1", "1.0")
+    assert (run.status, run.status_reason, run.run_id, run.format_version) == ("complete", "", "run-1", "1.1")
     with pytest.raises(TypeError):
         run.stats["steps"] = 3  # type: ignore[index]
 
@@ -188,7 +188,7 @@ def test_every_column_says_what_it_is() -> None:
         for value in vars(kind).values()
         if isinstance(value, Column)
     ]
-    assert len(columns) == 31
+    assert len(columns) == 42
     for column in columns:
         assert column.__doc__
         assert "(T" in column.__doc__ or "(N" in column.__doc__

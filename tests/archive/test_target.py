@@ -210,7 +210,7 @@ FULL_DISK = """
 @pytest.mark.parametrize("interval", [0.0, 1e9])
 @pytest.mark.parametrize("limit", [1_000, 14_000, 20_000, 200_000, 700_000, 800_000])
 def test_full_disk_is_said_and_harms_nothing(tmp_path: Path, limit: int, interval: float) -> None:
-    # 2000 rows take about a megabyte; a limit on the size of files stands in for a full disk.
+    # 2000 rows take more than a megabyte; a limit on the size of files stands in for a full disk.
     (tmp_path / "run.h5").write_text("precious")
     done = run_python(FULL_DISK.format(limit=limit, interval=interval), tmp_path)
     assert done.returncode in (0, 1), done.stderr  # no crash in HDF5
@@ -237,7 +237,7 @@ def test_disk_that_fails_without_warning_is_said(tmp_path: Path, limit: int, int
 
 
 def test_full_disk_leaves_what_was_flushed(tmp_path: Path) -> None:
-    done = run_python(FULL_DISK.format(limit=800_000, interval=0.0), tmp_path)
+    done = run_python(FULL_DISK.format(limit=1_200_000, interval=0.0), tmp_path)
     assert "the data up to the last flush are in run.h5.part" in done.stdout
     with load(tmp_path / "run.h5.part") as run:
         assert run.status == "running"

@@ -20,6 +20,10 @@ def mechanism() -> mbdkit.Mechanism:
     m.revolute("A", m.ground, inner, at=(0.0, 0.0))
     m.revolute("B", inner, outer, at=(1.0, 0.0))
     m.revolute("left-hand", outer, weight, at=(2.0, 0.0))
+    m.driver("lift", inner, weight, coordinate="y", motion="0.1*t")
+    m.spring_damper("spring", inner, weight, from_=(0.0, 1.0), to=(2.0, 0.0), stiffness=1.0)
+    m.marker("tip", outer, at=(2.0, 0.0))
+    m.marker("heel-a", inner)
     return m
 
 
@@ -58,6 +62,12 @@ def test_what_has_no_value_is_nan() -> None:
         ('bodies["weight 1"].x', Quantity("bodies", "weight 1", "x")),
         ("joints['left-hand'].force_y", Quantity("joints", "left-hand", "force_y")),
         ("energy.total", Quantity("energy", "", "total")),
+        ("forces.spring.value", Quantity("forces", "spring", "value")),
+        ("markers.tip.vy", Quantity("markers", "tip", "vy")),
+        ("markers['heel-a'].x", Quantity("markers", "heel-a", "x")),
+        ("lift.driver_power", Quantity("joints", "lift", "driver_power")),
+        ("joints.A.force_first_x", Quantity("joints", "A", "force_first_x")),
+        ("lift.angle", Quantity("joints", "lift", "angle")),
     ],
 )
 def test_names_of_a_run(text: str, quantity: Quantity) -> None:
@@ -83,6 +93,14 @@ def test_names_of_a_run(text: str, quantity: Quantity) -> None:
         ("ground.x", "the ground does not move"),
         ("bodies['weight 1'].angle", "'weight 1' is a point mass"),
         ("joints['left-hand'].angle", "'weight 1' is a point mass"),
+        ("forces.sprang.value", "there is no force element 'sprang' (did you mean 'spring'?)"),
+        ("forces.spring.x", "force element 'spring' has no 'x'"),
+        ("markers.tip.angle", "marker 'tip' has no 'angle'"),
+        ("tip.x", "'tip' is a marker; write markers.tip.x"),
+        ("spring.force", "'spring' is a force element; write forces.spring.value"),
+        ("tip", "'tip' is a marker, not a number; use one of its quantities, such as markers.tip.x"),
+        ("forces", "'forces' is not a quantity by itself; write forces.NAME.value"),
+        ("heel-a.x", "is written markers['heel-a']"),
         ("left-hand.force - 3", "is written joints['left-hand']"),
         ("weight 1.x", "is written bodies['weight 1']"),
         ("inner.x.real", "is not part of an expression of a run"),

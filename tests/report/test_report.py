@@ -248,3 +248,26 @@ def test_a_run_that_an_event_ended_completed():
         claim = run_verdict(run).claim("completion")
         assert claim.answer is Answer.YES
         assert "It ended at an event: 'low' crossed zero downwards at t = 0.4833" in claim.sentence
+
+
+def test_the_report_lists_force_elements_and_the_power_of_drivers() -> None:
+    m = mbdkit.Mechanism()
+    m.body("wheel", mass=1.0, inertia=0.5, position=(0.3, 0.0))
+    m.revolute("hub", m.ground, "wheel", at=(0.0, 0.0))
+    m.driver("motor", m.ground, "wheel", coordinate="angle", motion="sin(2*t)")
+    m.torsion_spring("twist", m.ground, "wheel", stiffness=3.0)
+    m.spring_damper("spring", m.ground, "wheel", points=((0.0, 2.0), (0.0, 0.0)), stiffness=5.0)
+    with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.01}) as run:
+        verdict = run_verdict(run)
+        table = verdict.table("forces")
+        twist, spring = (run.forces[name] for name in ("twist", "spring"))
+        peaks = [float(np.max(np.abs(force.value))) for force in (twist, spring)]
+        assert [row[:4] for row in table.rows] == [
+            ("twist", "ground - wheel", None, peaks[0]),
+            ("spring", "ground - wheel", peaks[1], None),
+        ]
+        assert table.rows[1][4] == np.max(np.abs(spring.power))
+        joints = verdict.table("joints")
+        assert joints.columns[-1].label == "largest driver power"
+        assert [row[-1] for row in joints.rows] == [0.0, np.max(np.abs(run.joints["motor"].driver_power))]
+        assert "largest driver power" in run_report(run).html()

@@ -46,3 +46,24 @@ def test_a_run_that_an_event_ended_has_no_error_against_a_reference_that_ended_e
         assert math.isnan(MEASURES["end_error"].take(stopped, whole))
         assert MEASURES["end_error"].take(whole, whole) == 0.0
         assert MEASURES["misalignment_max"].take(stopped, whole) > 0.0
+
+
+def test_forces_and_powers_are_measured_where_they_are_recorded() -> None:
+    m = mbdkit.Mechanism()
+    m.body("wheel", mass=1.0, inertia=0.5, position=(0.3, 0.0))
+    m.revolute("hub", m.ground, "wheel", at=(0.0, 0.0))
+    m.driver("motor", m.ground, "wheel", coordinate="angle", motion="sin(2*t)")
+    m.torsion_spring("twist", m.ground, "wheel", stiffness=3.0)
+    m.spring_damper("spring", m.ground, "wheel", points=((0.0, 2.0), (0.0, 0.0)), stiffness=5.0)
+    taken = ("reaction_force_max", "element_force_max", "element_torque_max", "driver_power_max")
+    time = {"end": 1.0, "step": 0.01}
+    with mbdkit.run(m, integrator={"name": "rk4"}, time=time) as run:
+        found = [MEASURES[name].take(run, None) for name in taken]
+        assert found == [
+            pytest.approx(np.max(np.linalg.norm(run.array("joints/reaction_force"), axis=-1)), rel=1e-14),
+            np.max(np.abs(run.forces["spring"].value)),
+            np.max(np.abs(run.forces["twist"].value)),
+            np.max(np.abs(run.joints["motor"].driver_power)),
+        ]
+    with mbdkit.run(m, integrator={"name": "rk4"}, time=time, output={"quantities": []}) as run:
+        assert all(math.isnan(MEASURES[name].take(run, None)) for name in taken)

@@ -1,4 +1,4 @@
-"""Kernels that evaluate given states: accelerations, multipliers, residuals, reactions, energies and tangents."""
+"""Kernels that evaluate given states: accelerations, multipliers, residuals, reactions, forces, energies, tangents."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.jit.decorators import kernel, subkernel
+from mbdkit.engine.kernels.acting import force_values, joint_values, marker_values
 from mbdkit.engine.kernels.applied_forces import potential_energy
 from mbdkit.engine.kernels.constraints import constraint_positions, constraint_tangents
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.system import (
     OK,
+    Topology,
     constraint_rows,
     evaluate_powers,
     evaluate_tangents,
@@ -41,7 +43,7 @@ def reactions_of(top, w, lam, out):
 
 
 class Observed(NamedTuple):
-    """Quantities computed from T states; P is the number of pairs of constraint rows in the topology."""
+    """Quantities computed from T states; P is the number of pairs of constraint rows, F of force elements."""
 
     acc: np.ndarray
     """(T, 3 (B + 1)) accelerations of the index-1 system [m/s^2, rad/s^2], ground last."""
@@ -59,12 +61,19 @@ class Observed(NamedTuple):
     """(T,) potential energy of gravity and springs [J]."""
     singularity_distance: np.ndarray
     """(T,) distance to singularity, see `mbdkit.engine.singularity`."""
+    forces: np.ndarray
+    """(T, F, 5) length, rate, value, power and potential of each force element; see `force_values`."""
+    joints: np.ndarray
+    """(T, J, 6) coordinate, power of the driver, and reaction force (x, y) in the frames of both bodies."""
+    markers: np.ndarray
+    """(T, K, 4) position (x, y) and velocity (x, y) of each marker."""
 
     @staticmethod
-    def zeros(states: int, bodies: int, pairs: int) -> Observed:
-        """Return arrays for T = `states`, filled with zeros."""
+    def zeros(states: int, top: Topology) -> Observed:
+        """Return arrays for T = `states` of a mechanism, filled with zeros."""
+        pairs = len(top.pairs)
         return Observed(
-            acc=np.zeros((states, 3 * (bodies + 1))),
+            acc=np.zeros((states, 3 * len(top.mass))),
             lam=np.zeros((states, pairs, 2)),
             phi=np.zeros((states, pairs, 2)),
             phi_rate=np.zeros((states, pairs, 2)),
@@ -72,6 +81,9 @@ class Observed(NamedTuple):
             kinetic=np.zeros(states),
             potential=np.zeros(states),
             singularity_distance=np.zeros(states),
+            forces=np.zeros((states, len(top.force_place), 5)),
+            joints=np.zeros((states, len(top.joints), 6)),
+            markers=np.zeros((states, len(top.markers), 4)),
         )
 
     def rows(self, part: slice) -> Observed:
@@ -132,6 +144,8 @@ def observe(engine, times, q, v, out, stress, near):
         status = solve_accelerations(top, w, solver, q[r], v[r], out.acc[r], lam, True)
         if status != OK:
             return status, r
+        force_values(top, w, q[r], v[r], out.forces[r])
+        marker_values(top, w, q[r], v[r], out.markers[r])
         # The order matters: the next two calculations use the factors and the Jacobian of this solution.
         out.singularity_distance[r] = singularity_distance(top, w, solver, near)
         # Self-stress: a unit multiplier of the redundant direction minus the equivalent multipliers of all other rows.
@@ -155,6 +169,8 @@ def observe(engine, times, q, v, out, stress, near):
                 out.phi[r, k, i] = w.phi[k, i]
                 out.phi_rate[r, k, i] = rate
         reactions_of(top, w, lam, out.reactions[r])
+        if len(top.spare) == 0:  # redundant reactions are shared afterwards, and `observe_joints` evaluates the joints
+            joint_values(top, w, q[r], lam, out.reactions[r], out.joints[r])
         for i in range(len(top.spare)):
             reactions_of(top, w, stress.lam[r, i], stress.reactions[r, i])
         energy = 0.0
@@ -164,6 +180,17 @@ def observe(engine, times, q, v, out, stress, near):
         out.kinetic[r] = energy
         out.potential[r], _ = potential_energy(top, w, q[r])
     return OK, len(times)
+
+
+@kernel
+def observe_joints(engine, times, q, out):
+    """Evaluate ``out.joints`` of states whose multipliers and reactions are known; arguments as of `observe`."""
+    h = load_engine(engine)
+    top, w = h.top, h.w
+    for r in range(len(times)):
+        prepare(top, w, times[r], q[r])
+        constraint_positions(top.pairs, top.pair_parameters, q[r], w.cs, w.u, w.phi, w.phi_t)
+        joint_values(top, w, q[r], out.lam[r], out.reactions[r], out.joints[r])
 
 
 @kernel

@@ -44,7 +44,8 @@ KKT_TOLERANCE = 1e-9
 class Topology(NamedTuple):
     """A compiled mechanism: all data that do not change during a run.
 
-    B is the number of bodies without ground, P of pairs of constraint rows, S of springs, L of loads. All force
+    B is the number of bodies without ground, P of pairs of constraint rows, S of springs, L of loads, J of joints, K of
+    markers. All force
     elements on a pathway are called springs, whatever their law.
     """
 
@@ -80,6 +81,18 @@ class Topology(NamedTuple):
     """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
     load_points: RealMatrix
     """Point of application of each load in the frame of its body [m]."""
+    force_place: IntVector
+    """(S + L,) place of each spring and of each load among the force elements of the mechanism."""
+    pair_joint: IntVector
+    """(P,) number of the joint of each pair."""
+    joints: IntMatrix
+    """(J, 3) kind of the coordinate (`mbdkit.engine.kernels.acting`), first body, second body."""
+    joint_lines: RealMatrix
+    """(J, 6) line of a travel: the points in the frames of both bodies and the unit vector in the first; else zeros."""
+    markers: IntVector
+    """(K,) body of each marker."""
+    marker_points: RealMatrix
+    """(K, 2) marker in the frame of its body [m]."""
     motion_start: IntVector
     """Start of the program of each motion; see `mbdkit.engine.kernels.motions.evaluate_motions`."""
     motion_ops: IntVector

@@ -1,0 +1,97 @@
+"""What acts: values of force elements, of joints in the frames of their bodies, and of markers, at one state."""
+
+from __future__ import annotations
+
+import math
+
+from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.law_calls import HAS_POTENTIAL
+from mbdkit.engine.kernels.applied_forces import PATHWAYS, TORQUE, path_rate, point_force
+
+ANGLE, TRAVEL = range(2)
+"""Kinds of the coordinate of a joint: relative angle, or distance along a line of the first body."""
+
+_RELATIVE_ANGLE = PATHWAYS["relative_angle"]
+
+
+@subkernel
+def force_values(top, w, q, v, out):
+    """Write length, rate, value, power and potential of every force element into `out` (F, 5).
+
+    Requires `applied_forces` at the same state. The value of an element on a pathway is its tension [N], or the torque
+    on its second body [N m]; that of a load its torque on the loaded body, or the magnitude of its force. A force at a
+    point has no length (0); its rate is the velocity of the point along the force, 0 where the force is zero. The power
+    is what the element supplies to the bodies.
+    """
+    springs, loads, place, tension, u = top.springs, top.loads, top.force_place, w.tension, w.u
+    for k in range(len(springs)):
+        row, law, pull = place[k], springs[k, 3], tension[k, 0]
+        rate = path_rate(k, springs[k, 1], springs[k, 2], v, w.grad)
+        out[row, 0] = w.s[k, 0]
+        out[row, 1] = rate
+        out[row, 2] = 0.0 - pull if springs[k, 0] == _RELATIVE_ANGLE else pull  # 0.0 - x, because -x could be -0.0
+        out[row, 3] = 0.0 - pull * rate
+        out[row, 4] = tension[k, 3] if law < 0 or top.laws[law, 2] & HAS_POTENTIAL != 0 else 0.0
+    for k in range(len(loads)):
+        row, body, other = place[len(springs) + k], loads[k, 1], loads[k, 2]
+        out[row, 4] = 0.0
+        if loads[k, 0] == TORQUE:
+            rate = v[3 * body + 2] - v[3 * other + 2]
+            out[row, 0] = q[3 * body + 2] - q[3 * other + 2]
+            out[row, 1] = rate
+            out[row, 2] = u[loads[k, 3], 0]
+            out[row, 3] = u[loads[k, 3], 0] * rate
+        else:
+            fx, fy, px, py = point_force(top, w, k)
+            spin = v[3 * body + 2]
+            size = math.hypot(fx, fy)
+            power = fx * (v[3 * body] - spin * py) + fy * (v[3 * body + 1] + spin * px)
+            out[row, 0] = 0.0
+            out[row, 1] = power / size if size > 0.0 else 0.0
+            out[row, 2] = size
+            out[row, 3] = power
+
+
+@subkernel
+def joint_values(top, w, q, lam, reactions, out):
+    """Write coordinate, driver power, and reaction force in the frames of both bodies of every joint into `out` (J, 6).
+
+    The coordinate is the angle of the second body relative to the first, or its travel along a line of the first.
+    Requires `prepare` and ``w.phi_t`` at the same state, and the `reactions` (P, 3) of the multipliers `lam` (P, 2).
+    """
+    pairs, joints, lines, cs = top.pairs, top.joints, top.joint_lines, w.cs
+    for j in range(len(joints)):
+        a, b = joints[j, 1], joints[j, 2]
+        if joints[j, 0] == ANGLE:
+            out[j, 0] = q[3 * b + 2] - q[3 * a + 2]
+        else:
+            c, s, bx, by = cs[b, 0], cs[b, 1], lines[j, 2], lines[j, 3]
+            x, y = q[3 * b] + c * bx - s * by - q[3 * a], q[3 * b + 1] + s * bx + c * by - q[3 * a + 1]
+            c, s = cs[a, 0], cs[a, 1]
+            out[j, 0] = lines[j, 4] * (c * x + s * y - lines[j, 0]) + lines[j, 5] * (c * y - s * x - lines[j, 1])
+        out[j, 1] = out[j, 2] = out[j, 3] = 0.0
+    for k in range(len(pairs)):
+        j = top.pair_joint[k]
+        out[j, 2] += reactions[k, 0]
+        out[j, 3] += reactions[k, 1]
+        if pairs[k, 3] >= 0:
+            out[j, 1] += lam[k, 0] * w.phi_t[k, 0] + lam[k, 1] * w.phi_t[k, 1]
+    for j in range(len(joints)):
+        a, b, x, y = joints[j, 1], joints[j, 2], out[j, 2], out[j, 3]
+        out[j, 2] = cs[a, 0] * x + cs[a, 1] * y
+        out[j, 3] = cs[a, 0] * y - cs[a, 1] * x
+        out[j, 4] = cs[b, 0] * x + cs[b, 1] * y
+        out[j, 5] = cs[b, 0] * y - cs[b, 1] * x
+
+
+@subkernel
+def marker_values(top, w, q, v, out):
+    """Write position (x, y) and velocity (x, y) of every marker into `out` (K, 4); requires `prepare`."""
+    for k in range(len(top.markers)):
+        body = top.markers[k]
+        c, s, px, py = w.cs[body, 0], w.cs[body, 1], top.marker_points[k, 0], top.marker_points[k, 1]
+        x, y, spin = c * px - s * py, s * px + c * py, v[3 * body + 2]
+        out[k, 0] = q[3 * body] + x
+        out[k, 1] = q[3 * body + 1] + y
+        out[k, 2] = v[3 * body] - spin * y
+        out[k, 3] = v[3 * body + 1] + spin * x
