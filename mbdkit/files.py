@@ -59,8 +59,7 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
         if not stat.S_ISREG(os.lstat(path).st_mode):
             kind = "a symbolic link, not a regular file," if os.path.islink(path) else "not a regular file"
             raise SpecError(f"this is {kind} and is not replaced; choose another name", file=path)
-        if source not in (None, "-") and os.path.isfile(str(source)) and os.path.samefile(path, str(source)):
-            raise SpecError("this file is the input, which is not overwritten; choose another name with -o", file=path)
+        check_not_input(path, source)
         if not overwrite:
             raise SpecError(
                 "this file exists already; choose another name with -o, or replace it with --overwrite",
@@ -68,6 +67,14 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
             )
     if not os.access(folder, os.W_OK | os.X_OK):
         raise ResourceError(f"the folder {folder} cannot be written to", file=path)
+
+
+def check_not_input(path: Path, source: str | Path | None) -> None:
+    """Raise SpecError if `path` is the file `source`, the input of a command; None or ``-`` if that is no file."""
+    if source in (None, "-") or not os.path.isfile(path) or not os.path.isfile(str(source)):
+        return
+    if os.path.samefile(path, str(source)):
+        raise SpecError("this file is the input, which is not overwritten; choose another name with -o", file=path)
 
 
 @contextmanager

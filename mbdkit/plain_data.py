@@ -20,6 +20,9 @@ Path = tuple[str | int, ...]
 DEEPEST = 100
 """Levels of mappings and lists in a spec."""
 
+LONGEST_TITLE = 10_000
+"""Characters of a title; pictures with longer ones take minutes."""
+
 LARGEST_NUMBER = int(sys.float_info.max)
 """Largest magnitude of a whole number in a spec: that of a number in double precision."""
 

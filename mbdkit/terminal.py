@@ -20,7 +20,6 @@ from typer.core import TyperGroup
 
 from mbdkit.errors import MbdkitError, PluginError, ResourceError, RunError, SpecError, file_error
 from mbdkit.interrupts import INTERRUPTED as INTERRUPTED
-from mbdkit.plain_data import json_text
 from mbdkit.text import one_line, shown
 
 if TYPE_CHECKING:
@@ -158,10 +157,14 @@ def show(result: Any) -> None:
 
 def show_json(data: Any, indent: int | None = None) -> None:
     """Print a result to stdout as JSON; numbers that are not finite become null."""
+    from mbdkit.plain_data import json_text
+
     show(json_text(data, indent))
 
 
 def _json_error(message: str, status: int, error: BaseException | None = None) -> str:
+    from mbdkit.plain_data import json_text
+
     place = {}
     if isinstance(error, SpecError):
         place = {"key": error.key or None, "file": error.file, "line": error.line}
@@ -179,7 +182,9 @@ def open_streams() -> None:
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # becomes the lowest free number, which is this one
         if getattr(sys, name) is None:
-            setattr(sys, name, os.fdopen(number, "w" if number else "r", encoding="utf-8"))
+            stream = os.fdopen(number, "w" if number else "r", encoding="utf-8")
+            setattr(sys, name, stream)
+            setattr(sys, f"__{name}__", stream)  # so that the descriptor stays open when the stream is replaced
 
 
 def keep_results_apart() -> None:

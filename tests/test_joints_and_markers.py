@@ -14,7 +14,7 @@ import mbdkit
 from mbdkit import Mechanism, SpecError
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.info import describe
-from mbdkit.mechanism.joints import Driver, Prismatic
+from mbdkit.mechanism.joints import Driver, PointOnLine, Prismatic
 
 from .test_recorder import TILT, Recorded, cases, hanging, recorded
 
@@ -82,14 +82,18 @@ def check_coordinates(run: mbdkit.Run, m: Mechanism) -> None:
     for name, joint in run.joints.items():
         element: Any = m.joints[name]
         (a, _), (b, _) = (pose(run, body) for body in joint.bodies)
-        is_travel = isinstance(element, Prismatic) or (isinstance(element, Driver) and element.coordinate != "angle")
+        is_travel = isinstance(element, Prismatic | PointOnLine) or (
+            isinstance(element, Driver) and element.coordinate != "angle"
+        )
         assert joint.angle_units == ("m" if is_travel else "rad")
         if not is_travel:
             np.testing.assert_array_equal(joint.angle, b[:, 2] - a[:, 2])
             continue
         points = element.points or ((0.0, 0.0), (0.0, 0.0))
         axis = np.array(
-            element.axis if isinstance(element, Prismatic) else (element.coordinate == "x", element.coordinate == "y")
+            element.axis
+            if isinstance(element, Prismatic | PointOnLine)
+            else (element.coordinate == "x", element.coordinate == "y")
         )
         apart = b[:, :2] + turned(np.tile(points[1], (len(b), 1)), b[:, 2]) - a[:, :2]
         local = turned(apart, -a[:, 2]) - points[0]
@@ -226,7 +230,7 @@ def test_wrong_markers_are_refused(marker: dict[str, Any], words: str) -> None:
 
 def test_the_builder_refuses_a_marker_in_two_places_and_names_used_twice() -> None:
     m = marked()
-    with pytest.raises(SpecError, match="either 'at' or 'point', not both"):
+    with pytest.raises(SpecError, match=r"either as `point` .* or as `at`"):
         m.marker("x", "bar", at=(0, 0), point=(0, 0))
     with pytest.raises(SpecError, match="the name 'tip' is already in use"):
         m.marker("tip", "bar")

@@ -15,7 +15,7 @@ import h5py
 
 from mbdkit.archive.hdf5_errors import cause, error_number
 from mbdkit.errors import MbdkitError, ResourceError, SpecError, file_error
-from mbdkit.files import check_output, rename_new
+from mbdkit.files import check_not_input, check_output, rename_new
 
 SUFFIX = ".h5"
 
@@ -49,6 +49,7 @@ def check_target(path: str | Path, *, overwrite: bool = False, source: str | Pat
         If writing into the folder is not permitted.
     """
     path = Path(path)
+    check_not_input(path, source)
     if path.suffix != SUFFIX and not os.path.isdir(path):
         raise SpecError(f"the name of an archive ends in .h5: write {path.with_suffix(SUFFIX)}", file=path)
     check_output(path, overwrite=overwrite, source=source)

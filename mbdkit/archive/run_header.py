@@ -12,6 +12,7 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import is_text
+from mbdkit.plain_data import LONGEST_TITLE
 
 #: Sections of a spec that are mappings if they are present.
 _MAPPINGS = ("model", "integrator", "time", "output")
@@ -20,7 +21,7 @@ _MAPPINGS = ("model", "integrator", "time", "output")
 _OPTIONAL_MAPPINGS = ("limits", "events")
 
 LONGEST = 1_000
-"""Longest name, and a tenth of the longest title [characters]; pictures with longer ones take minutes."""
+"""Longest name [characters]; pictures with longer ones take minutes."""
 
 
 def check_shapes(file: h5py.File) -> None:
@@ -100,8 +101,8 @@ def spec_of(text: str) -> dict[str, Any]:
     for name in ("model", "integrator"):
         if name in spec and not isinstance(spec[name].get("name"), str):
             raise ValueError(f"{name} has no name")
-    if not isinstance(spec.get("title") or "", str) or len(spec.get("title") or "") > 10 * LONGEST:
-        raise ValueError(f"title is not a string of at most {10 * LONGEST:,} characters")
+    if not isinstance(spec.get("title") or "", str) or len(spec.get("title") or "") > LONGEST_TITLE:
+        raise ValueError(f"title is not a string of at most {LONGEST_TITLE:,} characters")
     step = spec.get("time", {}).get("step")
     if step is not None and not isinstance(step, int | float):
         raise ValueError("time.step is not a number")

@@ -56,7 +56,7 @@ def check_regular(path: Path) -> None:
         raise SpecError("this is not a regular file but a pipe, a socket or a device; it is not read", file=path)
 
 
-def open_hdf5(path: Path, what: str) -> h5py.File:
+def open_hdf5(path: Path, what: str, *, hint: str = "") -> h5py.File:
     """Open an HDF5 file for reading, after checking that reading it does no harm.
 
     Parameters
@@ -65,6 +65,8 @@ def open_hdf5(path: Path, what: str) -> h5py.File:
         An existing file.
     what
         What the file should be, for messages, such as ``run archive``.
+    hint
+        What to do with a damaged file, appended to messages.
 
     Raises
     ------
@@ -90,9 +92,9 @@ def open_hdf5(path: Path, what: str) -> h5py.File:
             why = f"this file cannot be read: {cause(error)}"
             if number := error_number(error):
                 raise file_error(number, why, file=path) from error
-        raise SpecError(why, file=path) from error
+        raise SpecError("; ".join(filter(None, (why, hint))), file=path) from error
     try:
-        with reading("its structure", path, hint="it cannot be used"):
+        with reading("its structure", path, hint=hint or "it cannot be used"):
             _Inspection(file, path).inspect()
     except BaseException:
         file.close()

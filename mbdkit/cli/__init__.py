@@ -68,8 +68,8 @@ for name, group in {
 def main() -> None:
     """Run the command line."""
     try:
+        open_streams()  # first, because what is opened next would take the place of a closed stream
         stop_as_by_ctrl_c()
-        open_streams()
         # Where numbers overflow, messages say so; the warnings of NumPy would name lines of code.
         warnings.filterwarnings("ignore", category=RuntimeWarning, module=r"(mbdkit|numpy|scipy)\b")
         keep_results_apart()

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, 
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.errors import PluginError, SpecError, blaming
 from mbdkit.mechanism.law_element import Law
+from mbdkit.plain_data import LONGEST_TITLE
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin, ModelPlugin
@@ -50,7 +51,7 @@ class RunSpec(StrictSpec):
 
     mbdkit: Literal[1]
     """Version of the spec format."""
-    title: str = ""
+    title: Annotated[str, Field(max_length=LONGEST_TITLE)] = ""
     """Title of the run, free text."""
     parameters: dict[str, float | str] = Field(default_factory=dict)
     """Named numbers. Any number of the model may be an expression of them, such as `0.5*crank`, and so may motions,
@@ -290,6 +291,8 @@ class RunSpec(StrictSpec):
         try:
             return self.model_plugin.build(self.model)
         except ArithmeticError:
+            if self.model_item.origin.distribution != "mbdkit":
+                raise
             raise SpecError("a parameter is so large or so small that numbers overflow", key="model") from None
 
     def run_id(self) -> str:

@@ -328,6 +328,8 @@ def describe_divergence(workspace: Workspace, report: np.ndarray) -> str:
     """Return where the stage equations failed to converge, from a report (3,) of `report_divergence`."""
     if not np.isfinite(report[0]):
         return ": the stage iteration ran away"
+    if report[2] == 0:
+        return f": the symmetric projection did not converge, its last residual was {report[0]:.3g} of the state"
     name = workspace.mechanism.unknown_name(int(report[1]))
     unit = "rad/s^2" if int(report[1]) % 3 == 2 else "m/s^2"
     return (

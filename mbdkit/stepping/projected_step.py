@@ -120,6 +120,7 @@ def _symmetric_step(run, method, attempt, t, h):
         for k in range(len(c.lam)):  # nu changes the velocity before the step, and so the positions at its end by h nu
             for r in range(c.still.rows[k]):
                 c.mu[k, r] -= 0.5 * h * c.lam[k, r]
+    c.report[0], c.report[2] = now, 0.0  # no stage iteration has failed
     return DIVERGED
 
 

@@ -229,10 +229,8 @@ def read(path: Path) -> Index:
     """
     if not path.exists():
         raise SpecError("there is no index.h5; run `mbdkit study` to write it", file=path.parent)
-    with (
-        reading("the index", path, hint="run `mbdkit study` to write it again"),
-        open_hdf5(path, "study index") as file,
-    ):
+    hint = "run `mbdkit study` to write it again"
+    with reading("the index", path, hint=hint), open_hdf5(path, "study index", hint=hint) as file:
         if file.attrs.get("format") != FORMAT:
             raise SpecError("this is not the index of a study", file=path)
         version = str(file.attrs["format_version"])

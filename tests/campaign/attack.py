@@ -63,7 +63,7 @@ class Ending:
     seconds
         Wall time [s].
     memory
-        Largest resident memory [bytes].
+        Largest resident memory [bytes]; after `in_child`, what it took beyond that of this process.
     output, errors
         Standard output and standard error.
     value
@@ -129,6 +129,7 @@ def in_child(function: Callable[..., Any], *arguments: Any, seconds: float = 12 
     """
     read, write = os.pipe()
     start = time.monotonic()
+    shared = resident_memory()
     child = os.fork()
     if child == 0:
         os.close(read)
@@ -150,7 +151,12 @@ def in_child(function: Callable[..., Any], *arguments: Any, seconds: float = 12 
             answer += piece
     result, memory, cpu = wait_for(child, start + seconds)
     value, errors = pickle.loads(answer) if answer and result in (0, 1) else (None, "")
-    return Ending(result, time.monotonic() - start, memory, errors=errors, value=value, cpu=cpu)
+    return Ending(result, time.monotonic() - start, max(0, memory - shared), errors=errors, value=value, cpu=cpu)
+
+
+def resident_memory() -> int:
+    """Return the resident memory of this process [bytes]; a fork of it begins with as much."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def wait_for(child: int, until: float) -> tuple[int | None, int, float]:

@@ -87,8 +87,8 @@ def test_schema_run_is_json(mbdkit):
     ("error", "status", "words"),
     [
         (SpecError("is wrong", key="a.b"), 2, "error: a.b: is wrong"),
-        (PermissionError(13, "Permission denied", "x.h5"), 2, "error: x.h5: Permission denied"),
-        (MemoryError(), 2, "error: there is not enough memory"),
+        (PermissionError(13, "Permission denied", "x.h5"), 3, "error: x.h5: Permission denied"),
+        (MemoryError(), 3, "error: there is not enough memory"),
         (RunError("stopped"), 3, "error: stopped"),
         (PluginError("acme failed"), 4, "error: acme failed"),
         (KeyboardInterrupt(), 130, "interrupted"),

@@ -95,7 +95,7 @@ def test_a_full_disk_under_stdout_is_an_error_in_one_line(tmp_path: Path) -> Non
         done = subprocess.run(
             [sys.executable, *RUN, "--json"], cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, check=False
         )
-    assert done.returncode == 2
+    assert done.returncode == 3
     assert done.stderr == "error: No space left on device\n"
 
 

@@ -350,7 +350,7 @@ output:
     [
         (
             MANY_ROWS,
-            "spec.yaml:7: output.every: 500,000,000,000,001 rows of 50,544 bytes take 23,536,384,105 GiB, but ",
+            "spec.yaml:7: output.every: 500,000,000,000,001 rows of 64,944 bytes take 30,241,906,642 GiB, but ",
         ),
         (MANY_ROWS.replace("output:\n  every: 2\n", ""), "spec.yaml: output.every: 1,000,000,000,000,001 rows of "),
         (
@@ -361,8 +361,8 @@ output:
     ids=["every other step", "every step", "interval"],
 )
 def test_an_archive_larger_than_the_disk_is_refused_before_the_run(text, words, refusal, in_tmp_path):
-    # expected: 300 x 9 numbers of bodies, 300 x 6 of joints, 600 x 3 of constraint rows, the time in four groups and on
-    # the clock, 6 energies, and 7 numbers of the steps, of 8 bytes each
+    # expected: 300 x 9 numbers of bodies, 300 x 12 of joints, 600 x 3 of constraint rows, the time in four groups and
+    # on the clock, 6 energies, and 7 numbers of the steps, of 8 bytes each
     (in_tmp_path / "spec.yaml").write_text(text)
     message = refusal("run", "spec.yaml")
     assert message.startswith(words)

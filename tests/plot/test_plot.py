@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from mbdkit.archive.history import NotRecordedError
-from mbdkit.errors import SpecError
+from mbdkit.errors import ResourceError, SpecError
 from mbdkit.plot import energy_plot, save_plot
 from mbdkit.plot.plot_kinds import PLOT_KINDS
 from mbdkit.plot.save_plot import figure, plot
@@ -72,7 +72,7 @@ def test_an_unknown_kind_is_refused_with_the_kinds_there_are(make_run):
 
 
 def test_a_folder_that_is_not_there_is_named(make_run, tmp_path):
-    with pytest.raises(SpecError, match="there is no folder"):
+    with pytest.raises(SpecError, match="does not exist; create it first"):
         plot(make_run(), "energy", tmp_path / "no" / "a.png")
 
 
@@ -232,7 +232,7 @@ def test_a_picture_that_cannot_be_finished_leaves_the_old_one_and_nothing_else(m
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", fail)
-    with pytest.raises(SpecError, match="No space left"):
+    with pytest.raises(ResourceError, match="No space left"):
         plot(make_run(), "energy", path)
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import shutil
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ SMALL: dict[str, Any] = {
 @pytest.fixture
 def small() -> dict[str, Any]:
     """A study of four runs and a reference, for a test to change."""
-    return dict(SMALL)
+    return copy.deepcopy(SMALL)
 
 
 @pytest.fixture(scope="session")

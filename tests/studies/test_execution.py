@@ -129,7 +129,7 @@ def test_a_lost_or_damaged_index_is_written_anew_from_the_runs(lost, copied, sma
 
 def test_who_opens_a_damaged_index_is_told_how_to_get_a_new_one(copied):
     (copied / "index.h5").write_bytes((copied / "index.h5").read_bytes()[:5000])
-    with pytest.raises(SpecError, match=r"damaged, the index cannot be read .*run `mbdkit study` to write it again"):
+    with pytest.raises(SpecError, match=r"this index is truncated.*; run `mbdkit study` to write it again"):
         mbdkit.load_study(copied)
 
 

@@ -12,6 +12,7 @@ import pytest
 
 import mbdkit
 from mbdkit.archive.archive_check import check
+from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.info import describe
 from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.report.run_report import run_report
@@ -204,7 +205,7 @@ def test_archives_of_earlier_versions_are_unknown_and_valid(tmp_path: Path) -> N
     with h5py.File(path, "r+") as file:
         assert file.attrs["verdict"] == "unknown"
         assert file.attrs["verdict_reasons"].shape == file.attrs["warnings"].shape == (0,)
-        del file.attrs["warnings"]
+        del file.attrs["warnings"], file.attrs["attributes_sha256"]
     assert check(path) == ["the verdict is incomplete: there is no attribute warnings"]
     with h5py.File(path, "r+") as file:
         del file.attrs["verdict"], file.attrs["verdict_reasons"]
@@ -220,9 +221,12 @@ def test_the_verdict_is_no_part_of_the_data_hash(tmp_path: Path) -> None:
     mbdkit.run(spec(DOUBLE, RK4, 0.1, 0.01), archive=path).close()
     with h5py.File(path, "r+") as file:
         file.attrs["verdict"] = "good"
+        assert file.attrs["data_sha256"] == data_sha256(file)
+        file.attrs["attributes_sha256"] = attributes_sha256(file)
     assert check(path) == []
     with h5py.File(path, "r+") as file:
         file.attrs["verdict"] = "fine"
+        file.attrs["attributes_sha256"] = attributes_sha256(file)
     assert check(path) == ["verdict is 'fine', not one of good, unknown, doubtful, bad"]
 
 

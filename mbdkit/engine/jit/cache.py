@@ -37,7 +37,7 @@ from numba.core.sigutils import normalize_signature
 from numba.extending import is_jitted
 
 from mbdkit.engine.jit.numba_version import INSTALLED, PLAIN
-from mbdkit.errors import SpecError
+from mbdkit.errors import MbdkitError
 from mbdkit.files import replacing
 
 log = logging.getLogger("mbdkit")
@@ -125,7 +125,7 @@ def store(path: Path, content: bytes) -> None:
     try:
         with replacing(path) as draft:
             draft.write_bytes(_digest(path, content) + content)
-    except (OSError, SpecError) as error:
+    except (OSError, MbdkitError) as error:
         reason = error.__cause__ or error
         _warn_once(
             f"compiled code cannot be kept in the cache {FOLDER} ({getattr(reason, 'strerror', None) or reason}), so "
