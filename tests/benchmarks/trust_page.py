@@ -68,8 +68,8 @@ before its end is `bad`. Warnings that question the result make it `doubtful`.
   chosen. If no attempt reaches the accuracy, the best one is returned, with a verdict that says so. Forces are less
   accurate than positions; their estimates are in `run.accuracy` as well. With explicit adaptive methods, the last
   pilot is the run, and the pilots before it estimate its errors. These estimates cost nothing more, and are coarser
-  than those of companions: usually too large, by up to a factor of 10 too small in single values. Add
-  `--check` to estimate them by companions as well.
+  than those of companions: usually several times too large, seldom too small. Add `--check` to
+  estimate them by companions as well.
 - **`limits`** stop a run: `limits.misalignment` (default 1) as a share of the mechanism's size, and of 1 rad for
   angles; `limits.energy_jump` (off by default), the change of the energy balance in one step as a share of the largest
   kinetic energy so far; `limits.max_steps` and `limits.wall_time`.
