@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
-from mbdkit.text import one_line
+from mbdkit.text import one_line, shortened
 
 
 class MbdkitError(Exception):
@@ -39,7 +39,7 @@ class SpecError(MbdkitError, ValueError):
         place = self.file or ""
         if self.line is not None:
             place += f":{self.line}" if place else f"line {self.line}"
-        where = ": ".join(part for part in (place, self.key) if part)
+        where = ": ".join(part for part in (place, shortened(self.key)) if part)
         return f"{where}: {self.message}" if where else self.message
 
     def located(self, *, prefix: str = "", file: str | Path | None = None, line: int | None = None) -> SpecError:

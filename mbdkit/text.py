@@ -36,12 +36,20 @@ def one_line(error: BaseException) -> str:
     Control characters are escaped, see `shown`.
     """
     try:
-        text = str(error)
+        text = message_of(error)
     except Exception:  # of a plugin
         return f"{type(error).__name__}, whose message cannot be shown"
-    text = shown(" ".join(text[:10_000].split()))
-    text = text if len(text) <= 300 else text[:297] + "..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def message_of(error: BaseException) -> str:
+    """Return the message of an exception as `one_line` does, without its type."""
+    return shortened(shown(" ".join(str(error)[:10_000].split())))
+
+
+def shortened(text: str) -> str:
+    """Return text of at most 300 characters; the end of a longer one is replaced by dots."""
+    return text if len(text) <= 300 else text[:297] + "..."
 
 
 def shown(text: object, *, lines: bool = False) -> str:

@@ -220,6 +220,10 @@ def _replacements(
     """Return the key path and text of each expression that was refused, and what it should be."""
     for details in error.errors(include_url=False):
         inner = details.get("ctx", {}).get("error")
+        if not (
+            isinstance(inner, TextForNumberError | ExpressionError) or details["type"] in ("float_type", "int_type")
+        ):
+            continue  # before the path is looked for, which takes long for many thousands of errors
         path, _ = walk(details["loc"], root, plugins)
         if isinstance(inner, TextForNumberError):  # raised for the first number of a list
             path = value_path(path, parse_path(inner.key))

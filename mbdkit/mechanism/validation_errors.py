@@ -16,7 +16,7 @@ from mbdkit.mechanism.key_path import walk
 from mbdkit.mechanism.law_element import PluginLookup
 from mbdkit.mechanism.time_expression import Expression
 from mbdkit.plain_data import Path, found, parse_path, path_text
-from mbdkit.text import did_you_mean, listed
+from mbdkit.text import did_you_mean, listed, message_of, shortened
 
 WANTED = {
     "float_type": "a number",
@@ -90,7 +90,7 @@ def spec_error(
         sentences.append((path_text((*([prefix] if prefix else []), *path)), _either(list(told))))
     (key, message), *others = sentences
     for place, sentence in others:
-        message += f"\n  also: {place}: {sentence}"
+        message += f"\n  also: {shortened(place)}: {sentence}"
     if len(paths) > EXPLAINED:
         message += f"\n  and {len(paths) - EXPLAINED} more"
     return SpecError(message, key=key)
@@ -138,8 +138,8 @@ def _complaint(details: ErrorDetails, path: Path, owner: type[BaseModel] | None,
         case "too_short" | "too_long" if isinstance(given, list | tuple):
             bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
             return f"should have {bound} items, not {len(given)}"
-        case "value_error":
-            return str(inner)
+        case "value_error" | "assertion_error" if isinstance(inner, Exception):  # raised by options of a plugin
+            return message_of(inner) or f"is not valid: {found(given)}"
     if kind in WANTED:
         return f"should be {WANTED[kind]}, not {found(given)}{_hint(kind, given)}"
     if kind in BOUNDS:

@@ -12,7 +12,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from mbdkit.errors import SpecError
-from mbdkit.plain_data import DEEPEST, Path, copied, found, parse_path, path_text
+from mbdkit.plain_data import DEEPEST, Path, copied, found, parse_path, path_text, without_collection
 from mbdkit.spec.source_document import Document
 from mbdkit.spec.yaml_reader import LARGEST, read_data, read_yaml
 
@@ -44,6 +44,7 @@ def read_stdin() -> Document:
     return read_text(_decoded(sys.stdin.buffer.read(LARGEST_FILE + 1), STDIN), STDIN)
 
 
+@without_collection()
 def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
     """Parse the text of a document.
 
@@ -241,5 +242,6 @@ def put(data: dict[str, Any], path: Path, value: Any) -> None:
 
 
 def parse_key(key: str) -> Path:
-    """Return the parts of a dotted key; an empty tuple if it is not a valid dotted key."""
-    return () if not key or ".." in f".{key}." else parse_path(key)
+    """Return the parts of a dotted key; an empty tuple if it is not a valid dotted key, or deeper than any spec."""
+    path = () if not key or ".." in f".{key}." else parse_path(key)
+    return path if len(path) <= DEEPEST else ()

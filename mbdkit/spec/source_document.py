@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path, parse_path
+from mbdkit.plain_data import Path, parse_path, without_collection
 
 
 @dataclass
@@ -32,6 +32,7 @@ class Document:
     overridden: dict[Path, str] = field(default_factory=dict)
     keywords: frozenset[str] = frozenset()
 
+    @without_collection()
     def place(self, error: SpecError) -> SpecError:
         """Return the error with the file and line of its key, or with the command-line assignment that set the key."""
         if error.file is not None:

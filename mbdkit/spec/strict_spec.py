@@ -11,7 +11,7 @@ from pydantic import PrivateAttr, SerializerFunctionWrapHandler, model_serialize
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.parameters import Written, insert, parameter_values, with_expressions
-from mbdkit.plain_data import Path, canonical, plain
+from mbdkit.plain_data import Path, canonical, plain, without_collection
 from mbdkit.spec.choices import registry_of
 from mbdkit.spec.registry_lookup import RegistryLookup
 from mbdkit.spec.sections import Section
@@ -34,6 +34,7 @@ class StrictSpec(Section):
     _numbers: dict[str, float] = PrivateAttr(default_factory=dict)
     _written: Written = PrivateAttr(default_factory=dict)
 
+    @without_collection()
     def __init__(self, **data: Any):
         plugins = RegistryLookup(lambda: registry_of(type(self)))
 

@@ -13,7 +13,7 @@ from mbdkit.spec.reading import parse_key
 from mbdkit.spec.sections import Section
 from mbdkit.spec.source_document import Document
 from mbdkit.spec.strict_spec import StrictSpec
-from mbdkit.spec.value_sets import ValueSet, expand
+from mbdkit.spec.value_sets import ValueSet, sets_together, size
 from mbdkit.text import listed
 
 ErrorMeasure = Literal[
@@ -69,18 +69,16 @@ def _check_axis(axis: dict[str, Any]) -> dict[str, Any]:
     _check_keys(axis)
     sizes = {}
     for key, values in axis.items():
-        expanded = expand(values)
-        sizes[key] = len(expanded)
-        for value in expanded:
-            if not value.together:
-                continue
-            if not all(other.together for other in expanded):
-                message = "cannot mix values with and without `set` in one axis"
-                raise SpecError(message, key=path_text((key, value.place[0])))
-            for inner in value.value:
+        sizes[key] = size(values)
+        together = sets_together(values)
+        if together and len(together) < sizes[key]:
+            message = "cannot mix values with and without `set` in one axis"
+            raise SpecError(message, key=path_text((key, together[0][0][0])))
+        for place, keys in together:
+            for inner in keys:
                 if not parse_key(inner):
                     message = "should be a dotted key of a run spec, such as time.step"
-                    raise SpecError(message, key=path_text((key, *value.place, inner)))
+                    raise SpecError(message, key=path_text((key, *place, inner)))
     if not sizes:
         raise SpecError("needs at least one key of a run spec, such as `time.step: [0.1, 0.01]`")
     if len(set(sizes.values())) > 1:
@@ -90,7 +88,7 @@ def _check_axis(axis: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_axes(axes: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
-    taken: dict[str, int] = {}
+    taken: dict[Path, tuple[str, int]] = {}  # keys and the sections that contain them
     names: dict[str, int] = {}
     for number, axis in enumerate(axes):
         for name, values in axis.items():
@@ -99,20 +97,21 @@ def _check_axes(axes: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
             names[name] = number
             keys = _keys_set(name, values)
             for key in keys:
+                if (path := parse_key(key)) in taken:
+                    other, where = taken[path]
+                    how = "is already" if other == key else "would replace a key that is set"
+                    raise SpecError(f"{how} in axes[{where}], as '{other}'", key=path_text((number, name)))
+            for key in keys:
                 path = parse_key(key)
-                for other, where in taken.items():
-                    if parse_key(other)[: len(path)] == path:
-                        how = "is already" if other == key else "would replace a key that is set"
-                        raise SpecError(f"{how} in axes[{where}], as '{other}'", key=path_text((number, name)))
-            taken |= dict.fromkeys(keys, number)
+                for length in range(1, len(path) + 1):
+                    taken.setdefault(path[:length], (key, number))
     return axes
 
 
 def _keys_set(name: str, values: Any) -> list[str]:
     """Return the dotted keys that an axis sets: its own key, or the keys in the `set` of its values."""
-    expanded = expand(values)
-    inner = dict.fromkeys(key for value in expanded if value.together for key in value.value)
-    return list(inner) if expanded[0].together else [name]
+    together = sets_together(values)
+    return list(dict.fromkeys(key for _, keys in together for key in keys)) if together else [name]
 
 
 Overrides = Annotated[dict[str, Any], AfterValidator(_check_keys)]

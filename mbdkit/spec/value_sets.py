@@ -8,14 +8,14 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, WithJsonSchema
 
 from mbdkit.errors import SpecError
-from mbdkit.plain_data import found
+from mbdkit.plain_data import Path, found
 from mbdkit.text import did_you_mean, listed
 
 #: Larger sets are assumed to be mistakes.
@@ -52,7 +52,7 @@ class Value:
 
     value: Any
     label: int | float | str
-    place: tuple[str | int, ...]
+    place: Path
     together: bool = False
     if_installed: str = ""
 
@@ -81,7 +81,7 @@ def check_values(given: Any) -> Any:
             raise SpecError(f"unknown key{did_you_mean(word, SPACED)}; the values of an axis are {FORMS}", key=word)
         case _:
             raise SpecError(f"should be {FORMS}, not {found(given)}")
-    if len(expand(given)) > LARGEST_SET:
+    if size(given) > LARGEST_SET:
         raise SpecError(f"has more than {LARGEST_SET} values")
     return given
 
@@ -129,6 +129,21 @@ def _check_limits(kind: str, limits: Any) -> None:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def size(values: Any) -> int:
+    """Return the number of values of a set, which is not expanded for that."""
+    if isinstance(values, Mapping):
+        _, (_, _, count) = next(iter(values.items()))
+        return int(count)
+    return len(values)
+
+
+def sets_together(values: Any) -> list[tuple[Path, Mapping[str, Any]]]:
+    """Return the values of a set that set several keys together: their places in the set, and the keys they set."""
+    if isinstance(values, Mapping):
+        return []
+    return [((i, "set"), entry["set"]) for i, entry in enumerate(values) if is_labelled(entry) and "set" in entry]
 
 
 def expand(values: Any) -> tuple[Value, ...]:
@@ -190,16 +205,24 @@ def _short(value: Any) -> str:
 
 def _told_apart(entries: Sequence[Value]) -> tuple[Value, ...]:
     """Append a number to labels shared by different values, so that labels are unique."""
-    seen: dict[int | float | str, list[Any]] = {}
+    seen: dict[int | float | str, dict[Hashable, int]] = {}
     result = []
     for entry in entries:
-        namesakes = seen.setdefault(entry.label, [])
-        if entry.value not in namesakes:
-            namesakes.append(entry.value)
-        number = namesakes.index(entry.value) + 1
-        label = entry.label if number == 1 else f"{entry.label} ({number})"
-        result.append(replace(entry, label=label))
+        namesakes = seen.setdefault(entry.label, {})
+        number = namesakes.setdefault(_hashable(entry.value), len(namesakes) + 1)
+        result.append(entry if number == 1 else replace(entry, label=f"{entry.label} ({number})"))
     return tuple(result)
+
+
+def _hashable(value: Any) -> Hashable:
+    """Return an object that is equal to that of another value if the values are equal."""
+    match value:
+        case Mapping():
+            return frozenset((key, _hashable(item)) for key, item in value.items())
+        case list() | tuple():
+            return tuple(map(_hashable, value))
+    hashable: Hashable = value
+    return hashable
 
 
 _LIMITS = {

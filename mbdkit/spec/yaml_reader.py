@@ -85,9 +85,9 @@ class _Reader:
         self.loader = _LOADER(text)
         self.next: Callable[[], Event] = self.loader.get_event
         self.has_lines, self.lines = lines is not None, lines or {}
-        self.placed: list[tuple[Path, int]] = []
+        self.placed: list[Path] = []
         self.count = self.length = 0
-        self.anchors: dict[str, tuple[Any, int, int, list[tuple[Path, int]]]] = {}
+        self.anchors: dict[str, tuple[Any, int, int, Path, slice]] = {}
         self.open: set[str] = set()
 
     def document(self) -> Any:
@@ -125,8 +125,8 @@ class _Reader:
         data = self._new(event, path)
         if anchor is not None:
             self.open.discard(anchor)
-            below = [(place[len(path) :], line) for place, line in self.placed[before[2] :]]
-            self.anchors[anchor] = (data, self.count - before[0], self.length - before[1], below)
+            below = slice(before[2], len(self.placed))
+            self.anchors[anchor] = (data, self.count - before[0], self.length - before[1], path, below)
         return data
 
     def _new(self, event: Event, path: Path) -> Any:
@@ -154,19 +154,18 @@ class _Reader:
             raise self._error(
                 f"this is not valid YAML: found undefined alias '{name}'{HINTS['undefined alias']}", event
             )
-        data, count, length, lines = self.anchors[name]
+        data, count, length, origin, below = self.anchors[name]
         self._add(count, length, event, path)
         if len(path) + _depth(data) > DEEPEST:
             raise self._error(f"this YAML is nested too deeply: more than {DEEPEST} levels", event, ())
         if self.has_lines:
-            self.lines |= {(*path, *below): line for below, line in lines}
+            self.lines |= {(*path, *place[len(origin) :]): self.lines[place] for place in self.placed[below]}
         return _copied(data)
 
     def _place(self, path: Path, event: Event) -> None:
         if self.has_lines:
-            line = event.start_mark.line + 1
-            self.lines[path] = line
-            self.placed.append((path, line))
+            self.lines[path] = event.start_mark.line + 1
+            self.placed.append(path)
 
     def _add(self, count: int, length: int, event: Event, path: Path) -> None:
         self.count += count
@@ -212,7 +211,7 @@ class _Reader:
             key = str(event.value)
             self._add(0, len(key), event, path)
             if event.anchor is not None:
-                self.anchors[event.anchor] = (key, 1, len(key), [])
+                self.anchors[event.anchor] = (key, 1, len(key), path, slice(0))
         if not isinstance(key, str):
             raise self._error("a key should be text, not a list or mapping", event, path)
         return key

@@ -16,11 +16,14 @@ from mbdkit.registry.manager import registry
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.study_spec import Family, StudySpec
-from mbdkit.spec.value_sets import Value, expand
-from mbdkit.text import listed
+from mbdkit.spec.value_sets import Value, expand, size
+from mbdkit.text import listed, shortened
 
 #: Maximum number of runs in a study.
 LARGEST_STUDY = 10_000
+
+#: Maximum number of values that the axes of a study set, over all runs.
+MOST_SETTINGS = 1_000_000
 
 Label = int | float | str
 
@@ -76,10 +79,32 @@ def grids(spec: StudySpec) -> tuple[Grid, ...]:
     ----------
     spec
         The study spec with its bases resolved.
+
+    Raises
+    ------
+    SpecError
+        If there are more than `LARGEST_STUDY` points, or if their axes set more than `MOST_SETTINGS` values.
     """
+    _check_size(spec)
     if not spec.families:
         return (_grid(spec, "", Family(axes=spec.axes), ()),)
     return tuple(_grid(spec, name, family, ("families", name)) for name, family in spec.families.items())
+
+
+def _check_size(spec: StudySpec) -> None:
+    """Check the number of points before any of them exists."""
+    runs = settings = 0
+    for axes in [family.axes for family in spec.families.values()] or [spec.axes]:
+        points = math.prod(size(next(iter(axis.values()))) for axis in axes)
+        runs += points
+        settings += points * sum(map(len, axes))
+    key = "families" if spec.families else "axes"
+    if runs > LARGEST_STUDY:
+        told = runs if runs < 10**12 else "too many"
+        raise spec.placed(SpecError(f"makes {told} runs; a study has at most {LARGEST_STUDY}", key=key))
+    if settings > MOST_SETTINGS:
+        message = f"sets {settings} values in {runs} runs; a study sets at most {MOST_SETTINGS}"
+        raise spec.placed(SpecError(message, key=key))
 
 
 def _grid(spec: StudySpec, name: str, family: Family, place: Path) -> Grid:
@@ -182,7 +207,7 @@ class PlannedPoint:
 
     def _checked(self, settings: tuple[Setting, ...], which: str) -> RunSpec:
         data = {"mbdkit": 1, **copy.deepcopy(dict(self.grid.base))}
-        told = point_label(self.axes)
+        told = shortened(point_label(self.axes))
         where = f" (in {which}{': ' if told else ''}{told})"
         for setting in settings:
             try:
@@ -230,14 +255,9 @@ def plan_points(spec: StudySpec) -> tuple[PlannedPoint, ...]:
     Raises
     ------
     SpecError
-        If there are more than `LARGEST_STUDY` points.
+        If there are more than `LARGEST_STUDY` points, or if their axes set more than `MOST_SETTINGS` values.
     """
-    families = grids(spec)
-    total = sum(math.prod(len(axis[0][1]) for axis in grid.axes) for grid in families)
-    if total > LARGEST_STUDY:
-        key = "families" if spec.families else "axes"
-        raise spec.placed(SpecError(f"makes {total} runs; a study has at most {LARGEST_STUDY}", key=key))
-    chosen = [(grid, *point) for grid in families for point in grid.points()]
+    chosen = [(grid, *point) for grid in grids(spec) for point in grid.points()]
     return tuple(
         PlannedPoint(number, labels, spec, grid, tuple(settings), lacking)
         for number, (grid, labels, settings, lacking) in enumerate(chosen, start=1)

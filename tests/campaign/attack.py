@@ -21,6 +21,9 @@ import numpy as np
 SECONDS = 5.0
 """Nothing may take longer than this to refuse what is bad."""
 
+LONGEST_MESSAGE = 8000
+"""Characters of an error message that somebody may read."""
+
 MEMORY = 1 << 30
 """Nothing may take more resident memory than this to refuse what is bad [bytes]."""
 

@@ -21,12 +21,9 @@ from mbdkit.spec.yaml_reader import read_yaml, write_yaml
 from mbdkit.stepping.warm_up import ensure_compiled
 from mbdkit.studies.planned_points import plan_points
 
-from .attack import Attack, in_child
+from .attack import LONGEST_MESSAGE, Attack, in_child
 
 Random = np.random.Generator
-
-LONGEST_MESSAGE = 8000
-"""Characters of an error message that somebody may read."""
 
 NUMBERS: tuple[Any, ...] = (0, -0.0, -1, 1, 1e-320, 5e-324, 1e-160, 1e160, 1e308, -1e308, 1e15, 0.1, 10**30, -(10**400))
 VALUES: tuple[Any, ...] = (
@@ -336,6 +333,17 @@ BOMBS: dict[str, Callable[[], str | bytes]] = {
     "points.yaml": lambda: (
         "mbdkit_study: 1\nbase: pendulum\naxes:\n"
         + "".join(f"- {{k{i}: {{linspace: [0, 1, 10000]}}}}\n" for i in range(40))
+    ),
+    "axes.yaml": lambda: (
+        "mbdkit_study: 1\nbase: pendulum\naxes:\n" + "".join(f"- {{k{i}: [0]}}\n" for i in range(50_000))
+    ),
+    "deep-axis.yaml": lambda: f"mbdkit_study: 1\nbase: pendulum\naxes:\n- ? {'a.' * 100_000}b\n  : [0]\n",
+    "deep-axis-of-indices.yaml": lambda: f"mbdkit_study: 1\nbase: pendulum\naxes:\n- ? a{'[0]' * 100_000}\n  : [0]\n",
+    "index.yaml": lambda: f"mbdkit_study: 1\nbase: pendulum\naxes:\n- ? a[{'9' * 10_000}]\n  : [0]\n",
+    "dots.yaml": lambda: _head(f"  bodies: {{? {'a.' * 100_000}b : {{mass: x}}}}\n"),
+    "keys.yaml": lambda: (
+        "mbdkit_study: 1\nbase: pendulum\naxes:\n-\n"
+        + "".join(f"  k{i}: {{linspace: [0, 1, 10000]}}\n" for i in range(5_000))
     ),
     "families.yaml": lambda: (
         "mbdkit_study: 1\nbase: pendulum\nfamilies:\n"

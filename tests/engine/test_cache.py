@@ -45,11 +45,22 @@ print(json.dumps({"result": float(run.time[-1]), "folder": str(FOLDER), "package
 """
 
 
-def start(program: str, package: Path, folder: Path, **variables: str) -> subprocess.Popen[str]:
-    """Start a program with the copy of mbdkit in `package`, its cache under `folder`."""
+STRANGER = (
+    *("setpriv", "--reuid=54321", "--regid=54321", "--clear-groups"),
+    *("--inh-caps=+dac_read_search", "--ambient-caps=+dac_read_search"),
+)
+"""Runs a command as a user without passwd entry, who may read everything, but writes only where all users may."""
+
+
+def start(program: str, package: Path, folder: Path, *before: str, **variables: str) -> subprocess.Popen[str]:
+    """Start a program with the copy of mbdkit in `package`, its cache under `folder`; `before` precedes the command.
+
+    Empty variables are left out of the environment.
+    """
     environment = os.environ | {"PYTHONPATH": str(package), "MBDKIT_CACHE_DIR": str(folder)} | variables
+    environment = {name: value for name, value in environment.items() if value or name not in variables}
     return subprocess.Popen(
-        [sys.executable, "-c", program],
+        [*before, sys.executable, "-c", program],
         env=environment,
         cwd=package,
         stdout=subprocess.PIPE,
@@ -116,6 +127,41 @@ def test_an_unwritable_cache_costs_a_warning_and_not_the_run(tmp_path: Path) -> 
     assert "MBDKIT_CACHE_DIR" in messages
     assert not Path(found["folder"]).exists()  # the temporary folder went with its process
     assert blocked.read_bytes() == b""
+
+
+@pytest.fixture
+def stranger() -> tuple[str, ...]:
+    """The words before a command that is run by another user than root."""
+    try:
+        possible = subprocess.run([*STRANGER, "true"], capture_output=True, check=False).returncode == 0
+    except OSError:
+        possible = False
+    if not possible:
+        pytest.skip("needs root, and setpriv, to run a command as a user without passwd entry")
+    return STRANGER
+
+
+@pytest.mark.slow
+def test_a_warm_cache_that_cannot_be_written_is_used(tmp_path: Path, stranger: tuple[str, ...]) -> None:
+    # expected: -w^2 r = -2 m/s^2, without compilation and without a word
+    package, folder = copied(tmp_path / "package"), tmp_path / "cache"
+    end(start(ACCELERATION, package, folder), package)
+    kept = compiled_files(folder)
+    found, messages = end(start(ACCELERATION, package, folder, *stranger), package)
+    assert found["result"] == pytest.approx(-2.0, rel=1e-12)
+    assert Path(found["folder"]).is_relative_to(folder)
+    assert messages == ""
+    assert compiled_files(folder) == kept
+
+
+def test_a_user_without_home_and_passwd_entry_can_run(tmp_path: Path, stranger: tuple[str, ...]) -> None:
+    # expected: a temporary folder in place of the cache; what is compiled plays no part in it
+    package = copied(tmp_path / "package")
+    nowhere = {"HOME": "", "MBDKIT_CACHE_DIR": "", "XDG_CACHE_HOME": "", "LOCALAPPDATA": ""}
+    found, messages = end(start(RUN, package, tmp_path, *stranger, NUMBA_DISABLE_JIT="1", **nowhere), package)
+    assert messages.count("the cache folder cannot be created") == 1
+    assert "MBDKIT_CACHE_DIR" in messages
+    assert not Path(found["folder"]).exists()
 
 
 def test_the_fingerprint_changes_with_any_kernel_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

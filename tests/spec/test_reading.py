@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import json
 import sys
+import time
 from types import SimpleNamespace
 
 import pytest
 
 from mbdkit.errors import SpecError
+from mbdkit.plain_data import DEEPEST, parse_path
 from mbdkit.spec import load_spec
 
 TOML = """
@@ -120,3 +123,21 @@ def test_a_file_that_is_no_spec_is_refused_in_a_sentence(name, content, words, i
 def test_a_name_that_is_no_file_is_refused_in_a_sentence(name, in_tmp_path):
     with pytest.raises(SpecError):
         load_spec(name)
+
+
+def test_a_key_deeper_than_any_spec_is_refused_in_a_short_sentence(in_tmp_path):
+    key = "a." * 100_000
+    (in_tmp_path / "a.yaml").write_text(f"{YAML}forces:\n  ? {key}\n  : 1\n")
+    with pytest.raises(SpecError) as caught:
+        load_spec("a.yaml")
+    assert len(str(caught.value)) < 2000
+    begin = time.process_time()
+    path = parse_path(key)
+    assert len(path) == DEEPEST + 1
+    assert time.process_time() - begin < 0.1
+
+
+def test_the_garbage_collector_runs_again_after_an_error():
+    with pytest.raises(SpecError):
+        load_spec({"mbdkit": 1, "unknown": 2})
+    assert gc.isenabled()

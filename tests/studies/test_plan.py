@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from typing import Any
+
 import pytest
 
 from mbdkit.errors import SpecError
@@ -157,3 +160,41 @@ def test_what_needs_a_distribution_that_is_not_there_is_planned_but_lacks_it(sma
         ("here", ""), ("here", ""), ("absent", "acme-magic"), ("absent", "acme-magic"),
     ]  # fmt: skip
     assert found[0].spec.integrator.name == "rk4"
+
+
+def seconds_until_refused(study: dict[str, Any], words: str) -> float:
+    begin = time.process_time()
+    with pytest.raises(SpecError, match=words):
+        plan_points(load_study_spec(study))
+    return time.process_time() - begin
+
+
+def test_a_study_with_too_many_runs_is_refused_before_its_axes_are_expanded(small):
+    small["axes"] = [{f"k{index}": {"linspace": [0, 1, 10_000]}} for index in range(40)]
+    assert seconds_until_refused(small, "makes too many runs; a study has at most 10000") < 0.5
+
+
+def test_a_study_that_sets_too_many_values_is_refused_before_its_axes_are_expanded(small):
+    small["axes"] = [{f"k{index}": {"linspace": [0, 1, 10_000]} for index in range(1000)}]
+    assert seconds_until_refused(small, "sets 10000000 values in 10000 runs; a study sets at most 1000000") < 0.5
+
+
+@pytest.mark.parametrize("key", ["a." * 100_000 + "b", "a" + "[0]" * 100_000])
+def test_a_key_that_is_deeper_than_any_spec_is_refused_in_a_sentence(small, key):
+    small["axes"] = [{key: [0]}]
+    assert seconds_until_refused(small, r"^.{0,400}should be a dotted key of a run spec") < 0.5
+
+
+def test_an_index_with_thousands_of_digits_is_refused_as_part_of_a_name(small):
+    small["axes"] = [{f"a[{'9' * 10_000}]": [0]}]
+    with pytest.raises(SpecError, match="unknown key"):
+        _ = points(small)[0].spec
+
+
+def test_many_values_with_one_label_are_told_apart_soon(small):
+    small["axes"] = [{"time.step": [{"label": "a", "value": 1 + index} for index in range(9999)]}]
+    begin = time.process_time()
+    labels = [point.axes["time.step"] for point in points(small)]
+    assert time.process_time() - begin < 2.0
+    assert labels[0] == "a"
+    assert labels[-1] == "a (9999)"

@@ -47,6 +47,13 @@ def test_different_objects_never_share_a_label_and_equal_ones_do():
     assert second == f"{first} (2)"
 
 
+def test_equal_values_are_recognised_at_all_levels():
+    shared = [
+        {"label": "a", "value": value} for value in ({"x": [1, {"y": 2}]}, {"x": [1.0, {"y": 2}]}, {"x": [1]}, [])
+    ]
+    assert labels(shared) == ["a", "a", "a (2)", "a (3)"]
+
+
 @pytest.mark.parametrize(
     ("given", "key", "words"),
     [
