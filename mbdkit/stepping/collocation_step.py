@@ -24,6 +24,7 @@ from mbdkit.stepping.convergence import (
     loses_steadiness,
     predicts_failure,
     report_divergence,
+    stays_near,
 )
 from mbdkit.stepping.run_state import AT_END_OF_LAST, AT_START_OF_LAST, FACTORIZATIONS, ITERATIONS, RHS
 from mbdkit.stepping.simplified_newton import filter_estimate, leading
@@ -160,6 +161,9 @@ def _iterate(c, m, t, h, careful, kernels):
         if not careful:
             stale = (free_flight and n == 1) or (n - taken_at >= FEWEST_WITH_ONE_TANGENT and ratio > SLOW)
         before = now
+    if not stays_near(c, m.acc, h):
+        c.report[0] = np.inf
+        return DIVERGED
     m.previous.size[0] = h
     return OK
 

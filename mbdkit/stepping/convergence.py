@@ -87,6 +87,10 @@ MOST_EXTENDED = 500
 """Limit of the iterations in a fixed step that contract steadily, unless the user gives one; chosen. Iterations that
 contract by 0.94 converge within it."""
 
+FAR = 1e9
+"""Change of positions by the accelerations of a step, in units of the largest position or way of the step (at least 1 m
+or 1 rad), beyond which a solution of the stage equations is not taken; chosen far above what any method resolves."""
+
 ROUGH_CHANGE = 1e-5
 """Relative change below which the accelerations of the next iteration are refined to round-off (index 1); chosen.
 
@@ -192,6 +196,22 @@ def has_failed(n, most, now, ratio):
     """Return whether an iteration diverges, has used up its `most` iterations, or is not finite."""
     runs_away = n >= FIRST_RUNAWAY and ratio > RUNAWAY_GROWTH and now > RUNAWAY
     return n >= most or runs_away or not now < np.inf
+
+
+@subkernel
+def stays_near(c, acc, h):
+    """Return whether the accelerations of the stages (s, n) change positions in a step by less than `FAR` allows.
+
+    Beside a singular position, an iteration can run off and then converge, relative to accelerations of 1e40 m/s^2.
+    """
+    largest, size = 0.0, 1.0
+    for i in range(len(acc)):
+        for d in range(len(c.q) - 3):
+            if not abs(acc[i, d]) <= largest:
+                largest = abs(acc[i, d])
+    for d in range(len(c.q) - 3):
+        size = max(size, abs(c.q[d]), h * abs(c.v[d]))
+    return h * h * largest < FAR * size
 
 
 @subkernel

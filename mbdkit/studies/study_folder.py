@@ -94,7 +94,7 @@ class StudyFolder:
                         rename_new(begun, self.spec)
                 finally:
                     begun.unlink(missing_ok=True)
-                self._check_same(spec)
+            self._check_same(spec)  # it may have appeared since `check`
             self.runs.mkdir(exist_ok=True)
         except OSError as error:
             raise file_error(error.errno, f"cannot be created: {error.strerror or error}", file=self.path) from error

@@ -170,13 +170,24 @@ def wait_for(child: int, until: float) -> tuple[int | None, int, float]:
     tuple
         Exit status, or None if it had to be killed; largest resident memory [bytes]; processor time [s].
     """
-    killed = False
+    killed, memory = False, 0
     while True:
+        # not the usage that the system reports at the end, which begins with the memory of this process
+        memory = max(memory, _peak_memory(child))
         done, status, usage = os.wait4(child, os.WNOHANG)
         if done:
             code = os.waitstatus_to_exitcode(status)
-            return None if killed else code, usage.ru_maxrss * 1024, usage.ru_utime + usage.ru_stime
+            return None if killed else code, memory, usage.ru_utime + usage.ru_stime
         if not killed and time.monotonic() > until:
             os.kill(child, signal.SIGKILL)
             killed = True
         time.sleep(0.002)
+
+
+def _peak_memory(process: int) -> int:
+    """Return the largest resident memory of a process since it began its program [bytes]; 0 if it has ended."""
+    try:
+        lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) * 1024 for line in lines if line.startswith("VmHWM:")), 0)

@@ -289,7 +289,7 @@ WRONG = {
     "a long name of an axis": (
         study("  - time.step: [0.1, 0.05]", f"  - {'a' * 300}: [{{label: x, set: {{time.step: 0.1}}}}]"),
         11,
-        f"axes[1].{'a' * 300}",
+        f"axes[1].{'a' * 289}...",
         "is longer than 255 bytes",
     ),
     "not finite": (study("[0.1, 0.05]", "[.nan]"), 11, "axes[1].time.step[0]", "finite"),
