@@ -51,10 +51,7 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
     # os.path instead of methods of Path, which raise for names that are too long and for folders without permission
     if os.path.isdir(path):
         raise SpecError(f"this is a folder; name a file in it, such as {path / 'results'}{path.suffix}", file=path)
-    folder = path.parent
-    if not os.path.isdir(folder):
-        what = "is not a folder" if os.path.exists(folder) else "does not exist; create it first"
-        raise SpecError(f"the folder {folder} {what}", file=path)
+    check_folder(path.parent, path)
     if os.path.lexists(path):
         if not stat.S_ISREG(os.lstat(path).st_mode):
             kind = "a symbolic link, not a regular file," if os.path.islink(path) else "not a regular file"
@@ -65,6 +62,18 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
                 "this file exists already; choose another name with -o, or replace it with --overwrite",
                 file=path,
             )
+    check_writable(path.parent, path)
+
+
+def check_folder(folder: Path, path: Path) -> None:
+    """Raise SpecError about `path`, which is to be created in `folder`, if that is no folder."""
+    if not os.path.isdir(folder):
+        what = "is not a folder" if os.path.exists(folder) else "does not exist; create it first"
+        raise SpecError(f"the folder {folder} {what}", file=path)
+
+
+def check_writable(folder: Path, path: Path) -> None:
+    """Raise ResourceError about `path` if writing into `folder` is not permitted."""
     if not os.access(folder, os.W_OK | os.X_OK):
         raise ResourceError(f"the folder {folder} cannot be written to", file=path)
 

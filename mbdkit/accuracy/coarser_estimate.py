@@ -25,8 +25,8 @@ from mbdkit.accuracy.error_estimate import (
     MINOR,
     ErrorEstimate,
     Units,
+    assemble,
     running_norms,
-    size_of_motion,
 )
 from mbdkit.recorded_columns import ObservedRows
 
@@ -74,24 +74,11 @@ def estimate_from_coarser(
     ErrorEstimate
         The estimates; zero at the first row if all runs start from the same state.
     """
-    length, every = units.length, (*coarser, main)
-    scale = np.array([1.0, 1.0, length])
-    position = _Quantity(
-        [x.position * scale for x in every], tolerances, length, asked, settled, size_of_motion(main.position, length)
-    )
-    velocity = _Quantity([x.velocity * scale for x in every], tolerances, units.speed, asked, settled)
-    wrenches = [np.concatenate([x.force, x.torque[..., None] / length], axis=-1) for x in every]
-    reaction = _Quantity(wrenches, tolerances, units.force, asked, settled)
-    known = position.known & velocity.known & reaction.known
-    count = int(np.sum(known))
-    return ErrorEstimate(
-        position.errors() / scale,
-        velocity.errors() / scale,
-        reaction.norm_errors(slice(0, 2)),
-        reaction.norm_errors(slice(2, 3)) * length,
-        float(main.time[count - 1]) if count else math.nan,
-        position.order(count),
-    )
+
+    def estimated(values: list[np.ndarray], unit: float, size: float) -> _Quantity:
+        return _Quantity(values, tolerances, unit, size, asked, settled)
+
+    return assemble(main, (*coarser, main), units, estimated)
 
 
 def error_share(differences: Sequence[float], tolerances: Sequence[float]) -> float:
@@ -114,21 +101,19 @@ def _factor(differences: Sequence[np.ndarray], tolerances: Sequence[float]) -> t
 
 
 class _Quantity:
-    """One quantity of all bodies or joints, (T, B or J, K) in each run, the run itself last."""
+    """One quantity of all bodies or joints, (T, B or J, K) in each run, the run itself last; implements `Estimated`."""
 
     def __init__(
         self,
         values: list[np.ndarray],
         tolerances: Sequence[float],
         unit: float,
+        size: float,
         asked: float,
         settled: int,
-        size: float | None = None,
     ):
         self._values, self._tolerances = values, tolerances
         main = values[-1]
-        if size is None:
-            size = float(np.max(np.linalg.norm(main, axis=-1), initial=0.0))
         norms = [running_norms(main - other) for other in values[:-1]]
         self._all = [np.max(d, axis=1, initial=0.0, keepdims=True) for d in norms]
         factor, falls = _factor(norms, tolerances)
@@ -146,15 +131,15 @@ class _Quantity:
 
     @property
     def known(self) -> np.ndarray:
-        """(T,) whether the error of every unit is known."""
+        """See `Estimated.known`."""
         return np.asarray(np.all(self._seen, axis=1))
 
     def errors(self) -> np.ndarray:
-        """Return the errors of the components, (T, U, K)."""
+        """See `Estimated.errors`."""
         return self._estimates(np.abs(self._values[-1] - self._values[-2]), np.s_[:, :, None])
 
     def norm_errors(self, part: slice) -> np.ndarray:
-        """Return the errors of the norm of some of the components, (T, U)."""
+        """See `Estimated.norm_errors`."""
         difference = (self._values[-1] - self._values[-2])[..., part]
         return self._estimates(np.linalg.norm(difference, axis=-1), np.s_[:, :])
 

@@ -18,9 +18,9 @@ replaced by their running maxima, because a difference passes through zero where
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -128,22 +128,74 @@ def estimate_errors(
     ErrorEstimate
         The estimates; zero at the first row if all runs start from the same state.
     """
-    main = runs[0]
-    length, every = units.length, (*runs, guard)
+
+    def estimated(values: list[np.ndarray], unit: float, size: float) -> _Quantity:
+        return _Quantity(values, unit, size, refinement)
+
+    return assemble(runs[0], (*runs, guard), units, estimated)
+
+
+class Estimated(Protocol):
+    """Estimates for one quantity of all bodies or joints (U), which have K components each."""
+
+    @property
+    def known(self) -> np.ndarray:
+        """(T,) whether the error of every unit is known."""
+        ...
+
+    def errors(self) -> np.ndarray:
+        """Return the errors of the components, (T, U, K)."""
+        ...
+
+    def norm_errors(self, part: slice) -> np.ndarray:
+        """Return the errors of the norm of some of the components, (T, U)."""
+        ...
+
+    def order(self, count: int) -> float:
+        """Return the observed order at the last of `count` known rows; nan if only rounding errors were seen."""
+        ...
+
+
+def assemble(
+    main: ObservedRows,
+    every: Sequence[ObservedRows],
+    units: Units,
+    estimated: Callable[[list[np.ndarray], float, float], Estimated],
+) -> ErrorEstimate:
+    """Return the estimates for positions, velocities and reactions.
+
+    Parameters
+    ----------
+    main
+        The run whose errors are estimated.
+    every
+        All runs, in the order that `estimated` expects.
+    units
+        Natural units of the mechanism.
+    estimated
+        ``estimated(values, unit, size)`` estimates one quantity from its values (T, U, K) in every run, its natural
+        unit and its size in the run. Angles are multiplied, and torques divided, by the length of the mechanism.
+    """
+    length = units.length
     scale = np.array([1.0, 1.0, length])
-    position = _Quantity([run.position * scale for run in every], length, size_of_motion(main.position, length))
-    velocity = _Quantity([run.velocity * scale for run in every], units.speed)
-    wrenches = [np.concatenate([run.force, run.torque[..., None] / length], axis=-1) for run in every]
-    reaction = _Quantity(wrenches, units.force)
-    known = position.known & velocity.known & reaction.known
-    count = int(np.sum(known))
+
+    def of(values: list[np.ndarray], in_main: np.ndarray, unit: float) -> Estimated:
+        return estimated(values, unit, float(np.max(np.linalg.norm(in_main, axis=-1), initial=0.0)))
+
+    def wrench(run: ObservedRows) -> np.ndarray:
+        return np.concatenate([run.force, run.torque[..., None] / length], axis=-1)
+
+    position = estimated([run.position * scale for run in every], length, size_of_motion(main.position, length))
+    velocity = of([run.velocity * scale for run in every], main.velocity * scale, units.speed)
+    reaction = of([wrench(run) for run in every], wrench(main), units.force)
+    count = int(np.sum(position.known & velocity.known & reaction.known))
     return ErrorEstimate(
         position.errors() / scale,
         velocity.errors() / scale,
         reaction.norm_errors(slice(0, 2)),
         reaction.norm_errors(slice(2, 3)) * length,
         float(main.time[count - 1]) if count else math.nan,
-        position.order(count, refinement),
+        position.order(count),
     )
 
 
@@ -155,7 +207,7 @@ def size_of_motion(position: np.ndarray, length: float) -> float:
 
 
 class _Quantity:
-    """One quantity of all bodies or joints, which have K components each, in three runs and by the guard.
+    """One quantity in three runs and by the guard; implements `Estimated`.
 
     Parameters
     ----------
@@ -164,14 +216,14 @@ class _Quantity:
     unit
         Natural unit of the quantity.
     size
-        Size of the quantity; by default its largest norm in the first run.
+        Size of the quantity.
+    refinement
+        See `estimate_errors`.
     """
 
-    def __init__(self, values: list[np.ndarray], unit: float, size: float | None = None):
+    def __init__(self, values: list[np.ndarray], unit: float, size: float, refinement: float):
         first, second, third, guard = values
-        self._values = values
-        if size is None:
-            size = float(np.max(np.linalg.norm(first, axis=-1), initial=0.0))
+        self._values, self._refinement = values, refinement
         d01, d12, d02 = running_norms(first - second), running_norms(second - third), running_norms(first - third)
         d0g, d2g = running_norms(first - guard), running_norms(third - guard)
         all01, all12, all02 = (np.max(d, axis=1, initial=0.0, keepdims=True) for d in (d01, d12, d02))
@@ -198,15 +250,15 @@ class _Quantity:
 
     @property
     def known(self) -> np.ndarray:
-        """(T,) whether the error of every unit is known."""
+        """See `Estimated.known`."""
         return np.asarray(np.all(self._seen, axis=1))
 
     def errors(self) -> np.ndarray:
-        """Return the errors of the components, (T, U, K)."""
+        """See `Estimated.errors`."""
         return self._estimates(np.abs, np.s_[:, :, None])
 
     def norm_errors(self, part: slice) -> np.ndarray:
-        """Return the errors of the norm of some of the components, (T, U)."""
+        """See `Estimated.norm_errors`."""
         return self._estimates(lambda difference: np.linalg.norm(difference[..., part], axis=-1), np.s_[:, :])
 
     def _estimates(self, size: Callable[[np.ndarray], np.ndarray], axes: Any) -> np.ndarray:
@@ -222,13 +274,13 @@ class _Quantity:
         estimate = np.where(widened, np.fmax(estimate, d0g), estimate)
         return np.where(seen, np.maximum.accumulate(np.nan_to_num(estimate), axis=0), np.nan)
 
-    def order(self, count: int, refinement: float) -> float:
-        """Return log(d01 / d12) / log(refinement) at the last of `count` known rows; nan at round-off."""
+    def order(self, count: int) -> float:
+        """Return log(d01 / d12) / log(refinement); see `Estimated.order`."""
         all01, all12, floor = self._all
         if not count:
             return math.nan
         before, after = float(all01[count - 1, 0]), float(all12[count - 1, 0])
-        return math.log(before / after) / math.log(refinement) if after > 0 and before > floor else math.nan
+        return math.log(before / after) / math.log(self._refinement) if after > 0 and before > floor else math.nan
 
 
 def _largest(*arrays: np.ndarray) -> np.ndarray:

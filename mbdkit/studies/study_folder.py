@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from mbdkit.errors import ResourceError, SpecError, file_error
-from mbdkit.files import rename_new
+from mbdkit.files import check_folder, check_writable, rename_new
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.spec.yaml_reader import write_yaml
@@ -44,16 +44,12 @@ class StudyFolder:
         """
         path = self.path
         if not os.path.lexists(path):
-            parent = path.parent
-            if not os.path.isdir(parent):
-                raise SpecError(f"the folder {parent} does not exist; create it first", file=path)
-            if not os.access(parent, os.W_OK | os.X_OK):
-                raise ResourceError(f"the folder {parent} cannot be written to", file=path)
+            check_folder(path.parent, path)
+            check_writable(path.parent, path)
             return
         if not os.path.isdir(path):
             raise SpecError("this is not a folder; name a folder for the study with -o", file=path)
-        if not os.access(path, os.W_OK | os.X_OK):
-            raise ResourceError("this folder cannot be written to", file=path)
+        check_writable(path, path)
         has_others = not all(entry.name.startswith(_BEGUN) for entry in path.iterdir())
         if self.spec.is_file():  # asked last: another call may be creating it, before any other file
             self._check_same(spec)

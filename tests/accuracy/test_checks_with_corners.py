@@ -17,32 +17,16 @@ from mbdkit.accuracy.companion_choice import choose_companions
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.run_preparation import guards, make_method, timetable
 from mbdkit.spec import load_spec
+from tests.linkages import driven_crank
 
 SIX = {"name": "gauss", "stages": 6}
 DOP853 = {"name": "dop853", "adaptive": True, "rtol": 1e-7}
 
 
-def linkage(corner: float) -> dict[str, Any]:
-    """Return a driven crank with a rod; the crank stops at the corner."""
-    return {
-        "name": "mechanism",
-        "bodies": {
-            "crank": {"mass": 1.0, "inertia": 0.1, "position": [0.5, 0.0]},
-            "rod": {"mass": 2.0, "inertia": 0.3, "position": [1.3, 0.4], "angle": 0.9, "angular_velocity": 0.7},
-        },
-        "joints": {
-            "A": {"type": "revolute", "bodies": ["ground", "crank"], "points": [[0, 0], [-0.5, 0]]},
-            "B": {"type": "revolute", "bodies": ["crank", "rod"], "points": [[0.5, 0], [-0.5, 0]]},
-            "D": {"type": "driver", "bodies": ["ground", "crank"], "coordinate": "angle",
-                  "motion": f"2*min(t, {corner})"},
-        },
-    }  # fmt: skip
-
-
 def spec_of(integrator: dict[str, Any], corner: float = 0.5, step: float | None = 0.01, **rest: Any) -> dict[str, Any]:
     """Return the spec of a checked run of the linkage."""
     time = {"end": 1.0} | ({} if step is None else {"step": step})
-    model = linkage(corner)
+    model = driven_crank(corner)
     return {"mbdkit": 1, "model": model, "integrator": integrator, "time": time, "impacts": "allow", **rest}
 
 

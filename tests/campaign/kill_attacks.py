@@ -221,12 +221,18 @@ def _repeated_problems(folder: Path) -> list[str]:
     return found
 
 
-def kill_study(random: np.random.Generator, folder: Path) -> list[str]:
-    """Kill a study, and repeat it."""
+def _study_begun(random: np.random.Generator, folder: Path) -> int:
+    """Start a study with two workers, wait for a random part of the time that it takes, and return its process."""
     _write_spec(folder, STUDY)
     _, seconds = _whole_study()
     child = _start(folder, "study", "spec.json", "-o", "out", "--workers", "2", "--quiet")
     time.sleep(random.uniform(0, seconds))
+    return child
+
+
+def kill_study(random: np.random.Generator, folder: Path) -> list[str]:
+    """Kill a study, and repeat it."""
+    child = _study_begun(random, folder)
     os.kill(child, signal.SIGKILL)
     wait_for(child, time.monotonic() + PATIENCE)
     deadline = time.monotonic() + PATIENCE  # its workers end when they notice, and an archive may be renamed until then
@@ -237,10 +243,7 @@ def kill_study(random: np.random.Generator, folder: Path) -> list[str]:
 
 def stop_study(random: np.random.Generator, folder: Path) -> list[str]:
     """Stop a study by SIGTERM, and repeat it."""
-    _write_spec(folder, STUDY)
-    _, seconds = _whole_study()
-    child = _start(folder, "study", "spec.json", "-o", "out", "--workers", "2", "--quiet")
-    time.sleep(random.uniform(0, seconds))
+    child = _study_begun(random, folder)
     os.kill(child, signal.SIGTERM)
     if random.random() < 0.5:
         os.kill(child, signal.SIGTERM)
@@ -261,10 +264,8 @@ def stop_study(random: np.random.Generator, folder: Path) -> list[str]:
 
 def kill_worker(random: np.random.Generator, folder: Path) -> list[str]:
     """Kill one worker of a study, by SIGKILL, SIGTERM or SIGSEGV: the same call computes its run again."""
-    _write_spec(folder, STUDY)
-    hashes, seconds = _whole_study()
-    child = _start(folder, "study", "spec.json", "-o", "out", "--workers", "2", "--quiet")
-    time.sleep(random.uniform(0, seconds))
+    hashes, _ = _whole_study()
+    child = _study_begun(random, folder)
     with contextlib.suppress(OSError, IndexError, ValueError):
         workers = Path(f"/proc/{child}/task/{child}/children").read_text().split()
         os.kill(int(random.choice(workers)), random.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV]))

@@ -16,24 +16,12 @@ import pytest
 import mbdkit
 from mbdkit.engine.jit import cache
 
-ACCELERATION = """\
-import json
-import mbdkit
+from .few_kernels import ACCELERATION
+
+TOLD = """
 from mbdkit.engine.jit.cache import FOLDER
-from mbdkit.stepping import warm_up
-
-def acceleration(check=None):
-    m = mbdkit.Mechanism()
-    rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.5, 0.0), velocity=(0.0, 1.0), angular_velocity=2.0)
-    m.revolute("A", m.ground, rod, points=((0.0, 0.0), (-0.5, 0.0)))
-    equations = mbdkit.EquationsOfMotion.of(m)
-    return float(equations.accelerations(0.0, equations.q0, equations.v0)[0][0])
-
-warm_up._run_everything = acceleration  # the kernels that it calls stand for all of them
-warm_up.ensure_compiled()
 print(json.dumps({"result": acceleration(), "folder": str(FOLDER), "package": mbdkit.__file__}))
 """
-"""Computes the acceleration along x of the centre of a horizontal rod that turns about its end at 2 rad/s."""
 
 RUN = """\
 import json
@@ -100,7 +88,7 @@ def test_an_edited_kernel_is_compiled_anew_by_one_process_while_another_waits(tm
     kernels.write_text(text[:begin] + edited)
     folder = tmp_path / "cache"
 
-    started = [start(ACCELERATION, package, folder) for _ in range(2)]
+    started = [start(ACCELERATION + TOLD, package, folder) for _ in range(2)]
     both = [end(process, package) for process in started]
     assert [found["result"] for found, _ in both] == pytest.approx([2.0, 2.0], rel=1e-12)
     messages = sorted(m.count("compiled in") for _, m in both)
@@ -111,7 +99,7 @@ def test_an_edited_kernel_is_compiled_anew_by_one_process_while_another_waits(tm
     assert kept
     assert all(Path(path).is_relative_to(both[0][0]["folder"]) for path in kept)
     assert not list(package.rglob("*.code"))
-    again, quiet = end(start(ACCELERATION, package, folder), package)
+    again, quiet = end(start(ACCELERATION + TOLD, package, folder), package)
     assert again == both[0][0]
     assert quiet == ""
     assert compiled_files(folder) == kept
@@ -145,9 +133,9 @@ def stranger() -> tuple[str, ...]:
 def test_a_warm_cache_that_cannot_be_written_is_used(tmp_path: Path, stranger: tuple[str, ...]) -> None:
     # expected: -w^2 r = -2 m/s^2, without compilation and without a word
     package, folder = copied(tmp_path / "package"), tmp_path / "cache"
-    end(start(ACCELERATION, package, folder), package)
+    end(start(ACCELERATION + TOLD, package, folder), package)
     kept = compiled_files(folder)
-    found, messages = end(start(ACCELERATION, package, folder, *stranger), package)
+    found, messages = end(start(ACCELERATION + TOLD, package, folder, *stranger), package)
     assert found["result"] == pytest.approx(-2.0, rel=1e-12)
     assert Path(found["folder"]).is_relative_to(folder)
     assert messages == ""

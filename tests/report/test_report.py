@@ -16,6 +16,7 @@ from mbdkit.report.run_report import run_report, yaml_text
 from mbdkit.report.run_verdict import run_verdict
 from mbdkit.spec import example_names, load_spec
 from mbdkit.spec.yaml_reader import read_yaml
+from tests.linkages import driven_wheel
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""
 
@@ -251,12 +252,7 @@ def test_a_run_that_an_event_ended_completed():
 
 
 def test_the_report_lists_force_elements_and_the_power_of_drivers() -> None:
-    m = mbdkit.Mechanism()
-    m.body("wheel", mass=1.0, inertia=0.5, position=(0.3, 0.0))
-    m.revolute("hub", m.ground, "wheel", at=(0.0, 0.0))
-    m.driver("motor", m.ground, "wheel", coordinate="angle", motion="sin(2*t)")
-    m.torsion_spring("twist", m.ground, "wheel", stiffness=3.0)
-    m.spring_damper("spring", m.ground, "wheel", points=((0.0, 2.0), (0.0, 0.0)), stiffness=5.0)
+    m = driven_wheel()
     with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.01}) as run:
         verdict = run_verdict(run)
         table = verdict.table("forces")

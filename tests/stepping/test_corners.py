@@ -22,6 +22,7 @@ from mbdkit.run_preparation import caution, make_method, timetable
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Guards
 from mbdkit.stepping.start import start_method
+from tests.linkages import driven_crank
 from tests.stepping.step_methods import Remembering, RungeKutta, run_with
 
 CORNER = 0.37123
@@ -273,19 +274,7 @@ def test_an_allowed_impact_gives_the_velocities_after_the_corner_to_methods_in_p
 def test_an_impulse_keeps_what_no_joint_takes() -> None:
     # A rod pinned to the tip of a driven crank. The impulse at the pin has no moment about it, so that the angular
     # momentum of the rod about the pin is kept: I w + m d x v.
-    model = {
-        "name": "mechanism",
-        "gravity": [0, 0],
-        "bodies": {
-            "crank": {"mass": 1.0, "inertia": 0.1, "position": [0.5, 0.0]},
-            "rod": {"mass": 2.0, "inertia": 0.3, "position": [1.3, 0.4], "angle": 0.9, "angular_velocity": 0.7},
-        },
-        "joints": {
-            "A": {"type": "revolute", "bodies": ["ground", "crank"], "points": [[0, 0], [-0.5, 0]]},
-            "B": {"type": "revolute", "bodies": ["crank", "rod"], "points": [[0.5, 0], [-0.5, 0]]},
-            "D": {"type": "driver", "bodies": ["ground", "crank"], "coordinate": "angle", "motion": "2*min(t, 0.5)"},
-        },
-    }
+    model = driven_crank(0.5) | {"gravity": [0, 0]}
     integrator = {**GAUSS, "adaptive": True, "rtol": 1e-12}
     spec = {"mbdkit": 1, "model": model, "integrator": integrator, "time": {"end": 1.0}, "impacts": "allow"}
 

@@ -11,6 +11,7 @@ import pytest
 import mbdkit
 from mbdkit.analysis.reference import interpolated
 from mbdkit.studies.measures import MEASURES
+from tests.linkages import driven_wheel
 
 
 def recorded(function, time):
@@ -49,12 +50,7 @@ def test_a_run_that_an_event_ended_has_no_error_against_a_reference_that_ended_e
 
 
 def test_forces_and_powers_are_measured_where_they_are_recorded() -> None:
-    m = mbdkit.Mechanism()
-    m.body("wheel", mass=1.0, inertia=0.5, position=(0.3, 0.0))
-    m.revolute("hub", m.ground, "wheel", at=(0.0, 0.0))
-    m.driver("motor", m.ground, "wheel", coordinate="angle", motion="sin(2*t)")
-    m.torsion_spring("twist", m.ground, "wheel", stiffness=3.0)
-    m.spring_damper("spring", m.ground, "wheel", points=((0.0, 2.0), (0.0, 0.0)), stiffness=5.0)
+    m = driven_wheel()
     taken = ("reaction_force_max", "element_force_max", "element_torque_max", "driver_power_max")
     time = {"end": 1.0, "step": 0.01}
     with mbdkit.run(m, integrator={"name": "rk4"}, time=time) as run:

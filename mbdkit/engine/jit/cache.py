@@ -161,7 +161,8 @@ class KernelCache(FunctionCache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the compiled function for a signature."""
-        if not data.lifted and not data.library.has_dynamic_globals:  # other functions cannot be stored
+        parts = data._asdict()
+        if not parts["lifted"] and not parts["library"].has_dynamic_globals:  # other functions cannot be stored
             store(self._file(sig, data.codegen), dumps(data._reduce()))
 
 
