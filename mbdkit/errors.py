@@ -95,14 +95,15 @@ class PluginError(MbdkitError):
 
 
 @contextmanager
-def blaming(what: str) -> Iterator[None]:
+def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
     """Convert whatever a plugin raises in this block, an exit included, to a PluginError that begins with `what`.
 
-    Ctrl-C and errors of mbdkit about the input or a plugin pass unchanged.
+    Ctrl-C, errors of mbdkit about the input or a plugin, and the `expected` exceptions pass unchanged.
     """
+    unchanged: tuple[type[BaseException], ...] = (KeyboardInterrupt, SpecError, PluginError, *expected)
     try:
         yield
-    except (KeyboardInterrupt, SpecError, PluginError):
+    except unchanged:
         raise
     except BaseException as error:
         raise PluginError(f"{what}: {one_line(error)}") from error

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal, Protocol, Self
 from pydantic import BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
 from pydantic_core import InitErrorDetails, to_json
 
+from mbdkit.errors import blaming
 from mbdkit.mechanism import higher_layers
 from mbdkit.mechanism.bodies import Attachment, Body, Element
 from mbdkit.mechanism.force_law import ForceLaw
@@ -48,7 +49,8 @@ class Law(Element):
             return handler(data)
         element = _plugin_lookup(info.context).law_element(data["law"])
         try:
-            return element.model_validate_json(to_json(data, fallback=lambda x: x.tolist()))
+            with blaming(f"force law {element.law_id} failed to check its options", ValidationError):
+                return element.model_validate_json(to_json(data, fallback=lambda x: x.tolist()))
         except ValidationError as error:
             raise _below(error, element.law_id) from None
 

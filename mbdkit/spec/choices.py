@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel, GetCoreSchemaHandler, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
-from mbdkit.errors import PluginError, SpecError, blaming
+from mbdkit.errors import SpecError, blaming
 from mbdkit.plain_data import found
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of, named_options
@@ -72,13 +72,8 @@ def _blaming(item: Registered, schema: CoreSchema) -> CoreSchema:
         return schema
 
     def validate(data: Any, handler: Callable[[Any], Any]) -> Any:
-        try:
-            with blaming(f"{item.kind} {item.id} failed to check its options"):
-                return handler(data)
-        except PluginError as error:
-            if isinstance(error.__cause__, ValidationError):
-                raise error.__cause__ from None
-            raise
+        with blaming(f"{item.kind} {item.id} failed to check its options", ValidationError):
+            return handler(data)
 
     return core_schema.no_info_wrap_validator_function(validate, schema)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numba
 import sympy as sp
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, field_validator
 
 from mbdkit import ExpressionLaw, ForceLawPlugin, FunctionLaw, hookimpl
 
@@ -37,6 +37,17 @@ class Named(BaseModel):
 
 class Weights(BaseModel):
     weights: list[float]
+
+
+class Inverse(BaseModel):
+    compliance: float = 0.0
+
+    @field_validator("compliance")
+    @classmethod
+    def _is_not_small(cls, compliance: float) -> float:
+        if 1 / compliance > 1e9:
+            raise ValueError("is too small")
+        return compliance
 
 
 def linear(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
@@ -136,6 +147,7 @@ LAWS = [
     plugin("unknown-symbol", Linear, ExpressionLaw(sp.Symbol("stifness") * length)),
     plugin("wrong-potential", Linear, ExpressionLaw(stiffness * length, stiffness * length**2)),
     plugin("timed-potential", Linear, ExpressionLaw(stiffness * length * time, stiffness * length**2 / 2)),
+    plugin("inverse", Inverse, ExpressionLaw(length / sp.Symbol("compliance"))),
     plugin("no-parameters", Nothing, FunctionLaw(linear, parameters=fail)),
 ]
 

@@ -169,6 +169,7 @@ def with_law(law: str, **options: Any) -> Mechanism:
         ("wrong-potential", {"stiffness": 1.0}, "of its potential is not its force at rate zero"),
         ("timed-potential", {"stiffness": 1.0}, "has no potential: remove the potential"),
         ("no-parameters", {}, "failed to compute its parameters: ZeroDivisionError: no parameters today"),
+        ("inverse", {"compliance": 0.0}, "failed to check its options: ZeroDivisionError: float division by zero"),
     ],
 )
 def test_a_law_that_fails_to_be_built_is_the_plugins_fault(law: str, options: Any, words: str) -> None:
@@ -177,6 +178,11 @@ def test_a_law_that_fails_to_be_built_is_the_plugins_fault(law: str, options: An
     assert str(caught.value).startswith(f"force law acme:{law}")
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_options_that_a_law_refuses_are_the_users_fault() -> None:
+    with pytest.raises(SpecError, match=r"compliance.* is too small"):
+        mbdkit.run(with_law("inverse", compliance=1e-12), integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.1})
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "gauss", "scipy-dop853", "scipy-radau"])
