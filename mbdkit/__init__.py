@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from mbdkit.spec import RunSpec, StudySpec
     from mbdkit.studies.study import Study, load_study, study
 
+    __version__: str
+
 __all__ = [
     "ButcherTableau",
     "Claims",
@@ -111,17 +113,19 @@ _HOME = {
 }
 
 
-def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        from importlib.metadata import version
+if not TYPE_CHECKING:  # type checkers know the names above, and nothing else
 
-        value: Any = version("mbdkit")
-    elif name in _HOME:
-        value = getattr(importlib.import_module(_HOME[name]), name)
-    else:
-        raise AttributeError(f"module 'mbdkit' has no attribute {name!r}")
-    globals()[name] = value
-    return value
+    def __getattr__(name):
+        if name == "__version__":
+            from importlib.metadata import version
+
+            value = version("mbdkit")
+        elif name in _HOME:
+            value = getattr(importlib.import_module(_HOME[name]), name)
+        else:
+            raise AttributeError(f"module 'mbdkit' has no attribute {name!r}")
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

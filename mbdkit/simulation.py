@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
@@ -46,6 +46,7 @@ from mbdkit.run_preparation import (
 )
 from mbdkit.run_warnings import start_warnings
 from mbdkit.spec import RunSpec, load_spec
+from mbdkit.spec.run_source import RunSource, Sections
 from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch
 from mbdkit.stepping.start import start_method
 from mbdkit.stepping.warm_up import to_stderr
@@ -61,7 +62,9 @@ _FINAL = ("wall-time", "max-steps", "plugin-error")
 """Failures that smaller steps do not avoid."""
 
 
-def run(source: Any, *, archive: str | Path | None = None, overwrite: bool = False, **sections: Any) -> Run:
+def run(
+    source: RunSource, *, archive: str | Path | None = None, overwrite: bool = False, **sections: Unpack[Sections]
+) -> Run:
     """Run a spec.
 
     Parameters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from scipy.sparse import block_array, diags_array
@@ -18,6 +18,7 @@ from mbdkit.errors import StepError
 from mbdkit.mechanics.reduced import DENSE, State, at_rest, least_stiffness, reduce, stiffness_scale
 from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.plain_data import plain
+from mbdkit.spec.run_source import RunSource, Sections
 
 MOST_STEPS = 500
 """Largest number of attempted steps, rejected ones included; beyond it the search fails."""
@@ -121,7 +122,7 @@ class Rest:
     iterations: int
 
 
-def equilibrium(source: Any, **sections: Any) -> Equilibrium:
+def equilibrium(source: RunSource, **sections: Unpack[Sections]) -> Equilibrium:
     """Find the static equilibrium of a mechanism from its start.
 
     Solves ``Phi_q^T lam = Q(t, q, 0)``, ``Phi(t, q) = 0`` by Newton's method. Each step is damped in the mass metric

@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 
 from mbdkit.errors import RunError, StepError
 from mbdkit.mechanics.reduced import at_rest, reduce
 from mbdkit.mechanics.source import PreparedMechanism
+from mbdkit.spec.run_source import RunSource, Sections
 from mbdkit.text import counted, csv_cell, listed
 
 ASIDE = 0.1
@@ -74,7 +75,7 @@ class BodyMotion:
     acceleration: np.ndarray
 
 
-def kinematics(source: Any, **sections: Any) -> Kinematics:
+def kinematics(source: RunSource, **sections: Unpack[Sections]) -> Kinematics:
     """Compute the motion of a fully driven mechanism from its joints and drivers alone.
 
     At each time, Newton's method closes the joints, and the linear equations for velocities and accelerations are

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal, Unpack
 
 import numpy as np
 from scipy.linalg import eig, eigh, null_space
@@ -11,6 +11,7 @@ from scipy.linalg import eig, eigh, null_space
 from mbdkit.mechanics.equilibrium import rest
 from mbdkit.mechanics.reduced import DENSE, State, at_rest, lowest, reduce
 from mbdkit.mechanics.source import PreparedMechanism
+from mbdkit.spec.run_source import RunSource, Sections
 
 Where = Literal["equilibrium", "start"]
 
@@ -124,7 +125,7 @@ class Modes:
         return found
 
 
-def linearize(source: Any, *, at: Where = "equilibrium", **sections: Any) -> Linearization:
+def linearize(source: RunSource, *, at: Where = "equilibrium", **sections: Unpack[Sections]) -> Linearization:
     """Linearise the equations of motion about a state, on the constraint manifold.
 
     Drivers keep their prescribed motion, and loads their current value. If the state moves or is not an equilibrium,
@@ -166,7 +167,9 @@ def linearize(source: Any, *, at: Where = "equilibrium", **sections: Any) -> Lin
     return Linearization(state.t, prepared.equations.bodies, *_seen(state), small.basis, small.stiffness, small.damping)
 
 
-def modes(source: Any, *, at: Where = "equilibrium", count: int | None = None, **sections: Any) -> Modes:
+def modes(
+    source: RunSource, *, at: Where = "equilibrium", count: int | None = None, **sections: Unpack[Sections]
+) -> Modes:
     """Find natural frequencies, damping ratios and mode shapes of a mechanism.
 
     Parameters

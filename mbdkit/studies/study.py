@@ -13,6 +13,7 @@ from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.spec import RunSpec
+from mbdkit.spec.run_source import StudySource
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
@@ -322,7 +323,7 @@ def load_study(folder: str | Path) -> Study:
 
 
 def study(
-    source: Any,
+    source: StudySource,
     *,
     out: str | Path | None = None,
     workers: int = 1,
