@@ -89,6 +89,15 @@ def run(
         If the input is wrong or the joints cannot be assembled; no file is left behind.
     PluginError
         If a plugin fails.
+
+    Examples
+    --------
+    >>> import mbdkit
+    >>> run = mbdkit.run("pendulum", integrator={"name": "gauss", "stages": 3}, time={"end": 1.0, "step": 0.01})
+    >>> run.status
+    'complete'
+    >>> run.misalignment_max < 1e-9
+    True
     """
     spec = load_spec(source, (), **sections)
     return simulate(spec, path=None if archive is None else Path(archive), overwrite=overwrite)

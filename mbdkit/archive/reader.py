@@ -24,5 +24,13 @@ def load(path: str | Path) -> Run:
     ------
     SpecError
         If `path` is not an archive that this version can read.
+
+    Examples
+    --------
+    >>> import mbdkit
+    >>> mbdkit.run("pendulum", time={"end": 1.0, "step": 0.01}).save("pendulum.h5")
+    >>> with mbdkit.load("pendulum.h5") as run:
+    ...     print(run.status, run.time[-1])
+    complete 1.0
     """
     return Run.open(Path(path))

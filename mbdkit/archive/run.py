@@ -230,7 +230,15 @@ class Run:
 
     @cached_property
     def bodies(self) -> Histories[BodyHistory]:
-        """Motions of the bodies by name."""
+        """Motions of the bodies by name.
+
+        Examples
+        --------
+        >>> import mbdkit
+        >>> run = mbdkit.run("double-pendulum", time={"end": 1.0, "step": 0.01})
+        >>> run.bodies["rod1"].position.shape
+        (101, 2)
+        """
         names = self._names["trajectory/body"]
         return Histories("body", names, lambda name, index: BodyHistory(self, name, index))
 
@@ -240,7 +248,17 @@ class Run:
 
     @cached_property
     def joints(self) -> Histories[JointHistory]:
-        """Misalignments, reactions and angles of the joints by name."""
+        """Misalignments, reactions and angles of the joints by name.
+
+        Examples
+        --------
+        >>> import mbdkit
+        >>> run = mbdkit.run("double-pendulum", time={"end": 1.0, "step": 0.01})
+        >>> list(run.joints)
+        ['J1', 'J2']
+        >>> run.joints["J2"].reaction_force.shape
+        (101, 2)
+        """
         largest = self._largest_misalignments
         names = self._names["joints/joint"]
         bodies, units = self._body_pairs("joints", names), self._texts("joints/angle_row_units", names)
@@ -497,6 +515,16 @@ class Run:
         ------
         RunError
             If the run failed, was interrupted or crashed; the message gives the reason.
+
+        Examples
+        --------
+        >>> import mbdkit
+        >>> mbdkit.run("pendulum", time={"end": 1.0, "step": 0.01}).check().status
+        'complete'
+        >>> mbdkit.run("pendulum", time={"end": 1.0, "step": 0.01}, limits={"max_steps": 5}).check()
+        Traceback (most recent call last):
+            ...
+        mbdkit.errors.RunError: max-steps: ...
         """
         if self.status == "complete":
             return self
@@ -507,7 +535,14 @@ class Run:
         raise RunError(f"the run {'failed' if self.status == 'failed' else 'was interrupted'}{why}")
 
     def summary(self) -> str:
-        """Return a summary of the run as a few lines of plain text."""
+        """Return a summary of the run as a few lines of plain text.
+
+        Examples
+        --------
+        >>> import mbdkit
+        >>> print(mbdkit.run("pendulum", time={"end": 1.0, "step": 0.01}).summary().splitlines()[0])
+        verdict       unknown: nothing suspicious seen; error not estimated
+        """
         from mbdkit.archive.run_summary import summary  # the only import of a higher layer, for convenience
 
         return summary(self)
@@ -519,6 +554,13 @@ class Run:
         ------
         MbdkitError
             If xarray is not installed.
+
+        Examples
+        --------
+        >>> import mbdkit
+        >>> tree = mbdkit.run("double-pendulum", time={"end": 1.0, "step": 0.01}).to_xarray()
+        >>> tree["joints"]["reaction_force"].dims
+        ('time', 'joint', 'axis')
         """
         from mbdkit.archive.xarray_tree import to_datatree
 
@@ -541,6 +583,14 @@ class Run:
             If the disk is full.
         MbdkitError
             If the run is closed.
+
+        Examples
+        --------
+        >>> import mbdkit
+        >>> run = mbdkit.run("pendulum", time={"end": 1.0, "step": 0.01})
+        >>> run.save("kept.h5")
+        >>> mbdkit.load("kept.h5").data_sha256 == run.data_sha256
+        True
         """
         image = self.file.id.get_file_image()
         target = Target(Path(path), overwrite=overwrite)

@@ -147,6 +147,20 @@ def equilibrium(source: RunSource, **sections: Unpack[Sections]) -> Equilibrium:
     ------
     SpecError
         If the input is wrong, or no equilibrium is found from this start.
+
+    Examples
+    --------
+    A mass of 2 kg stretches a spring of 100 N/m by 2 kg * 9.81 m/s^2 / (100 N/m):
+
+    >>> import mbdkit
+    >>> m = mbdkit.Mechanism()
+    >>> mass = m.body("mass", mass=2.0, position=(0.0, -1.0))
+    >>> m.spring_damper("spring", m.ground, mass, from_=(0, 0), to=(0, -1), stiffness=100.0, free_length=1.0)
+    >>> found = mbdkit.equilibrium(m)
+    >>> found.stability
+    'stable'
+    >>> round(float(found.position[0, 1]), 9)
+    -1.1962
     """
     return equilibrium_of(PreparedMechanism.of(source, **sections))
 

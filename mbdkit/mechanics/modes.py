@@ -153,6 +153,18 @@ def linearize(source: RunSource, *, at: Where = "equilibrium", **sections: Unpac
     SpecError
         If the input is wrong, no equilibrium is found, or the mechanism has no degrees of freedom or more than 500
         bodies.
+
+    Examples
+    --------
+    The stiffness of a pendulum of length 2 m, for unit mass, is g / l:
+
+    >>> import mbdkit
+    >>> m = mbdkit.Mechanism()
+    >>> ball = m.body("ball", mass=3.0, position=(0.0, -2.0))
+    >>> m.distance("string", m.ground, ball, from_=(0, 0), to=(0, -2))
+    >>> found = mbdkit.linearize(m)
+    >>> round(float(found.stiffness[0, 0]), 9)  # 1/s^2
+    4.905
     """
     prepared = PreparedMechanism.of(source, **sections)
     state = state_of(prepared, at)
@@ -193,6 +205,18 @@ def modes(
     ------
     SpecError
         If the input is wrong, no equilibrium is found, or the mechanism has no degrees of freedom.
+
+    Examples
+    --------
+    A mass on a horizontal guide and a spring oscillates with the frequency sqrt(k / m):
+
+    >>> import mbdkit
+    >>> m = mbdkit.Mechanism()
+    >>> cart = m.body("cart", mass=4.0, inertia=0.1, position=(1.0, 0.0))
+    >>> m.prismatic("guide", m.ground, cart, at=(1, 0), axis=(1, 0))
+    >>> m.spring_damper("spring", m.ground, cart, from_=(0, 0), to=(1, 0), stiffness=100.0, free_length=1.0)
+    >>> [round(float(frequency), 9) for frequency in mbdkit.modes(m).natural_frequency]  # rad/s
+    [5.0]
     """
     return modes_of(PreparedMechanism.of(source, **sections), at, count)
 

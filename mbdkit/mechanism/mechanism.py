@@ -104,6 +104,12 @@ class Mechanism:
             Initial position of the centre of mass (x, y) [m] and angle from the +x axis [rad].
         velocity, angular_velocity
             Initial velocity (x, y) [m/s] and angular velocity [rad/s].
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> m.body("rod", mass=2.0, inertia=2.0 * 1.5**2 / 12, position=(0.75, 0.0))
+        'rod'
         """
         key = self._new(name, self.bodies, "bodies")
         self.bodies[name] = _make(
@@ -131,6 +137,12 @@ class Mechanism:
             Position of the joint (x, y) [m] in the global frame at the initial positions.
         points
             Alternative to `at`: position of the joint in the frames of a and of b, ((x, y), (x, y)) [m].
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> rod = m.body("rod", mass=2.0, inertia=0.375, position=(0.75, 0.0))
+        >>> m.revolute("A", m.ground, rod, at=(0.0, 0.0))
         """
         key = self._new(name, self.joints, "joints")
         self.joints[name] = self._placed(Revolute, key, bodies=(a, b), points=points, at=at)
@@ -161,6 +173,12 @@ class Mechanism:
             Direction of the line (x, y) in a's frame; any length.
         angle
             angle_b - angle_a [rad]; by default, the difference of the initial angles as given.
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> slider = m.body("slider", mass=1.0, inertia=0.1, position=(2.0, 0.0))
+        >>> m.prismatic("guide", m.ground, slider, at=(2.0, 0.0), axis=(1, 0))
         """
         key = self._new(name, self.joints, "joints")
         values = {"bodies": (a, b), "points": points, "at": at, "axis": axis, "angle": angle}
@@ -261,6 +279,13 @@ class Mechanism:
             Prescribed value of the coordinate [rad or m]: number, expression of t, or table.
         points
             For `x` and `y`: ((0, 0), b's point in b's frame) [m]; by default, b's origin.
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> crank = m.body("crank", mass=1.0, inertia=0.1)
+        >>> m.revolute("A", m.ground, crank, at=(0.0, 0.0))
+        >>> m.driver("motor", m.ground, crank, coordinate="angle", motion="2*pi*t")
         """
         key = self._new(name, self.joints, "joints")
         self.joints[name] = self._placed(
@@ -292,6 +317,12 @@ class Mechanism:
             Alternative to `from_` and `to`: the points in the frames of a and of b, ((x, y), (x, y)) [m].
         stiffness, damping, free_length
             Stiffness [N/m], damping [N s/m], and length at which the spring exerts no force [m].
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> ball = m.body("ball", mass=1.0, position=(0.0, -1.0))
+        >>> m.spring_damper("s", m.ground, ball, from_=(0, 0), to=(0, -1), stiffness=100, damping=0.5, free_length=0.9)
         """
         key = self._new(name, self.forces, "forces")
         ends = {"bodies": (a, b), "points": points, "from": from_, "to": to}
@@ -310,6 +341,12 @@ class Mechanism:
             Name of the force element, and the two bodies.
         stiffness, damping, free_angle
             Stiffness [N m/rad], damping [N m s/rad], and relative angle at which the spring exerts no torque [rad].
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> shank = m.body("shank", mass=3.0, inertia=0.05)
+        >>> m.torsion_spring("knee", m.ground, shank, stiffness=20.0, damping=0.1)
         """
         key = self._new(name, self.forces, "forces")
         self.forces[name] = self._placed(
@@ -347,6 +384,14 @@ class Mechanism:
             For `x` and `y`: ((0, 0), b's point in b's frame) [m]; by default, b's origin.
         **options
             Options of the force law; ``mbdkit plugins show LAW`` lists them.
+
+        Examples
+        --------
+        A rope, which only pulls:
+
+        >>> m = Mechanism()
+        >>> ball = m.body("ball", mass=1.0, position=(0.0, -1.0))
+        >>> m.law("rope", m.ground, ball, law="one-sided", from_=(0, 0), to=(0, -1), stiffness=1e4, acts="tension")
         """
         key = self._new(name, self.forces, "forces")
         pathway: dict[str, Any] = {"bodies": (a, b)}
@@ -371,6 +416,12 @@ class Mechanism:
             Torque [N m]: number, expression of t, or table.
         reaction_body
             Name of the body that the opposite torque acts on, if any.
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> crank = m.body("crank", mass=1.0, inertia=0.1)
+        >>> m.torque("motor", crank, value="5*sin(2*t)")
         """
         key = self._new(name, self.forces, "forces")
         self.forces[name] = self._placed(Torque, key, body=body, value=value, reaction_body=reaction_body)
@@ -399,6 +450,12 @@ class Mechanism:
             Alternative to `at`: point of application in the body's frame (x, y) [m]; the centre of mass by default.
         frame
             Frame of the components of `value`: ``global``, or ``body``, in which case the force turns with the body.
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> foot = m.body("foot", mass=1.0, inertia=0.01)
+        >>> m.force("ground reaction", foot, value=(0.0, "700*sin(pi*t)"), point=(0.1, -0.05))
         """
         key = self._new(name, self.forces, "forces")
         where = {"at": at} if point is None else {"at": at, "point": point}
@@ -415,6 +472,12 @@ class Mechanism:
             The point (x, y) [m] in the global frame at the initial position.
         point
             Alternative to `at`: the point in the body's frame (x, y) [m]; the centre of mass by default.
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> foot = m.body("foot", mass=1.0, inertia=0.01, position=(1.0, 0.0))
+        >>> m.marker("toe", foot, at=(1.15, -0.04))
         """
         key = self._new(name, self.markers, "markers")
         where = {"at": at} if point is None else {"at": at, "point": point}
@@ -491,7 +554,15 @@ class Mechanism:
     # ---- to and from a spec --------------------------------------------------------------------------------------
 
     def to_spec(self) -> dict[str, Any]:
-        """Return the mechanism as the `model` mapping of a spec: plain data of the model `mechanism`, no defaults."""
+        """Return the mechanism as the `model` mapping of a spec: plain data of the model `mechanism`, no defaults.
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> ball = m.body("ball", mass=1.0)
+        >>> m.to_spec()["bodies"]
+        {'ball': {'mass': 1.0}}
+        """
         spec: dict[str, Any] = {"name": "mechanism"}
         if self.gravity != MechanismData.model_fields["gravity"].default:
             spec["gravity"] = list(self.gravity)
@@ -521,6 +592,12 @@ class Mechanism:
         ------
         SpecError
             With the key path of the first error.
+
+        Examples
+        --------
+        >>> m = Mechanism.from_spec({"bodies": {"ball": {"mass": "2*half"}}}, {"half": 0.5})
+        >>> m.bodies["ball"].mass
+        1.0
         """
         if not isinstance(spec, Mapping):
             raise SpecError(f"should be a mapping (`key: value`), not {found(spec)}", key="model")

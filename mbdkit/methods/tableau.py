@@ -135,6 +135,15 @@ class ButcherTableau:
     The conditions are evaluated with 60 digits. The tolerance is 1e-50 for exact coefficients, and 1e-13 if the tableau
     contains rounded floats. Order p is proved by the simplifying assumptions B(p), C(eta), D(zeta) with
     p <= eta + zeta + 1 and p <= 2 eta + 2 (Butcher 1964), or else by the conditions of all rooted trees up to order p.
+
+    Examples
+    --------
+    >>> from mbdkit import ButcherTableau
+    >>> heun = ButcherTableau("heun", a=((), (1,)), b=("1/2", "1/2"), c=(0, 1), order=2)
+    >>> ButcherTableau("heun", a=((), (1,)), b=("1/2", "1/2"), c=(0, 1), order=3)
+    Traceback (most recent call last):
+        ...
+    mbdkit.methods.tableau.TableauError: ...
     """
 
     name: str

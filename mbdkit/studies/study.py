@@ -318,6 +318,15 @@ def load_study(folder: str | Path) -> Study:
     ------
     SpecError
         If the folder contains no study with an index.
+
+    Examples
+    --------
+    >>> import mbdkit
+    >>> study = mbdkit.study(
+    ...     {"mbdkit_study": 1, "base": "pendulum", "axes": [{"time.step": [0.02, 0.01]}]}, out="steps"
+    ... )
+    >>> len(mbdkit.load_study("steps").points)
+    2
     """
     return Study(folder)
 
@@ -361,6 +370,21 @@ def study(
         case.
     ResourceError
         If the folder cannot be written to, is in use by another call, or no process can be started.
+
+    Examples
+    --------
+    >>> import mbdkit
+    >>> study = mbdkit.study(
+    ...     {
+    ...         "mbdkit_study": 1,
+    ...         "base": "pendulum",
+    ...         "overrides": {"time": {"end": 1.0, "step": 0.01}},
+    ...         "axes": [{"integrator": [{"name": "rk4"}, {"name": "gauss"}]}, {"time.step": [0.02, 0.01]}],
+    ...     },
+    ...     out="methods",
+    ... )
+    >>> [point.status for point in study.points]
+    ['complete', 'complete', 'complete', 'complete']
     """
     spec = load_study_spec(source)
     keep = None

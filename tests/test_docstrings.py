@@ -1,0 +1,40 @@
+"""The examples in docstrings do what they show."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+from pathlib import Path
+
+import pytest
+
+MODULES = (
+    "archive.reader",
+    "archive.run",
+    "mechanics.equilibrium",
+    "mechanics.kinematics",
+    "mechanics.modes",
+    "mechanism.mechanism",
+    "methods.tableau",
+    "simulation",
+    "studies.study",
+)
+
+
+def examples(module: str) -> list[doctest.DocTest]:
+    found = doctest.DocTestFinder().find(importlib.import_module(f"mbdkit.{module}"))
+    return [one for one in found if one.examples]
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_examples_give_what_they_show(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    output: list[str] = []
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.IGNORE_EXCEPTION_DETAIL)
+    for one in examples(module):
+        runner.run(one, out=output.append)
+    assert not runner.failures, "".join(output)
+
+
+def test_the_functions_that_are_used_most_have_examples() -> None:
+    assert sum(len(examples(module)) for module in MODULES) >= 20
