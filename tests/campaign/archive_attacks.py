@@ -46,14 +46,21 @@ def command_in_child(*arguments: str | Path, folder: Path, seconds: float = 10.0
 
         os.chdir(folder)
         sys.argv = ["mbdkit", *map(str, arguments)]
-        out, err = io.StringIO(), io.StringIO()
         status = 0
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with (
+            tempfile.TemporaryFile("w+", errors="replace") as out,
+            tempfile.TemporaryFile("w+", errors="replace") as err,
+        ):
+            for file, stream in ((out, sys.stdout), (err, sys.stderr)):
+                os.dup2(file.fileno(), stream.fileno())  # the command writes its results to the descriptor
             try:
                 main()
             except SystemExit as end:
                 status = int(end.code or 0)
-        return status, out.getvalue(), err.getvalue()
+            for file, stream in ((out, sys.stdout), (err, sys.stderr)):
+                stream.flush()
+                file.seek(0)
+            return status, out.read(), err.read()
 
     ending = in_child(call, seconds=seconds)
     if ending.value is None:
