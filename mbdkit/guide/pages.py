@@ -25,11 +25,6 @@ class Page:
     text: str
 
     @property
-    def title(self) -> str:
-        """The first heading."""
-        return next(line.removeprefix("# ") for line in self.text.splitlines() if line.startswith("# "))
-
-    @property
     def summary(self) -> str:
         """The first sentence of the first paragraph, on one line."""
         paragraphs = (" ".join(block.split()) for block in self.text.split("\n\n"))
