@@ -14,7 +14,7 @@ from mbdkit.registry.manager import registry
 from .installing import install_module, install_project, python
 
 ROOT = Path(__file__).resolve().parent.parent
-GUIDE = (ROOT / "plugins" / "README.md").read_text(encoding="utf-8")
+GUIDE = (ROOT / "mbdkit" / "guide" / "plugins.md").read_text(encoding="utf-8")
 PENDULUM = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
 BALL = {
     "name": "mechanism",
@@ -92,9 +92,10 @@ def test_the_first_steps_work_as_printed(tmp_path: Path) -> None:
     assert (tmp_path / "rocket" / "report.html").is_file()
 
 
-def test_every_distribution_beside_the_guide_stands_in_its_table() -> None:
+def test_every_distribution_stands_in_the_table_beside_it() -> None:
     folders = {path.parent.name for path in (ROOT / "plugins").glob("*/pyproject.toml")}
-    assert folders == set(re.findall(r"^\| \[(.*?)\]", GUIDE, flags=re.MULTILINE))
+    table = (ROOT / "plugins" / "README.md").read_text(encoding="utf-8")
+    assert folders == set(re.findall(r"^\| \[(.*?)\]", table, flags=re.MULTILINE))
 
 
 def test_the_line_for_tests_makes_a_test_of_each_check() -> None:
@@ -104,3 +105,8 @@ def test_the_line_for_tests_makes_a_test_of_each_check() -> None:
     (mark,) = module.test_verlet_conforms.pytestmark
     assert len(mark.args[1]) > 5
     assert registry().get("integrator", "gauss")
+
+
+def test_a_method_without_a_plugin_runs_as_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(block("Without a plugin", "python"), {})
+    assert "rhs_evaluations=100" in capsys.readouterr().out

@@ -1,1 +1,1 @@
-"""Pages for users, as Markdown: `trust.md` on the results of a run, `reliability.md` on files, kills and strangers."""
+"""Pages for users, as Markdown files; `mbdkit guide` lists them."""

@@ -240,10 +240,10 @@ def _replacements(
 
 
 def _is_expression(text: Any, values: Values) -> bool:
-    """Return whether a value is meant as an expression: text with an operator or a parameter, no number in quotes."""
+    """Return whether a value is meant as an expression: with an operator, a name that has a value, no quoted number."""
     if not isinstance(text, str) or _NUMBER.fullmatch(text):
         return False
-    return bool(re.search(r"[-+*/(]", text)) or text.strip() in values
+    return bool(re.search(r"[-+*/(]", text)) or text.strip() in {"pi", *values}
 
 
 def _value(text: str, kind: Kind, values: Values, path: Path) -> float | int | str:

@@ -88,7 +88,7 @@ def page(item: Registered) -> str:
     if claims := item.plugin.claimed():
         chosen = item.plugin.name_key == "name" and item.plugin.options.model_fields
         lines += ["", "Claims, with these defaults:" if chosen else "Claims:"]
-        lines += [f"  {name.replace('_', ' ')}: {text}" for name, text in _claim_texts(claims)]
+        lines += [f"  {name.replace('_', ' ')}: {text}" for name, text in claim_texts(claims)]
     if item.plugin.references:
         lines += ["", "References:", *(textwrap.indent(entry.strip(), "  ") for entry in item.plugin.references)]
     return "\n".join(lines)
@@ -138,7 +138,7 @@ def _entry(report: Report) -> dict[str, Any]:
     }
 
 
-def _claim_texts(claims: Mapping[str, Any]) -> list[tuple[str, str]]:
+def claim_texts(claims: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return name and text of each claim; those that say nothing are left out."""
     texts = []
     for name, value in claims.items():
@@ -158,14 +158,26 @@ def _option_lines(options: type[BaseModel]) -> list[str]:
         return ["  none"]
     schema = options.model_json_schema()
     lines: list[str] = []
-    for name, kind, default, description in _options(schema, schema.get("$defs", {}), ""):
+    for name, kind, default, description in options_in(schema):
         lines.append(f"  {name}: {kind}{default}")
         lines += textwrap.wrap(description, WIDTH, initial_indent=" " * 6, subsequent_indent=" " * 6)
     return lines
 
 
-def _options(schema: Schema, definitions: Schema, prefix: str) -> Iterator[tuple[str, str, str, str]]:
-    """Yield name, type, default and description of each option, followed by the options nested in it."""
+def options_in(schema: Schema, deepest: int = DEEPEST) -> Iterator[tuple[str, str, str, str]]:
+    """Yield name, type, default and description of each option in a JSON schema, followed by those nested in it.
+
+    Parameters
+    ----------
+    schema
+        The schema of a mapping, with its definitions.
+    deepest
+        Levels of nested options; 0 for none.
+    """
+    yield from _options(schema, schema.get("$defs", {}), "", deepest)
+
+
+def _options(schema: Schema, definitions: Schema, prefix: str, deepest: int) -> Iterator[tuple[str, str, str, str]]:
     for name, info in schema.get("properties", {}).items():
         if "const" in info:  # the type of an element, which is in its name here
             continue
@@ -174,8 +186,8 @@ def _options(schema: Schema, definitions: Schema, prefix: str) -> Iterator[tuple
         text = "" if default is None or inside else f", default {json.dumps(default)}"
         text = ", required" if name in schema.get("required", ()) else text
         yield prefix + name, _type(info, definitions), text, " ".join(info.get("description", "").split())
-        for label, inner in inside if prefix.count(".") < DEEPEST else ():
-            yield from _options(inner, definitions, f"{prefix}{name}{label}.")
+        for label, inner in inside if prefix.count(".") < deepest else ():
+            yield from _options(inner, definitions, f"{prefix}{name}{label}.", deepest)
 
 
 def _inside(info: Schema, definitions: Schema) -> list[tuple[str, Schema]]:
@@ -196,6 +208,8 @@ def _type(info: Schema, definitions: Schema) -> str:
     """Return a short name of the type in a schema."""
     if "$ref" in info:
         return _type(definitions[info["$ref"].rpartition("/")[2]], definitions)
+    if "const" in info:
+        return str(info["const"])
     if "enum" in info:
         return " | ".join(str(value) for value in info["enum"])
     members = info.get("anyOf") or info.get("oneOf")

@@ -32,17 +32,19 @@ class Methods:
     bibtex: tuple[str, ...]
 
 
-def methods(specs: Iterable[Mapping[str, Any]]) -> Methods:
+def methods(specs: Iterable[Mapping[str, Any]], sources: Iterable[str] = ()) -> Methods:
     """Return the methods section of some run specs.
 
     Parameters
     ----------
     specs
         Run specs as plain mappings, each with the names of its model and integrator.
+    sources
+        Further BibTeX entries, such as those of a packaged study.
     """
     specs = list(specs)
     paragraphs = [_EQUATIONS, _stabilization(specs)]
-    references = [_own_reference()]
+    references = [_own_reference(), *sources]
     for kind in ("model", "integrator"):
         for name, options in _used(specs, kind).items():
             item = _find(kind, name)

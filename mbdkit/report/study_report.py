@@ -22,6 +22,7 @@ from mbdkit.report.run_verdict import mechanism_size
 from mbdkit.report.study_figures import study_figures
 from mbdkit.studies.judge import judge
 from mbdkit.studies.point_selection import value
+from mbdkit.studies.verdict_lookup import find_verdict
 from mbdkit.text import listed
 from mbdkit.trust.criteria import MISALIGNMENT
 
@@ -58,7 +59,7 @@ def study_report(study: Study) -> ReportPage:
         verdict=_verdict(study),
         films=tuple(_films(study)),
         failures=_failures(study),
-        methods=methods(_specs(study)),
+        methods=methods(_specs(study), find_verdict(study.spec)[0].plugin.references if study.spec.verdict else ()),
         environment=_environment(study),
         reproduce="Save the spec below as study.yaml. The study's folder contains an archive of every run, "
         "with its spec; `mbdkit rerun` repeats a run.",

@@ -31,6 +31,8 @@ OUTLINE = """\
 
 <!-- Written by `python -m tests.benchmarks.trust_page mbdkit/guide/trust.md`; do not edit. -->
 
+The verdict of a run, what its errors are estimated to be, what is not promised, and measured errors.
+
 Every run has a verdict. It stands at the top of the summary, in `run.verdict` and `run.verdict_reasons`, in `--json`,
 in the archive, in reports and in the table of a study.
 
@@ -61,15 +63,22 @@ before its end is `bad`. Warnings that question the result make it `doubtful`.
 - **`mbdkit run SPEC --check`** (`check: true`) runs companions: the same method with half and a quarter of the step, or
   with tighter tolerances, and another method. Their differences give an estimated error for every recorded position,
   velocity, reaction force and reaction torque. Where the differences do not fall, the estimate is nan, and
-  `run.accuracy.known_until` is the time of the last row before. A check takes about ten times as long as the run.
+  `run.accuracy.known_until` is the time of the last row before. The summary says `largest force in J1 119.02677 N,
+  known to 7.8e-08 N`, plots draw bands, and the group `accuracy` of the archive holds the estimates. A check takes
+  about ten times as long as the run, and at least a second. In 504 runs of 21 mechanisms with known motions (6 methods,
+  4 steps or tolerances each), errors are known for 95 % of the time, and all true errors are 0.39 to 1.08 times their
+  estimates (`python -m tests.benchmarks.error_bars`).
 - **`mbdkit run SPEC --accuracy 1e-6`** (`accuracy: 1e-6`) chooses method and step by pilot runs, so that positions are
   accurate to this share of the mechanism's size over the whole run, and confirms it by a check. Angles count with the
   distance of the farthest joint point of the body. If the spec gives an integrator, only its step or tolerance is
-  chosen. If no attempt reaches the accuracy, the best one is returned, with a verdict that says so. Forces are less
+  chosen; `integrator` and `time.step` may be left out. The summary says what was chosen and why, and the archive stores
+  it, so that `rerun` repeats the run to the bit. If no attempt reaches the accuracy, the best one is returned, with a
+  verdict that says so. On ten mechanisms with known motions, 1e-3, 1e-6 and 1e-9 were reached in all 30 runs
+  (`python -m tests.benchmarks.asked_accuracy`; [performance](performance.md) has the cost). Forces are less
   accurate than positions; their estimates are in `run.accuracy` as well. With explicit adaptive methods, the last
   pilot is the run, and the pilots before it estimate its errors. These estimates cost nothing more, and are coarser
-  than those of companions: usually several times too large, seldom too small. Add `--check` to
-  estimate them by companions as well.
+  than those of companions: usually several times too large, seldom too small. Add `--check` to estimate them by
+  companions as well.
 - **`limits`** stop a run: `limits.misalignment` (default 1) as a share of the mechanism's size, and of 1 rad for
   angles; `limits.energy_jump` (off by default), the change of the energy balance in one step as a share of the largest
   kinetic energy so far; `limits.max_steps` and `limits.wall_time`.

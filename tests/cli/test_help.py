@@ -33,6 +33,7 @@ COMMANDS = [
     ("plugins", "new"),
     ("examples",),
     ("examples", "copy"),
+    ("guide",),
     ("archive",),
     ("archive", "info"),
     ("archive", "check"),

@@ -97,6 +97,11 @@ def test_whole_numbers_and_lists_of_a_model_may_be_expressions() -> None:
         load_spec({**SPEC, "parameters": {"k": 1.75}, "model": model, "events": {}})
 
 
+def test_pi_alone_is_an_expression() -> None:
+    model = {"name": "single-pendulum", "angle": "pi"}
+    assert load_spec({**SPEC, "parameters": {}, "model": model, "events": {}}).model.angle == math.pi
+
+
 def test_the_canonical_form_keeps_expressions_and_is_read_to_the_same_hash() -> None:
     spec = load_spec(SPEC)
     data = json.loads(spec.canonical_json())

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbdkit.registry.items import StudyPlugin
+from mbdkit.studies.packaged.paper.source_paper import BIBTEX
 
 if TYPE_CHECKING:
     from mbdkit.analysis.verdict import Verdict
@@ -30,7 +31,9 @@ def _packaged(name: str, summary: str, *references: str) -> StudyPlugin:
 
 STUDIES = (
     _packaged(
-        "paper", "Results, claims and predictions of the paper on RK-Gill and Gauss methods, recomputed and tested."
+        "paper",
+        "Results, claims and predictions of the source paper on RK-Gill and Gauss methods, recomputed and tested.",
+        BIBTEX,
     ),
     _packaged("convergence", "Error and misalignment of the double pendulum against the step, for six methods."),
     _packaged("drift", "Order, drift, energy and cost of formulations and stabilizations."),

@@ -9,11 +9,13 @@ from mbdkit.studies.packaged.paper.computation_time import substitution, times
 from mbdkit.studies.packaged.paper.method_comparison import growth, orders, work
 from mbdkit.studies.packaged.paper.paper_predictions import joints, knee
 from mbdkit.studies.packaged.paper.published_results import magnitudes, ranking, trajectories
+from mbdkit.studies.packaged.paper.source_paper import TITLE
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study
 
 NOTES = (
+    f"The source paper is \u201c{TITLE}\u201d. Its author and DOI are not known to us.",
     (
         "The paper states the step, h = 0.1 s, but no masses, lengths, gravity or initial angles. We assume uniform "
         "rods of 20 m and 1 kg, released 40 degrees below the horizontal, which reproduce the published misalignments."

@@ -1,0 +1,162 @@
+"""``python -m mbdkit.spec.spec_page mbdkit/guide/spec.md``: writes the page on specs, from the models of specs."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import textwrap
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel
+
+from mbdkit.mechanism.bodies import Body
+from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.markers import Marker
+from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
+from mbdkit.mechanism.pathways import Coordinate, RelativeAngle, TwoPoints
+from mbdkit.mechanism.values import Table
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.describe import claim_texts, options_in
+from mbdkit.registry.manager import registry
+from mbdkit.spec.schema import run_schema
+from mbdkit.spec.stabilization_section import Baumgarte, NoStabilization, Projection
+from mbdkit.spec.study_spec import StudySpec
+
+WIDTH = 120
+
+BEGINNING = """\
+# Spec reference
+
+Every key of run specs and study specs, with its type, default and unit. Text after a key is its type and its default;
+a key without a default is optional unless it is marked as required.
+
+<!-- Written by `python -m mbdkit.spec.spec_page mbdkit/guide/spec.md`; do not edit. -->
+
+Specs are YAML, TOML or JSON files. Unknown keys are errors. Units are SI, angles are in radians. Any number of the
+model may also be an expression of `parameters`, such as `0.5*crank` or `degrees(45)`. `mbdkit schema run` and
+`mbdkit schema study` print the same as JSON schemas, for editors, with the plugins that are installed;
+`mbdkit plugins show NAME` prints the options of one model, integrator or force law.
+"""
+
+PARTS = ("model", "integrator", "stabilization")
+"""Keys of a run spec that have sections of their own."""
+
+
+def page(installed: Registry) -> str:
+    """Return the page on the specs that a registry allows, as Markdown."""
+    run = run_schema(installed)
+    plain = {"$defs": run["$defs"], "properties": {k: v for k, v in run["properties"].items() if k not in PARTS}}
+    plain["required"] = [key for key in run["required"] if key not in PARTS]
+    first = [f"- `{key}`: {_flat(run['properties'][key]['description'])} See below." for key in PARTS]
+    study = StudySpec.model_json_schema()
+    parts = [
+        BEGINNING.rstrip("\n"),
+        "## Run spec",
+        "\n".join([_version("mbdkit", run), *first, _keys(plain)]),
+        "## The model `mechanism`",
+        "Bodies, joints, forces and markers have names, under which the archive records their results.",
+        _keys(MechanismData.model_json_schema(), 0),
+        *_model("### `bodies`", Body),
+        "### `joints`",
+        "`type` selects the type of the joint. `bodies` are the first body a and the second body b.",
+        *_types(get_args(get_args(Joint)[0])),
+        "### `forces`",
+        "`type` selects the type of the force element; with `type: law`, `law` selects the force law.",
+        *_types((SpringDamper, TorsionSpring, Torque, PointForce)),
+        *(part for item in installed.of_kind("force-law") for part in _item(item, "####", f"law: {item.name}")),
+        "#### `pathway`",
+        "The length, angle or coordinate that a law acts along; `type` selects it.",
+        *_types((TwoPoints, RelativeAngle, Coordinate), "#####"),
+        *_model("### Functions of time", Table),
+        (
+            "Instead of a table, a motion, torque or force may be a number, or an expression of `t` and the "
+            "parameters. The page `mechanism` lists operators and functions."
+        ),
+        *_model("### `markers`", Marker),
+        *_model("### `assembly`", Assembly),
+        "## Other models",
+        *(part for item in installed.of_kind("model") if item.name != "mechanism" for part in _item(item)),
+        "## Integrators",
+        "Claims hold for the default options. The page `methods` helps to choose.",
+        *(part for item in installed.of_kind("integrator") for part in _item(item)),
+        "## Stabilizations",
+        *(
+            part
+            for model, name in ((NoStabilization, "none"), (Baumgarte, "baumgarte"), (Projection, "projection"))
+            for part in _model(f"### `{name}`", model)
+        ),
+        "## Study spec",
+        "\n".join([_version("mbdkit_study", study), _keys(study)]),
+    ]
+    return "\n\n".join("\n".join(_wrapped(part.splitlines())) for part in filter(None, parts)) + "\n"
+
+
+def _version(key: str, schema: dict[str, Any]) -> str:
+    """Return the line of the key that tells the kind of a spec and its version."""
+    info = schema["properties"][key]
+    return f"- `{key}` ({info['const']}, required): {_flat(info['description'])}"
+
+
+def _types(models: Iterable[type[BaseModel]], level: str = "####") -> list[str]:
+    """Return the sections of element types, whose names are the defaults of their key `type`."""
+    return [
+        part
+        for model in models
+        for part in _model(f"{level} `type: {get_args(model.model_fields['type'].annotation)[0]}`", model)
+    ]
+
+
+def _model(heading: str, model: type[BaseModel]) -> list[str]:
+    """Return heading, description and keys of a model."""
+    return [heading, _described(model), _keys(model.model_json_schema())]
+
+
+def _item(item: Registered, level: str = "###", heading: str = "") -> list[str]:
+    """Return heading, summary, claims and options of a plugin."""
+    texts = [(name.replace("_", " "), text) for name, text in claim_texts(item.plugin.claimed()) if text != "no"]
+    claims = "; ".join(name if text == "yes" else f"{name}: {text}" for name, text in texts)
+    options = item.plugin.options
+    return [
+        f"{level} `{heading or f'name: {item.name}'}`",
+        f"{item.plugin.summary}" + (f" Claims: {claims}." if claims else ""),
+        _keys(options.model_json_schema()) if options.model_fields else "",
+    ]
+
+
+def _described(model: type[BaseModel]) -> str:
+    """Return the docstring of a model as paragraphs of one line."""
+    text = inspect.cleandoc(model.__doc__ or "").replace("``", "`")
+    return "\n\n".join(_flat(block) for block in text.split("\n\n"))
+
+
+def _keys(schema: dict[str, Any], deepest: int = 6) -> str:
+    """Return the keys of a mapping as a list."""
+    return "\n".join(
+        f"- `{name}` ({kind}{default}): {_flat(description)}".rstrip(": ").rstrip()
+        for name, kind, default, description in options_in(schema, deepest)
+    )
+
+
+def _flat(text: str) -> str:
+    return " ".join(text.replace("``", "`").split())
+
+
+def _wrapped(lines: Iterable[str]) -> list[str]:
+    """Return lines of at most `WIDTH` characters; lines below an item of a list are indented."""
+    wrapped = []
+    for line in lines:
+        indent = "  " if line.startswith("- ") else ""
+        keep = line.startswith(("#", "<!--", "  ")) or not line
+        wrapped += (
+            [line]
+            if keep
+            else textwrap.wrap(line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+        )
+    return wrapped
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).write_text(page(registry().only("mbdkit")), encoding="utf-8")

@@ -1,0 +1,111 @@
+"""`python -m tests.benchmarks.paper_page FOLDER`: writes what the study in FOLDER says of the source paper's claims.
+
+FOLDER is that of `mbdkit study paper -o FOLDER`. The page `mbdkit/guide/paper.md` gets all claims; the README gets some
+of them, between two markers.
+"""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+from pathlib import Path
+
+import mbdkit
+from mbdkit.analysis.verdict import Answer, Claim, Verdict
+from mbdkit.studies.judge import judge
+from mbdkit.studies.packaged.paper.source_paper import BIBTEX, TITLE
+
+GUIDE = Path(mbdkit.__file__).parent / "guide" / "paper.md"
+README = Path(mbdkit.__file__).parent.parent / "README.md"
+BEGIN = "<!-- claims: begin (python -m tests.benchmarks.paper_page FOLDER) -->"
+END = "<!-- claims: end -->"
+IN_SHORT = ("magnitudes", "orders", "gill-worst", "knee-gauss2", "knee-gauss3", "per-joint", "time-bodies")
+"""Claims that the README has."""
+OF_A_MACHINE = ("time-bodies", "substitution")
+"""Claims whose figures are times, which differ between machines."""
+
+ANSWERS = {Answer.YES: "Confirmed", Answer.NO: "Not confirmed", Answer.PARTLY: "Partly confirmed", Answer.OPEN: "Open"}
+
+OUTLINE = """\
+# The source paper, re-run
+
+The claims of the source paper on explicit and implicit methods, and what a study of {runs} runs says about each.
+
+<!-- Written by `python -m tests.benchmarks.paper_page FOLDER`; do not edit. -->
+
+The source paper is
+
+> {title}.
+
+It asks which integrator keeps the joints of a mechanism together, and at what cost, as a step towards the design of
+devices that support human joints. Its *misalignment* is the distance between the two points of a pinned joint, which
+numerical error makes drift apart. It measures it for pendulums of one and two rods, and predicts it for a knee linkage
+with four joints.
+
+`mbdkit study paper -o paper --report` repeats it within one to three minutes on two cores. The sentences below are
+those of its report, which also has tables and figures; "this machine" is the one that made this page. In BibTeX, with
+no author and no DOI known to us:
+
+```bibtex
+{bibtex}
+```
+
+![Misalignment of a double pendulum over 150 steps: it grows with RK-Gill only](../../.github/paper-drift.png)
+![Misalignment of a knee linkage over the step, with the two predicted ranges shaded](../../.github/paper-knee.png)
+
+## Claims
+
+{claims}
+
+## Assumptions
+
+{notes}
+"""
+
+
+def page(verdict: Verdict, runs: int) -> str:
+    """Return the page on the paper."""
+    claims = "\n".join(full_entry(claim) for claim in verdict.claims)
+    notes = "\n".join(_item(note) for note in verdict.notes[1:])  # the first one names the paper, as the page does
+    return OUTLINE.format(
+        runs=runs, title="\n> ".join(textwrap.wrap(TITLE, 118)), bibtex=BIBTEX, claims=claims, notes=notes
+    )
+
+
+def short_entry(claim: Claim) -> str:
+    """Return a claim as an item of the README."""
+    return _item(f"**{ANSWERS[claim.answer]}**: {claim.statement} Found: {claim.computed}.")
+
+
+def full_entry(claim: Claim) -> str:
+    """Return a claim as an item of the page."""
+    return _item(
+        f"**{ANSWERS[claim.answer]}**: {claim.statement} Published: {claim.published}. Found: {claim.computed}. "
+        f"{claim.sentence}"
+    )
+
+
+def _item(text: str) -> str:
+    return "- " + "\n  ".join(textwrap.wrap(text, 118, break_long_words=False, break_on_hyphens=False))
+
+
+def renewed(text: str, verdict: Verdict) -> str:
+    """Return the README with the claims between the two markers replaced."""
+    claims = "\n".join(short_entry(verdict.claim(name)) for name in IN_SHORT)
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise ValueError(f"the README lacks {BEGIN} or {END}")
+    return f"{before}{BEGIN}\n\n{claims}\n\n{END}{after}"
+
+
+def main(folder: str) -> None:
+    """Write the page, and the claims in the README."""
+    study = mbdkit.load_study(folder)
+    verdict = judge(study)
+    GUIDE.write_text(page(verdict, len(study.points)), encoding="utf-8")
+    README.write_text(renewed(README.read_text(encoding="utf-8"), verdict), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
