@@ -69,6 +69,16 @@ def interrupts_noted(note: Callable[[], None]) -> Iterator[None]:
                 signal.raise_signal(number)
 
 
+@contextmanager
+def interrupts_delayed() -> Iterator[None]:
+    """Let a block end before Ctrl-C, SIGTERM or SIGHUP raise KeyboardInterrupt; a second SIGTERM ends the process."""
+    noted: list[bool] = []
+    with interrupts_noted(lambda: noted.append(True)):
+        yield
+    if noted:
+        raise KeyboardInterrupt
+
+
 def _raise_interrupt(number: int, frame: FrameType | None) -> None:
     global _last
     now = time.monotonic()

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from mbdkit.errors import SpecError
+from mbdkit.interrupts import interrupts_delayed
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_spec import SECOND_RUN, StudySpec
 from mbdkit.studies import study_index
@@ -131,7 +132,7 @@ class Execution:
                 self.run_again(again, workers, total - len(repeats), total, known_runs)
                 self.time(repeats, total, known_runs)
             finally:
-                with self.folder.indexing():
+                with interrupts_delayed(), self.folder.indexing():
                     found = collect(self.spec, self.points, known_runs, self.timings, self.second)
                     study_index.write(self.folder.index, found)
 

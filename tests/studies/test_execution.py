@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import h5py
@@ -12,7 +13,7 @@ import pytest
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.errors import ResourceError, SpecError
-from mbdkit.studies import pool
+from mbdkit.studies import pool, study_index
 from mbdkit.studies.execute import Shard
 
 #: Two rods that can meet a point of the ground at a distance of 1.5 m, but not at 3 m.
@@ -50,6 +51,20 @@ def test_every_run_has_a_sound_archive_and_nothing_else_is_left(finished):
     assert len(ids) == 5
     for point in finished.points:
         assert check(point.path) == []
+
+
+def test_an_interrupt_while_the_index_is_written_waits_until_it_is_there(copied, small, monkeypatch):
+    (copied / "index.h5").unlink()
+    write = study_index.write
+
+    def interrupted(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        write(*arguments)
+
+    monkeypatch.setattr(study_index, "write", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        mbdkit.study(small, out=copied)
+    assert mbdkit.load_study(copied).status == "complete"
 
 
 def test_a_second_call_computes_nothing_and_writes_the_same_index(copied, small):
