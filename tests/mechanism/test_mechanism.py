@@ -219,7 +219,7 @@ CHANGES = {
         "model.joints.A.axis",
         "unknown key; known here: bodies, points, at, type, angle",
     ),
-    "angle as text": ("joints.A", {**SLIDE, "angle": "pi"}, "model.joints.A.angle", "number"),
+    "angle as text": ("joints.A", {**SLIDE, "angle": "pie"}, "model.joints.A.angle", "number"),
     "motion as a list": ("joints.E.motion", [1, 2], "model.joints.E.motion", "or {table: [[t, ...], [value, ...]]}"),
     "table that goes back": (
         "joints.E.motion",
