@@ -65,6 +65,7 @@ def study_report(study: Study) -> ReportPage:
         "with its spec; `mbdkit rerun` repeats a run.",
         commands="mbdkit study study.yaml -o again\nmbdkit report again",
         spec=(study.folder / "study.yaml").read_text(encoding="utf-8"),
+        spec_file="study.yaml",
     )
 
 
