@@ -197,7 +197,7 @@ class Guide:
     Attributes
     ----------
     label
-        Label at its end with the larger x.
+        Label in its middle.
     x, y
         (2,) its ends.
     """

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure as Picture
 from mbdkit.analysis.verdict import Axis, Figure, Line
 from mbdkit.errors import file_error
 from mbdkit.plot.caption import Caption
-from mbdkit.plot.style import FAINT, GRID, PALETTE, color_number, dress, legend, new_figure, powers_of_ten, save
+from mbdkit.plot.style import FAINT, GRID, PALETTE, PAPER, color_number, dress, legend, new_figure, powers_of_ten, save
 
 _DASHES: tuple[str | tuple[float, tuple[float, ...]], ...] = ("-", "--", ":", "-.", (0, (8.0, 3.0)))
 _MARKERS = ("o", "s", "D", "^", "P", "X")
@@ -82,9 +82,12 @@ def draw_chart(axes: Axes, chart: Figure) -> None:
     _draw_lines(axes, chart)
     for guide in chart.guides:
         axes.plot(guide.x, guide.y, color=FAINT, linewidth=1.0, linestyle=(0, (1.0, 2.0)))
-        end: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "va": "bottom"}
-        order = axes.annotate(guide.label, (guide.x[-1], guide.y[-1]), xytext=(-3, 2), size=7.5, color=FAINT, **end)
-        order.set_parse_math(False)
+        x, y = (
+            float(np.sqrt(np.prod(ends)) if axis.log else np.mean(ends))
+            for ends, axis in ((guide.x, chart.x), (guide.y, chart.y))
+        )
+        patch: dict[str, Any] = {"facecolor": PAPER, "edgecolor": "none", "pad": 0.5}
+        axes.text(x, y, guide.label, size=7.5, color=FAINT, ha="center", va="center", bbox=patch, parse_math=False)
     if chart.equal:
         axes.set_aspect("equal", adjustable="datalim")
 

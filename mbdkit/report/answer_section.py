@@ -166,9 +166,7 @@ def _quantity(run: Run, name: str, unit: str, path: str, magnitude: Callable[[Ar
     return _Quantity(name, unit, peaks, known if count else None, error, until)
 
 
-def _table(
-    run: Run, name: str, title: str, columns: Sequence[int], found: Sequence[_Quantity], floor: float
-) -> Table:
+def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Sequence[_Quantity], floor: float) -> Table:
     """Return the table of some of the joints, of many those with the largest forces, with the power of drivers."""
     most = np.nan_to_num(np.max(np.stack([one.peaks.value for one in found]), axis=0), nan=np.inf)
     chosen = sorted(sorted(columns, key=lambda column: -most[column])[:ROWS])

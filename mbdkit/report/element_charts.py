@@ -50,9 +50,7 @@ def _components(run: Run, joint: Any, colors: dict[str, str]) -> Figure:
         f"Components of the force of {joint.bodies[0]} on {joint.bodies[1]} along the axes that are fixed to each body."
     )
     title = f"Force in {joint.name}, in the frames of its bodies"
-    return Figure(
-        f"components-{joint.index + 1}", title, caption, _TIME, Axis("force component", "N"), tuple(lines)
-    )
+    return Figure(f"components-{joint.index + 1}", title, caption, _TIME, Axis("force component", "N"), tuple(lines))
 
 
 def force_charts(run: Run) -> list[Figure]:

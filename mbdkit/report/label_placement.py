@@ -31,18 +31,18 @@ class Name:
     points
         (K, 2) points [px], any of which it may stand at.
     color
-        Colour of the patch in front of it, as `mbdkit.plot.style.color_key` returns it; None for no patch.
+        Name of the colour of the patch in front of it, see `mbdkit.report.chart_data.color_key`; empty for no patch.
     """
 
     text: str
     kind: str
     points: Array
-    color: int | str | None = None
+    color: str = ""
 
     @property
     def width(self) -> float:
         """Approximate width [px]."""
-        return CHARACTER * len(self.text) + 4.0 + (SWATCH if self.color is not None else 0.0)
+        return CHARACTER * len(self.text) + 4.0 + (SWATCH if self.color else 0.0)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -19,15 +20,17 @@ from mbdkit.plot.pose import body_colors
 from mbdkit.plot.quantity_text import length
 from mbdkit.report.chart_data import color_key
 from mbdkit.report.label_placement import LINE, SWATCH, Name, PlacedName, place_names
+from mbdkit.report.svg_canvas import Canvas
+from mbdkit.trust.criteria import ROUND_OFF
 
 WIDE, NARROW = 900.0, 350.0
 """Widths of the drawing on a screen or on paper, and on a telephone [px]."""
 NAMES = 60
 """Largest number of names; more would overlap."""
+LONGEST = 28
+"""Largest number of characters of a name."""
 CROWD = 40
 """Number of bodies above which only outlines are drawn."""
-_ROOM = (80.0, 52.0)  # around the mechanism, for names and arrows [px]
-_INK_STEP = 5.0  # between points that stand for lines [px]
 
 
 @dataclass(frozen=True)
@@ -43,20 +46,26 @@ class NamedPose:
     pose
         (B, 3) x [m], y [m] and angle [rad] of the bodies.
     times
-        Recorded times [s], at the greatest of which loads are shown.
+        Recorded times [s]; loads are shown at that of their largest value.
+    round_off
+        Coordinates below this value are rounding errors [m].
     """
 
     drawing: Drawing
     mechanism: Mechanism | None
     pose: Array
     times: Array
+    round_off: float
 
     @classmethod
     def of(cls, mechanism: Mechanism | None, bodies: Sequence[str], pose: Array, times: Array) -> NamedPose:
         """Return what to draw of bodies in a pose."""
         known = mechanism is not None and list(mechanism.bodies) == list(bodies)
         drawing = draw_mechanism(mechanism) if mechanism is not None and known else draw_centres(bodies)
-        return cls(drawing, mechanism if known else None, np.nan_to_num(pose, posinf=0.0, neginf=0.0), times)
+        pose = np.nan_to_num(pose, posinf=0.0, neginf=0.0)
+        points = drawing.world(pose)
+        size = float(np.max(np.ptp(points, axis=0), initial=0.0))
+        return cls(drawing, mechanism if known else None, pose, times, ROUND_OFF * size)
 
     def place(self, body: str, local: tuple[float, float]) -> Array:
         """Return the global coordinates [m] of a point in the frame of a body."""
@@ -64,14 +73,15 @@ class NamedPose:
             return np.array(local)
         x, y, angle = self.pose[self.drawing.bodies.index(body)]
         c, s = math.cos(angle), math.sin(angle)
-        return np.array([x + c * local[0] - s * local[1], y + s * local[0] + c * local[1]])
+        found = np.array([x + c * local[0] - s * local[1], y + s * local[0] + c * local[1]])
+        return np.where(np.abs(found) <= self.round_off, 0.0, found)
 
 
 def mechanism_svg(shown: NamedPose, width: float) -> Markup:
     """Return a drawing of a mechanism with names, `width` pixels wide; its colours are those of the page's style."""
-    canvas = _Canvas.fitted(shown.drawing.world(shown.pose), width)
+    canvas = Canvas.fitted(shown.drawing.world(shown.pose), width)
     _draw(canvas, shown)
-    names = list(_names(canvas, shown))[:NAMES]
+    names = [replace(name, text=_short(name.text)) for name in islice(_names(canvas, shown), NAMES)]
     for placed in place_names(names, canvas.ink, canvas.width, canvas.height):
         _write(canvas, placed)
     box = f"0 0 {canvas.width:.0f} {canvas.height:.0f}"
@@ -87,78 +97,7 @@ def names_shown(shown: NamedPose) -> bool:
     return count <= NAMES
 
 
-@dataclass
-class _Canvas:
-    """The parts of a drawing, and the points on its lines."""
-
-    width: float
-    height: float
-    scale: float
-    origin: Array  # global point [m] in the middle
-    parts: list[Markup] = field(default_factory=list)
-    drawn: list[Array] = field(default_factory=list)
-
-    @classmethod
-    def fitted(cls, points: Array, width: float) -> _Canvas:
-        """Return an empty canvas for global points (P, 2) [m]."""
-        low, high = points.min(axis=0), points.max(axis=0)
-        size = np.maximum(high - low, 1e-3 * float(np.max(high - low, initial=0.0)) or 1e-9)
-        room = np.array(_ROOM) * (1.0 if width > 500 else 0.7)
-        highest = 0.55 * width if width > 500 else 1.1 * width
-        scale = float(np.min((np.array([width, highest]) - 2 * room) / size))
-        return cls(width, float(max(160.0, size[1] * scale + 2 * room[1])), scale, (low + high) / 2)
-
-    @property
-    def ink(self) -> Array:
-        """(N, 2) points on the lines [px]."""
-        return np.concatenate([np.empty((0, 2)), *self.drawn])
-
-    def px(self, points: Any) -> Array:
-        """Return global points (..., 2) [m] in pixels."""
-        away = (np.asarray(points, dtype=float) - self.origin) * self.scale
-        return np.asarray(away * (1.0, -1.0) + (self.width / 2, self.height / 2))
-
-    def line(self, points: Array, look: str, *, closed: bool = False, color: str = "") -> None:
-        """Add a line through points (K, 2) [px] of the class `look`, or an area."""
-        path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + ("Z" if closed else "")
-        style = Markup(' style="--own:var(--{})"').format(color) if color else ""
-        self.parts.append(Markup('<path class="{}"{} d="{}"/>').format(look, style, path))
-        corners = np.vstack([points, points[:1]]) if closed else points
-        for start, end in zip(corners[:-1], corners[1:], strict=True):
-            count = 2 + int(math.dist(start, end) / _INK_STEP)
-            self.drawn.append(start + np.linspace(0.0, 1.0, count)[:, None] * (end - start))
-
-    def dot(self, point: Array, look: str, radius: float, color: str = "") -> None:
-        """Add a circle around a point [px]."""
-        style = Markup(' style="--own:var(--{})"').format(color) if color else ""
-        x, y = (f"{value:.1f}" for value in point)
-        self.parts.append(
-            Markup('<circle class="{}"{} cx="{}" cy="{}" r="{:g}"/>').format(look, style, x, y, radius)
-        )
-        turn = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
-        self.drawn.append(point + 0.7 * radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1))
-
-    def box(self, point: Array, look: str, half: float) -> None:
-        """Add a square around a point [px]."""
-        self.line(point + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]), look, closed=True)
-
-    def arrow(self, end: Array, along: Array, size: float, look: str) -> None:
-        """Add an arrow of `size` pixels that ends at a point [px]; `along` is its direction on the canvas."""
-        unit = along / float(np.hypot(*along) or 1.0)
-        across = np.array([-unit[1], unit[0]])
-        self.line(np.array([end - size * unit, end]), look)
-        self.line(np.array([end - 8 * unit + 4 * across, end, end - 8 * unit - 4 * across]), look)
-
-    def turn(self, centre: Array, radius: float, look: str) -> None:
-        """Add an arrow around a point [px], counter-clockwise."""
-        angle = np.linspace(-0.3, 1.4 * np.pi, 16)
-        arc = centre + radius * np.stack([np.cos(angle), -np.sin(angle)], axis=-1)
-        self.line(arc, look)
-        tangent = arc[-1] - arc[-3]
-        self.arrow(arc[-1] + 0.01 * tangent, tangent, 1.0, look)
-
-
-def _draw(canvas: _Canvas, shown: NamedPose) -> None:
+def _draw(canvas: Canvas, shown: NamedPose) -> None:
     """Draw everything but the names, from the back to the front."""
     drawing = shown.drawing
     at = canvas.px(drawing.world(shown.pose))
@@ -193,12 +132,12 @@ def _draw(canvas: _Canvas, shown: NamedPose) -> None:
     _scale_bar(canvas)
 
 
-def _ground(canvas: _Canvas, point: Array) -> None:
+def _ground(canvas: Canvas, point: Array) -> None:
     canvas.line(point + np.array([[0, 0], [-7, 11], [7, 11]]), "ground", closed=True)
     canvas.line(point + np.array([[-12, 11], [12, 11]]), "ground")
 
 
-def _draw_loads(canvas: _Canvas, shown: NamedPose, mechanism: Mechanism) -> None:
+def _draw_loads(canvas: Canvas, shown: NamedPose, mechanism: Mechanism) -> None:
     """Draw drivers, loads, markers and gravity."""
     for joint in mechanism.joints.values():
         if joint.is_driver:
@@ -207,6 +146,7 @@ def _draw_loads(canvas: _Canvas, shown: NamedPose, mechanism: Mechanism) -> None
                 canvas.turn(centre, 15.0, "load")
             else:
                 canvas.arrow(centre, _axis(shown, joint), 34.0, "load")
+    force: Any
     for force in mechanism.forces.values():
         load = getattr(force, "load", None)
         if load is not None and load.kind == "torque":
@@ -226,7 +166,7 @@ def _draw_loads(canvas: _Canvas, shown: NamedPose, mechanism: Mechanism) -> None
         canvas.drawn.append(start + np.array([[-18.0, 0.0], [-14.0, 4.0], [-18.0, 4.0]]))
 
 
-def _scale_bar(canvas: _Canvas) -> None:
+def _scale_bar(canvas: Canvas) -> None:
     """Draw a bar of a round length in the lower left corner."""
     most = 0.2 * canvas.width / canvas.scale
     power = 10.0 ** math.floor(math.log10(most))
@@ -285,7 +225,7 @@ def _load_direction(shown: NamedPose, load: Any) -> Array:
     return np.array([x, -y]) if np.hypot(x, y) > 0 else np.array([0.0, 1.0])
 
 
-def _names(canvas: _Canvas, shown: NamedPose) -> Iterator[Name]:
+def _names(canvas: Canvas, shown: NamedPose) -> Iterator[Name]:
     """Yield the names, those with the fewest possible places first."""
     mechanism, drawing = shown.mechanism, shown.drawing
     if len(drawing.bodies) > CROWD:
@@ -303,7 +243,11 @@ def _names(canvas: _Canvas, shown: NamedPose) -> Iterator[Name]:
         yield Name(name, "body", _along(at[list(outline)]), color_key(color))
 
 
-def _force_points(canvas: _Canvas, shown: NamedPose, mechanism: Mechanism, force: Any) -> Array:
+def _short(name: str) -> str:
+    return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}\u2026"
+
+
+def _force_points(canvas: Canvas, shown: NamedPose, mechanism: Mechanism, force: Any) -> Array:
     """Return the points [px] at which the name of a force element may stand."""
     load = getattr(force, "load", None)
     if load is not None:
@@ -325,13 +269,13 @@ def _along(corners: Array) -> Array:
     return np.array([start + share * (end - start) for start, end in sides for share in shares])
 
 
-def _write(canvas: _Canvas, placed: PlacedName) -> None:
+def _write(canvas: Canvas, placed: PlacedName) -> None:
     """Write a name, with a patch in the colour of its body, and a line to its point if that is far."""
     name, x = placed.name, placed.left + 2.0
     if placed.leader is not None:
         (x0, y0), (x1, y1) = placed.point, placed.leader
         canvas.parts.append(Markup('<path class="leader" d="M{:.1f} {:.1f}L{:.1f} {:.1f}"/>').format(x0, y0, x1, y1))
-    if name.color is not None:
+    if name.color:
         patch = '<rect class="patch" style="--own:var(--{})" x="{:.1f}" y="{:.1f}" width="10" height="5"/>'
         canvas.parts.append(Markup(patch).format(name.color, x, placed.top + LINE / 2 - 2.0))
         x += SWATCH

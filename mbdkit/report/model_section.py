@@ -91,9 +91,10 @@ def _limited(name: str, title: str, columns: Sequence[Column], rows: list[tuple[
 def _bodies(shown: NamedPose) -> Table:
     known = {} if shown.mechanism is None else shown.mechanism.bodies
     rows: list[tuple[Cell, ...]] = []
-    for name, pose in zip(shown.drawing.bodies, shown.pose.tolist(), strict=True):
+    for name, (_, _, angle) in zip(shown.drawing.bodies, shown.pose.tolist(), strict=True):
         body = known.get(name)
-        rows.append((name, *((body.mass, body.inertia) if body else ()), *pose))
+        centre = shown.place(name, (0.0, 0.0)).tolist()
+        rows.append((name, *((body.mass, body.inertia) if body else ()), *centre, angle))
     columns = [Column("body"), *([Column("mass", "kg"), Column("moment of inertia", "kg m²")] if known else [])]
     columns += [Column("x", "m"), Column("y", "m"), Column("angle", "rad")]
     return _limited("bodies", "Bodies", columns, rows)
@@ -118,6 +119,7 @@ def _joints(shown: NamedPose) -> Table:
 
 def _forces(mechanism: Mechanism) -> Table:
     rows: list[tuple[Cell, ...]] = []
+    force: Any
     for name, force in mechanism.forces.items():
         load = getattr(force, "load", None)
         between = _between(force.pathway.bodies if load is None else (load.reaction_body, load.body))

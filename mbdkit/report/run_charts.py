@@ -35,13 +35,14 @@ def run_charts(run: Run) -> tuple[Figure, ...]:
     colors = _colors(run)
     return tuple(
         replace(
-            _colored(chart, colors.get(chart.name, {})), marks=(*chart.marks, *marks) if chart.x == _TIME else chart.marks
+            _colored(chart, colors.get(chart.name, {})),
+            marks=(*chart.marks, *marks) if chart.x == _TIME else chart.marks,
         )
         for chart in charts
     )
 
 
-def _colors(run: Run) -> dict[str, Mapping[str, str]]:
+def _colors(run: Run) -> Mapping[str, Mapping[str, str]]:
     """Return the colours of curves, by name of the chart and of the curve; others take them in order."""
     drawing = draw_spec(run.spec, tuple(run.bodies))
     traces = choose_traces(drawing)

@@ -39,6 +39,7 @@ function traces(figure, color) {
 
 // Annotations on a logarithmic axis are placed by the logarithm.
 const coordinate = (value, axis) => axis.log ? Math.log10(value) : value;
+const middle = ([a, b], axis) => (coordinate(a, axis) + coordinate(b, axis)) / 2;
 
 function banded(figure) {
   return figure.lines.filter(line => line.band);
@@ -74,8 +75,8 @@ function layout(figure, color) {
       text: plain(mark.label), x: mark.x, xanchor: "left", yref: "paper", y: 1, yanchor: "top", showarrow: false,
       textangle: -90, font: { size: 11, color: color("faint") },
     })), ...figure.guides.map(guide => ({
-      text: plain(guide.label), x: coordinate(guide.x[1], figure.x), y: coordinate(guide.y[1], figure.y),
-      xanchor: "right", yanchor: "bottom", showarrow: false, font: { size: 11, color: color("faint") },
+      text: plain(guide.label), x: middle(guide.x, figure.x), y: middle(guide.y, figure.y), showarrow: false,
+      bgcolor: color("paper"), font: { size: 11, color: color("faint") },
     }))],
   };
 }
