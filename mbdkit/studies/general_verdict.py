@@ -12,10 +12,13 @@ from mbdkit.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.studies.axis_words import point_words, value_words
 from mbdkit.studies.point_selection import STEP, Points, value
-from mbdkit.trust.criteria import ROUND_OFF
+from mbdkit.trust.criteria import EPS, ROUND_OFF
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
+
+_ROUNDINGS = 4.0
+"""Number of roundings of the mechanism's size below which an error says nothing about an order."""
 
 
 def general_verdict(study: Study) -> Verdict:
@@ -31,34 +34,32 @@ def general_verdict(study: Study) -> Verdict:
 
 
 def _extremes(points: list[StudyPoint]) -> str:
-    """Return a sentence on the smallest and largest misalignment; of rounding errors, only that they are so small."""
-    known = [point for point in points if np.isfinite(value(point, "misalignment_max"))]
-    if len(known) < 2:
+    """Return a sentence on the smallest and largest misalignment, without a ranking of rounding errors."""
+    found = [(value(point, "misalignment_max"), point.number, point) for point in points]
+    ranked = sorted(entry for entry in found if np.isfinite(entry[0]))
+    if len(ranked) < 2:
         return ""
-    noise = [point for point in known if value(point, "misalignment_max") <= round_off(point)]
-    others = [point for point in known if point not in noise]
-    ranked = sorted(others, key=lambda point: value(point, "misalignment_max"))
-    if not ranked:
-        most = max(value(point, "misalignment_max") for point in known)
+    (least, _, best), (most, _, worst) = ranked[0], ranked[-1]
+    small = [entry for entry in ranked if entry[0] <= ROUND_OFF * _size(entry[-1])]
+    if len(small) == len(ranked):
         return f"The joints stay closed to rounding errors in all runs: {most:.1e} m at most."
-    least, most = (value(point, "misalignment_max") for point in (ranked[0], ranked[-1]))
-    largest = f"largest with {point_words(ranked[-1])} ({most:.1e} m)"
-    if noise:
-        few = point_words(noise[0]) if len(noise) == 1 else f"{len(noise)} runs"
-        return f"The joint misalignment is {largest}, and a rounding error with {few}."
     if most <= MARGIN * least:
         return f"The joint misalignment is the same in all runs: {most:.1e} m."
-    return f"The joint misalignment is smallest with {point_words(ranked[0])} ({least:.1e} m) and {largest}."
+    largest = f"largest with {point_words(worst)} ({most:.1e} m)"
+    if len(small) > 1:
+        few = f"at most {small[-1][0]:.1e} m, near rounding errors, in {len(small)} runs"
+        return f"The joint misalignment is {largest}, and {few}."
+    return f"The joint misalignment is smallest with {point_words(best)} ({least:.1e} m) and {largest}."
 
 
-def round_off(point: StudyPoint) -> float:
-    """Return the misalignment below which there are only rounding errors in a run [m]; 0 if its model is unknown."""
+def _size(point: StudyPoint) -> float:
+    """Return the size of the mechanism of a run [m]; 0 if its model is not available."""
     try:
         mechanism = point.spec.mechanism()
     except MbdkitError:
         return 0.0
     start = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
-    return ROUND_OFF * mechanism_size(mechanism, start.reshape(-1, 3))
+    return mechanism_size(mechanism, start.reshape(-1, 3))
 
 
 def _orders(study: Study) -> Table:
@@ -71,7 +72,7 @@ def _orders(study: Study) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for name, points in lines.items():
         orders = []
-        noise = max(map(round_off, points))
+        noise = _ROUNDINGS * EPS * max(map(_size, points))
         for column in ("end_error", "misalignment_max"):
             steps, values = Points(points).along(STEP, column)
             found = observed_order(steps, np.where(values > noise, values, np.nan))
