@@ -244,6 +244,11 @@ class Figure:
     guides: tuple[Guide, ...] = ()
     equal: bool = False
 
+    @property
+    def needs_key(self) -> bool:
+        """Whether the lines need names: there are several, or a single one that the title does not name."""
+        return len(self.lines) > 1 or any(line.label.lower() not in self.title.lower() for line in self.lines)
+
 
 @dataclass(frozen=True)
 class Verdict:

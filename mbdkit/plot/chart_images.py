@@ -141,7 +141,7 @@ def _draw_lines(axes: Axes, chart: Figure) -> None:
             axes.fill(*line.band.T, color=color, alpha=0.25, linewidth=0)
         handles.append(artist)
         labels.append(line.label)
-    if len(handles) > 1:
+    if chart.needs_key:
         legend(axes, handles, labels)
     for log, set_scale in ((chart.x.log, axes.set_xscale), (chart.y.log, axes.set_yscale)):
         if log:
