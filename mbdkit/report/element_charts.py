@@ -54,25 +54,30 @@ def _components(run: Run, joint: Any, colors: dict[str, str]) -> Figure:
 
 
 def force_charts(run: Run) -> list[Figure]:
-    """Return charts of the forces and of the torques of force elements, and of the power of drivers and elements."""
+    """Return charts of the forces and of the torques of force elements."""
+    if not run.records("forces/value"):
+        return []
+    units = [force.units for force in run.forces.values()]
+    names = list(run.forces)
+    force = "Tension of springs and dampers, positive where it pulls, and magnitude of loads."
+    torque = "Torque on the second body of each element, positive counter-clockwise."
     found = []
-    if run.records("forces/value"):
-        units = [force.units for force in run.forces.values()]
-        names = list(run.forces)
-        force = "Tension of springs and dampers, positive where it pulls, and magnitude of loads."
-        torque = "Torque on the second body of each element, positive counter-clockwise."
-        for unit, word, caption in (("N", "force", force), ("N m", "torque", torque)):
-            chosen = [column for column, own in enumerate(units) if own == unit]
-            lines = _lines(run, "forces/value", names, chosen)
-            if lines:
-                title = f"{word.capitalize()}s of the force elements"
-                found.append(Figure(f"element-{word}s", title, caption, _TIME, Axis(word, unit), lines))
-    if run.records("joints/driver_power"):
-        lines = _lines(run, "joints/driver_power", run.joint_names, range(len(run.joint_names)))
+    for unit, word, caption in (("N", "force", force), ("N m", "torque", torque)):
+        lines = _lines(run, "forces/value", names, [column for column, own in enumerate(units) if own == unit])
         if lines:
-            caption = "Power that each driver supplies to the mechanism."
-            found.append(Figure("driver-power", "Power of the drivers", caption, _TIME, Axis("power", "W"), lines))
+            title = f"{word.capitalize()}s of the force elements"
+            found.append(Figure(f"element-{word}s", title, caption, _TIME, Axis(word, unit), lines))
     return found
+
+
+def power_charts(run: Run) -> list[Figure]:
+    """Return the chart of the power of the drivers."""
+    if not run.records("joints/driver_power"):
+        return []
+    lines = _lines(run, "joints/driver_power", run.joint_names, range(len(run.joint_names)))
+    caption = "Power that each driver supplies to the mechanism."
+    chart = Figure("driver-power", "Power of the drivers", caption, _TIME, Axis("power", "W"), lines)
+    return [chart] if lines else []
 
 
 def angle_charts(run: Run) -> list[Figure]:

@@ -12,7 +12,7 @@ from mbdkit.plot.energy_plot import COLORS
 from mbdkit.plot.plot_kinds import PLOT_KINDS, plot_module
 from mbdkit.plot.pose import trace_colors
 from mbdkit.plot.style import PALETTE
-from mbdkit.report.element_charts import angle_charts, component_charts, force_charts, marker_charts
+from mbdkit.report.element_charts import angle_charts, component_charts, force_charts, marker_charts, power_charts
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -22,13 +22,15 @@ MARKS = 60
 DRIFT = ("misalignment", "velocity-misalignment", "angle-misalignment", "balance")
 """Charts that show how well the constraints and the energy hold."""
 _TIME = Axis("time", "s")
+_FIRST = ("reactions", "torques", "forces")
 _OF_JOINTS = ("reactions", "torques", "joint-angles", "driver-power", *DRIFT[:3])
 
 
 def run_charts(run: Run) -> tuple[Figure, ...]:
     """Return the charts of a run that has rows, except those of quantities that it did not record."""
     of_kinds = {kind: list(plot_module(kind).charts(run)) for kind in PLOT_KINDS}
-    charts = [*of_kinds.pop("reactions"), *component_charts(run), *force_charts(run), *of_kinds.pop("trajectory")]
+    charts = [chart for kind in _FIRST for chart in of_kinds.pop(kind, [])]
+    charts += [*component_charts(run), *force_charts(run), *power_charts(run), *of_kinds.pop("trajectory")]
     charts += [*marker_charts(run), *angle_charts(run), *(chart for found in of_kinds.values() for chart in found)]
     charts.sort(key=lambda chart: chart.name in DRIFT)
     marks = _marks(run)
