@@ -27,7 +27,7 @@ class Name:
     Parameters
     ----------
     kind
-        What it names: ``body``, ``joint``, ``force`` or ``marker``.
+        What it names: ``body``, ``joint``, ``force``, ``load`` or ``marker``.
     points
         (K, 2) points [px], any of which it may stand at.
     color

@@ -232,12 +232,13 @@ def _names(canvas: Canvas, shown: NamedPose) -> Iterator[Name]:
         return
     if mechanism is not None:
         for name, joint in mechanism.joints.items():
-            kind = "force" if joint.is_driver else "joint"
+            kind = "load" if joint.is_driver else "joint"
             yield Name(name, kind, canvas.px(_joint_point(shown, mechanism, joint))[None])
         for name, marker in mechanism.markers.items():
             yield Name(name, "marker", canvas.px(shown.place(marker.body, marker.held))[None])
         for name, force in mechanism.forces.items():
-            yield Name(name, "force", _force_points(canvas, shown, mechanism, force))
+            kind = "force" if getattr(force, "load", None) is None else "load"
+            yield Name(name, kind, _force_points(canvas, shown, mechanism, force))
     at = canvas.px(drawing.world(shown.pose))
     for name, outline, color in zip(drawing.bodies, drawing.outlines, body_colors(drawing), strict=True):
         yield Name(name, "body", _along(at[list(outline)]), color_key(color))
