@@ -13,7 +13,6 @@ from mbdkit.analysis.verdict import Axis, Column, Figure, Line
 from mbdkit.report.slope_guides import with_slope_guides
 from mbdkit.studies.axis_words import key_unit, key_words, value_words
 from mbdkit.studies.point_selection import METHOD, STEP, value
-from mbdkit.studies.study_index import described
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
@@ -94,7 +93,7 @@ def _measures(study: Study) -> Iterator[_Quantity]:
     asked: Any = study.spec.measures
     entries = _USUAL if asked == "all" else asked if isinstance(asked, list | tuple) else [*_USUAL, asked]
     for name in [name for entry in entries for name in ([entry] if isinstance(entry, str) else entry)]:
-        units, long_name = described(name)
+        units, long_name = study.described(name)
         words = _measure_words(name)
         title = words.removeprefix("largest ").capitalize()
         unit = "" if units == "1" else units
