@@ -165,6 +165,9 @@ class Line:
         Whether to draw a line, points, or both.
     group
         Lines of the same group have the same colour; in most figures the label of the method.
+    color
+        Colour as ``#rrggbb`` of what has the same colour in other pictures, such as a body; by default that of its
+        group.
     band
         (M, 2) corners of a shaded outline around the line, such as its estimated error; None if there is none.
     """
@@ -175,6 +178,7 @@ class Line:
     kind: Literal["line", "points", "both"] = "line"
     group: str = ""
     band: np.ndarray | None = None
+    color: str = ""
 
 
 @dataclass(frozen=True)
@@ -184,6 +188,23 @@ class Band:
     label: str
     low: float
     high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Guide:
+    """A thin line that shows a slope, such as that of an order of convergence.
+
+    Attributes
+    ----------
+    label
+        Label in its middle.
+    x, y
+        (2,) its ends.
+    """
+
+    label: str
+    x: np.ndarray
+    y: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -206,7 +227,7 @@ class Figure:
         Title, and an explanation of what the figure shows.
     x, y
         The axes.
-    lines, bands, marks
+    lines, bands, marks, guides
         Elements of the figure.
     equal
         Whether both axes have the same scale, as for paths in the plane.
@@ -220,7 +241,13 @@ class Figure:
     lines: tuple[Line, ...]
     bands: tuple[Band, ...] = ()
     marks: tuple[Mark, ...] = ()
+    guides: tuple[Guide, ...] = ()
     equal: bool = False
+
+    @property
+    def needs_key(self) -> bool:
+        """Whether the lines need names: there are several, or a single one that the title does not name."""
+        return len(self.lines) > 1 or any(line.label.lower() not in self.title.lower() for line in self.lines)
 
 
 @dataclass(frozen=True)

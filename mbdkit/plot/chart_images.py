@@ -16,7 +16,7 @@ from matplotlib.figure import Figure as Picture
 from mbdkit.analysis.verdict import Axis, Figure, Line
 from mbdkit.errors import file_error
 from mbdkit.plot.caption import Caption
-from mbdkit.plot.style import FAINT, GRID, PALETTE, dress, legend, new_figure, powers_of_ten, save
+from mbdkit.plot.style import FAINT, GRID, PALETTE, PAPER, color_number, dress, legend, new_figure, powers_of_ten, save
 
 _DASHES: tuple[str | tuple[float, tuple[float, ...]], ...] = ("-", "--", ":", "-.", (0, (8.0, 3.0)))
 _MARKERS = ("o", "s", "D", "^", "P", "X")
@@ -80,23 +80,30 @@ def draw_chart(axes: Axes, chart: Figure) -> None:
             )
             name.set_parse_math(False)
     _draw_lines(axes, chart)
+    for guide in chart.guides:
+        axes.plot(guide.x, guide.y, color=FAINT, linewidth=1.0, linestyle=(0, (1.0, 2.0)))
+        x, y = (
+            float(np.sqrt(np.prod(ends)) if axis.log else np.mean(ends))
+            for ends, axis in ((guide.x, chart.x), (guide.y, chart.y))
+        )
+        patch: dict[str, Any] = {"facecolor": PAPER, "edgecolor": "none", "pad": 0.5}
+        axes.text(x, y, guide.label, size=7.5, color=FAINT, ha="center", va="center", bbox=patch, parse_math=False)
     if chart.equal:
         axes.set_aspect("equal", adjustable="datalim")
 
 
-def line_styles(chart: Figure) -> list[tuple[int, int]]:
-    """Return the index of the colour in the palette and the index of the dashes of each line.
+def line_styles(chart: Figure) -> list[tuple[str, int]]:
+    """Return the colour and the index of the dashes of each line.
 
-    Lines of a group share a colour and differ in their dashes; a line without a group forms its own. If there are more
-    groups than colours, the colours repeat with the next dashes.
+    Lines of a group share a colour; a line without a group forms its own. If there are more groups than colours, the
+    colours repeat. Lines of the same colour differ in their dashes.
     """
-    groups = {line.group or line.label: 0 for line in chart.lines}
-    places = {group: place for place, group in enumerate(groups)}
-    found = []
+    groups = dict.fromkeys(line.group or line.label for line in chart.lines if not line.color)
+    colors = {group: PALETTE[place % len(PALETTE)] for place, group in enumerate(groups)}
+    found: list[tuple[str, int]] = []
     for line in chart.lines:
-        group = line.group or line.label
-        found.append((places[group] % len(PALETTE), groups[group] + places[group] // len(PALETTE)))
-        groups[group] += 1
+        color = line.color or colors[line.group or line.label]
+        found.append((color, sum(color == other for other, _ in found)))
     return found
 
 
@@ -124,17 +131,17 @@ def _draw_lines(axes: Axes, chart: Figure) -> None:
         (artist,) = axes.plot(
             line.x,
             np.where(seen, line.y, np.nan),
-            color=PALETTE[color],
+            color=color,
             linestyle="" if line.kind == "points" else _DASHES[style % len(_DASHES)],
             linewidth=1.3 + 1.1 * wide * (len(chart.lines) - 1 - number),
-            marker=_MARKERS[color % len(_MARKERS)] if points else "",
+            marker=_MARKERS[color_number(color) % len(_MARKERS)] if points else "",
             markersize=4.5,
         )
         if line.band is not None:
-            axes.fill(*line.band.T, color=PALETTE[color], alpha=0.25, linewidth=0)
+            axes.fill(*line.band.T, color=color, alpha=0.25, linewidth=0)
         handles.append(artist)
         labels.append(line.label)
-    if len(handles) > 1:
+    if chart.needs_key:
         legend(axes, handles, labels)
     for log, set_scale in ((chart.x.log, axes.set_xscale), (chart.y.log, axes.set_yscale)):
         if log:

@@ -22,7 +22,7 @@ COLORS = {
     "dissipated": PALETTE[3],
     "work": PALETTE[2],
     "total": INK,
-    "balance": PALETTE[0],
+    "balance": PALETTE[4],
 }
 _TIME = Axis("time", "s")
 

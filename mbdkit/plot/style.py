@@ -77,6 +77,11 @@ def dress(axes: Axes, xlabel: str = "", ylabel: str = "") -> Axes:
     return axes
 
 
+def color_number(color: str) -> int:
+    """Return the index of a colour in the palette; -1 for any other, which pages show in the colour of text."""
+    return PALETTE.index(color) if color in PALETTE else -1
+
+
 def powers_of_ten(axes: Axes) -> None:
     """Factor a power of ten out of the y ticks of `axes` if they are large or small."""
     formatter = ScalarFormatter(useOffset=False, useMathText=True)

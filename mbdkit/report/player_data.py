@@ -11,7 +11,7 @@ from mbdkit.plot.joint_gaps import Gaps, gaps
 from mbdkit.plot.plane_geometry import Array
 from mbdkit.plot.pose import body_colors, trace_colors
 from mbdkit.plot.scene import Scene, scene
-from mbdkit.plot.style import PALETTE
+from mbdkit.report.chart_data import color_key
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -54,7 +54,7 @@ def _scene_data(shown: Scene) -> dict[str, Any]:
         "view": [x0, x1, y0, y1],
         "grain": [grain, _ANGLE],
         "bodies": list(drawing.bodies),
-        "colors": [_color_key(color) for color in body_colors(drawing)],
+        "colors": [color_key(color) for color in body_colors(drawing)],
         "owner": drawing.owner.tolist(),
         "local": _short(drawing.local, 6),
         "outlines": [list(outline) for outline in drawing.outlines],
@@ -67,7 +67,7 @@ def _scene_data(shown: Scene) -> dict[str, Any]:
         "sliders": list(drawing.sliders),
         "welds": list(drawing.welds),
         "traces": [
-            {"label": trace.label, "point": trace.point, "color": _color_key(color)}
+            {"label": trace.label, "point": trace.point, "color": color_key(color)}
             for trace, color in zip(shown.traces, trace_colors(drawing, shown.traces), strict=True)
         ],
         "poses": flat,
@@ -88,8 +88,3 @@ def _gap_data(spec: Mapping[str, Any], shown: Scene) -> dict[str, Any]:
 
 def _short(values: Array, digits: int) -> list[float | None]:
     return [float(f"{value:.{digits}g}") if abs(value) < np.inf else None for value in values.reshape(-1).tolist()]
-
-
-def _color_key(color: str) -> int | str:
-    """Return the key of a colour on the page: its index in the palette, or ``ink``."""
-    return PALETTE.index(color) if color in PALETTE else "ink"

@@ -11,8 +11,9 @@ import numpy as np
 
 from mbdkit.analysis.verdict import Answer, Cell, Column, Figure, Table, Verdict
 from mbdkit.plot.chart_images import axis_title, visible_points
-from mbdkit.report.chart_data import chart_data
+from mbdkit.report.chart_data import charts_data
 from mbdkit.report.methods_used import Methods
+from mbdkit.report.section import Section
 from mbdkit.report.templating import render
 
 _MARKS = {Answer.YES: "\u2713", Answer.NO: "\u2717", Answer.PARTLY: "\u25d0", Answer.OPEN: "?"}
@@ -33,8 +34,12 @@ class ReportPage:
         Data of animations, as `film_data` returns them.
     failures
         Table of the failed runs with reasons.
-    reproduce, commands, spec
-        How to reproduce the results: a sentence, commands, and the spec.
+    reproduce, commands, spec, spec_file
+        How to reproduce the results: a sentence, commands, the spec, and the name of the file to save it as.
+    sections
+        Sections above the verdict: what was modelled, and the answer.
+    beside_verdict
+        Names of the tables and charts of the verdict that stand below its claims, not with the others.
     """
 
     title: str
@@ -45,28 +50,41 @@ class ReportPage:
     reproduce: str
     commands: str
     spec: str
+    spec_file: str
     alarm: str = ""
+    sections: tuple[Section, ...] = ()
+    beside_verdict: tuple[str, ...] = ()
     films: tuple[dict[str, Any], ...] = ()
     failures: Table = field(default=NO_FAILURES)
 
     @property
     def contents(self) -> list[tuple[str, str]]:
-        """Anchor and title of each section below the verdict."""
+        """Anchor and title of each section, in order."""
         sections = [
+            ("verdict", "Verdict", True),
             ("failed", "Runs that failed", bool(self.failures.rows)),
             ("motion", "Motion", bool(self.films)),
-            ("figures", "Figures", bool(self.verdict.figures)),
-            ("tables", "Tables", bool(self.verdict.tables)),
+            ("figures", "Figures", bool(self.figures(beside=False))),
+            ("tables", "Tables", bool(self.tables(beside=False))),
             ("methods", "Methods", True),
             ("environment", "Environment", True),
             ("reproduce", "Reproduce", True),
         ]
-        return [(anchor, title) for anchor, title, there in sections if there]
+        above = [(section.anchor, section.title) for section in self.sections]
+        return [*above, *((anchor, title) for anchor, title, there in sections if there)]
+
+    def figures(self, *, beside: bool) -> tuple[Figure, ...]:
+        """Return the charts below the claims of the verdict, or the others."""
+        return tuple(one for one in self.verdict.figures if (one.name in self.beside_verdict) == beside)
+
+    def tables(self, *, beside: bool) -> tuple[Table, ...]:
+        """Return the tables below the claims of the verdict, or the others."""
+        return tuple(one for one in self.verdict.tables if (one.name in self.beside_verdict) == beside)
 
     @property
     def figure_data(self) -> dict[str, Any]:
-        """Data of the charts by name."""
-        return {figure.name: chart_data(figure) for figure in self.verdict.figures}
+        """Data of the charts."""
+        return charts_data(self.verdict.figures)
 
     @property
     def summaries(self) -> dict[str, Table]:
@@ -77,7 +95,12 @@ class ReportPage:
         """Return the HTML."""
         from mbdkit import __version__
 
-        filters: dict[str, Callable[..., Any]] = {"cell": cell_text, "mark": _MARKS.__getitem__, "numeric": _is_numeric}
+        filters: dict[str, Callable[..., Any]] = {
+            "cell": cell_text,
+            "exact": _exact,
+            "mark": _MARKS.__getitem__,
+            "numeric": _is_numeric,
+        }
         return render("report.html", {"page": self, "version": __version__}, filters)
 
 
@@ -92,6 +115,12 @@ def cell_text(value: Cell) -> str:
             return "-"
         return f"{value:,.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.4g}"
     return f"{value:,}" if isinstance(value, int) else value
+
+
+def _exact(value: Cell) -> str:
+    """Return a number of a table with all its digits, to sort and to download; empty if it is none."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return repr(value) if is_number and math.isfinite(value) else ""  # type: ignore[arg-type]
 
 
 def _is_numeric(table: Table, column: int) -> bool:

@@ -1,26 +1,62 @@
-"""The charts of a run's report: those of every kind of plot, with marks at the times of events."""
+"""The charts of a run's report: forces first, drift last, with marks at events and one colour for each thing."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mbdkit.analysis.verdict import Axis, Figure, Mark
+from mbdkit.plot.drawing_geometry import choose_traces, draw_spec
+from mbdkit.plot.energy_plot import COLORS
 from mbdkit.plot.plot_kinds import PLOT_KINDS, plot_module
+from mbdkit.plot.pose import trace_colors
+from mbdkit.plot.style import PALETTE
+from mbdkit.report.element_charts import angle_charts, component_charts, force_charts, marker_charts, power_charts
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 MARKS = 60
 """Largest number of event crossings that are marked."""
+DRIFT = ("misalignment", "velocity-misalignment", "angle-misalignment", "balance")
+"""Charts that show how well the constraints and the energy hold."""
 _TIME = Axis("time", "s")
+_FIRST = ("reactions", "torques", "forces")
+_OF_JOINTS = ("reactions", "torques", "joint-angles", "driver-power", *DRIFT[:3])
 
 
 def run_charts(run: Run) -> tuple[Figure, ...]:
     """Return the charts of a run that has rows, except those of quantities that it did not record."""
-    charts = [chart for kind in PLOT_KINDS for chart in plot_module(kind).charts(run)]
+    of_kinds = {kind: list(plot_module(kind).charts(run)) for kind in PLOT_KINDS}
+    charts = [chart for kind in _FIRST for chart in of_kinds.pop(kind, [])]
+    charts += [*component_charts(run), *force_charts(run), *power_charts(run), *of_kinds.pop("trajectory")]
+    charts += [*marker_charts(run), *angle_charts(run), *(chart for found in of_kinds.values() for chart in found)]
+    charts.sort(key=lambda chart: chart.name in DRIFT)
     marks = _marks(run)
-    return tuple(replace(chart, marks=(*chart.marks, *marks)) if chart.x == _TIME else chart for chart in charts)
+    colors = _colors(run)
+    return tuple(
+        replace(
+            _colored(chart, colors.get(chart.name, {})),
+            marks=(*chart.marks, *marks) if chart.x == _TIME else chart.marks,
+        )
+        for chart in charts
+    )
+
+
+def _colors(run: Run) -> Mapping[str, Mapping[str, str]]:
+    """Return the colours of curves, by name of the chart and of the curve; others take them in order."""
+    drawing = draw_spec(run.spec, tuple(run.bodies))
+    traces = choose_traces(drawing)
+    paths = {trace.label: color for trace, color in zip(traces, trace_colors(drawing, traces), strict=True)}
+    few = run.joint_names if len(run.joint_names) <= len(PALETTE) else ()
+    joints = dict(zip(few, PALETTE, strict=False))
+    return {"trajectory": paths, "energy": COLORS, "balance": COLORS} | dict.fromkeys(_OF_JOINTS, joints)
+
+
+def _colored(chart: Figure, colors: Mapping[str, str]) -> Figure:
+    lines = (replace(line, color=line.color or colors.get(line.group or line.label, "")) for line in chart.lines)
+    return replace(chart, lines=tuple(lines))
 
 
 def _marks(run: Run) -> tuple[Mark, ...]:

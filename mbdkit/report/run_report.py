@@ -8,14 +8,19 @@ from typing import TYPE_CHECKING, Any
 from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.plot.caption import caption
 from mbdkit.plot.downsampling import require_rows
+from mbdkit.plot.drawing_geometry import build_mechanism
+from mbdkit.report.answer_section import answer_section
 from mbdkit.report.methods_used import methods
+from mbdkit.report.model_section import model_section
 from mbdkit.report.player_data import film_data
 from mbdkit.report.report_page import ReportPage
+from mbdkit.report.run_charts import DRIFT
 from mbdkit.report.run_verdict import run_verdict
 from mbdkit.spec.yaml_reader import write_yaml
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
+    from mbdkit.mechanism.mechanism import Mechanism
 
 _NUMBERS = 240_000  # pose values, about 1.5 megabytes
 
@@ -30,6 +35,8 @@ def run_report(run: Run) -> ReportPage:
     """
     require_rows(run)
     head = caption(run)
+    mechanism = _mechanism(run)
+    answer = answer_section(run, mechanism)
     return ReportPage(
         title=head.title,
         settings=head.settings,
@@ -42,7 +49,18 @@ def run_report(run: Run) -> ReportPage:
         f"identical bit for bit; their SHA-256 is {run.data_sha256 or 'unknown, because the run did not finish'}.",
         commands=f"mbdkit run run.yaml\nmbdkit rerun {run.path.name if run.path else 'run.h5'}",
         spec=yaml_text(run.spec),
+        spec_file="run.yaml",
+        sections=(model_section(run, mechanism), *([answer] if answer else [])),
+        beside_verdict=("misalignment", "errors", *DRIFT),
     )
+
+
+def _mechanism(run: Run) -> Mechanism | None:
+    """Return the mechanism of the spec of a run; None if its model is not available."""
+    try:
+        return build_mechanism(run.spec)
+    except (Exception, SystemExit):  # a missing, outdated or broken plugin must not prevent a report
+        return None
 
 
 def _alarm(run: Run, ending: str) -> str:
@@ -66,6 +84,7 @@ def yaml_text(spec: Mapping[str, Any]) -> str:
 _ORDER = (
     "mbdkit",
     "title",
+    "parameters",
     "model",
     "formulation",
     "stabilization",

@@ -1,17 +1,14 @@
-"""The tables of a run's report: joints, force elements, events and cost."""
+"""The tables of a run's report besides model and answer: misalignment, estimated errors, events and cost."""
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.archive.layout import COUNTERS, TIMINGS
-from mbdkit.archive.run_summary import plus_minus
-from mbdkit.plot.downsampling import bands
-from mbdkit.plot.joint_quantity import joint_quantity
+from mbdkit.report.answer_section import Peaks
 
 if TYPE_CHECKING:
     from mbdkit.archive.accuracy import Accuracy
@@ -21,25 +18,19 @@ BODIES = 50
 """Largest number of bodies in the table of errors."""
 JOINTS = 50
 """Largest number of joints in the table."""
-FORCES = 50
-"""Largest number of force elements in the table."""
 EVENTS = 50
 """Largest number of event crossings in the table."""
-FORCE = "joints/reaction_force"
 _QUANTITIES = (
     ("velocity misalignment", "joints/velocity_misalignment", "m/s"),
-    ("reaction force", FORCE, "N"),
+    ("angle misalignment", "joints/angle_misalignment", "rad"),
 )
-_DRIVER_POWER = ("driver power", "joints/driver_power", "W")
 
 
 def run_tables(run: Run) -> tuple[Table, ...]:
-    """Return the tables of a run."""
+    """Return the tables of a run: those of its misalignment and errors first."""
     tables = [_joints(run)] if run.joint_names else []
     if run.accuracy is not None and run.accuracy.rows_known:
         tables.append(_errors(run, run.accuracy))
-    if run.records("forces/value"):
-        tables.append(_forces(run))
     if run.spec.get("events"):
         tables.append(_events(run))
     return (*tables, _cost(run))
@@ -67,12 +58,12 @@ def _events(run: Run) -> Table:
 def _joints(run: Run) -> Table:
     columns = [Column("joint"), Column("between"), Column("largest misalignment", "m")]
     found = []
-    driven = run.records(_DRIVER_POWER[1]) and bool(np.any(run.array(_DRIVER_POWER[1])))
-    for name, path, unit in (*_QUANTITIES, *([_DRIVER_POWER] if driven else [])):
+    for name, path, unit in _QUANTITIES:
         if run.records(path):
-            columns.append(Column(f"largest {name}", unit))
-            cells: list[Cell] = joint_quantity(run, name, path, unit, _magnitude).data.peaks.tolist()
-            found.append(_known_forces(run) if path == FORCE and run.accuracy is not None else cells)
+            peaks = Peaks.of(np.asarray(run.time), run.dataset(path)).value
+            if name == "velocity misalignment" or np.any(np.nan_to_num(peaks, nan=1.0)):
+                columns.append(Column(f"largest {name}", unit))
+                found.append(peaks.tolist())
     order = sorted(
         enumerate(run.joints.values()), key=lambda item: -np.nan_to_num(item[1].misalignment_max, nan=np.inf)
     )[:JOINTS]
@@ -82,22 +73,7 @@ def _joints(run: Run) -> Table:
     ]
     left = len(run.joint_names) - len(rows)
     note = f"The {JOINTS} of {len(run.joint_names)} joints with the largest misalignment." if left else ""
-    return Table("joints", "Joints", tuple(columns), tuple(rows), note)
-
-
-def _known_forces(run: Run) -> list[Cell]:
-    """Return the largest force of each joint with its estimated error, such as ``368 ± 0.3 until 4.2 s``."""
-    accuracy = run.accuracy
-    assert accuracy is not None
-    until = "" if accuracy.is_complete else f" until {accuracy.known_until:.4g} s"
-    found: list[Cell] = []
-    for joint in accuracy.of_joints(run.joint_names, run.array(FORCE)):
-        if not math.isfinite(joint.error):
-            found.append(f"{joint.peak:.4g} (error unknown)")
-            continue
-        later = f"; later {joint.peak:.4g} (error unknown)" if joint.peak > joint.peak_known else ""
-        found.append(f"{plus_minus(joint.peak_known, joint.error, '±')}{until}{later}")
-    return found
+    return Table("misalignment", "Misalignment of the joints", tuple(columns), tuple(rows), note)
 
 
 def _errors(run: Run, accuracy: Accuracy) -> Table:
@@ -122,36 +98,6 @@ def _errors(run: Run, accuracy: Accuracy) -> Table:
     few = f" The {BODIES} of {len(size)} bodies with the largest errors." if len(size) > BODIES else ""
     note = f"Largest errors {until}.{few} {accuracy.method}"
     return Table("errors", "Estimated errors", columns, tuple(rows), note)
-
-
-def _forces(run: Run) -> Table:
-    """Return the table of the largest force, torque and power of each force element, limited to the first."""
-    time = np.asarray(run.time)
-    value, power = (bands(time, run.dataset(f"forces/{name}")).peaks for name in ("value", "power"))
-    rows: list[tuple[Cell, ...]] = [
-        (
-            force.name,
-            " - ".join(force.bodies),
-            float(value[column]) if force.units == "N" else None,
-            float(value[column]) if force.units == "N m" else None,
-            float(power[column]),
-        )
-        for column, force in enumerate(run.forces.values())
-    ]
-    columns = (
-        Column("force element"),
-        Column("between"),
-        Column("largest force", "N"),
-        Column("largest torque", "N m"),
-        Column("largest power", "W"),
-    )
-    note = f"The first {FORCES} of {len(rows)} force elements." if len(rows) > FORCES else ""
-    return Table("forces", "Forces", columns, tuple(rows[:FORCES]), note)
-
-
-def _magnitude(part: np.ndarray) -> np.ndarray:
-    """Return the magnitudes of vectors (R, J, 2); scalars (R, J) are unchanged."""
-    return part if part.ndim == 2 else np.hypot(part[..., 0], part[..., 1])
 
 
 def _cost(run: Run) -> Table:

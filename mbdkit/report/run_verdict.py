@@ -16,13 +16,11 @@ from mbdkit.plot.joint_quantity import JointQuantity, angle_misalignment, joint_
 from mbdkit.plot.quantity_text import count, duration, length, proportion
 from mbdkit.report.run_charts import run_charts
 from mbdkit.report.run_tables import run_tables
-from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, NOTHING_SUSPICIOUS, Level, rounding
+from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, NOTHING_SUSPICIOUS, ROUND_OFF, Level, rounding
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-ROUND_OFF = 1e-12
-"""Misalignment, as a share of the mechanism's size, that counts as round-off of double precision."""
 _LAWS = {
     "bounded": "it does not grow",
     "linear": "it grows in proportion to time",

@@ -3,85 +3,156 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Axis, Figure, Line
-from mbdkit.studies.point_selection import METHOD, value
+from mbdkit.analysis.verdict import Axis, Column, Figure, Line
+from mbdkit.report.slope_guides import with_slope_guides
+from mbdkit.studies.axis_words import key_unit, key_words, value_words
+from mbdkit.studies.point_selection import METHOD, STEP, value
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
 
 _DECADE = 8.0
 """Ratio of largest to smallest value from which an axis is logarithmic."""
-_UNITS = {"time.step": "s", "time.end": "s", "time.start": "s"}
+_ONCE = "Each run was timed once, beside other work; `repeats: 5` in the study shows how far times spread."
+_SPREAD = "Wall time is the median of the timings; bands show the range between their quartiles."
+OPERATIONS = ("rhs_evaluations", "jacobian_evaluations", "factorizations")
+"""Counters whose sum is the cost of a run in operations."""
 
 
 @dataclass(frozen=True)
-class _Measure:
-    """A column of the index that is drawn, with its title and axis."""
+class _Quantity:
+    """A value of each run that is drawn, with its title, its axis, and columns of the bounds of its spread."""
 
-    column: str
+    columns: tuple[str, ...]
     title: str
     axis: Axis
+    spread: tuple[str, str] | None = None
+    caption: str = ""
+
+    @property
+    def is_error(self) -> bool:
+        """Whether smaller values cost more work."""
+        return any(word in self.columns[0] for word in _ERRORS)
 
     def of(self, points: Sequence[StudyPoint]) -> np.ndarray:
-        return np.array([value(point, self.column) for point in points])
+        """Return the value of each point, the sum of its columns."""
+        return np.array([sum(value(point, column) for column in self.columns) for point in points])
+
+    def bounds(self, points: Sequence[StudyPoint]) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the lower and the upper bound of each value; None without a spread."""
+        if self.spread is None:
+            return None
+        low, high = (np.array([value(point, column) for point in points]) for column in self.spread)
+        return low, high
 
 
-_COST = _Measure("rhs_evaluations", "Cost", Axis("right-side evaluations", log=True))
-_MEASURES = (
-    _Measure("misalignment_max", "Misalignment", Axis("largest misalignment", "m", log=True)),
-    _Measure("end_error", "Error", Axis("error at the end", "m", log=True)),
+_WORK = _Quantity(
+    OPERATIONS,
+    "Operations",
+    Axis("evaluations, Jacobians and factorizations", log=True),
+    caption="Operations are right-side evaluations, evaluations of Jacobians and factorizations.",
 )
+_ERRORS = ("error", "misalignment", "balance", "defect", "trend")
+"""Words in the names of measures that are shown against the cost."""
+_USUAL = ("misalignment_max", "end_error")
 
 
 def study_figures(study: Study) -> tuple[Figure, ...]:
-    """Return charts of every family of a study: each measure against each numeric axis and against the cost."""
+    """Return charts of every family of a study: each measure that it asks for against its numeric axes and its cost."""
     figures: list[Figure] = []
     for name, title in study.families.items():
         points = study.family(name)
-        for measure in _MEASURES:
-            if not np.any(measure.of(points) > 0):
+        costs = (_wall_time(points), _WORK)
+        for measure in _measures(study):
+            if not np.any(np.nan_to_num(measure.of(points))):
                 continue
+            measure = replace(measure, axis=replace(measure.axis, log=_is_wide(measure.of(points))))
             for key in study.axes(name):
                 figures += _against_axis(measure, key, points, name, title)
-            figures += _against_cost(measure, points, name, title)
+            for cost in costs if measure.is_error else ():
+                figures += _against_cost(measure, cost, points, name, title)
         for key in study.axes(name):
-            figures += _against_axis(_COST, key, points, name, title)
-    return tuple(figures)
+            for cost in costs:
+                figures += _against_axis(cost, key, points, name, title)
+    return tuple(with_slope_guides(figure) for figure in figures)
 
 
-def _against_axis(measure: _Measure, key: str, points: Sequence[StudyPoint], family: str, title: str) -> list[Figure]:
-    """Return the chart of a measure over an axis; none if its values are not numeric."""
+def measure_columns(study: Study) -> list[tuple[Column, str]]:
+    """Return headings and names of the columns of the index with the measures that the study asks for."""
+    return [(Column(measure.axis.label, measure.axis.unit), measure.columns[0]) for measure in _measures(study)]
+
+
+def _measures(study: Study) -> Iterator[_Quantity]:
+    """Yield the measures that the study asks for; those of most interest if it asks for all."""
+    asked: Any = study.spec.measures
+    entries = _USUAL if asked == "all" else asked if isinstance(asked, list | tuple) else [*_USUAL, asked]
+    for name in [name for entry in entries for name in ([entry] if isinstance(entry, str) else entry)]:
+        units, long_name = study.described(name)
+        words = _measure_words(name)
+        title = words.removeprefix("largest ").capitalize()
+        unit = "" if units == "1" else units
+        yield _Quantity((name,), title, Axis(words, unit), caption=f"{long_name[:1].upper()}{long_name[1:]}.")
+
+
+def _measure_words(name: str) -> str:
+    words = name.replace("_", " ")
+    if words.endswith(" max"):
+        return f"largest {words.removesuffix(' max')}"
+    if words.endswith(" end"):
+        return f"{words.removesuffix(' end')} at the end"
+    return f"{words.removeprefix('end ')} at the end" if words.startswith("end ") else words
+
+
+def _wall_time(points: Sequence[StudyPoint]) -> _Quantity:
+    axis = Axis("wall time", "s", log=True)
+    if any(value(point, "wall_median_s") > 0 for point in points):
+        return _Quantity(("wall_median_s",), "Wall time", axis, ("wall_q1_s", "wall_q3_s"), _SPREAD)
+    return _Quantity(("wall_s",), "Wall time", axis, caption=_ONCE)
+
+
+def _is_wide(values: np.ndarray) -> bool:
+    """Return whether values are shown on a logarithmic axis: not negative, and over a decade or tiny."""
+    known = values[np.isfinite(values) & (values != 0)]
+    return bool(len(known)) and bool(np.all(known > 0)) and float(known.max() / known.min()) >= _DECADE
+
+
+def _against_axis(quantity: _Quantity, key: str, points: Sequence[StudyPoint], family: str, title: str) -> list[Figure]:
+    """Return the chart of a quantity over an axis; none if its values are not numeric."""
     labels = [point.axes[key] for point in points]
     if not all(isinstance(label, int | float) for label in labels) or len(set(labels)) < 2:
         return []
     values = np.array(labels, dtype=float)
-    log = bool(np.all(values > 0) and values.max() / values.min() >= _DECADE)
+    log = bool(np.all(values > 0) and values.max() / values.min() >= (2.0 if key == STEP else _DECADE))
+    axis = Axis(key_words(key), key_unit(key, points), log)
     lines = []
     for label, group, chosen in _lines(points, key):
-        x = np.array([float(point.axes[key]) for point in chosen])
-        order = np.argsort(x)
-        lines.append(Line(label, x[order], measure.of(chosen)[order], "both", group))
+        x, bounds = np.array([float(point.axes[key]) for point in chosen]), quantity.bounds(chosen)
+        band = None if bounds is None else _band((x, bounds[0]), (x, bounds[1]))
+        lines.append(Line(label, x, quantity.of(chosen), "both", group, band))
     return [
         Figure(
-            _slug(family, measure.title, "over", key),
-            f"{measure.title} against {key}",
-            f"{measure.axis.label.capitalize()} of each run{_of(family, title)}.",
-            Axis(key, _UNITS.get(key, ""), log),
-            measure.axis,
+            _slug(family, quantity.title, "over", key),
+            f"{quantity.title} against {axis.label}",
+            f"{quantity.caption}{_of(family, title)}",
+            axis,
+            quantity.axis,
             tuple(lines),
         )
     ]
 
 
-def _against_cost(measure: _Measure, points: Sequence[StudyPoint], family: str, title: str) -> list[Figure]:
-    """Return the chart of a measure over the number of evaluations; none if that is the same for all runs."""
-    if len(np.unique(_COST.of(points))) < 2:
+def _against_cost(
+    measure: _Quantity, cost: _Quantity, points: Sequence[StudyPoint], family: str, title: str
+) -> list[Figure]:
+    """Return the chart of a measure over the cost; none if that is the same for all runs."""
+    costs = cost.of(points)
+    if len(np.unique(costs[np.isfinite(costs)])) < 2:
         return []
     numbers = [
         key
@@ -90,33 +161,42 @@ def _against_cost(measure: _Measure, points: Sequence[StudyPoint], family: str, 
     ]
     lines = []
     for label, group, chosen in _lines(points, numbers[-1] if numbers else ""):
-        x = _COST.of(chosen)
-        order = np.argsort(x)
-        lines.append(Line(label, x[order], measure.of(chosen)[order], "both", group))
+        x, y, bounds = cost.of(chosen), measure.of(chosen), cost.bounds(chosen)
+        band = None if bounds is None else _band((bounds[0], y), (bounds[1], y))
+        lines.append(Line(label, x, y, "both", group, band))
     return [
         Figure(
-            _slug(family, measure.title, "over-cost"),
-            f"{measure.title} against cost",
-            f"{measure.axis.label.capitalize()} over the right-side evaluations of each run{_of(family, title)}; "
-            "lower left is better.",
-            _COST.axis,
+            _slug(family, measure.title, "over", cost.title),
+            f"{measure.title} against {cost.title.lower()}",
+            f"{measure.caption} {cost.caption}{_of(family, title)}",
+            cost.axis,
             measure.axis,
             tuple(lines),
         )
     ]
 
 
+def _band(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> np.ndarray | None:
+    """Return the outline between two curves of bounds, each x and y (K,); None if they are not known."""
+    first, second = np.stack(one, axis=-1), np.stack(other, axis=-1)
+    known = np.all(np.isfinite(first) & np.isfinite(second), axis=1)
+    return np.concatenate([first[known], second[known][::-1]]) if np.any(known) else None
+
+
 def _lines(points: Sequence[StudyPoint], along: str) -> list[tuple[str, str, list[StudyPoint]]]:
-    """Return label, method and points of each group of runs that differ along one axis only."""
+    """Return label, method and points of each group of runs that differ along one axis only, in its order."""
     found: dict[tuple[str, str], list[StudyPoint]] = {}
     for point in points:
-        label = ", ".join(str(other) for key, other in point.axes.items() if key != along)
+        label = ", ".join(value_words(key, point) for key in point.axes if key != along)
         found.setdefault((label, str(point.axes.get(METHOD, label))), []).append(point)
-    return [(label, group, chosen) for (label, group), chosen in found.items()]
+    return [
+        (label, group, sorted(chosen, key=lambda point: float(point.axes[along])) if along else chosen)
+        for (label, group), chosen in found.items()
+    ]
 
 
 def _of(family: str, title: str) -> str:
-    return f" of {title or family}" if family else ""
+    return f" Runs of: {title or family}." if family else ""
 
 
 def _slug(*words: str) -> str:

@@ -19,7 +19,9 @@ from mbdkit.report.player_data import film_data
 from mbdkit.report.report_page import NO_FAILURES, ReportPage
 from mbdkit.report.run_report import environment
 from mbdkit.report.run_verdict import mechanism_size
-from mbdkit.report.study_figures import study_figures
+from mbdkit.report.slope_guides import with_slope_guides
+from mbdkit.report.study_figures import OPERATIONS, measure_columns, study_figures
+from mbdkit.studies.axis_words import point_words
 from mbdkit.studies.judge import judge
 from mbdkit.studies.point_selection import value
 from mbdkit.studies.verdict_lookup import find_verdict
@@ -36,7 +38,14 @@ _COLUMNS = (
     (Column("energy balance", "J"), "energy_balance_max"),
     (Column("error at the end", "m"), "end_error"),
     (Column("right-side evaluations"), "rhs_evaluations"),
-    (Column("wall time", "s"), "wall_s"),
+    (Column("Jacobians"), "jacobian_evaluations"),
+    (Column("factorizations"), "factorizations"),
+)
+_TIMED_ONCE = ((Column("wall time", "s"), "wall_s"),)
+_TIMED = (
+    (Column("wall time, median", "s"), "wall_median_s"),
+    (Column("lower quartile", "s"), "wall_q1_s"),
+    (Column("upper quartile", "s"), "wall_q3_s"),
 )
 _OF_A_RUN = ("command", "assembly", "model", "integrator")
 """Provenance that is specific to a run."""
@@ -65,6 +74,7 @@ def study_report(study: Study) -> ReportPage:
         "with its spec; `mbdkit rerun` repeats a run.",
         commands="mbdkit study study.yaml -o again\nmbdkit report again",
         spec=(study.folder / "study.yaml").read_text(encoding="utf-8"),
+        spec_file="study.yaml",
     )
 
 
@@ -81,18 +91,24 @@ def _settings(study: Study, states: Mapping[str, int]) -> str:
 def _verdict(study: Study) -> Verdict:
     """Return the verdict of the study with general charts if it has none, and with the table of all runs."""
     verdict = judge(study)
-    return replace(verdict, figures=verdict.figures or study_figures(study), tables=(*verdict.tables, _runs(study)))
+    figures = tuple(with_slope_guides(figure) for figure in verdict.figures) or study_figures(study)
+    return replace(verdict, figures=figures, tables=(*verdict.tables, _runs(study)))
 
 
 def _runs(study: Study) -> Table:
+    is_timed = any(not math.isnan(value(point, "wall_median_s")) for point in study.points)
+    usual = [*_COLUMNS, *(_TIMED if is_timed else _TIMED_ONCE)]
+    asked = [one for one in measure_columns(study) if one[1] not in {name for _, name in usual}]
     shown = [
-        (column, name) for column, name in _COLUMNS if any(not math.isnan(value(point, name)) for point in study.points)
+        (column, name)
+        for column, name in (*asked, *usual)
+        if any(not math.isnan(value(point, name)) for point in study.points)
     ]
     rows: list[tuple[Cell, ...]] = [
         (*_named(point), point.status, point.verdict, *(_cell(point, name) for _, name in shown))
         for point in study.points
     ]
-    named = (Column("run"), Column("family"), Column("axes"), Column("status"), Column("verdict"))
+    named = (Column("run"), Column("family"), Column("values"), Column("status"), Column("verdict"))
     columns = (*named, *(column for column, _ in shown))
     if len(study.families) == 1:
         rows, columns = [(row[0], *row[2:]) for row in rows], (columns[0], *columns[2:])
@@ -100,19 +116,19 @@ def _runs(study: Study) -> Table:
 
 
 def _named(point: StudyPoint) -> tuple[Cell, ...]:
-    return point.number, point.family, point.label
+    return point.number, point.family, point_words(point)
 
 
 def _cell(point: StudyPoint, name: str) -> Cell:
     found = value(point, name)
     if math.isnan(found):
         return None
-    return int(found) if name == "rhs_evaluations" else found
+    return int(found) if name in OPERATIONS else found
 
 
 def _failures(study: Study) -> Table:
     rows: list[tuple[Cell, ...]] = [
-        (point.number, ": ".join(filter(None, [point.family, point.label or "reference"])), point.reason)
+        (point.number, ": ".join(filter(None, [point.family, point_words(point) or "reference"])), point.reason)
         for point in study.failures
     ]
     return replace(NO_FAILURES, columns=(Column("run"), Column("member"), Column("reason")), rows=tuple(rows))
@@ -128,7 +144,9 @@ def _films(study: Study) -> Iterable[dict[str, Any]]:
             assert run is not None
             with run:
                 if run.misalignment_max <= MISALIGNMENT.bad * mechanism_size(run) or point is ranked[-1]:
-                    yield film_data(run, _NUMBERS, ": ".join(filter(None, [name, point.label])))
+                    yield film_data(
+                        run, _NUMBERS, ": ".join(filter(None, [f"run {point.number}", name, point_words(point)]))
+                    )
                     break
 
 

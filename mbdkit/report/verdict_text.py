@@ -40,19 +40,25 @@ def json_values(verdict: Verdict) -> dict[str, Any]:
 
 
 def markdown_text(document: ReportPage) -> str:
-    """Return a report as Markdown: verdict, claims, and headline tables or, if there are none, all tables."""
+    """Return a report as Markdown: its first sections, verdict, claims, and headline tables or, without any, all."""
     verdict = document.verdict
-    parts = [f"# {markdown(document.title)}"]
-    parts += [markdown(text) for text in (document.settings, document.alarm, verdict.sentence)]
+    parts = [f"# {markdown(document.title)}", markdown(document.settings), markdown(document.alarm)]
+    for section in document.sections:
+        parts += [f"## {markdown(section.title)}", *map(markdown, section.sentences)]
+        parts += [_table(table, "###") for table in section.tables]
+    parts += ["## Verdict"] * bool(document.sections) + [markdown(verdict.sentence)]
     if verdict.claims:
         rows = [["claim", "expected or published", "found", ""]]
         rows += [[claim.statement, claim.published, claim.computed, str(claim.answer)] for claim in verdict.claims]
         parts += ["## Claims", _piped(rows)]
-    for table in headlines(verdict) or verdict.tables:
-        heading, *rows = _cells(table)
-        parts += [f"## {markdown(table.title)}", markdown(table.note), _piped([heading, *rows])]
+    parts += [_table(table, "##") for table in headlines(verdict) or verdict.tables]
     parts += [markdown(note) for note in verdict.notes]
     return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def _table(table: Table, level: str) -> str:
+    """Return a table in Markdown with its title and note."""
+    return "\n\n".join(filter(None, [f"{level} {markdown(table.title)}", markdown(table.note), _piped(_cells(table))]))
 
 
 def _cells(table: Table) -> list[list[str]]:

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from mbdkit.analysis.order import observed_order
-from mbdkit.analysis.verdict import Cell, Column, Table, Verdict
+from mbdkit.analysis.verdict import MARGIN, Cell, Column, Table, Verdict
+from mbdkit.errors import MbdkitError
+from mbdkit.mechanism.size import mechanism_size
+from mbdkit.studies.axis_words import point_words, value_words
 from mbdkit.studies.point_selection import STEP, Points, value
+from mbdkit.trust.criteria import EPS, ROUND_OFF
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
+
+_ROUNDINGS = 4.0
+"""Number of roundings of the mechanism's size below which an error says nothing about an order."""
 
 
 def general_verdict(study: Study) -> Verdict:
@@ -17,17 +26,40 @@ def general_verdict(study: Study) -> Verdict:
     complete = [point for point in study.points if point.status == "complete"]
     failed = len(study.failures)
     sentences = [
-        f"{len(complete)} of {len(study.points)} runs are complete" + (f", {failed} failed." if failed else ".")
+        f"{len(complete)} of {len(study.points)} runs are complete" + (f", {failed} failed." if failed else "."),
+        _extremes(complete),
     ]
-    ranked = sorted((value(point, "misalignment_max"), point.number, point.label) for point in complete)
-    ranked = [entry for entry in ranked if entry[0] == entry[0]]
-    if len(ranked) > 1:
-        (least, _, best), (most, _, worst) = ranked[0], ranked[-1]
-        sentences.append(
-            f"The joint misalignment is smallest with {best} ({least:.1e} m) and largest with {worst} ({most:.1e} m)."
-        )
     tables = tuple(table for table in (_orders(study),) if table.rows)
-    return Verdict("general", study.spec.title or "Study", " ".join(sentences), tables=tables)
+    return Verdict("general", study.spec.title or "Study", " ".join(filter(None, sentences)), tables=tables)
+
+
+def _extremes(points: list[StudyPoint]) -> str:
+    """Return a sentence on the smallest and largest misalignment, without a ranking of rounding errors."""
+    found = [(value(point, "misalignment_max"), point.number, point) for point in points]
+    ranked = sorted(entry for entry in found if np.isfinite(entry[0]))
+    if len(ranked) < 2:
+        return ""
+    (least, _, best), (most, _, worst) = ranked[0], ranked[-1]
+    small = [entry for entry in ranked if entry[0] <= ROUND_OFF * _size(entry[-1])]
+    if len(small) == len(ranked):
+        return f"The joints stay closed to rounding errors in all runs: {most:.1e} m at most."
+    if most <= MARGIN * least:
+        return f"The joint misalignment is the same in all runs: {most:.1e} m."
+    largest = f"largest with {point_words(worst)} ({most:.1e} m)"
+    if len(small) > 1:
+        few = f"at most {small[-1][0]:.1e} m, near rounding errors, in {len(small)} runs"
+        return f"The joint misalignment is {largest}, and {few}."
+    return f"The joint misalignment is smallest with {point_words(best)} ({least:.1e} m) and {largest}."
+
+
+def _size(point: StudyPoint) -> float:
+    """Return the size of the mechanism of a run [m]; 0 if its model is not available."""
+    try:
+        mechanism = point.spec.mechanism()
+    except MbdkitError:
+        return 0.0
+    start = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
+    return mechanism_size(mechanism, start.reshape(-1, 3))
 
 
 def _orders(study: Study) -> Table:
@@ -35,14 +67,17 @@ def _orders(study: Study) -> Table:
     lines: dict[str, list[StudyPoint]] = {}
     for point in study.points:
         if STEP in point.axes:
-            others = [str(label) for key, label in point.axes.items() if not key.startswith(("time.", "output."))]
+            others = [value_words(key, point) for key in point.axes if not key.startswith(("time.", "output."))]
             lines.setdefault(", ".join(filter(None, [point.family, *others])), []).append(point)
     rows: list[tuple[Cell, ...]] = []
     for name, points in lines.items():
-        line = Points(points)
-        error = observed_order(*line.along(STEP, "end_error"))
-        drift = observed_order(*line.along(STEP, "misalignment_max"))
-        if error.found or drift.found:
-            rows.append((name, error.order, drift.order))
+        orders = []
+        noise = _ROUNDINGS * EPS * max(map(_size, points))
+        for column in ("end_error", "misalignment_max"):
+            steps, values = Points(points).along(STEP, column)
+            found = observed_order(steps, np.where(values > noise, values, np.nan))
+            orders.append(found.order if found.found else np.nan)
+        if np.any(np.isfinite(orders)):
+            rows.append((name, *orders))
     columns = (Column("runs"), Column("order of the error"), Column("order of the misalignment"))
     return Table("order", "Observed orders", columns, tuple(rows))

@@ -154,6 +154,16 @@ class Study:
             for number, row in enumerate(index.references, start=1)
         )
 
+    def described(self, name: str) -> tuple[str, str]:
+        """Return the units and the description of a numeric column of the index, such as a measure.
+
+        Raises
+        ------
+        KeyError
+            If there is no such column.
+        """
+        return study_index.described(name)
+
     def _archive(self, row: Row) -> Path | None:
         path = self._files.archive(row.run_id)
         return path if row.run_id and row.status != "missing" and path.exists() else None

@@ -69,6 +69,9 @@ begins there."""
 ROUNDING = 1e4
 """Energies below this many roundings of the largest energy count as zero; decides runs that are at rest."""
 
+ROUND_OFF = 1e-12
+"""Misalignment, as a share of the mechanism's size, that counts as rounding errors of double precision."""
+
 EPS = 2.0**-52
 
 

@@ -239,7 +239,7 @@ def test_any_study_has_a_general_verdict(tmp_path: Path) -> None:
     }
     verdict = judge(mbdkit.study(spec, out=tmp_path / "study"))
     assert verdict.sentence.startswith("4 of 4 runs are complete.")
-    assert "smallest with time.step 0.0025" in verdict.sentence
+    assert "largest with step 0.02 s" in verdict.sentence
     ((_, error, drift),) = verdict.table("order").rows
     assert error == pytest.approx(4.0, abs=0.2)
     assert drift == pytest.approx(4.0, abs=0.3)

@@ -84,18 +84,20 @@ def test_marks_of_events_do_not_replace_the_mark_of_unknown_errors() -> None:
 def test_tables_say_plus_minus() -> None:
     run = checked(REGULAR, 1.0)
     assert run.accuracy is not None
-    joints = run_report(run).verdict.table("joints")
-    assert joints.columns[-1].label == "largest reaction force"
+    joints = run_report(run).sections[1].tables[0]
+    assert joints.columns[-1].label == "± error of the force"
     joint = run.accuracy.of_joints(run.joint_names, run.array("joints/reaction_force"))[0]
-    assert str(joints.rows[0][-1]).endswith(f" ± {joint.error:.2g}")
+    assert joints.rows[0][-1] == joint.error
     bodies = run_report(run).verdict.table("errors")
     assert bodies.rows[0][:2] == ("rod1", pytest.approx(np.hypot(*run.accuracy.position_error[-1, 0, :2])))
 
 
 def test_tables_say_until_when_errors_are_known(lost: mbdkit.Run) -> None:
     assert lost.accuracy is not None
-    table = run_report(lost).verdict.table("joints")
-    assert f" until {lost.accuracy.known_until:.4g} s" in str(table.rows[0][-1])
+    table = run_report(lost).sections[1].tables[0]
+    assert f"largest force until {lost.accuracy.known_until:.4g} s" in [column.label for column in table.columns]
+    joint = lost.accuracy.of_joints(lost.joint_names, lost.array("joints/reaction_force"))[0]
+    assert table.rows[0][-2:] == (pytest.approx(joint.peak_known), joint.error)
 
 
 def test_the_report_leads_with_the_largest_force_and_its_error(lost: mbdkit.Run) -> None:

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import csv
+import shutil
+import subprocess
 from itertools import pairwise
+from pathlib import Path
 
+import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 
 import mbdkit
 from mbdkit.plot.caption import caption
+from mbdkit.plot.energy_plot import COLORS
+from mbdkit.plot.style import PALETTE
+from mbdkit.report.mechanism_drawing import WIDE, NamedPose, mechanism_svg, names_shown
 from mbdkit.report.player_data import film_data
 from mbdkit.report.report import report
 from mbdkit.report.run_report import run_report
-from mbdkit.report.templating import render
+from mbdkit.report.templating import inline, render
+from mbdkit.spec import example_names, load_spec
+from mbdkit.spec.yaml_reader import read_yaml
+from mbdkit.text import csv_cell
 from tests.report.browser import executable, launched, opened, until
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""
@@ -66,9 +77,9 @@ def test_the_console_is_silent_and_no_request_leaves_the_page(browser, any_path)
     watched.page.context.close()
 
 
-def test_the_verdict_stands_on_top(page):
-    first = page.page.locator("main h2").first
-    assert first.inner_text() == "Verdict"
+def test_model_and_answer_come_before_the_verdict(page):
+    headings = page.page.locator("main h2").all_inner_texts()
+    assert headings[:3] == ["What was modelled", "Largest forces and torques", "Verdict"]
     assert "The run completed" in page.page.locator("p.verdict").inner_text()
 
 
@@ -151,12 +162,12 @@ def test_the_gap_of_a_joint_is_drawn_between_its_bodies_ends(page):
 def test_the_keyboard_reaches_every_control_in_the_order_of_the_page(page):
     tab = page.page
     seen = []
-    for _ in range(40):
+    for _ in range(110):
         tab.keyboard.press("Tab")
         name = tab.evaluate("document.activeElement.id || document.activeElement.dataset.figure || ''")
         if name and name not in seen:
             seen.append(name)
-    order = ["scrub", "play", "back", "next", "speed", "whole", "magnify", "trajectory", "misalignment"]
+    order = ["misalignment", "scrub", "play", "back", "next", "speed", "whole", "magnify", "trajectory"]
     assert [name for name in seen if name in order] == order
 
 
@@ -233,7 +244,7 @@ def test_headings_are_in_order_and_everything_that_is_seen_has_a_name(browser, a
     assert all(after - before <= 1 for before, after in pairwise(levels))
     unnamed = tab.evaluate(
         """() => [...document.querySelectorAll("canvas, .chart, input, button, select")]
-            .filter(e => !(e.ariaLabel || e.labels?.length || e.innerText) && !e.closest(".modebar"))
+            .filter(e => !(e.ariaLabel || e.labels?.length || e.textContent.trim()) && !e.closest(".modebar"))
             .map(e => e.outerHTML.slice(0, 80))"""
     )
     assert unnamed == []
@@ -311,3 +322,195 @@ def test_text_from_a_spec_does_no_harm(browser, make_run, tmp_path):
     assert watched.console == []
     assert watched.outside == []
     tab.context.close()
+
+
+BUTTONS = ["Download plot as a PNG", "Zoom", "Pan", "Zoom in", "Zoom out", "Reset axes"]
+
+
+def test_no_control_sends_anything_anywhere(browser, any_path):
+    watched = opened(browser, any_path)
+    tab, pages = watched.page, []
+    tab.context.on("page", lambda page: pages.append(page.url))
+    bars = tab.evaluate(
+        "[...document.querySelectorAll('.modebar')]"
+        ".map(bar => [...bar.querySelectorAll('.modebar-btn')].map(button => button.dataset.title))"
+    )
+    assert bars
+    for bar in bars:
+        assert bar == BUTTONS
+    assert tab.locator("form, iframe, a[href^=http]").count() == 0
+    tab.evaluate(
+        """() => {
+            for (const details of document.querySelectorAll("details")) details.open = true;
+            const click = () => new MouseEvent("click", { bubbles: true });
+            for (const control of document.querySelectorAll("button")) control.dispatchEvent(click());
+        }"""
+    )
+    tab.wait_for_timeout(1000)
+    assert (watched.outside, pages) == ([], [])
+    assert tab.url == any_path.resolve().as_uri()
+    tab.context.close()
+
+
+def test_the_policy_of_the_page_stops_what_a_script_might_try(page):
+    tab = page.page
+    blocked = tab.evaluate(
+        """async () => {
+            const form = document.createElement("form");
+            form.action = "https://evil.example/";
+            document.body.append(form);
+            const said = [];
+            document.addEventListener("securitypolicyviolation", event => said.push(event.effectiveDirective));
+            form.submit();
+            await fetch("https://evil.example/").catch(() => 0);
+            await new Promise(resolve => setTimeout(resolve, 200));
+            return said.sort();
+        }"""
+    )
+    assert blocked == ["connect-src", "form-action"]
+    assert page.outside == []
+
+
+def test_a_table_is_sorted_by_the_button_in_its_heading(page):
+    tab = page.page
+    table = tab.locator('table[data-file="joints"]')
+    head = table.locator("th[scope=col]").nth(2)
+    values = "table => [...table.tBodies[0].rows].map(row => Number(row.cells[2].dataset.value))"
+    first = table.evaluate(values)
+    head.get_by_role("button").focus()
+    for order, wanted in (("descending", sorted(first)[::-1]), ("ascending", sorted(first)), (None, first)):
+        tab.keyboard.press("Enter")
+        assert head.get_attribute("aria-sort") == order
+        assert table.evaluate(values) == wanted
+
+
+def test_a_table_is_saved_as_csv_with_all_digits_and_without_formulas(browser, tmp_path):
+    m = mbdkit.Mechanism()
+    names = ["=1+1", "+a", "@b", 'plain, "quoted"', "-c"]
+    for number, name in enumerate(names):
+        m.body(name, mass=1.0 / (3 + number), inertia=1.0)
+    with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.05}) as run:
+        path = tmp_path / "page.html"
+        path.write_text(run_report(run).html(), encoding="utf-8")
+    watched = opened(browser, path)
+    with watched.page.expect_download() as begun:
+        watched.page.get_by_role("button", name="Download CSV: Bodies").click()
+    assert begun.value.suggested_filename == "bodies.csv"
+    with open(begun.value.path(), encoding="utf-8", newline="") as file:
+        heading, *rows = csv.reader(file)
+    assert heading[:2] == ["body", "mass [kg]"]
+    assert [row[0] for row in rows] == [csv_cell(name) for name in names]
+    assert [float(row[1]) for row in rows] == [1.0 / (3 + number) for number in range(len(names))]
+    assert watched.outside == []
+    watched.page.context.close()
+
+
+def test_the_spec_can_be_saved_and_copied(page):
+    tab = page.page
+    with tab.expect_download() as begun:
+        tab.get_by_role("button", name="Download: run.yaml").click()
+    assert begun.value.suggested_filename == "run.yaml"
+    saved = Path(begun.value.path()).read_text(encoding="utf-8")
+    assert load_spec(read_yaml(saved)[0]).integrator.name == "rk4"
+    tab.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    tab.get_by_role("button", name="Copy: Spec").click()
+    until(tab, "[...document.querySelectorAll('.tools button')].some(button => button.textContent === 'Copied')")
+    assert tab.evaluate("navigator.clipboard.readText()") == saved
+
+
+def test_on_paper_everything_is_whole_light_and_without_controls(browser, any_path):
+    watched = opened(browser, any_path, width=703, color_scheme="dark")  # px: A4 without its margins
+    tab = watched.page
+    tab.emulate_media(media="print")
+    tab.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    tab.wait_for_timeout(300)
+    assert tab.evaluate("document.documentElement.scrollWidth") <= 703
+    assert tab.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    assert tab.locator(".main-svg").first.evaluate("svg => svg.style.background") == "rgb(255, 255, 255)"
+    for name in (".tools", ".player .controls", ".magnifier", ".modebar", "nav", "summary"):
+        assert not any(one.is_visible() for one in tab.locator(name).all()), name
+    cut = tab.evaluate(
+        """() => [...document.querySelectorAll("figure, table, pre")].filter(one => {
+            const box = one.getBoundingClientRect();
+            return box.right > 703.5 || one.scrollWidth > one.clientWidth + 1
+                || [...one.querySelectorAll(".main-svg")].some(svg => {
+                    const own = svg.getBoundingClientRect();
+                    return own.right > box.right + 0.5 || own.bottom > box.bottom + 0.5 || own.width < 600;
+                });
+        }).map(one => one.id || one.outerHTML.slice(0, 60))"""
+    )
+    assert cut == []
+    heights = tab.evaluate("[...document.querySelectorAll('figure')].map(one => one.offsetHeight)")
+    assert max(heights) < 1000  # px: a page has 1017
+    kept = tab.evaluate(
+        "[...document.querySelectorAll('figure')].every(f => getComputedStyle(f).breakInside === 'avoid')"
+    )
+    assert kept
+    tab.context.close()
+
+
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext (poppler-utils) is not installed")
+def test_the_printed_report_has_every_figure(browser, page_path, tmp_path):
+    watched = opened(browser, page_path)
+    watched.page.pdf(path=tmp_path / "page.pdf", format="A4")
+    titles = watched.page.locator("#figures ~ .figures h3, #verdict ~ .figures h3").all_inner_texts()
+    subprocess.run(["pdftotext", "-layout", tmp_path / "page.pdf", tmp_path / "page.txt"], check=True)
+    printed = (tmp_path / "page.txt").read_text(encoding="utf-8")
+    pages = [" ".join(sheet.split()) for sheet in printed.split("\f")]
+    captions = watched.page.locator(".figures figcaption").all_inner_texts()
+    for title, text in zip(titles, captions, strict=True):
+        assert any(title in sheet and text[:40] in sheet for sheet in pages), title  # on one page
+    assert "Download" not in printed
+    watched.page.context.close()
+
+
+def test_a_body_has_one_colour_in_drawing_player_and_chart(browser, tmp_path):
+    archive = tmp_path / "arm.h5"
+    mbdkit.run("gravity-balanced-arm", time={"end": 0.2, "step": 0.02}, archive=archive).close()
+    watched = opened(browser, report(archive))
+    tab = watched.page
+    legend = tab.evaluate(
+        "Object.fromEntries([...document.querySelectorAll('#legend li')].map(li => "
+        "[li.textContent, li.firstChild.style.background]))"
+    )
+    patches = tab.evaluate("[...document.querySelectorAll('.wide .patch')].map(p => p.style.getPropertyValue('--own'))")
+    assert patches == list(legend.values())
+    figures = tab.evaluate("JSON.parse(document.getElementById('figure-data').textContent).figures")
+    components = {line["label"]: line["color"] for line in figures["components-1"]["lines"]}
+    assert f"var(--{components['x of upper']})" == legend["upper"]
+    energy = {line["label"]: line["color"] for line in figures["energy"]["lines"]}
+    assert {name: PALETTE.index(COLORS[name]) for name in ("kinetic", "potential", "work")} == {
+        name: int(energy[name][1:]) for name in ("kinetic", "potential", "work")
+    }
+    tab.context.close()
+
+
+def test_names_in_drawings_of_examples_do_not_overlap(browser, tmp_path):
+    drawings = []
+    for name in sorted(example_names()):
+        mechanism = load_spec(name).mechanism()
+        pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
+        shown = NamedPose.of(mechanism, list(mechanism.bodies), pose, np.array([0.0]))
+        drawings += [f'<div class="wide" title="{name}">{mechanism_svg(shown, WIDE)}</div>'] * names_shown(shown)
+    path = tmp_path / "drawings.html"
+    style = f"<style>{inline('style.css')}{inline('report.css')}</style>"
+    path.write_text(f'<!DOCTYPE html>{style}<figure class="drawing">{"".join(drawings)}</figure>', encoding="utf-8")
+    watched = opened(browser, path)
+    found = watched.page.evaluate(
+        """() => [...document.querySelectorAll("div.wide")].flatMap(drawing => {
+            const frame = drawing.querySelector("svg").getBoundingClientRect();
+            const names = [...drawing.querySelectorAll("text")].map(
+                text => [text.textContent, text.getBoundingClientRect()]);
+            const inside = ([, a]) => a.left >= frame.left && a.right <= frame.right
+                && a.top >= frame.top - 1 && a.bottom <= frame.bottom + 1;
+            const meet = (a, b) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1
+                && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 3;
+            return [
+                ...names.filter(name => !inside(name)).map(([text]) => `${drawing.title}: ${text} outside`),
+                ...names.flatMap(([text, a], k) => names.slice(0, k).filter(([, b]) => meet(a, b))
+                    .map(([other]) => `${drawing.title}: ${text} on ${other}`)),
+            ];
+        })"""
+    )
+    assert found == []
+    watched.page.context.close()

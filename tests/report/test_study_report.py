@@ -1,13 +1,17 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from mbdkit.analysis.verdict import Axis, Figure, Line
 from mbdkit.report.report import report
 from mbdkit.report.report_page import cell_text
+from mbdkit.report.slope_guides import with_slope_guides
 from mbdkit.report.study_report import study_report
+from mbdkit.studies.axis_words import key_words, point_words
 from mbdkit.studies.execute import Shard
 from mbdkit.studies.study import load_study
 from mbdkit.studies.study import study as run_study
@@ -31,8 +35,9 @@ def test_every_run_is_in_the_table_and_every_failure_has_its_reason(document):
 def test_a_study_without_figures_of_its_own_gets_misalignment_error_and_cost_over_its_axes(document, study_folder):
     names = [figure.name for figure in document.verdict.figures]
     assert names == [
-        "misalignment-over-time-step", "misalignment-over-cost", "error-over-time-step", "error-over-cost",
-        "cost-over-time-step",
+        "misalignment-over-time-step", "misalignment-over-wall-time", "misalignment-over-operations",
+        "error-at-the-end-over-time-step", "error-at-the-end-over-wall-time", "error-at-the-end-over-operations",
+        "wall-time-over-time-step", "operations-over-time-step",
     ]  # fmt: skip
     figure = document.verdict.figure("misalignment-over-time-step")
     assert [line.label for line in figure.lines] == ["RK4", "Gauss 2"]
@@ -57,7 +62,8 @@ def test_the_film_is_of_the_run_that_comes_apart_the_most_and_still_holds(docume
     (film,) = document.films
     size = 2 * 20.0 * np.cos(0.698)  # m: two rods of 20 m, let go 40 degrees below the horizontal
     holding = [row for row in document.verdict.table("runs").rows if row[4] is not None and row[4] <= 1e-3 * size]
-    assert film["label"] == max(holding, key=lambda row: row[4])[1]
+    worst = max(holding, key=lambda row: row[4])
+    assert film["label"] == f"run {worst[0]}: {worst[1]}"
 
 
 def test_runs_that_are_missing_are_said_on_top(tmp_path):
@@ -72,7 +78,7 @@ def test_the_page_and_the_figures_go_into_the_folder_once(study_folder, tmp_path
     shutil.copytree(study_folder, folder)
     assert mbdkit_command("report", str(folder)).stdout == f"{folder / 'report.html'}\n"
     assert {path.suffix for path in (folder / "figures").iterdir()} == {".png", ".svg"}
-    assert len(list((folder / "figures").iterdir())) == 10
+    assert len(list((folder / "figures").iterdir())) == 16
     again = mbdkit_command("report", str(folder))
     assert again.exit_code == 2
     assert "this file exists" in again.stderr
@@ -123,3 +129,77 @@ def test_numbers_in_tables_read_well():
     assert [cell_text(value) for value in (10_370.0, 12_000, 1.2e-5, 0.0, float("nan"), None, True, "x")] == [
         "10,370", "12,000", "1.2e-05", "0", "-", "", "yes", "x",
     ]  # fmt: skip
+
+
+def test_axes_of_charts_are_named_in_words_with_units(document):
+    figure = document.verdict.figure("misalignment-over-time-step")
+    assert (figure.x.label, figure.x.unit) == ("step", "s")
+    assert [line.label for line in document.verdict.figure("wall-time-over-time-step").lines] == ["RK4", "Gauss 2"]
+    assert [row[1] for row in document.verdict.table("runs").rows][:2] == ["RK4, step 0.2 s", "RK4, step 0.1 s"]
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ("time.step", "step"),
+        ("integrator.rtol", "relative tolerance"),
+        ("model.bodies.left foot.mass", "mass of left foot"),
+        ("model.angles.0", "angles, number 1"),
+        ("parameters.crank", "crank"),
+        ("model.springs.support.free_length", "free length of support"),
+        ("check", "check"),
+    ],
+)
+def test_keys_of_specs_have_words(key, words):
+    assert key_words(key) == words
+
+
+SPRINGS = {
+    "mbdkit_study": 1,
+    "base": "gravity-balanced-arm",
+    "overrides": {"time": {"end": 0.1, "step": 0.02}},
+    "axes": [{"model.forces.upper spring.stiffness": [900.0, 1000.0]}],
+    "measures": ["reaction_force_max", "energy_balance_end"],
+    "repeats": 3,
+}
+
+
+def test_the_measures_that_a_study_asks_for_are_drawn_and_listed(tmp_path):
+    study = run_study(SPRINGS, out=tmp_path / "springs", notify=lambda text: None)
+    document = study_report(study)
+    assert point_words(study.points[0]) == "stiffness of upper spring 900 N/m"
+    figure = document.verdict.figures[0]
+    assert figure.title == "Reaction force against stiffness of upper spring"
+    assert (figure.x.unit, figure.y.unit) == ("N/m", "N")
+    assert figure.lines[0].y.tolist() == [point.values["reaction_force_max"] for point in study.points]
+    table = document.verdict.table("runs")
+    labels = [column.label for column in table.columns]
+    assert {"largest reaction force", "Jacobians", "factorizations", "lower quartile", "upper quartile"} <= set(labels)
+    wall = document.verdict.figure("wall-time-over-model-forces-upper-spring-stiffness").lines[0]
+    rows = [sorted(point.row.repeats) for point in study.points]
+    assert wall.y.tolist() == [row[1] for row in rows]  # the median of three
+    assert wall.band.shape == (4, 2)
+    work = document.verdict.figure("operations-over-model-forces-upper-spring-stiffness").lines[0]
+    names = ("rhs_evaluations", "jacobian_evaluations", "factorizations")
+    assert work.y.tolist() == [sum(point.values[name] for name in names) for point in study.points]
+
+
+def test_rounding_errors_are_not_ranked(tmp_path):
+    spec = {**SPRINGS, "measures": ["misalignment_max"], "repeats": 1}
+    spec["overrides"] = {"time": {"end": 0.02, "step": 0.002}, "integrator": {"name": "gauss", "stages": 4}}
+    study = run_study(spec, out=tmp_path / "still", notify=lambda text: None)
+    sentence = study_report(study).verdict.sentence
+    assert "The joints stay closed to rounding errors in all runs" in sentence
+    assert "smallest" not in sentence
+
+
+def test_a_guide_has_the_slope_of_the_order_of_its_curve():
+    step = np.array([0.1, 0.05, 0.025, 0.0125])
+    lines = (Line("four", step, 3.0 * step**4), Line("two", step, 5.0 * step**2), Line("noise", step, 1e-15 + 0 * step))
+    figure = Figure("f", "F", "", Axis("step", "s", log=True), Axis("error", "m", log=True), lines)
+    guides = with_slope_guides(figure).guides
+    assert [guide.label for guide in guides] == ["order 2", "order 4"]
+    for guide, slope in zip(guides, (2.0, 4.0), strict=True):
+        assert np.diff(np.log(guide.y)) / np.diff(np.log(guide.x)) == pytest.approx(slope)
+    for other in (replace(figure, x=Axis("time", "s", log=True)), replace(figure, y=Axis("error", "m"))):
+        assert with_slope_guides(other).guides == ()

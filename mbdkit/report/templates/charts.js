@@ -1,12 +1,17 @@
 "use strict";
 (() => {
-const figures = JSON.parse(document.getElementById("figure-data").textContent);
+const { figures, columns } = JSON.parse(document.getElementById("figure-data").textContent);
+for (const { lines } of Object.values(figures)) for (const line of lines) {
+  [line.x, line.y] = [columns[line.x], columns[line.y]];
+}
 const dark = window.matchMedia("(prefers-color-scheme: dark)"), coarse = window.matchMedia("(pointer: coarse)");
 const MARGIN = { l: 62, r: 14, t: 8, b: 48 };
 // With equal scales, automatic margins would oscillate: labels change the margins, which change the scale and labels.
 const EQUAL = { scaleanchor: "x", scaleratio: 1, automargin: false };
 // plotly.js reads texts as markup; names from specs are plain text.
 const plain = text => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
+
+const paper = () => document.documentElement.classList.contains("printing");
 
 function palette() {
   const style = getComputedStyle(document.documentElement);
@@ -19,15 +24,22 @@ function traces(figure, color) {
   const curves = figure.lines.map((line, number) => ({
     type: "scatter", visible: !line.hidden, x: line.x, y: line.y, name: plain(line.label),
     mode: { line: "lines", points: "markers", both: "lines+markers" }[line.x.length === 1 ? "points" : line.kind],
-    line: { color: color(`c${line.color}`), width: width(number), dash: line.dash },
-    marker: { color: color(`c${line.color}`), size: 7, symbol: line.symbol },
+    line: { color: color(line.color), width: width(number), dash: line.dash },
+    marker: { color: color(line.color), size: 7, symbol: line.symbol },
     hovertemplate: `%{y:.4~g} ${plain(figure.y.unit)} at %{x:.5~g} ${plain(figure.x.unit)}<extra>%{fullData.name}</extra>`,
   }));
   return [...curves, ...banded(figure).map(line => ({                        // after the curves, which keep their numbers
     type: "scatter", mode: "lines", visible: !line.hidden, x: line.band.x, y: line.band.y, fill: "toself",
-    fillcolor: color(`c${line.color}`), opacity: 0.25, line: { width: 0 }, hoverinfo: "skip",
+    fillcolor: color(line.color), opacity: 0.25, line: { width: 0 }, hoverinfo: "skip",
+  })), ...figure.guides.map(guide => ({
+    type: "scatter", mode: "lines", x: guide.x, y: guide.y, hoverinfo: "skip",
+    line: { color: color("faint"), width: 1.2, dash: "dot" },
   }))];
 }
+
+// Annotations on a logarithmic axis are placed by the logarithm.
+const coordinate = (value, axis) => axis.log ? Math.log10(value) : value;
+const middle = ([a, b], axis) => (coordinate(a, axis) + coordinate(b, axis)) / 2;
 
 function banded(figure) {
   return figure.lines.filter(line => line.band);
@@ -58,16 +70,21 @@ function layout(figure, color) {
     }))],
     annotations: [...figure.bands.map(band => ({
       text: plain(band.label), xref: "paper", x: 0.01, xanchor: "left", showarrow: false, yanchor: "top",
-      y: figure.y.log ? Math.log10(band.high) : band.high, font: { size: 11, color: color("faint") },
+      y: coordinate(band.high, figure.y), font: { size: 11, color: color("faint") },
     })), ...figure.marks.filter(mark => mark.label).map(mark => ({
       text: plain(mark.label), x: mark.x, xanchor: "left", yref: "paper", y: 1, yanchor: "top", showarrow: false,
       textangle: -90, font: { size: 11, color: color("faint") },
+    })), ...figure.guides.map(guide => ({
+      text: plain(guide.label), x: middle(guide.x, figure.x), y: middle(guide.y, figure.y), showarrow: false,
+      bgcolor: color("paper"), font: { size: 11, color: color("faint") },
     }))],
   };
 }
 
+// These buttons and no others: by default there is one that uploads the data.
 const OPTIONS = {
-  responsive: true, displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d"],
+  responsive: true, displaylogo: false, displayModeBar: "hover", showSendToCloud: false, plotlyServerURL: "",
+  modeBarButtons: [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]],
 };
 
 function drawAll() {
@@ -75,6 +92,7 @@ function drawAll() {
   for (const chart of document.querySelectorAll(".chart")) {
     const figure = figures[chart.dataset.figure], kept = chart.layout;
     const wanted = layout(figure, color);
+    if (paper()) Object.assign(wanted, { autosize: false, width: chart.clientWidth, height: chart.clientHeight });
     if (kept) for (const name of ["xaxis", "yaxis"]) {       // keep the reader's zoom
       if (kept[name].autorange === false) { wanted[name].range = kept[name].range; wanted[name].autorange = false; }
     }
@@ -98,7 +116,7 @@ function swatch(line) {
     svg.append(part);
   };
   for (const [key, value] of Object.entries({ width: 28, height: 12, "aria-hidden": "true" })) svg.setAttribute(key, value);
-  const stroke = `var(--c${line.color})`;
+  const stroke = `var(--${line.color})`;
   if (line.kind !== "points") add("path", { d: "M0 6h28", style: `stroke:${stroke};stroke-width:2`, "stroke-dasharray": DASHES[line.dash] });
   if (line.kind !== "line") add("path", { d: MARKS[line.symbol], style: `fill:${stroke}` });
   return svg;
@@ -163,4 +181,6 @@ for (const chart of document.querySelectorAll(".chart")) chart.addEventListener(
 
 drawAll();
 dark.addEventListener("change", drawAll);
+window.addEventListener("beforeprint", drawAll);
+window.addEventListener("afterprint", drawAll);
 })();

@@ -2,8 +2,8 @@
 (() => {
 const films = JSON.parse(document.getElementById("films").textContent);
 const shortcuts = "shortcuts" in document.getElementById("player").dataset;
-const [canvas, scrub, play, back, next, choice, speed, whole, clock, magnify, gap, legend] =
-  ["stage", "scrub", "play", "back", "next", "film", "speed", "whole", "clock", "magnify", "gap", "legend"]
+const [canvas, scrub, play, back, next, choice, speed, whole, clock, magnify, gap, legend, shown] =
+  ["stage", "scrub", "play", "back", "next", "film", "speed", "whole", "clock", "magnify", "gap", "legend", "shown"]
     .map(id => document.getElementById(id));
 const stage = new Stage(canvas);
 const REST = 0.8;            // pause [s] on the last frame before the animation restarts
@@ -84,10 +84,11 @@ function load(number) {
   end = run.time[frames - 1];
   stage.show(run);
   canvas.setAttribute("aria-label", `The mechanism in motion${run.label ? `: ${run.label}` : ""}`);
+  shown.textContent = run.label ? `Shown: ${run.label}` : "";
   const few = run.bodies.length <= 6;
   legend.replaceChildren(...(few ? run.bodies : []).map((name, body) => {
     const item = document.createElement("li"), swatch = document.createElement("span");
-    swatch.style.background = `var(--c${run.colors[body]})`;
+    swatch.style.background = `var(--${run.colors[body]})`;
     item.append(swatch, name);
     return item;
   }));
@@ -128,6 +129,11 @@ if (shortcuts) document.addEventListener("keydown", event => {
   else if (event.key === "ArrowRight") { go(false); show(frame + 1); }
   else return;
   event.preventDefault();
+});
+for (const name of ["beforeprint", "afterprint"]) window.addEventListener(name, () => {
+  stage.tint();
+  stage.fit();
+  draw();
 });
 window.addEventListener("resize", () => { stage.fit(); draw(); });
 window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { stage.tint(); draw(); });

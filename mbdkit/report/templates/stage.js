@@ -161,7 +161,7 @@ class Stage {
     return power * [1, 2, 5, 10].find(digit => digit * power >= step * 0.999);
   }
 
-  color(key) { return this.colors[key === "ink" ? "ink" : `c${key}`]; }
+  color(key) { return this.colors[key]; }
 
   paths(first, last, alpha) {
     this.pen.globalAlpha = alpha;

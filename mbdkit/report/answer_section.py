@@ -1,0 +1,218 @@
+"""The answer of a run: largest force and torque of each joint, driver and force element, with time and error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.analysis.verdict import Cell, Column, Table
+from mbdkit.archive.run_summary import plus_minus
+from mbdkit.plot.downsampling import BEYOND, Array, blocks
+from mbdkit.report.section import Section
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit.mechanism.mechanism import Mechanism
+
+ROWS = 50
+"""Largest number of joints or force elements in a table, those with the largest forces."""
+ROUND_OFF = 1e-10
+"""Torques [N m] below this share of the largest force [N] or torque count as zero, and forces likewise."""
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """Largest magnitudes of J curves.
+
+    Parameters
+    ----------
+    value, time
+        (J,) largest magnitude and its time [s]; nan if no value is finite.
+    """
+
+    value: Array
+    time: Array
+
+    @classmethod
+    def of(cls, time: Array, data: object, magnitude: Callable[[Array], Array] = np.abs) -> Peaks:
+        """Return the largest magnitudes in an array or dataset (T, J, ...) whose rows are at `time` (T,)."""
+        array: np.ndarray = data  # type: ignore[assignment]  # an HDF5 dataset is read by slicing
+        value, when = np.full(array.shape[1], -1.0), np.full(array.shape[1], np.nan)
+        for block in blocks(len(time), int(np.prod(array.shape[1:]))):
+            part = magnitude(np.asarray(array[block], dtype=np.float64))
+            part = np.where(part < BEYOND, part, -1.0)  # nan, too
+            row = np.argmax(part, axis=0)
+            largest = part[row, np.arange(part.shape[1])]
+            better = largest > value
+            value[better], when[better] = largest[better], time[block][row[better]]
+        value[value < 0] = np.nan
+        return cls(value, when)
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """Forces or torques of the joints, with the known part of them.
+
+    Parameters
+    ----------
+    peaks, known
+        Largest values over the run, and until the time to which errors are known; None without a check.
+    error
+        (J,) estimated errors until then.
+    known_until
+        That time [s].
+    """
+
+    name: str
+    unit: str
+    peaks: Peaks
+    known: Peaks | None
+    error: Array
+    known_until: float
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether errors are known for the whole run."""
+        return self.known is not None and math.isinf(self.known_until)
+
+    def columns(self) -> list[Column]:
+        """Return the headings of its columns."""
+        columns = [Column(f"largest {self.name}", self.unit), Column(f"time of the {self.name}", "s")]
+        if self.known is not None and not self.is_complete:
+            columns.append(Column(f"largest {self.name} until {self.known_until:.4g} s", self.unit))
+        if self.known is not None:
+            columns.append(Column(f"± error of the {self.name}", self.unit))
+        return columns
+
+    def cells(self, joint: int, floor: float) -> list[Cell]:
+        """Return the cells of a joint; empty ones if its value is not above `floor`."""
+        value, time = float(self.peaks.value[joint]), float(self.peaks.time[joint])
+        if value <= floor:
+            return [None] * len(self.columns())
+        cells: list[Cell] = [value, time]
+        if self.known is not None and not self.is_complete:
+            cells.append(float(self.known.value[joint]))
+        if self.known is not None:
+            cells.append(float(self.error[joint]))
+        return cells
+
+    def told(self, joint: int) -> str:
+        """Return the largest value of a joint with its error and time."""
+        value, time = float(self.peaks.value[joint]), float(self.peaks.time[joint])
+        if self.known is None or time > self.known_until:
+            unknown = "" if self.known is None else ", error unknown"
+            return f"{value:.4g} {self.unit} (at {time:.4g} s{unknown})"
+        return f"{plus_minus(value, float(self.error[joint]), '±')} {self.unit} (at {time:.4g} s)"
+
+
+def answer_section(run: Run, mechanism: Mechanism | None) -> Section | None:
+    """Return the section on forces and torques of a run that has rows; None if it recorded none.
+
+    Parameters
+    ----------
+    mechanism
+        The mechanism of its spec, which says what is a driver; None if it is not available.
+    """
+    tables: list[Table] = []
+    sentences: list[str] = []
+    if run.joint_names and run.records("joints/reaction_force"):
+        tables, sentences = _of_joints(run, _drivers(run, mechanism))
+    if run.records("forces/value"):
+        tables.append(_of_forces(run))
+    shown = tuple(table for table in tables if table.rows)
+    return Section("answer", "Largest forces and torques", tuple(sentences), None, shown) if shown else None
+
+
+def _drivers(run: Run, mechanism: Mechanism | None) -> list[int]:
+    """Return the columns of the drivers among the joints."""
+    known = {} if mechanism is None else mechanism.joints
+    return [column for column, name in enumerate(run.joint_names) if name in known and known[name].is_driver]
+
+
+def _of_joints(run: Run, drivers: list[int]) -> tuple[list[Table], list[str]]:
+    force = _quantity(run, "force", "N", "joints/reaction_force", lambda f: np.hypot(f[..., 0], f[..., 1]))
+    found = [force]
+    if run.records("joints/reaction_torque"):
+        found.append(_quantity(run, "torque", "N m", "joints/reaction_torque", np.abs))
+    floor = ROUND_OFF * max(float(np.nanmax(one.peaks.value, initial=0.0)) for one in found)
+    driven = _table(run, "drivers", "Motors and drivers", drivers, found, floor)
+    passive = [column for column in range(len(run.joint_names)) if column not in drivers]
+    table = _table(run, "joints", "Joints", passive, found, floor)
+    sentences = []
+    for columns, who in ((drivers, "driver"), (passive, "joint")):
+        for one in found:
+            values = [float(np.nan_to_num(one.peaks.value[column])) for column in columns]
+            if values and max(values) > floor:
+                largest = columns[int(np.argmax(values))]
+                name = run.joint_names[largest]
+                sentences.append(f"The largest {one.name} of a {who} is {one.told(largest)}, of {name}.")
+    return [driven, table], [" ".join(sentences)] if sentences else []
+
+
+def _quantity(run: Run, name: str, unit: str, path: str, magnitude: Callable[[Array], Array]) -> _Quantity:
+    time, data, accuracy = np.asarray(run.time), run.dataset(path), run.accuracy
+    peaks = Peaks.of(time, data, magnitude)
+    if accuracy is None:
+        return _Quantity(name, unit, peaks, None, np.full(len(peaks.value), np.nan), math.nan)
+    count = accuracy.rows_known
+    errors = accuracy.reaction_error if name == "force" else accuracy.torque_error
+    error = errors[count - 1] if count else np.full(len(peaks.value), np.nan)
+    until = math.inf if accuracy.is_complete else accuracy.known_until if count else -math.inf
+    known = peaks if accuracy.is_complete else Peaks.of(time[:count], data, magnitude)
+    return _Quantity(name, unit, peaks, known if count else None, error, until)
+
+
+def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Sequence[_Quantity], floor: float) -> Table:
+    """Return the table of some of the joints, of many those with the largest forces, with the power of drivers."""
+    most = np.nan_to_num(np.max(np.stack([one.peaks.value for one in found]), axis=0), nan=np.inf)
+    chosen = sorted(sorted(columns, key=lambda column: -most[column])[:ROWS])
+    used = [one for one in found if any(one.peaks.value[column] > floor for column in chosen)]
+    headings = [Column("driver" if name == "drivers" else "joint"), Column("between")]
+    headings += [column for one in used for column in one.columns()]
+    power = None
+    if name == "drivers" and run.records("joints/driver_power"):
+        power = Peaks.of(np.asarray(run.time), run.dataset("joints/driver_power"))
+        headings += [Column("largest power", "W"), Column("time of the power", "s")]
+    rows: list[tuple[Cell, ...]] = []
+    joints = list(run.joints.values()) if chosen else []
+    for column in chosen:
+        cells: list[Cell] = [joints[column].name, " - ".join(joints[column].bodies)]
+        for one in used:
+            cells += one.cells(column, floor)
+        if power is not None:
+            cells += [float(power.value[column]), float(power.time[column])]
+        rows.append(tuple(cells))
+    left = len(columns) - len(chosen)
+    note = f"The {ROWS} of {len(columns)} joints with the largest forces or torques." if left else ""
+    if run.accuracy is not None and used:
+        note = f"{note} Errors are estimated by companion runs.".strip()
+    return Table(name, title, tuple(headings), tuple(rows), note)
+
+
+def _of_forces(run: Run) -> Table:
+    """Return the table of the largest force, torque and power of each force element."""
+    time = np.asarray(run.time)
+    value, power = (Peaks.of(time, run.dataset(f"forces/{name}")) for name in ("value", "power"))
+    forces = list(run.forces.values())
+    units = [unit for unit in ("N", "N m") if any(force.units == unit for force in forces)]
+    columns = [Column("force element"), Column("between")]
+    for unit in units:
+        word = "force" if unit == "N" else "torque"
+        columns += [Column(f"largest {word}", unit), Column(f"time of the {word}", "s")]
+    columns += [Column("largest power", "W"), Column("time of the power", "s")]
+    chosen = sorted(np.argsort(-np.nan_to_num(value.value, nan=np.inf), kind="stable")[:ROWS].tolist())
+    rows: list[tuple[Cell, ...]] = []
+    for column in chosen:
+        force = forces[column]
+        cells: list[Cell] = [force.name, " - ".join(force.bodies)]
+        for unit in units:
+            own = force.units == unit
+            cells += [float(value.value[column]), float(value.time[column])] if own else [None, None]
+        rows.append((*cells, float(power.value[column]), float(power.time[column])))
+    left = len(forces) - len(rows)
+    note = f"The {ROWS} of {len(forces)} force elements with the largest values." if left else ""
+    return Table("forces", "Force elements", tuple(columns), tuple(rows), note)

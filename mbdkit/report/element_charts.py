@@ -1,0 +1,128 @@
+"""Charts of a run's report that no kind of plot has: components in the frames of bodies, force elements, markers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.analysis.verdict import Axis, Figure, Line
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.plot.downsampling import bands, evenly
+from mbdkit.plot.drawing_geometry import draw_spec
+from mbdkit.plot.pose import body_colors
+from mbdkit.plot.style import INK, PALETTE
+from mbdkit.report.answer_section import ROUND_OFF, Peaks
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+LINES = len(PALETTE)
+"""Largest number of curves in a chart, those with the largest values."""
+COMPONENTS = 4
+"""Largest number of joints whose components are shown, those with the largest forces."""
+_POINTS = 1_000
+_PATH_ROWS = 2_000
+_TIME = Axis("time", "s")
+_SIDES = (("first", "joints/reaction_force_first"), ("second", "joints/reaction_force_second"))
+
+
+def component_charts(run: Run) -> list[Figure]:
+    """Return a chart of the force components in the frames of both bodies for each of the joints with large forces."""
+    if not all(run.records(path) for _, path in _SIDES):
+        return []
+    time, data = np.asarray(run.time), run.dataset("joints/reaction_force")
+    peaks = np.nan_to_num(Peaks.of(time, data, lambda f: np.hypot(f[..., 0], f[..., 1])).value)
+    most = np.argsort(-peaks, kind="stable")[:COMPONENTS].tolist()
+    colors = dict(zip(run.bodies, body_colors(draw_spec(run.spec, tuple(run.bodies))), strict=True)) | {GROUND: INK}
+    joints = list(run.joints.values())
+    return [_components(run, joints[k], colors) for k in sorted(most) if peaks[k] > ROUND_OFF * peaks[most[0]]]
+
+
+def _components(run: Run, joint: Any, colors: dict[str, str]) -> Figure:
+    lines = []
+    for body, (_, path) in zip(joint.bodies, _SIDES, strict=True):
+        curves = bands(np.asarray(run.time), run.column(path, joint.index, slice(0, 2)), points=_POINTS)
+        frame = "global {}" if body == GROUND else f"{{}} of {body}"
+        color = colors.get(body, "")
+        lines += [Line(frame.format(axis), *curves.curve(k), color=color, group=body) for k, axis in enumerate("xy")]
+    caption = (
+        f"Components of the force of {joint.bodies[0]} on {joint.bodies[1]} along the axes that are fixed to each body."
+    )
+    title = f"Force in {joint.name}, in the frames of its bodies"
+    return Figure(f"components-{joint.index + 1}", title, caption, _TIME, Axis("force component", "N"), tuple(lines))
+
+
+def force_charts(run: Run) -> list[Figure]:
+    """Return charts of the forces and of the torques of force elements."""
+    if not run.records("forces/value"):
+        return []
+    units = [force.units for force in run.forces.values()]
+    names = list(run.forces)
+    force = "Tension of springs and dampers, positive where it pulls, and magnitude of loads."
+    torque = "Torque on the second body of each element, positive counter-clockwise."
+    found = []
+    for unit, word, caption in (("N", "force", force), ("N m", "torque", torque)):
+        lines = _lines(run, "forces/value", names, [column for column, own in enumerate(units) if own == unit])
+        if lines:
+            title = f"{word.capitalize()}s of the force elements"
+            found.append(Figure(f"element-{word}s", title, caption, _TIME, Axis(word, unit), lines))
+    return found
+
+
+def power_charts(run: Run) -> list[Figure]:
+    """Return the chart of the power of the drivers."""
+    if not run.records("joints/driver_power"):
+        return []
+    lines = _lines(run, "joints/driver_power", run.joint_names, range(len(run.joint_names)))
+    caption = "Power that each driver supplies to the mechanism."
+    chart = Figure("driver-power", "Power of the drivers", caption, _TIME, Axis("power", "W"), lines)
+    return [chart] if lines else []
+
+
+def angle_charts(run: Run) -> list[Figure]:
+    """Return charts of the relative angles of the joints, and of the travels of slides."""
+    if not run.records("joints/angle"):
+        return []
+    units = [joint.angle_units for joint in run.joints.values()]
+    found = []
+    for unit, name, title, axis in (
+        ("rad", "joint-angles", "Angles of the joints", "angle"),
+        ("m", "travels", "Travels of the slides", "travel"),
+    ):
+        chosen = [column for column, own in enumerate(units) if own == unit]
+        lines = _lines(run, "joints/angle", run.joint_names, chosen)
+        if lines:
+            caption = "Of the second body of each joint relative to the first."
+            found.append(Figure(name, title, caption, _TIME, Axis(axis, unit), lines))
+    return found
+
+
+def marker_charts(run: Run) -> list[Figure]:
+    """Return the chart of the paths of the markers."""
+    if not run.records("markers/position"):
+        return []
+    rows = evenly(len(run.time), _PATH_ROWS)
+    lines = []
+    for marker in list(run.markers.values())[:LINES]:
+        x, y = np.where(np.isfinite(marker.position[rows]), marker.position[rows], np.nan).T
+        lines.append(Line(marker.name, x, y))
+    if not lines:
+        return []
+    caption = "Paths of the markers in the plane."
+    return [
+        Figure("markers", "Paths of the markers", caption, Axis("x", "m"), Axis("y", "m"), tuple(lines), equal=True)
+    ]
+
+
+def _lines(run: Run, path: str, names: Any, chosen: Any) -> tuple[Line, ...]:
+    """Return lines of the chosen columns of an array, of many those with the largest values; none if all are zero."""
+    columns = list(chosen)
+    time, data = np.asarray(run.time), run.dataset(path)
+    peaks = np.nan_to_num(Peaks.of(time, data).value[columns]) if columns else np.zeros(0)
+    order = np.argsort(-peaks, kind="stable")[:LINES]
+    shown = sorted(columns[place] for place in order if peaks[place] > 0)
+    if not shown:
+        return ()
+    curves = bands(time, data, points=_POINTS)
+    return tuple(Line(names[column], *curves.curve(column)) for column in shown)

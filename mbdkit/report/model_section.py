@@ -1,0 +1,210 @@
+"""What was modelled: a drawing with names, and tables of bodies, joints, force elements, markers and parameters."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.analysis.verdict import Cell, Column, Table
+from mbdkit.mechanism.parameters import parameter_values
+from mbdkit.mechanism.values import Table as TimeTable
+from mbdkit.plot.downsampling import take
+from mbdkit.plot.quantity_text import count
+from mbdkit.report.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown
+from mbdkit.report.section import Drawing, Section
+from mbdkit.text import listed
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit.mechanism.mechanism import Mechanism
+
+ROWS = 200
+"""Largest number of bodies, joints or force elements in a table."""
+_TIMES = 400  # recorded times at which loads are evaluated for the drawing
+_PLACE = {"type", "bodies", "body", "reaction_body", "points", "point", "at", "from_", "to", "pathway", "law", "value"}
+_PLACE |= {"motion", "frame"}
+"""Fields of elements that say where they are, or that are described in other words."""
+
+
+def model_section(run: Run, mechanism: Mechanism | None) -> Section:
+    """Return the section on the mechanism of a run that has rows.
+
+    Parameters
+    ----------
+    mechanism
+        The mechanism of its spec; None if its model is not available.
+    """
+    pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))[0]
+    times = np.asarray(run.time)[:: max(1, len(run.time) // _TIMES)]
+    shown = NamedPose.of(mechanism, list(run.bodies), pose, times)
+    tables = [_bodies(shown)]
+    if shown.mechanism is not None:
+        tables += [_joints(shown), _forces(shown.mechanism), _markers(shown), _parameters(run.spec)]
+    return Section(
+        "model",
+        "What was modelled",
+        (_sentence(run, shown),),
+        _drawing(shown),
+        tuple(table for table in tables if table.rows),
+    )
+
+
+def _sentence(run: Run, shown: NamedPose) -> str:
+    mechanism = shown.mechanism
+    if mechanism is None:
+        name = run.spec["model"]["name"]
+        return f"The model {name} is not installed here, so only what the archive holds is shown."
+    drivers = sum(joint.is_driver for joint in mechanism.joints.values())
+    parts = [count(len(mechanism.bodies), "body", "bodies"), count(len(mechanism.joints) - drivers, "joint")]
+    parts += [count(drivers, "driver")] * bool(drivers)
+    parts += [count(len(mechanism.forces), "force element")] * bool(mechanism.forces)
+    x, y = mechanism.gravity
+    gravity = f"Gravity is ({x:g}, {y:g}) m/s²." if x or y else "There is no gravity."
+    mass = sum(body.mass for body in mechanism.bodies.values())
+    what = f"A planar mechanism of {listed(parts, 'and')}, with a mass of {mass:.4g} kg. {gravity}"
+    return f"{what} Positions in the tables are global, at the start."
+
+
+def _drawing(shown: NamedPose) -> Drawing:
+    elements = shown.mechanism
+    names = list(shown.drawing.bodies)
+    if elements is not None:
+        names += [*elements.joints, *elements.forces, *elements.markers]
+    description = "Drawing of the mechanism"
+    caption = f"The mechanism at t = {shown.times[0]:.6g} s."
+    if names_shown(shown):
+        description += f" with the names {listed(names, 'and')}"
+        caption += " Bodies have the colours that they have in the animation."
+    else:
+        caption += " It has too many elements to name them all here; the tables list them."
+    return Drawing(mechanism_svg(shown, WIDE), mechanism_svg(shown, NARROW), description, caption)
+
+
+def _limited(name: str, title: str, columns: Sequence[Column], rows: list[tuple[Cell, ...]]) -> Table:
+    note = f"The first {ROWS} of {len(rows):,}." if len(rows) > ROWS else ""
+    return Table(name, title, tuple(columns), tuple(rows[:ROWS]), note)
+
+
+def _bodies(shown: NamedPose) -> Table:
+    known = {} if shown.mechanism is None else shown.mechanism.bodies
+    rows: list[tuple[Cell, ...]] = []
+    for name, (_, _, angle) in zip(shown.drawing.bodies, shown.pose.tolist(), strict=True):
+        body = known.get(name)
+        centre = shown.place(name, (0.0, 0.0)).tolist()
+        rows.append((name, *((body.mass, body.inertia) if body else ()), *centre, angle))
+    columns = [Column("body"), *([Column("mass", "kg"), Column("moment of inertia", "kg m²")] if known else [])]
+    columns += [Column("x", "m"), Column("y", "m"), Column("angle", "rad")]
+    return _limited("bodies", "Bodies", columns, rows)
+
+
+def _joints(shown: NamedPose) -> Table:
+    assert shown.mechanism is not None
+    rows: list[tuple[Cell, ...]] = []
+    for name, joint in shown.mechanism.joints.items():
+        held = joint.attachments()
+        place: tuple[Cell, Cell] = (None, None)
+        if held:
+            x, y = shown.place(*held[-1][1:]).tolist()
+            place = (x, y)
+        rows.append((name, joint.type, _between(joint.bodies), *place, _joint_details(joint)))
+    columns = [Column("joint"), Column("type"), Column("between"), Column("x", "m")]
+    columns += [Column("y", "m"), Column("data")]
+    if not any(row[-1] for row in rows):
+        rows, columns = [row[:-1] for row in rows], columns[:-1]
+    return _limited("model-joints", "Joints and drivers", columns, rows)
+
+
+def _forces(mechanism: Mechanism) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    force: Any
+    for name, force in mechanism.forces.items():
+        load = getattr(force, "load", None)
+        between = _between(force.pathway.bodies if load is None else (load.reaction_body, load.body))
+        kind = f"{force.type}: {force.law}" if force.type == "law" else force.type
+        rows.append((name, kind, between, _force_details(force)))
+    columns = (Column("force element"), Column("type"), Column("between"), Column("data"))
+    return _limited("model-forces", "Springs, dampers and loads", columns, rows)
+
+
+def _markers(shown: NamedPose) -> Table:
+    assert shown.mechanism is not None
+    rows: list[tuple[Cell, ...]] = []
+    for name, marker in shown.mechanism.markers.items():
+        x, y = shown.place(marker.body, marker.held).tolist()
+        rows.append((name, marker.body, *marker.held, x, y))
+    columns = [Column("marker"), Column("body"), Column("x in its frame", "m"), Column("y in its frame", "m")]
+    columns += [Column("x", "m"), Column("y", "m")]
+    return _limited("markers", "Markers", columns, rows)
+
+
+def _parameters(spec: Mapping[str, Any]) -> Table:
+    given = spec.get("parameters") or {}
+    values = parameter_values(given)
+    rows: list[tuple[Cell, ...]] = [
+        (name, text if isinstance(text, str) else None, values[name]) for name, text in given.items()
+    ]
+    columns = [Column("parameter"), Column("expression"), Column("value")]
+    return _limited("parameters", "Parameters", columns, rows)
+
+
+def _between(bodies: tuple[str, str]) -> str:
+    return " - ".join(bodies)
+
+
+def _joint_details(joint: Any) -> str:
+    if joint.is_driver:
+        return f"{joint.coordinate} = {_motion(joint.motion)} {joint.coordinate_unit}"
+    told = []
+    if getattr(joint, "length", None) is not None:
+        told.append(f"length {joint.length:.6g} m")
+    if getattr(joint, "axis", None) is not None:
+        told.append("axis ({:.4g}, {:.4g})".format(*joint.direction))
+    if getattr(joint, "angle", None) is not None:
+        told.append(f"angle {joint.angle:.6g} rad")
+    return ", ".join(told)
+
+
+def _force_details(force: Any) -> str:
+    load = getattr(force, "load", None)
+    if load is None:
+        return ", ".join(_options(force))
+    if load.kind == "torque":
+        return f"{_motion(load.values[0])} N m"
+    frame = "of the body" if load.kind == "body_force" else "global"
+    where = "({:.4g}, {:.4g}) m".format(*load.point)
+    return f"({_motion(load.values[0])}, {_motion(load.values[1])}) N, {frame} frame, at {where} of {load.body}"
+
+
+def _options(force: Any) -> list[str]:
+    """Return the options of a spring, damper or force law that are not zero, with units where these are known."""
+    told = []
+    for name, field in type(force).model_fields.items():
+        value = getattr(force, name)
+        if name in _PLACE or value is None or value == 0:
+            continue
+        words = [name.replace("_", " "), _motion(value)]
+        if isinstance(value, float):
+            words.append(_described_unit(field.description or "", force.pathway.length_unit))
+        told.append(" ".join(filter(None, words)))
+    return told
+
+
+def _described_unit(description: str, along: str) -> str:
+    """Return the unit in a description, such as ``[N/m]``; of two, ``[N/m or N m/rad]``, that of the length."""
+    found = re.search(r"\[([^\]]+)\]", description)
+    if found is None:
+        return ""
+    units = re.split(r",? or ", found[1])
+    return units[-1] if along == "rad" else units[0]
+
+
+def _motion(value: Any) -> str:
+    """Return a function of time, or another option, as text."""
+    if isinstance(value, TimeTable):
+        return f"table of {len(value.table[0])} points ({value.interpolation})"
+    if isinstance(value, tuple) and value and isinstance(value[0], tuple):
+        return f"of {len(value[0])} points"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,110 @@
+"""The first section of a report: the drawing with names, and the tables of the model."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.report.label_placement import LINE, Name, place_names
+from mbdkit.report.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown
+from mbdkit.report.run_report import run_report
+from mbdkit.spec import example_names, load_spec
+from tests.linkages import driven_wheel
+
+
+def start(mechanism):
+    """Return what to draw of a mechanism at its initial position."""
+    pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
+    return NamedPose.of(mechanism, list(mechanism.bodies), pose, np.array([0.0, 1.0]))
+
+
+def texts(svg):
+    return re.findall(r"<text[^>]*>([^<]*)</text>", svg)
+
+
+@pytest.mark.parametrize("name", sorted(example_names()))
+@pytest.mark.parametrize("width", [WIDE, NARROW])
+def test_every_element_of_an_example_is_named_once(name, width):
+    mechanism = load_spec(name).mechanism()
+    shown = start(mechanism)
+    if not names_shown(shown):
+        return
+    found = texts(mechanism_svg(shown, width))
+    for known in (mechanism.bodies, mechanism.joints, mechanism.forces, mechanism.markers):
+        assert all(found.count(word) >= 1 for word in known)
+    named = [*mechanism.bodies, *mechanism.joints, *mechanism.forces, *mechanism.markers]
+    assert len(found) == len(named) + 1 + bool(any(mechanism.gravity))  # the scale and g
+
+
+def test_names_keep_clear_of_each_other_of_lines_and_of_the_edge():
+    corner = np.array([[5.0, 5.0]])
+    names = [Name(f"joint {k}", "joint", corner) for k in range(6)]
+    line = np.stack([np.linspace(0.0, 200.0, 50), np.full(50, 25.0)], axis=-1)
+    placed = place_names(names, line, 300.0, 200.0)
+    boxes = [(one.left, one.top, one.left + one.name.width, one.top + LINE) for one in placed]
+    for number, (left, top, right, bottom) in enumerate(boxes):
+        assert left >= 0
+        assert top >= 0
+        assert not np.any((line[:, 0] > left) & (line[:, 0] < right) & (line[:, 1] > top) & (line[:, 1] < bottom))
+        for other in boxes[:number]:
+            assert left >= other[2] or right <= other[0] or top >= other[3] or bottom <= other[1]
+
+
+def test_long_and_hostile_names_are_cut_and_escaped():
+    m = mbdkit.Mechanism()
+    m.body("<script>" + 300 * "x", mass=1.0, inertia=1.0)
+    svg = mechanism_svg(start(m), WIDE)
+    assert "<script" not in svg
+    assert max(map(len, texts(svg))) < 40
+
+
+def test_the_arrow_of_a_load_points_where_the_force_does():
+    # expected: of a force (3, 4) N, the arrow runs to the right by three fifths of its length, and upwards (down the
+    # SVG's axis) by four fifths
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    m.body("block", mass=1.0, inertia=1.0)
+    m.force("push", "block", value=("3*t", "4*t"))
+    svg = mechanism_svg(start(m), WIDE)
+    x0, y0, x1, y1 = map(float, re.search(r'class="load" d="M([\d.]+) ([\d.]+)L([\d.]+) ([\d.]+)"', svg).groups())
+    length = math.dist((x0, y0), (x1, y1))
+    assert ((x1 - x0) / length, (y0 - y1) / length) == pytest.approx((0.6, 0.8), abs=0.01)
+
+
+def test_the_tables_say_what_the_spec_says():
+    m = driven_wheel()
+    m.marker("rim", "wheel", point=(0.0, 0.5))
+    with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.01}) as run:
+        section = run_report(run).sections[0]
+    tables = {table.name: table for table in section.tables}
+    assert tables["bodies"].rows == (("wheel", 1.0, 0.5, 0.3, 0.0, 0.0),)
+    assert [row[:3] for row in tables["model-joints"].rows] == [
+        ("hub", "revolute", "ground - wheel"),
+        ("motor", "driver", "ground - wheel"),
+    ]
+    assert tables["model-joints"].rows[1][-1] == "angle = sin(2*t) rad"
+    assert [row[-1] for row in tables["model-forces"].rows] == ["stiffness 3 N m/rad", "stiffness 5 N/m"]
+    assert tables["markers"].rows == (("rim", "wheel", 0.0, 0.5, 0.3, 0.5),)
+    assert section.sentences[0].startswith("A planar mechanism of 1 body, 1 joint, 1 driver and 2 force elements")
+
+
+def test_parameters_are_listed_with_their_values():
+    with mbdkit.run("quick-return", time={"end": 0.02, "step": 0.01}) as run:
+        tables = {table.name: table for table in run_report(run).sections[0].tables}
+    rows = {row[0]: row[1:] for row in tables["parameters"].rows}
+    assert rows["crank"] == (None, 0.1)
+    assert rows["start"] == ("degrees(60)", pytest.approx(math.pi / 3))
+
+
+def test_without_its_plugin_a_run_shows_what_its_archive_holds(make_run):
+    document = run_report(make_run(model={"name": "acme:crane"}))
+    section = document.sections[0]
+    assert section.sentences == (
+        "The model acme:crane is not installed here, so only what the archive holds is shown.",
+    )
+    assert [table.name for table in section.tables] == ["bodies"]
+    assert [len(row) for row in section.tables[0].rows] == [4, 4]
+    assert {"rod1", "rod2"} <= set(texts(section.drawing.wide))
