@@ -35,6 +35,7 @@ from mbdkit.errors import MbdkitError, ResourceError, RunError, SpecError
 from mbdkit.trust.criteria import LEVELS, Level
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
 
 #: Arrays larger than this are not cached, and are read column by column.
@@ -566,6 +567,29 @@ class Run:
 
         with reading("its contents", self.path):
             return to_datatree(self.file, self._whole_rows if self.status == "running" else {})
+
+    def to_frame(self, group: str) -> pandas.DataFrame:
+        """Return a group of the archive as a table with one row for each recorded time.
+
+        Columns are named as quantities in expressions of events, such as ``knee.force_x`` [N], ``foot.vy`` [m/s] or
+        ``kinetic`` [J]. The index is the time [s]; ``frame.attrs["units"]`` maps the names to units.
+
+        Parameters
+        ----------
+        group
+            ``trajectory``, ``joints``, ``forces``, ``markers``, ``constraints``, ``energy``, ``steps``, ``events`` or
+            ``accuracy``.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such group.
+        MbdkitError
+            If pandas is not installed, or the run did not record the group.
+        """
+        from mbdkit.archive.data_frame import to_frame
+
+        return to_frame(self, group)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write the archive to a file, byte for byte.
