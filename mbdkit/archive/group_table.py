@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -99,7 +99,8 @@ class GroupTable:
         paths = dict.fromkeys(column.array.path for column in self.columns)
         with reading(self.group, self.run.path):
             values = {path: _values(self.run.dataset(path), rows) for path in paths}
-        return [values[column.array.path][(slice(None), *column.at)] for column in self.columns]
+        every: tuple[Any, ...] = (slice(None),)
+        return [values[column.array.path][every + column.at] for column in self.columns]
 
     def blocks(self) -> Iterator[tuple[np.ndarray, list[np.ndarray]]]:
         """Yield times and values of the columns in blocks of rows that fit in memory."""

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
+    from mbdkit.plot.run_plots import RunPlots
+
 #: Arrays larger than this are not cached, and are read column by column.
 KEEP_BYTES = 1 << 28
 
@@ -535,6 +537,13 @@ class Run:
         why = f": {reason}" if reason else ""
         raise RunError(f"the run {'failed' if self.status == 'failed' else 'was interrupted'}{why}")
 
+    @property
+    def plot(self) -> RunPlots:
+        """Plots of the run on Matplotlib axes, such as ``run.plot.reactions(joints=["knee"])``."""
+        from mbdkit.plot.run_plots import RunPlots  # an import of a higher layer, for convenience
+
+        return RunPlots(self)
+
     def summary(self) -> str:
         """Return a summary of the run as a few lines of plain text.
 
@@ -544,7 +553,7 @@ class Run:
         >>> print(mbdkit.run("pendulum", time={"end": 1.0, "step": 0.01}).summary().splitlines()[0])
         verdict       unknown: nothing suspicious seen; error not estimated
         """
-        from mbdkit.archive.run_summary import summary  # the only import of a higher layer, for convenience
+        from mbdkit.archive.run_summary import summary
 
         return summary(self)
 

@@ -22,11 +22,6 @@ from mbdkit.text import csv_cell, shown
 MATLAB_LENGTH = 63
 """Longest name of a variable in MATLAB (``namelengthmax``)."""
 
-_MATLAB_WORDS = frozenset(
-    "break case catch classdef continue else elseif end for function global if otherwise parfor persistent return spmd "
-    "switch try while".split()
-)
-
 
 def write_csv(table: GroupTable, path: Path) -> None:
     """Write comma-separated values in UTF-8: one line with names and units, such as ``knee.force_x [N]``, then rows.
@@ -157,7 +152,7 @@ def _matlab_names(names: Iterable[str]) -> list[str]:
     found = []
     for name in names:
         word = re.sub(r"[^A-Za-z0-9_]", "_", name)
-        if not word[:1].isalpha() or word in _MATLAB_WORDS:
+        if not word[:1].isalpha():
             word = f"x{word}"
         found.append(word)
     return _distinct(found, MATLAB_LENGTH, taken=("units", "names"))

@@ -1,1 +1,25 @@
-"""Plots and videos of runs, drawn by Matplotlib from recorded data."""
+"""Plots and videos of runs, drawn by Matplotlib from recorded data; `compare` draws several runs in one pair of axes.
+
+Matplotlib is imported on first use.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mbdkit.plot.comparison import compare
+
+__all__ = ["compare"]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "compare":
+        from mbdkit.plot.comparison import compare
+
+        return compare
+    raise AttributeError(f"module 'mbdkit.plot' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__
