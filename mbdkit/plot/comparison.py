@@ -94,7 +94,7 @@ def comparison(
         require_rows(run)
     names = list(labels) if labels is not None else differences(runs)
     if len(names) != len(runs):
-        raise SpecError(f"there are {counted(len(names), 'label')} for {counted(len(runs), 'run')}")
+        raise SpecError(f"there are {counted(len(runs), 'run')}, but {counted(len(names), 'label')}")
     if len(runs) == 1:
         return module.chart(runs[0], **options), ""
     first = module.chart(runs[0], **options, most=max(1, _LINES // len(runs)))
