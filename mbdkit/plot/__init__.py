@@ -5,7 +5,7 @@ Matplotlib is imported on first use.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from mbdkit.plot.comparison import compare
@@ -13,12 +13,14 @@ if TYPE_CHECKING:
 __all__ = ["compare"]
 
 
-def __getattr__(name: str) -> Any:
-    if name == "compare":
-        from mbdkit.plot.comparison import compare
+if not TYPE_CHECKING:  # type checkers know the name above, and nothing else
 
-        return compare
-    raise AttributeError(f"module 'mbdkit.plot' has no attribute {name!r}")
+    def __getattr__(name):
+        if name == "compare":
+            from mbdkit.plot.comparison import compare
+
+            return compare
+        raise AttributeError(f"module 'mbdkit.plot' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
