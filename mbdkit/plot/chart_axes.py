@@ -41,7 +41,10 @@ def draw_on(axes: Axes | None, chart: Figure, legend_title: str = "", *, vary_da
     vary_dashes
         Whether lines of different colours have different dashes, too, so that lines which coincide are seen.
     """
-    axes = new_axes() if axes is None else axes
+    if axes is None:
+        axes = draw_on(new_axes(), chart, legend_title, vary_dashes=vary_dashes)
+        settle_layout(axes)
+        return axes
     axes.set_xlabel(axis_title(chart.x))
     axes.set_ylabel(axis_title(chart.y))
     if chart.y.log:
@@ -62,6 +65,12 @@ def draw_on(axes: Axes | None, chart: Figure, legend_title: str = "", *, vary_da
         for label in axes.legend(title=legend_title or None).get_texts():
             label.set_parse_math(False)
     return axes
+
+
+def settle_layout(axes: Axes) -> None:
+    """Adjust the limits of axes with equal scales, whose tick labels the layout of the next drawing then allows for."""
+    if axes.get_aspect() != "auto":
+        axes.figure.draw_without_rendering()  # type: ignore[union-attr]
 
 
 def _draw_lines(axes: Axes, chart: Figure, vary_dashes: bool) -> None:

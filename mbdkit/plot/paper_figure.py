@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mbdkit.errors import SpecError
-from mbdkit.plot.chart_axes import draw_on
+from mbdkit.plot.chart_axes import draw_on, settle_layout
 from mbdkit.plot.comparison import comparison
 from mbdkit.plot.style import GRID, INK, PALETTE, PAPER
 
@@ -97,6 +97,7 @@ def paper_figure(runs: Sequence[Run], kind: str, size: tuple[float, float] | Non
         FigureCanvasAgg(figure)
         draw_on(figure.add_subplot(), chart, heading, vary_dashes=len(runs) > 1)
         _legend_above(figure, width, heading)
+        settle_layout(figure.axes[0])
     return figure
 
 
