@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from mbdkit.mechanism import higher_layers
 
 if TYPE_CHECKING:
+    from mbdkit import plot
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
@@ -68,6 +69,7 @@ __all__ = [
     "load",
     "load_study",
     "modes",
+    "plot",
     "run",
     "study",
 ]
@@ -120,6 +122,8 @@ if not TYPE_CHECKING:  # type checkers know the names above, and nothing else
             from importlib.metadata import version
 
             value = version("mbdkit")
+        elif name == "plot":
+            value = importlib.import_module("mbdkit.plot")
         elif name in _HOME:
             value = getattr(importlib.import_module(_HOME[name]), name)
         else:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
@@ -28,6 +29,7 @@ from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.interrupts import interrupts_noted
+from mbdkit.logs import logger_of
 from mbdkit.methods.kinds import Method
 from mbdkit.provenance import provenance
 from mbdkit.recorded_columns import ObservedRows
@@ -57,13 +59,21 @@ if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
 
 Progress = Callable[[float, float], None]
+"""Called with the time reached and the end time [s]; see `run`."""
+
+_LOG = logger_of(__name__)
 
 _FINAL = ("wall-time", "max-steps", "plugin-error")
 """Failures that smaller steps do not avoid."""
 
 
 def run(
-    source: RunSource, *, archive: str | Path | None = None, overwrite: bool = False, **sections: Unpack[Sections]
+    source: RunSource,
+    *,
+    archive: str | Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    **sections: Unpack[Sections],
 ) -> Run:
     """Run a spec.
 
@@ -75,6 +85,10 @@ def run(
         File to which results are written during the run; by default, they are kept in memory.
     overwrite
         Whether an existing archive may be replaced.
+    progress
+        Called with the time reached and the end time [s], several times per second; companion runs of a check begin
+        again at the start. If it raises KeyboardInterrupt, the run ends as by Ctrl-C, with the status ``interrupted``.
+        After any other exception, the archive is removed, and the exception is raised.
     **sections
         Sections of the spec, such as ``integrator={"name": "gauss", "stages": 2}``; they replace those of `source`.
 
@@ -100,7 +114,7 @@ def run(
     True
     """
     spec = load_spec(source, (), **sections)
-    return simulate(spec, path=None if archive is None else Path(archive), overwrite=overwrite)
+    return simulate(spec, path=None if archive is None else Path(archive), overwrite=overwrite, progress=progress)
 
 
 def simulate(
@@ -120,13 +134,15 @@ def simulate(
     overwrite
         Whether an existing archive may be replaced.
     progress
-        Called with (time reached, end time) [s] several times per second.
+        As for `run`.
     notify
         Called with a message before long operations, such as the first compilation after installation.
     """
     begin = time.perf_counter()
     if path is not None:
         check_target(path, overwrite=overwrite)
+    method = "a method to be chosen" if spec.choose == "method" else spec.integrator_item.id
+    _LOG.info("run %s begins: %s with %s", spec.run_id(), spec.model_item.id, method)
     prepare = partial(_prepared, path=path, overwrite=overwrite, notify=notify, begin=begin)
     if spec.is_to_be_chosen:
         return _with_accuracy(spec, prepare, notify, progress)
@@ -192,12 +208,11 @@ def _prepared(
     method = make_method(spec)
     check_jumps(spec)
     cautions = caution(spec, method)
-    for warning in cautions:
-        notify(f"warning: {warning}")
+    _warn(cautions, notify)
     workspace, start = build(spec, notify)
     moves = start_warnings(spec, start)
-    for warning in moves:
-        notify(f"warning: {warning}")
+    _warn(moves, notify)
+    _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
     check_disk_space(spec, workspace.mechanism, path)
     noted: list[bool] = []
     with interrupts_noted(lambda: noted.append(True)):  # an archive that nobody knows of could not be removed
@@ -222,18 +237,57 @@ def _prepared(
     return simulation
 
 
+def _warn(warnings: Iterable[str], notify: Callable[[str], None]) -> None:
+    """Tell and log warnings about a run."""
+    for warning in warnings:
+        notify(f"warning: {warning}")
+        _LOG.warning("%s", shown(warning))
+
+
 @contextmanager
 def _finished_or_abandoned(simulation: _Simulation) -> Iterator[_Simulation]:
     """Remove the archive of a simulation that is not finished; handle Ctrl-C by ending the run."""
-
-    def note() -> None:
-        simulation.interrupted = True
-
     try:
-        with interrupts_noted(note):
+        with interrupts_noted(simulation.interrupt):
             yield simulation
+    except BaseException as error:
+        _LOG.warning("run %s is abandoned: %s", simulation.spec.run_id(), one_line(error))
+        raise
     finally:
         simulation.writer.abandon()
+
+
+class _Told:
+    """Calls the callback of a user; if it raises an exception, the run is stopped and the callback not called again.
+
+    Parameters
+    ----------
+    stop
+        Stops the run, as Ctrl-C does.
+
+    Attributes
+    ----------
+    error
+        The exception, unless it was KeyboardInterrupt.
+    """
+
+    def __init__(self, progress: Progress, stop: Callable[[], None]):
+        self.progress, self.stop = progress, stop
+        self.stopped, self.error = False, None
+
+    error: Exception | None
+
+    def __call__(self, reached: float, end: float) -> None:
+        if self.stopped:
+            return
+        try:
+            self.progress(reached, end)
+        except KeyboardInterrupt:
+            self.stopped = True
+        except Exception as error:
+            self.stopped, self.error = True, error
+        if self.stopped:
+            self.stop()
 
 
 class _Simulation:
@@ -263,7 +317,8 @@ class _Simulation:
             self.recorder.kept = []
 
     def integrate(self, progress: Progress | None) -> None:
-        """Record the initial state, integrate to the end, and check the accuracy."""
+        """Record the initial state, integrate to the end, and check the accuracy; raise what `progress` raises."""
+        told = None if progress is None else _Told(progress, self.interrupt)
         self.record_start()
         with self._blaming_the_plugin():
             if self.failure is None:
@@ -271,7 +326,7 @@ class _Simulation:
         setup = time.perf_counter() - self.begin
         wall, cpu = time.perf_counter(), time.process_time()
         if self.stepper is not None:
-            self.advance(self.stepper, progress, wall)
+            self.advance(self.stepper, told, wall)
         self.timings = {
             "setup_s": setup,
             "wall_s": time.perf_counter() - wall,
@@ -280,7 +335,13 @@ class _Simulation:
         if isinstance(self.stepper, Replay):  # its steps were taken before
             self.timings["wall_s"] += self.stepper.wall
             self.timings["cpu_s"] += self.stepper.cpu
-        self.check_accuracy(progress)
+        self.check_accuracy(told)
+        if told is not None and told.error is not None:
+            raise told.error
+
+    def interrupt(self) -> None:
+        """Stop the run after the current stretch."""
+        self.interrupted = True
 
     @property
     def is_settled(self) -> bool:
@@ -398,6 +459,12 @@ class _Simulation:
             position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)
             errors = estimated_errors(self.recorder, self.accuracy, position, missed)
         judgement = judge(evidence, errors)
+        told = f"{status}: {reason.removeprefix('interrupted: ')}" if reason else status
+        _LOG.log(
+            logging.WARNING if status == "failed" else logging.INFO,
+            "run %s ends: %s, verdict %s", self.spec.run_id(), told, judgement.level,
+        )  # fmt: skip
+        _LOG.debug("counters: %s; timings: %s", counters, self.timings)
         file = self.writer.finish(
             status,
             reason,

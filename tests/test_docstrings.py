@@ -16,6 +16,8 @@ MODULES = (
     "mechanics.modes",
     "mechanism.mechanism",
     "methods.tableau",
+    "plot.comparison",
+    "plot.run_plots",
     "simulation",
     "studies.study",
 )

@@ -35,7 +35,10 @@ from mbdkit.errors import MbdkitError, ResourceError, RunError, SpecError
 from mbdkit.trust.criteria import LEVELS, Level
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
+
+    from mbdkit.plot.run_plots import RunPlots
 
 #: Arrays larger than this are not cached, and are read column by column.
 KEEP_BYTES = 1 << 28
@@ -534,6 +537,13 @@ class Run:
         why = f": {reason}" if reason else ""
         raise RunError(f"the run {'failed' if self.status == 'failed' else 'was interrupted'}{why}")
 
+    @property
+    def plot(self) -> RunPlots:
+        """Plots of the run on Matplotlib axes, such as ``run.plot.reactions(joints=["knee"])``."""
+        from mbdkit.plot.run_plots import RunPlots  # an import of a higher layer, for convenience
+
+        return RunPlots(self)
+
     def summary(self) -> str:
         """Return a summary of the run as a few lines of plain text.
 
@@ -543,7 +553,7 @@ class Run:
         >>> print(mbdkit.run("pendulum", time={"end": 1.0, "step": 0.01}).summary().splitlines()[0])
         verdict       unknown: nothing suspicious seen; error not estimated
         """
-        from mbdkit.archive.run_summary import summary  # the only import of a higher layer, for convenience
+        from mbdkit.archive.run_summary import summary
 
         return summary(self)
 
@@ -566,6 +576,29 @@ class Run:
 
         with reading("its contents", self.path):
             return to_datatree(self.file, self._whole_rows if self.status == "running" else {})
+
+    def to_frame(self, group: str) -> pandas.DataFrame:
+        """Return a group of the archive as a table with one row for each recorded time.
+
+        Columns are named as quantities in expressions of events, such as ``knee.force_x`` [N], ``foot.vy`` [m/s] or
+        ``kinetic`` [J]. The index is the time [s]; ``frame.attrs["units"]`` maps the names to units.
+
+        Parameters
+        ----------
+        group
+            ``trajectory``, ``joints``, ``forces``, ``markers``, ``constraints``, ``energy``, ``steps``, ``events`` or
+            ``accuracy``.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such group.
+        MbdkitError
+            If pandas is not installed, or the run did not record the group.
+        """
+        from mbdkit.archive.data_frame import to_frame
+
+        return to_frame(self, group)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write the archive to a file, byte for byte.

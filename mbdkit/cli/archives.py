@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
 from mbdkit import terminal
 from mbdkit.archive.layout import ATTRIBUTES_HASH
-from mbdkit.cli.common_options import PLAIN, Archive, Archives, AsJson, Debug, Quiet
+from mbdkit.cli.common_options import PLAIN, Archive, Archives, AsJson, Debug, Overwrite, Quiet
 from mbdkit.terminal import say, show, show_json
 
-archive_app = typer.Typer(help="Describe, check and compare run archives.", **PLAIN)
+archive_app = typer.Typer(help="Describe, check, compare and export run archives.", **PLAIN)
 
 
 @archive_app.command("info")
@@ -70,3 +73,40 @@ def archive_diff(first: Archive, second: Archive, as_json: AsJson = False, debug
         show(found)
     if not found.same_data or found.falsified:
         raise typer.Exit(terminal.DIFFERS)
+
+
+@archive_app.command("export")
+def archive_export(
+    archive: Archive,
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to",
+            metavar="FORMAT",
+            help="csv; parquet (needs pyarrow); mat: MATLAB; sto: OpenSim; json.",
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder of the files; by default FILE-FORMAT."),
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Export a run, each group to a file GROUP.FORMAT.
+
+    Groups are trajectory, joints, forces, markers, constraints, energy, steps, events
+    and accuracy, as far as the run has them. Columns are named as in expressions of
+    events, such as knee.force_x. Prints the names of the files.
+    """
+    from mbdkit.archive.archive_check import blaming_damage
+    from mbdkit.archive.export import export
+    from mbdkit.archive.reader import load
+
+    with blaming_damage(archive), load(archive) as loaded:
+        folder = output if output is not None else archive.with_name(f"{archive.stem}-{to}")
+        files = export(loaded, folder, to, overwrite=overwrite)
+    if not quiet:
+        for file in files:
+            show(file)

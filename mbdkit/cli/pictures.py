@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from mbdkit.cli.common_options import Archive, Debug, Overwrite, Quiet
+from mbdkit.cli.common_options import Archive, Archives, Debug, Overwrite, Quiet
 from mbdkit.plot.plot_kinds import PLOT_KINDS
 from mbdkit.terminal import show
 
@@ -21,8 +23,33 @@ def _check_kind(kind: str) -> str:
 
 
 def plot(
-    archive: Archive,
+    archives: Archives,
     kind: Annotated[str, typer.Option("--kind", metavar="KIND", callback=_check_kind, help=_KINDS_HELP)] = "trajectory",
+    joints: Annotated[
+        list[str] | None,
+        typer.Option("--joint", metavar="J", help="A joint of drift, reactions or torques; may be repeated."),
+    ] = None,
+    elements: Annotated[
+        list[str] | None,
+        typer.Option("--element", metavar="F", help="A force element of forces or torques; may be repeated."),
+    ] = None,
+    points: Annotated[
+        list[str] | None,
+        typer.Option("--point", metavar="P", help="A marker, body, joint or free end of trajectory; may be repeated."),
+    ] = None,
+    component: Annotated[
+        str | None,
+        typer.Option(
+            "--component",
+            metavar="C",
+            help="Of reactions: x, y or both (global); axial, shear or both (body): in the frame of the second body; "
+            "magnitude, the default.",
+        ),
+    ] = None,
+    size: Annotated[
+        str | None,
+        typer.Option("--size", metavar="MMxMM", help="A figure for a paper, without heading: 85mm wide, or 85mmx60mm."),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="FILE.png", help="A PNG, SVG or PDF file; by default FILE-KIND.png."),
@@ -30,18 +57,39 @@ def plot(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Plot a run. An existing picture is replaced."""
+    """Plot a run, or one quantity of several runs. An existing picture is replaced.
+
+    The legend of several runs tells what differs: method, step, other keys, or file.
+    """
     from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.archive.reader import load
     from mbdkit.files import check_output
+    from mbdkit.plot.paper_figure import size_in_mm
     from mbdkit.plot.save_plot import plot as draw
 
-    target = output or archive.with_name(f"{archive.stem}-{kind}.png")
-    check_output(target, overwrite=True, source=archive)
-    with blaming_damage(archive), load(archive) as loaded:
-        target = draw(loaded, kind, target)
+    target = output or archives[0].with_name(f"{archives[0].stem}-{kind}.png")
+    for archive in archives:
+        check_output(target, overwrite=True, source=archive)
+    asked = {"joints": joints, "elements": elements, "points": points, "components": component}
+    options = {name: value for name, value in asked.items() if value}
+    _check_options(kind, options)
+    with blaming_damage(*archives), ExitStack() as stack:
+        runs = [stack.enter_context(load(archive)) for archive in archives]
+        target = draw(runs, kind, target, size=None if size is None else size_in_mm(size), **options)
     if not quiet:
         show(target)
+
+
+def _check_options(kind: str, options: Mapping[str, object]) -> None:
+    """Raise SpecError for an option that a kind of plot does not have."""
+    from mbdkit.errors import SpecError
+    from mbdkit.plot.comparison import options_of
+    from mbdkit.text import listed
+
+    for name in options:
+        if name not in options_of(kind):
+            kinds = [one for one in PLOT_KINDS if name in options_of(one)]
+            raise SpecError(f"--{name.removesuffix('s')} is an option of --kind {listed(kinds, 'or')}, not of {kind}")
 
 
 def animate(

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Figure
-from mbdkit.plot.joint_quantity import (
-    JointQuantity,
-    angle_misalignment,
-    draw_joints,
-    joint_lines,
-    joint_misalignment,
-    value_text,
-    velocity_misalignment,
-)
+from mbdkit.errors import SpecError
+from mbdkit.plot.element_quantity import MOST, ElementQuantity, Names, draw_elements, element_chart, picked, value_text
+from mbdkit.plot.joint_quantity import angle_misalignment, joint_misalignment, velocity_misalignment
 from mbdkit.plot.panel import Panel
 from mbdkit.plot.quantity_text import length
+from mbdkit.text import listed
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
+
+Gap = Literal["position", "velocity", "angle"]
+
+_READ = {"position": joint_misalignment, "velocity": velocity_misalignment, "angle": angle_misalignment}
 
 
 def panels(run: Run) -> list[Panel]:
@@ -37,7 +36,9 @@ def panels(run: Run) -> list[Panel]:
         worst = max(largest, key=lambda name: np.nan_to_num(largest[name], nan=np.inf))
         title = f"misalignment: largest over every step {value_text(largest[worst], 'm')} ({worst})"
     return [
-        Panel(partial(draw_joints, quantity=_without_zeros(quantity), log=True, title="" if row else title))
+        Panel(
+            partial(draw_elements, quantity=_without_zeros(quantity), what="joints", log=True, title=title * (not row))
+        )
         for row, quantity in enumerate(found)
     ]
 
@@ -46,30 +47,44 @@ def charts(run: Run) -> list[Figure]:
     """Return a chart of each kind of misalignment that is not zero everywhere, that of positions always."""
     if not (run.records("joints/misalignment") and run.joint_names):
         return []
-    position = joint_misalignment(run)
-    worst, most = position.largest
-    remark = (
-        "All joints stay closed exactly."
-        if position.zero
-        else f"The largest misalignment is {length(most)}, of joint {position.joints[worst]}."
-    )
-    found = [_chart(position, "misalignment", f"Distance between the two points of each joint. {remark}")]
-    for quantity, name, text in (
-        (velocity_misalignment(run), "velocity-misalignment", "Relative velocity of the two points of each joint."),
-        (angle_misalignment(run), "angle-misalignment", "Error of each prescribed angle."),
-    ):
-        if not quantity.zero:
-            found.append(_chart(quantity, name, text))
-    return found
+    return [chart(run), *(chart(run, gap=gap) for gap in ("velocity", "angle") if not _READ[gap](run).zero)]
 
 
-def _without_zeros(quantity: JointQuantity) -> JointQuantity:
+def chart(run: Run, *, joints: Names = None, gap: Gap = "position", most: int = MOST) -> Figure:
+    """Return the chart of one kind of misalignment of some joints.
+
+    Raises
+    ------
+    SpecError
+        There is no such kind, or no joint.
+    UnknownNameError
+        There is no such joint.
+    """
+    if gap not in _READ:
+        raise SpecError(f"there is no misalignment {gap!r}; there are {listed(_READ)}")
+    quantity = _READ[gap](run)
+    if not quantity.elements:
+        raise SpecError("the mechanism of this run has no joints, so that there is no misalignment to draw")
+    text = {
+        "position": f"Distance between the two points of each joint. {_remark(quantity)}",
+        "velocity": "Relative velocity of the two points of each joint.",
+        "angle": "Error of each prescribed angle.",
+    }[gap]
+    axis = Axis(quantity.name, quantity.unit, log=not quantity.zero)
+    few = quantity.only(picked(quantity, joints, "joint", most))
+    title = quantity.name.capitalize() + " of the joints"
+    return element_chart(quantity.name.replace(" ", "-"), title, text, axis, few)
+
+
+def _remark(quantity: ElementQuantity) -> str:
+    """Return a sentence on the largest misalignment."""
+    worst, most = quantity.largest
+    if quantity.zero:
+        return "All joints stay closed exactly."
+    return f"The largest misalignment is {length(most)}, of joint {quantity.elements[worst]}."
+
+
+def _without_zeros(quantity: ElementQuantity) -> ElementQuantity:
     """Return the quantity without joints to which it does not apply; they are recorded as zero."""
     columns = quantity.nonzero_columns
     return quantity.only(columns) if columns else quantity
-
-
-def _chart(quantity: JointQuantity, name: str, caption: str) -> Figure:
-    title = quantity.name.capitalize() + " of the joints"
-    axis = Axis(quantity.name, quantity.unit, log=True)
-    return Figure(name, title, caption, Axis("time", "s"), axis, joint_lines(quantity))

@@ -9,9 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mbdkit.analysis.verdict import Axis, Figure, Line
+from mbdkit.errors import SpecError
 from mbdkit.plot.downsampling import Array, bands
+from mbdkit.plot.element_quantity import Names
 from mbdkit.plot.panel import Panel, dress_over_time, panel_title, single_row_marker
 from mbdkit.plot.style import INK, PALETTE, legend, powers_of_ten
+from mbdkit.text import did_you_mean, listed
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -24,6 +27,9 @@ COLORS = {
     "total": INK,
     "balance": PALETTE[4],
 }
+TERMS = ("total", "kinetic", "potential", "dissipated", "work")
+"""Energies that a chart shows, the most important first."""
+
 _TIME = Axis("time", "s")
 
 
@@ -64,6 +70,38 @@ def charts(run: Run) -> list[Figure]:
             (balance,),
         ),
     ]
+
+
+def chart(run: Run, *, terms: Names = None, most: int = len(TERMS)) -> Figure:
+    """Return the chart of some energies, as recorded except for the potential.
+
+    Parameters
+    ----------
+    terms
+        Some of ``kinetic``, ``potential``, ``total``, ``dissipated``, ``work`` and ``balance``; by default all but the
+        balance, without those that are zero. Potential and total are relative to the potential at the start.
+
+    Raises
+    ------
+    SpecError
+        There is no such energy.
+    """
+    names = [terms] if isinstance(terms, str) else list(terms or ())
+    for name in names:
+        if name not in COLORS:
+            raise SpecError(f"there is no energy {name!r}{did_you_mean(name, COLORS)}; there are {listed(COLORS)}")
+    values = _read(run, *COLORS)
+    relative, base = _relative(values)
+    if terms is None:
+        names = [name for name in TERMS if name in relative][:most]
+    shown = {name: relative.get(name, values[name]) for name in COLORS if name in names}
+    labels = {"potential": "potential (0 at the start)"} if base else {}
+    lines = (
+        Line(labels.get(name, name), *bands(run.time, curve[:, None]).curve(0), group=name)
+        for name, curve in shown.items()
+    )
+    label = "energy balance" if names == ["balance"] else "energy"
+    return Figure("energy", "Energy", "", _TIME, Axis(label, "J"), tuple(lines))
 
 
 def _read(run: Run, *names: str) -> dict[str, Array]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from mbdkit.errors import SpecError
 
@@ -22,6 +22,8 @@ PLOT_KINDS: dict[str, str] = {
     "drift": "misalignment of the joints on a logarithmic axis",
     "energy": "energies and their balance",
     "reactions": "reaction forces and torques of the joints",
+    "torques": "torques of joints, drivers and force elements",
+    "forces": "forces of springs, dampers, laws and loads",
 }
 """What each kind of plot shows, by name."""
 
@@ -29,11 +31,14 @@ PLOT_KINDS: dict[str, str] = {
 class PlotModule(Protocol):
     """Functions of the module of a kind.
 
-    Only `charts` is required. A kind without `panels` is plotted by drawing each of its charts in a panel.
+    Only `charts` and `chart` are required. A kind without `panels` is plotted by drawing each of its charts in a panel.
     """
 
     def charts(self, run: Run) -> Sequence[Figure]:
         """Return the interactive charts of a report; none if the run did not record the quantities."""
+
+    def chart(self, run: Run, **options: Any) -> Figure:
+        """Return the chart for one pair of axes; the options, all with defaults, select what it shows."""
 
     def panels(self, run: Run) -> Sequence[Panel]:
         """Return the panels of the plot, from top to bottom."""

@@ -1,62 +1,109 @@
-"""The plot `reactions`: reaction forces and torques of the joints over time."""
+"""The plot `reactions`: forces in the joints over time, as magnitudes or components, and their torques in a panel."""
 
 from __future__ import annotations
 
-import math
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Axis, Figure, Mark
-from mbdkit.plot.error_bands import UNKNOWN
-from mbdkit.plot.joint_quantity import JointQuantity, draw_joints, joint_lines, reaction_force, reaction_torque
+from mbdkit.analysis.verdict import Axis, Figure
+from mbdkit.errors import SpecError
+from mbdkit.plot.downsampling import Array, bands
+from mbdkit.plot.element_quantity import MOST, ElementQuantity, Names, draw_elements, element_chart, picked
+from mbdkit.plot.joint_quantity import reaction_force, with_errors
 from mbdkit.plot.panel import Panel
+from mbdkit.plot.torques_plot import carried_torque
+from mbdkit.text import did_you_mean, listed
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-_ROUND_OFF = 1e-10
-"""Torques [N m] below this share of the largest force [N], or of the largest torque, count as zero."""
+Components = Literal["magnitude", "global", "body", "x", "y", "axial", "shear"]
+
+COMPONENTS: dict[str, tuple[str, ...]] = {
+    "magnitude": (),
+    "global": ("x", "y"),
+    "body": ("axial", "shear"),
+    "x": ("x",),
+    "y": ("y",),
+    "axial": ("axial",),
+    "shear": ("shear",),
+}
+"""Components that are drawn, by what a user can ask for."""
+
+_AXIS = {"x": "joint force, x component", "y": "joint force, y component"}
+_AXIS |= {"axial": "axial joint force", "shear": "shear joint force"}
 
 
 def panels(run: Run) -> list[Panel]:
     """Return the panel of the forces and, if there are torques, that of the joints which carry them."""
     force = reaction_force(run)
-    found = [Panel(partial(draw_joints, quantity=force))]
-    if (torque := _carried(run, force)) is not None:
-        found.append(Panel(partial(draw_joints, quantity=torque)))
+    found = [Panel(partial(draw_elements, quantity=force, what="joints"))]
+    if (torque := carried_torque(run, force)) is not None:
+        found.append(Panel(partial(draw_elements, quantity=torque, what="joints")))
     return found
 
 
 def charts(run: Run) -> list[Figure]:
-    """Return the chart of the reaction forces and, if there are torques, that of the joints which carry them."""
-    if not (run.records("joints/reaction_force") and run.joint_names):
-        return []
+    """Return the chart of the magnitudes of the forces."""
+    return [chart(run)] if run.records("joints/reaction_force") and run.joint_names else []
+
+
+def chart(run: Run, *, joints: Names = None, components: Components | str = "magnitude", most: int = MOST) -> Figure:
+    """Return the chart of the forces in some joints.
+
+    Parameters
+    ----------
+    joints
+        Names of joints; by default those with the largest forces.
+    components
+        ``magnitude``; ``x``, ``y`` or both (``global``), in the global frame; ``axial``, ``shear`` or both (``body``),
+        along the x and the y axis of the second body of the joint, or of the first if the second is the ground.
+
+    Raises
+    ------
+    SpecError
+        There are no such components, or no joint.
+    UnknownNameError
+        There is no such joint.
+    """
+    if components not in COMPONENTS:
+        hint = did_you_mean(components, COMPONENTS)
+        raise SpecError(f"there are no components {components!r}{hint}; there are {listed(COMPONENTS)}")
     force = reaction_force(run)
-    caption = "Magnitude of the force that the first body of each joint exerts on the second."
-    found = [_chart(force, "reactions", "Joint forces", caption)]
-    if run.records("joints/reaction_torque") and (torque := _carried(run, force)) is not None:
-        caption = "Torque that the first body of each joint exerts on the second, about the joint."
-        found.append(_chart(torque, "torques", "Joint torques", caption))
-    return found
+    if not force.elements:
+        raise SpecError("the mechanism of this run has no joints, so that there are no joint forces to draw")
+    shown = COMPONENTS[components]
+    columns = picked(force, joints, "joint", max(1, most // max(1, len(shown))))
+    caption = "Force that the first body of each joint exerts on the second"
+    if not shown:
+        axis = Axis("joint force", "N")
+        return element_chart("reactions", "Joint forces", f"{caption}: magnitude.", axis, force.only(columns))
+    parts = _components(run, columns, shown)
+    groups = [run.joint_names[column] for column in columns for _ in shown]
+    axis = Axis(_AXIS.get(components, "joint force"), "N")
+    frame = (
+        "the global frame"
+        if shown[0] in ("x", "y")
+        else "the frame of the second body, or of the first if it is ground"
+    )
+    caption = f"{caption}: {listed(shown, 'and')} in {frame}."
+    return element_chart("reactions", "Joint forces", caption, axis, parts, groups=groups)
 
 
-def _chart(quantity: JointQuantity, name: str, title: str, caption: str) -> Figure:
-    marks: tuple[Mark, ...] = ()
-    if quantity.errors is not None:
-        caption += " Bands show estimated errors; those narrower than a line are hidden by it."
-    if math.isfinite(quantity.known_until):
-        marks = (Mark(UNKNOWN, quantity.known_until),)
-    axis = Axis(quantity.name.removeprefix("reaction "), quantity.unit)
-    return Figure(name, title, caption, Axis("time", "s"), axis, joint_lines(quantity), marks=marks)
-
-
-def _carried(run: Run, force: JointQuantity) -> JointQuantity | None:
-    """Return the torques of the joints that carry any; None if there are none but rounding errors."""
-    torque = reaction_torque(run)
-    largest = np.nan_to_num(torque.data.peaks)
-    size = float(np.max(largest, initial=0.0))
-    if not size > _ROUND_OFF * np.nanmax(force.data.peaks, initial=0.0):
-        return None
-    return torque.only(np.flatnonzero(largest > _ROUND_OFF * size).tolist())
+def _components(run: Run, columns: list[int], shown: tuple[str, ...]) -> ElementQuantity:
+    """Return components of the forces in some joints: all of the first joint, then those of the next."""
+    values, labels = [], []
+    for column in columns:
+        name = run.joint_names[column]
+        path = "joints/reaction_force"
+        if shown[0] not in ("x", "y"):
+            path += "_first" if run.joints[name].bodies[1] == "ground" else "_second"
+        force = run.column(path, column, None)
+        values += [force[:, int(component in ("y", "shear"))] for component in shown]
+        labels += [name if len(shown) == 1 else f"{name}, {component}" for component in shown]
+    together: Array = np.stack(values, axis=1)
+    quantity = ElementQuantity("joint force", "N", labels, bands(np.asarray(run.time), together))
+    # The estimate bounds the norm of the error of the vector, and with it that of every component.
+    return with_errors(run, quantity, "reaction_error", [column for column in columns for _ in shown])

@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
 from mbdkit.analysis.verdict import Axis, Figure, Line
+from mbdkit.archive.history import UnknownNameError
 from mbdkit.plot.downsampling import Array, evenly, take
 from mbdkit.plot.drawing_geometry import Drawing, Trace, choose_traces, draw_spec, trace_points
+from mbdkit.plot.element_quantity import Names
 from mbdkit.plot.error_bands import band_along_path, errors_at
 from mbdkit.plot.panel import Panel
 from mbdkit.plot.plane_geometry import view_box
@@ -38,33 +41,87 @@ def panels(run: Run) -> list[Panel]:
 
 def charts(run: Run) -> list[Figure]:
     """Return the chart of the paths, without the poses."""
-    drawing, traces, paths = _paths(run, _CHART_ROWS)
-    errors = _errors(run, drawing, traces, _CHART_ROWS)
+    return [chart(run)]
+
+
+def chart(run: Run, *, points: Names = None, most: int = 6) -> Figure:
+    """Return the chart of the paths of some points.
+
+    Parameters
+    ----------
+    points
+        Names of markers, of bodies (their centres of mass), of joints that move, and of free ends such as ``rod2 end``;
+        by default all markers or, if the run has none, free ends and moving joints.
+
+    Raises
+    ------
+    UnknownNameError
+        There is no such point.
+    """
+    rows = evenly(len(run.time), _CHART_ROWS)
+    names, found = _points(run, points, most, rows)
+    paths = np.stack([path for path, _ in found], axis=1)
     (left, right), (low, high), cut = view_box(paths, paths[:1])
     x, y = paths[..., 0], paths[..., 1]
     outside = (x < left) | (x > right) | (y < low) | (y > high)
     paths = np.where(outside[..., None], np.nan, paths)
-    caption = "Paths of free ends and moving joints in the plane."
-    if errors is not None:
+    caption = "Paths of points in the plane."
+    if run.accuracy is not None:
         caption += " Bands show estimated errors; those narrower than a line are hidden by it."
-    return [
-        Figure(
-            "trajectory",
-            "Trajectory",
-            f"{caption} Some points lie outside the picture." if cut else caption,
-            Axis("x", "m"),
-            Axis("y", "m"),
-            tuple(line for k, trace in enumerate(traces) for line in _lines(trace.label, paths[:, k], errors, k)),
-            equal=True,
-        )
-    ]
+    lines = [line for k, name in enumerate(names) for line in _lines(name, paths[:, k], found[k][1])]
+    return Figure(
+        "trajectory",
+        "Trajectory",
+        f"{caption} Some points lie outside the picture." if cut else caption,
+        Axis("x", "m"),
+        Axis("y", "m"),
+        tuple(lines),
+        equal=True,
+    )
 
 
-def _lines(label: str, path: Array, errors: Array | None, column: int) -> list[Line]:
+def _points(
+    run: Run, wanted: Names, most: int, rows: NDArray[np.intp]
+) -> tuple[list[str], list[tuple[Array, Array | None]]]:
+    """Return the names of points, their paths (R, 2) [m] and estimated errors (R,) [m]; None if not estimated."""
+    drawing = draw_spec(run.spec, tuple(run.bodies))
+    markers = tuple(run.markers) if run.records("markers/position") else ()
+    traces = {name: Trace(name, centre) for name, centre in zip(drawing.bodies, drawing.centres, strict=True)}
+    traces |= {trace.label: trace for trace in drawing.traces}
+    if wanted is None:
+        names = list(markers or (trace.label for trace in choose_traces(drawing)))[:most]
+    else:
+        names = [wanted] if isinstance(wanted, str) else list(dict.fromkeys(wanted))
+    found = []
+    for name in names:
+        if name in markers:
+            found.append(_marker_path(run, name, rows))
+        elif name in traces:
+            fixed, owners = trace_points(drawing, (traces[name],))
+            errors = _errors(run, drawing, (traces[name],), _CHART_ROWS)
+            path = fixed.world(take(run.dataset("trajectory/position"), rows, owners))[:, 0]
+            found.append((path, None if errors is None else errors[:, 0]))
+        else:
+            raise UnknownNameError("point", name, list(dict.fromkeys([*markers, *traces])))
+    return names, found
+
+
+def _marker_path(run: Run, name: str, rows: NDArray[np.intp]) -> tuple[Array, Array | None]:
+    """Return the path of a marker (R, 2) [m] and its estimated errors (R,) [m]; None if they were not estimated."""
+    marker = run.markers[name]
+    path, accuracy = marker.position[rows], run.accuracy
+    if accuracy is None or marker.body not in run.bodies:
+        return path, None
+    error = errors_at(accuracy, accuracy.position_error, np.asarray(run.time)[rows])
+    of_body = error[:, list(run.bodies).index(marker.body)]
+    arm = np.linalg.norm(marker.position[0] - run[marker.body].position[0])
+    return path, np.asarray(np.linalg.norm(of_body[:, :2], axis=-1) + arm * of_body[:, 2])
+
+
+def _lines(label: str, path: Array, error: Array | None) -> list[Line]:
     """Return the path of a point with its error; the part whose errors are unknown is a line of its own."""
-    if errors is None:
-        return [Line(label, path[:, 0], path[:, 1])]
-    error = errors[:, column]
+    if error is None:
+        return [Line(label, path[:, 0], path[:, 1], group=label)]
     known = int(np.sum(np.isfinite(error)))
     found = []
     if known:
@@ -114,7 +171,7 @@ def _draw(
     handles = []
     for number, color in enumerate(trace_colors(drawing, traces)):
         path = paths[:, number]
-        for part in _lines(traces[number].label, path, errors, number):
+        for part in _lines(traces[number].label, path, None if errors is None else errors[:, number]):
             dashes = ":" if part.label != traces[number].label else "-"
             (line,) = axes.plot(part.x, part.y, color=color, linestyle=dashes, linewidth=1.1, zorder=2.5, alpha=0.9)
             if part.band is not None:

@@ -12,7 +12,8 @@ from mbdkit.analysis.verdict import Answer, Claim, Verdict
 from mbdkit.archive.run_summary import accuracy_sentence
 from mbdkit.plot.downsampling import bands, take
 from mbdkit.plot.drawing_geometry import draw_spec
-from mbdkit.plot.joint_quantity import JointQuantity, angle_misalignment, joint_misalignment
+from mbdkit.plot.element_quantity import ElementQuantity
+from mbdkit.plot.joint_quantity import angle_misalignment, joint_misalignment
 from mbdkit.plot.quantity_text import count, duration, length, proportion
 from mbdkit.report.run_charts import run_charts
 from mbdkit.report.run_tables import run_tables
@@ -129,7 +130,7 @@ def _joints(run: Run) -> Claim:
     return Claim("misalignment", "The joints stay together", "", f"{most:.3g} m ({worst.name})", answer, sentence)
 
 
-def _growth_words(quantity: JointQuantity, column: int) -> list[str]:
+def _growth_words(quantity: ElementQuantity, column: int) -> list[str]:
     values = quantity.data.high[:, column]
     try:
         growth: Growth = growth_law(quantity.data.time, values)
@@ -146,7 +147,7 @@ def _angles(run: Run) -> list[Claim]:
     if quantity.zero:
         return []
     column, most = quantity.largest
-    name = quantity.joints[column]
+    name = quantity.elements[column]
     sentence = f"The largest error of a prescribed angle is {most:.2g} rad, of joint {name}."
     answer = _ANSWERS[MISALIGNMENT.level(most)]
     return [Claim("angles", "Prescribed angles are met", "", f"{most:.3g} rad ({name})", answer, sentence)]

@@ -12,6 +12,7 @@ from mbdkit.archive.missing_plugins import advised
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.logs import logger_of
 from mbdkit.spec import RunSpec
 from mbdkit.spec.run_source import StudySource
 from mbdkit.spec.study_loading import load_study_spec
@@ -22,11 +23,13 @@ from mbdkit.studies.planned_points import Label, PlannedPoint, plan_points, poin
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Row
 from mbdkit.terminal import say
-from mbdkit.text import did_you_mean, listed
+from mbdkit.text import counted, did_you_mean, listed, shown
 
 if TYPE_CHECKING:
     import pandas
     import xarray
+
+_LOG = logger_of(__name__)
 
 
 @dataclass(frozen=True)
@@ -404,7 +407,9 @@ def study(
     folder = StudyFolder(Path(out))
     try:
         execution = Execution(spec, folder, shard=shard, progress=progress, notify=notify)
+        _LOG.info("study in %s begins: %s", shown(folder.path), counted(len(execution.runs), "run"))
         execution.run(workers)
+        _LOG.info("study in %s ends: %d computed, %d failed", shown(folder.path), execution.computed, execution.failed)
     except SpecError as error:
         raise advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
     return Study(folder.path, computed=execution.computed, unfinished=execution.unfinished, keep=keep)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axes import Axes
 
 import mbdkit
 from mbdkit import Mechanism, Run, SpecError
@@ -37,6 +38,8 @@ def main(folder: Path) -> None:
     print(run.status, run.misalignment_max, largest_force(run, "A"))
     again = mbdkit.load(folder / "crank.h5")
     times: list[float] = again.time.tolist()
+    axes: Axes = again.plot.reactions(joints=["A"], components="body")
+    mbdkit.plot.compare([run, again], "torques", axes, labels=["run", "again"])
     try:
         example: Run = mbdkit.run("knee").check()
     except SpecError as error:

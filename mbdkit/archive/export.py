@@ -1,0 +1,76 @@
+"""Exports a run: each group with rows over time to a file of its own, in a format that other programs read."""
+
+from __future__ import annotations
+
+import os
+from contextlib import ExitStack
+from pathlib import Path
+
+from mbdkit.archive.group_table import group_names, group_table
+from mbdkit.archive.run import Run
+from mbdkit.archive.table_formats import FORMATS
+from mbdkit.errors import SpecError, file_error
+from mbdkit.files import check_folder, check_output, replacing
+from mbdkit.text import did_you_mean, listed
+
+
+def export(run: Run, folder: Path, to: str, *, overwrite: bool = False) -> list[Path]:
+    """Write each group of a run to a file ``GROUP.FORMAT`` in a folder, and return the files.
+
+    Either all files are written or, if one cannot be, none.
+
+    Parameters
+    ----------
+    folder
+        Folder of the files; it is created if its parent exists.
+    to
+        Format: ``csv``, ``parquet``, ``mat``, ``sto`` or ``json``. Events are not written as ``sto``, which cannot have
+        two rows of the same time.
+    overwrite
+        Whether existing files may be replaced.
+
+    Raises
+    ------
+    SpecError
+        If the format is unknown, the run has no rows, or a file exists or cannot be written.
+    ResourceError
+        If the disk is full or writing is not permitted.
+    MbdkitError
+        If the format needs a package that is not installed.
+    """
+    if to not in FORMATS:
+        raise SpecError(f"there is no format {to!r}{did_you_mean(to, FORMATS)}; the formats are {listed(FORMATS)}")
+    if not len(run.time):
+        raise SpecError("this run recorded no rows, so there is nothing to export", file=run.path)
+    tables = {
+        folder / f"{group}.{to}": group_table(run, group)
+        for group in group_names(run)
+        if not (to == "sto" and group == "events")
+    }
+    is_new = _prepare(folder, list(tables), overwrite)
+    try:
+        with ExitStack() as stack:
+            for path, table in tables.items():
+                temporary = stack.enter_context(replacing(path, overwrite=overwrite, source=run.path))
+                FORMATS[to](table, temporary)
+    except BaseException:
+        if is_new:
+            folder.rmdir()
+        raise
+    return list(tables)
+
+
+def _prepare(folder: Path, files: list[Path], overwrite: bool) -> bool:
+    """Create the folder if it does not exist, check that the files may be written; return whether it is new."""
+    if folder.is_dir():
+        for file in files:
+            check_output(file, overwrite=overwrite)
+        return False
+    if os.path.lexists(folder):
+        raise SpecError("this is a file, not a folder; choose another name with -o", file=folder)
+    check_folder(folder.parent, folder)
+    try:
+        folder.mkdir()
+    except OSError as error:
+        raise file_error(error.errno, f"cannot be created: {error.strerror or error}", file=folder) from error
+    return True

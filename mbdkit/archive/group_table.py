@@ -1,0 +1,175 @@
+"""A group of the archive as a table: one row for each recorded time, one named column for each number.
+
+Columns are named as quantities in expressions of events, such as ``knee.force_x`` or ``foot.vy``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+
+from mbdkit.archive.fingerprint import is_text
+from mbdkit.archive.hdf5_errors import reading
+from mbdkit.archive.history import NotRecordedError, UnknownNameError
+from mbdkit.archive.layout import ELEMENTS, GROUPS, LAYOUT, TEXT, Array
+from mbdkit.errors import MbdkitError
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+#: Names of the components of arrays; other arrays append the name of the component to their own.
+COMPONENTS: Mapping[str, tuple[str, ...]] = {
+    "trajectory/position": ("x", "y", "angle"),
+    "trajectory/velocity": ("vx", "vy", "angular_velocity"),
+    "trajectory/acceleration": ("ax", "ay", "angular_acceleration"),
+    "joints/reaction_force": ("force_x", "force_y"),
+    "joints/reaction_force_first": ("force_first_x", "force_first_y"),
+    "joints/reaction_force_second": ("force_second_x", "force_second_y"),
+    "joints/reaction_torque": ("torque",),
+    "markers/position": ("x", "y"),
+    "markers/velocity": ("vx", "vy"),
+    "events/position": ("x", "y", "angle"),
+    "events/velocity": ("vx", "vy", "angular_velocity"),
+    "accuracy/position_error": ("x_error", "y_error", "angle_error"),
+    "accuracy/velocity_error": ("vx_error", "vy_error", "angular_velocity_error"),
+    "accuracy/reaction_error": ("force_error",),
+}
+_COMPONENT_DIMS = ("coordinate", "axis")
+BLOCK_VALUES = 2_000_000  # values of a block; a block of text takes about ten times as much memory
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """A column of a table.
+
+    Parameters
+    ----------
+    name
+        Such as ``knee.force_x``; unique in the table.
+    units
+        SI unit; ``1`` for counts and text.
+    array
+        Layout of the array with the values.
+    at
+        Indices along the axes of the array after the first.
+    """
+
+    name: str
+    units: str
+    array: Array
+    at: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class GroupTable:
+    """A group of a run as a table, whose values are read in blocks of rows.
+
+    Parameters
+    ----------
+    group
+        Name of the group.
+    rows
+        Number of rows T.
+    columns
+        The columns without the time, those of an element side by side.
+    """
+
+    run: Run
+    group: str
+    rows: int
+    columns: tuple[TableColumn, ...]
+
+    @property
+    def time(self) -> np.ndarray:
+        """Times of the rows, (T,), s."""
+        return self.run.array(f"{self.group}/time")
+
+    def without_text(self) -> GroupTable:
+        """Return the table without its columns of text."""
+        numbers = tuple(column for column in self.columns if column.array.dtype != TEXT)
+        return GroupTable(self.run, self.group, self.rows, numbers)
+
+    def read(self, rows: slice) -> list[np.ndarray]:
+        """Return the values of each column in some of the rows."""
+        paths = dict.fromkeys(column.array.path for column in self.columns)
+        with reading(self.group, self.run.path):
+            values = {path: _values(self.run.dataset(path), rows) for path in paths}
+        every: tuple[Any, ...] = (slice(None),)
+        return [values[column.array.path][every + column.at] for column in self.columns]
+
+    def blocks(self) -> Iterator[tuple[np.ndarray, list[np.ndarray]]]:
+        """Yield times and values of the columns in blocks of rows that fit in memory."""
+        size = max(1, BLOCK_VALUES // (len(self.columns) + 1))
+        for start in range(0, self.rows, size):
+            rows = slice(start, min(start + size, self.rows))
+            yield self.time[rows], self.read(rows)
+
+
+def group_names(run: Run) -> tuple[str, ...]:
+    """Return the names of the groups of a run that have rows over time, in the order of the layout."""
+    return tuple(group for group in GROUPS if _arrays(run, group))
+
+
+def group_table(run: Run, group: str) -> GroupTable:
+    """Return a group of a run as a table.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such group.
+    MbdkitError
+        If the run did not record it, or its mechanism has no such elements.
+    """
+    if group not in GROUPS:
+        raise UnknownNameError("group", group, GROUPS)
+    arrays = _arrays(run, group)
+    if not arrays:
+        if group in ELEMENTS and not getattr(run, group):  # raises NotRecordedError if they were left out
+            raise MbdkitError(f"the mechanism of this run has no {group}, so that there is no table of them")
+        raise NotRecordedError(f"{group}/time", run.format_version)
+    columns = [column for array in arrays for column in _columns(run, array)]
+    # The columns of an element, such as a joint, side by side, in the order of the arrays.
+    order = {key: place for place, key in enumerate(dict.fromkeys(_element(column) for column in columns))}
+    columns.sort(key=lambda column: order[_element(column)])
+    return GroupTable(run, group, len(run.dataset(f"{group}/time")), tuple(columns))
+
+
+def _arrays(run: Run, group: str) -> list[Array]:
+    """Return the arrays of a group over time that a run recorded, without the time itself."""
+    found = [array for array in LAYOUT if array.group == group and array.grows and run.records(array.path)]
+    return [array for array in found if array.name != "time"] if len(found) > 1 else []
+
+
+def _columns(run: Run, array: Array) -> Iterator[TableColumn]:
+    """Yield the columns of an array, (T, ...)."""
+    dims = array.dims[1:]
+    names = [[str(name) for name in run.array(f"{array.group}/{dim}")] for dim in dims]
+    units = [str(unit) for unit in run.array(f"{array.group}/{array.row_units}")] if array.row_units else []
+    row_dim = next(one.dims[0] for one in LAYOUT if one.path == f"{array.group}/{array.row_units}") if units else ""
+    for at in product(*(range(len(each)) for each in names)):
+        element = [each[k] for dim, each, k in zip(dims, names, at, strict=True) if dim not in _COMPONENT_DIMS]
+        last = [(each[k], k) for dim, each, k in zip(dims, names, at, strict=True) if dim in _COMPONENT_DIMS]
+        short = COMPONENTS.get(array.path)
+        if short is not None:
+            quantity = short[last[0][1] if last else 0]
+        else:
+            quantity = "_".join([array.name, *(name for name, _ in last)])
+        unit = units[at[dims.index(row_dim)]] if units else array.units
+        yield TableColumn(".".join([*element, quantity]), unit, array, at)
+
+
+def _element(column: TableColumn) -> tuple[tuple[str, int], ...]:
+    """Return axis and index of the element of a column, such as a joint; nothing if it has none."""
+    dims = column.array.dims[1:]
+    return tuple((dim, k) for dim, k in zip(dims, column.at, strict=True) if dim not in _COMPONENT_DIMS)
+
+
+def _values(dataset: h5py.Dataset | np.ndarray, rows: slice) -> np.ndarray:
+    """Return some of the rows of a dataset; text as Python strings."""
+    source = dataset.asstr() if isinstance(dataset, h5py.Dataset) and is_text(dataset) else dataset
+    return np.asarray(source[rows])

@@ -1,0 +1,171 @@
+"""Writes a group of a run as CSV, Parquet, MATLAB file, OpenSim storage or JSON.
+
+To add a format, write its function and add it to `FORMATS`.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbdkit.archive.group_table import GroupTable
+from mbdkit.archive.layout import TEXT
+from mbdkit.errors import MbdkitError
+from mbdkit.plain_data import json_text
+from mbdkit.text import csv_cell, shown
+
+MATLAB_LENGTH = 63
+"""Longest name of a variable in MATLAB (``namelengthmax``)."""
+
+
+def write_csv(table: GroupTable, path: Path) -> None:
+    """Write comma-separated values in UTF-8: one line with names and units, such as ``knee.force_x [N]``, then rows.
+
+    Numbers have all their digits, so that reading returns the same values; ``nan`` and ``inf`` are not finite. Cells of
+    text that spreadsheets would take for formulas begin with an apostrophe.
+    """
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([csv_cell(_heading(name, units)) for name, units in _names_and_units(table)])
+        for row in _rows(table):
+            writer.writerow([csv_cell(cell) if isinstance(cell, str) else repr(cell) for cell in row])
+
+
+def write_json(table: GroupTable, path: Path) -> None:
+    """Write one JSON object with the name of the group, columns with units and descriptions, and rows.
+
+    Numbers that are not finite are null.
+    """
+    columns = [{"name": "time", "units": "s", "description": "time"}]
+    columns += [
+        {"name": column.name, "units": column.units, "description": column.array.long_name} for column in table.columns
+    ]
+    with path.open("w", encoding="utf-8") as file:
+        file.write(f'{{"group": {json_text(table.group)},\n "columns": {json_text(columns)},\n "rows": [')
+        for number, row in enumerate(_rows(table)):
+            file.write(f"{',' if number else ''}\n  {json_text(row)}")
+        file.write("\n ]}\n")
+
+
+def write_sto(table: GroupTable, path: Path) -> None:
+    """Write a storage file of OpenSim: a header, and numbers separated by tabulators with the time first.
+
+    Angles are in radians. White space and other characters that OpenSim would take for separators become ``_`` in the
+    names. Text is left out.
+    """
+    table = table.without_text()
+    labels = _distinct(re.sub(r"[\s\x00-\x1f\x7f]+", "_", shown(name)) for name, _ in _names_and_units(table))
+    header = [
+        f"mbdkit_{table.group}",
+        "version=1",
+        f"nRows={table.rows}",
+        f"nColumns={len(labels)}",
+        "inDegrees=no",
+        "endheader",
+        "\t".join(labels),
+    ]
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write("\n".join(header) + "\n")
+        for row in _rows(table):
+            file.write("\t".join(map(repr, row)) + "\n")
+
+
+def write_mat(table: GroupTable, path: Path) -> None:
+    """Write a MATLAB file, version 5: ``time`` and a column vector for each column, such as ``knee_force_x``.
+
+    The structures ``units`` and ``names`` map the variables to their units and to the names in the archive.
+    """
+    from scipy.io import savemat
+
+    pairs = list(_names_and_units(table))
+    variables = _matlab_names([name for name, _ in pairs])
+    values: list[np.ndarray] = [table.time, *table.read(slice(None))]
+    named: dict[str, Any] = dict(zip(variables, values, strict=True))
+    named["units"] = {variable: units for variable, (_, units) in zip(variables, pairs, strict=True)}
+    named["names"] = {variable: name for variable, (name, _) in zip(variables, pairs, strict=True)}
+    with path.open("wb") as file:
+        savemat(file, named, long_field_names=True, oned_as="column", do_compression=True)
+
+
+def write_parquet(table: GroupTable, path: Path) -> None:
+    """Write a Parquet file, whose columns have units and descriptions as metadata of their fields.
+
+    Raises
+    ------
+    MbdkitError
+        If pyarrow is not installed.
+    """
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError as error:
+        raise MbdkitError("Parquet files need the package pyarrow: pip install pyarrow") from error
+    kinds = {TEXT: pyarrow.string(), "<i8": pyarrow.int64()}
+    fields = [pyarrow.field("time", pyarrow.float64(), metadata={"units": "s", "description": "time"})]
+    fields += [
+        pyarrow.field(
+            column.name,
+            kinds.get(column.array.dtype, pyarrow.float64()),
+            metadata={"units": column.units, "description": column.array.long_name},
+        )
+        for column in table.columns
+    ]
+    schema = pyarrow.schema(fields, metadata={"group": table.group})
+    with parquet.ParquetWriter(path, schema) as writer:
+        for time, values in table.blocks():
+            writer.write_table(pyarrow.table([time, *values], schema=schema))
+
+
+FORMATS: Mapping[str, Callable[[GroupTable, Path], None]] = {
+    "csv": write_csv,
+    "parquet": write_parquet,
+    "mat": write_mat,
+    "sto": write_sto,
+    "json": write_json,
+}
+"""Functions that write a table to a file, by the name of the format, which is also the suffix of the file."""
+
+
+def _names_and_units(table: GroupTable) -> Iterator[tuple[str, str]]:
+    yield "time", "s"
+    for column in table.columns:
+        yield column.name, column.units
+
+
+def _heading(name: str, units: str) -> str:
+    return name if units == "1" else f"{name} [{units}]"
+
+
+def _rows(table: GroupTable) -> Iterator[list[Any]]:
+    """Yield the rows of a table as lists of Python numbers and texts, the time first."""
+    for time, values in table.blocks():
+        yield from map(list, zip(time.tolist(), *(column.tolist() for column in values), strict=True))
+
+
+def _matlab_names(names: Iterable[str]) -> list[str]:
+    """Return names that MATLAB accepts for variables, all different."""
+    found = []
+    for name in names:
+        word = re.sub(r"[^A-Za-z0-9_]", "_", name)
+        if not word[:1].isalpha():
+            word = f"x{word}"
+        found.append(word)
+    return _distinct(found, MATLAB_LENGTH, taken=("units", "names"))
+
+
+def _distinct(names: Iterable[str], length: int = 1_000_000, taken: Sequence[str] = ()) -> list[str]:
+    """Return the names, cut to a length, with ``_2``, ``_3`` and so on appended to those that occurred before."""
+    used, found = set(taken), []
+    for name in names:
+        new, number = name[:length], 2
+        while new in used:
+            end = f"_{number}"
+            new, number = name[: length - len(end)] + end, number + 1
+        used.add(new)
+        found.append(new)
+    return found

@@ -1,0 +1,193 @@
+"""`compare`: the same quantity of several runs in one pair of axes."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mbdkit.errors import SpecError
+from mbdkit.plain_data import path_text
+from mbdkit.plot.caption import method, plain_name
+from mbdkit.plot.chart_axes import draw_on
+from mbdkit.plot.downsampling import require_rows
+from mbdkit.plot.plot_kinds import plot_module
+from mbdkit.text import counted, did_you_mean, listed
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from mbdkit.analysis.verdict import Figure, Line
+    from mbdkit.archive.run import Run
+
+_LINES = 6
+"""Number of lines in a comparison for which nothing is named, or one for each run."""
+_ALL = 1_000_000
+_DIFFERENCES = 3
+"""Most differences that a label tells; where there are more, titles and file names take their place."""
+
+
+def compare(
+    runs: Iterable[Run],
+    kind: str = "trajectory",
+    ax: Axes | None = None,
+    *,
+    labels: Sequence[str] | None = None,
+    **options: Any,
+) -> Axes:
+    """Draw the same quantity of several runs in one pair of axes.
+
+    Lines of the same joint, element, point or energy have the same colour and differ in their dashes from run to run;
+    if there is only one of them, each run has its own colour.
+
+    Parameters
+    ----------
+    runs
+        The runs.
+    kind
+        ``trajectory``, ``drift``, ``energy``, ``reactions``, ``torques`` or ``forces``.
+    ax
+        Where to draw; by default a new figure.
+    labels
+        Names of the runs in the legend. By default, they tell what differs: integrator, formulation, stabilization,
+        step, other keys of the spec, or else title and file.
+    **options
+        Options of the method of `Run.plot` of this kind, such as ``joints`` and ``components``. Unless elements are
+        named, the few with the largest values in the first run are drawn.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        `ax`, or the new axes.
+
+    Raises
+    ------
+    SpecError
+        The kind, a name or an option is unknown, there is no run, or one has no rows.
+    NotRecordedError
+        A run did not record the quantity.
+
+    Examples
+    --------
+    >>> import mbdkit
+    >>> coarse, fine = (mbdkit.run("pendulum", time={"end": 1.0, "step": step}) for step in (0.02, 0.01))
+    >>> axes = mbdkit.plot.compare([coarse, fine], kind="drift")
+    >>> [text.get_text() for text in axes.get_legend().get_texts()]
+    ['step 0.02 s', 'step 0.01 s']
+    """
+    found = list(runs)
+    chart, heading = comparison(found, kind, labels, **options)
+    return draw_on(ax, chart, heading, vary_dashes=len(found) > 1)
+
+
+def comparison(
+    runs: Sequence[Run], kind: str, labels: Sequence[str] | None = None, **options: Any
+) -> tuple[Figure, str]:
+    """Return the chart of several runs, and the title of its legend; see `compare`."""
+    if not runs:
+        raise SpecError("there is no run to draw")
+    module = plot_module(kind)
+    _check_options(kind, options)
+    for run in runs:
+        require_rows(run)
+    names = list(labels) if labels is not None else differences(runs)
+    if len(names) != len(runs):
+        raise SpecError(f"there are {counted(len(runs), 'run')}, but {counted(len(names), 'label')}")
+    if len(runs) == 1:
+        return module.chart(runs[0], **options), ""
+    first = module.chart(runs[0], **options, most=max(1, _LINES // len(runs)))
+    groups = list(dict.fromkeys(_group(line) for line in first.lines))
+    charts = [first, *(module.chart(run, **options, most=_ALL) for run in runs[1:])]
+    lines = [
+        _labelled(line, name, alone=len(groups) == 1)
+        for name, chart in zip(names, charts, strict=True)
+        for line in chart.lines
+        if _group(line) in groups
+    ]
+    marks = tuple(dict.fromkeys(mark for chart in charts for mark in chart.marks))
+    return replace(first, lines=tuple(lines), marks=marks), groups[0] if len(groups) == 1 else ""
+
+
+def differences(runs: Sequence[Run]) -> list[str]:
+    """Return for each run what distinguishes it from the others: settings or, if these are equal, title and file."""
+    settings = [_settings(run) for run in runs]
+    keys = [key for key in dict.fromkeys(key for one in settings for key in one) if _differs(key, settings)]
+    if 0 < len(keys) <= _DIFFERENCES:
+        found = [", ".join(one[key] for key in keys if one.get(key)) for one in settings]
+        if len(set(found)) == len(found):
+            return found
+    for name in (_title, _file, lambda run: run.run_id):
+        found = [name(run) for run in runs]
+        if all(found) and len(set(found)) == len(found):
+            return found
+    return [f"run {number}" for number in range(1, len(runs) + 1)]
+
+
+def options_of(kind: str) -> list[str]:
+    """Return the names of the options of a kind of plot."""
+    return [name for name in list(inspect.signature(plot_module(kind).chart).parameters)[1:] if name != "most"]
+
+
+def _check_options(kind: str, options: Iterable[str]) -> None:
+    """Raise SpecError for an option that a kind of plot does not have."""
+    known = options_of(kind)
+    for name in options:
+        if name not in known:
+            hint = did_you_mean(name, known)
+            raise SpecError(f"the plot {kind!r} has no option {name!r}{hint}; its options are {listed(known)}")
+
+
+def _group(line: Line) -> str:
+    return line.group or line.label
+
+
+def _labelled(line: Line, name: str, *, alone: bool) -> Line:
+    """Return a line with the name of its run: alone, if all lines are of one element, or after that of the line."""
+    if not alone:
+        return replace(line, label=f"{line.label}, {name}")
+    part = line.label.removeprefix(_group(line)).lstrip(", ")  # such as a component
+    return replace(line, label=f"{part}, {name}", group=part) if part else replace(line, label=name, group=name)
+
+
+def _settings(run: Run) -> dict[str, str]:
+    """Return what a spec sets, as text by key: first what is called by its own name, then all other keys."""
+    spec = run.spec
+    step = spec.get("time", {}).get("step")
+    found = {
+        "integrator": method(spec),
+        "formulation": plain_name(spec.get("formulation"), ""),
+        "stabilization": plain_name(spec.get("stabilization"), ""),
+        "step": "" if step is None else f"step {step:g} s",
+    }
+    told = ("integrator", "formulation", "stabilization", "title", "output", "limits", "check")
+    for path, value in _leaves({key: value for key, value in spec.items() if key not in told}):
+        if path != ("time", "step"):
+            found[path_text(path)] = f"{path_text(path[1:] if path[0] == 'model' else path)} {_short(value)}"
+    return found
+
+
+def _leaves(value: Any, path: tuple[str | int, ...] = ()) -> list[tuple[tuple[str | int, ...], Any]]:
+    """Return the values in nested mappings and lists with their paths."""
+    if isinstance(value, Mapping):
+        return [leaf for key, item in value.items() for leaf in _leaves(item, (*path, str(key)))]
+    if isinstance(value, list):
+        return [leaf for index, item in enumerate(value) for leaf in _leaves(item, (*path, index))]
+    return [(path, value)]
+
+
+def _short(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _differs(key: str, settings: Sequence[Mapping[str, str]]) -> bool:
+    return len({one.get(key) for one in settings}) > 1
+
+
+def _title(run: Run) -> str:
+    return " ".join(str(run.spec.get("title") or "").split())
+
+
+def _file(run: Run) -> str:
+    return Path(run.path).stem if run.path else ""

@@ -1,0 +1,50 @@
+"""The plot `forces`: forces of springs, dampers, laws and loads over time; their torques are in the plot `torques`."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from mbdkit.analysis.verdict import Axis, Figure
+from mbdkit.errors import SpecError
+from mbdkit.plot.element_quantity import MOST, Names, draw_elements, element_chart, element_values, picked
+from mbdkit.plot.panel import Panel
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+
+def panels(run: Run) -> list[Panel]:
+    """Return the panel of the forces."""
+    force = element_values(run, "N", "force")
+    return [Panel(partial(draw_elements, quantity=force, what="force elements"), height=2.7)]
+
+
+def charts(run: Run) -> list[Figure]:
+    """Return the chart of the forces, if there are any."""
+    if not run.records("forces/value"):
+        return []
+    return [chart(run)] if element_values(run, "N", "force").elements else []
+
+
+def chart(run: Run, *, elements: Names = None, most: int = MOST) -> Figure:
+    """Return the chart of the forces of some force elements.
+
+    Parameters
+    ----------
+    elements
+        Names of force elements; by default those with the largest forces.
+
+    Raises
+    ------
+    SpecError
+        No element exerts a force.
+    UnknownNameError
+        There is no such force element.
+    """
+    force = element_values(run, "N", "force")
+    if not force.elements:
+        raise SpecError("no force element of this run exerts a force; the plot of torques shows those with a torque")
+    few = force.only(picked(force, elements, "force element with a force", most))
+    caption = "Tension of springs, dampers and laws, positive where it pulls together; magnitude of forces at a point."
+    return element_chart("forces", "Forces of elements", caption, Axis("force", "N"), few)

@@ -1,0 +1,112 @@
+"""`Run.plot`: one method for each kind of plot."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbdkit.plot import drift_plot, energy_plot, forces_plot, reactions_plot, torques_plot, trajectory_plot
+from mbdkit.plot.chart_axes import draw_on
+from mbdkit.plot.downsampling import require_rows
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from mbdkit.archive.run import Run
+    from mbdkit.plot.drift_plot import Gap
+    from mbdkit.plot.element_quantity import Names
+    from mbdkit.plot.reactions_plot import Components
+
+
+class RunPlots:
+    """Plots of a run, each drawn on the Matplotlib axes `ax`, or on those of a new figure, which are returned.
+
+    Fonts, colours and line widths are those of Matplotlib's current settings (`rcParams`). Labels have SI units. Every
+    line is named in the legend. Unless joints or force elements are named, the six with the largest values are drawn.
+    Estimated errors (``check: true`` in the spec) are drawn as bands. Of more than 2000 rows, the extremes of
+    consecutive rows are drawn. `mbdkit.plot.compare` draws several runs.
+
+    All methods raise SpecError if the run has no rows or there is nothing to draw, UnknownNameError for an unknown
+    name, and NotRecordedError if the run did not record the quantity.
+
+    Examples
+    --------
+    >>> import mbdkit
+    >>> run = mbdkit.run("pendulum")
+    >>> axes = run.plot.reactions(joints=["J1"], components="global")
+    >>> axes.get_ylabel()
+    'joint force [N]'
+    """
+
+    def __init__(self, run: Run):
+        self._run = run
+
+    def trajectory(self, ax: Axes | None = None, *, points: Names = None) -> Axes:
+        """Draw paths of points in the plane [m].
+
+        Parameters
+        ----------
+        points
+            Names of markers, of bodies (their centres of mass), of joints that move, and of free ends such as
+            ``rod2 end``; by default all markers or, if the run has none, free ends and moving joints.
+        """
+        return draw_on(ax, trajectory_plot.chart(self._with_rows(), points=points))
+
+    def drift(self, ax: Axes | None = None, *, joints: Names = None, gap: Gap = "position") -> Axes:
+        """Draw the misalignment of joints over time on a logarithmic axis.
+
+        Parameters
+        ----------
+        gap
+            Misalignment of the ``position`` [m], of the ``velocity`` [m/s] or of a prescribed ``angle`` [rad].
+        """
+        return draw_on(ax, drift_plot.chart(self._with_rows(), joints=joints, gap=gap))
+
+    def energy(self, ax: Axes | None = None, *, terms: Names = None) -> Axes:
+        """Draw energies over time [J].
+
+        Parameters
+        ----------
+        terms
+            Some of ``kinetic``, ``potential``, ``total``, ``dissipated``, ``work`` and ``balance``; by default all but
+            the balance, without those that are zero. Potential and total energy are relative to the potential energy
+            at the start.
+        """
+        return draw_on(ax, energy_plot.chart(self._with_rows(), terms=terms))
+
+    def reactions(self, ax: Axes | None = None, *, joints: Names = None, components: Components = "magnitude") -> Axes:
+        """Draw the forces in joints over time [N]: those of the first body of each joint on the second.
+
+        Parameters
+        ----------
+        joints
+            Names of joints; by default those with the largest forces.
+        components
+            ``magnitude``; ``x``, ``y`` or both (``global``), in the global frame; ``axial``, ``shear`` or both
+            (``body``), along the x and the y axis of the second body of the joint, or of the first body if the second
+            is the ground.
+        """
+        return draw_on(ax, reactions_plot.chart(self._with_rows(), joints=joints, components=components))
+
+    def torques(self, ax: Axes | None = None, *, joints: Names = None, elements: Names = None) -> Axes:
+        """Draw torques over time [N m], positive counter-clockwise on the second body.
+
+        Parameters
+        ----------
+        joints, elements
+            Names of joints and drivers, and of force elements; by default those with the largest torques.
+        """
+        return draw_on(ax, torques_plot.chart(self._with_rows(), joints=joints, elements=elements))
+
+    def forces(self, ax: Axes | None = None, *, elements: Names = None) -> Axes:
+        """Draw the forces of springs, dampers and laws, positive where they pull together, and of loads over time [N].
+
+        Parameters
+        ----------
+        elements
+            Names of force elements; by default those with the largest forces.
+        """
+        return draw_on(ax, forces_plot.chart(self._with_rows(), elements=elements))
+
+    def _with_rows(self) -> Run:
+        require_rows(self._run)
+        return self._run
