@@ -1,4 +1,4 @@
-"""Charts of a run's report that no kind of plot has: components in the frames of bodies, force elements, markers."""
+"""Charts of a run's report that no kind of plot has: components in the frames of bodies, powers, angles, markers."""
 
 from __future__ import annotations
 
@@ -51,23 +51,6 @@ def _components(run: Run, joint: Any, colors: dict[str, str]) -> Figure:
     )
     title = f"Force in {joint.name}, in the frames of its bodies"
     return Figure(f"components-{joint.index + 1}", title, caption, _TIME, Axis("force component", "N"), tuple(lines))
-
-
-def force_charts(run: Run) -> list[Figure]:
-    """Return charts of the forces and of the torques of force elements."""
-    if not run.records("forces/value"):
-        return []
-    units = [force.units for force in run.forces.values()]
-    names = list(run.forces)
-    force = "Tension of springs and dampers, positive where it pulls, and magnitude of loads."
-    torque = "Torque on the second body of each element, positive counter-clockwise."
-    found = []
-    for unit, word, caption in (("N", "force", force), ("N m", "torque", torque)):
-        lines = _lines(run, "forces/value", names, [column for column, own in enumerate(units) if own == unit])
-        if lines:
-            title = f"{word.capitalize()}s of the force elements"
-            found.append(Figure(f"element-{word}s", title, caption, _TIME, Axis(word, unit), lines))
-    return found
 
 
 def power_charts(run: Run) -> list[Figure]:
