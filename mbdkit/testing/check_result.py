@@ -16,6 +16,7 @@ REQUIRED_GROUP: dict[Kind, str] = {
     "model": "energy",
     "force-law": "derivatives",
     "study": "study",
+    "measure": "measure",
 }
 """Group of checks, for each kind of plugin, of which at least one must have run for the plugin to be verified."""
 
