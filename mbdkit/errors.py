@@ -120,6 +120,14 @@ def with_place(error: BaseException) -> str:
     The line is the last one of the package that was called first, so that an exception raised in a library is told
     with the line of the plugin that called the library.
     """
+    place = _place_of(error)
+    cause = error.__cause__
+    while not place and cause is not None:  # raised by mbdkit because of an exception of the plugin
+        place, cause = _place_of(cause), cause.__cause__
+    return f"{one_line(error)} ({shown(place)})" if place else one_line(error)
+
+
+def _place_of(error: BaseException) -> str:
     package, place = "", ""
     trace = error.__traceback__
     while trace is not None:
@@ -130,7 +138,7 @@ def with_place(error: BaseException) -> str:
         if package and name == package:
             place = f"{frame.f_code.co_filename}, line {trace.tb_lineno}"
         trace = trace.tb_next
-    return f"{one_line(error)} ({shown(place)})" if place else one_line(error)
+    return place
 
 
 class RunError(MbdkitError):

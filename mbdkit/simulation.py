@@ -27,6 +27,7 @@ from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
+from mbdkit.errors import with_place
 from mbdkit.interrupts import interrupts_noted
 from mbdkit.methods.kinds import Method
 from mbdkit.provenance import provenance
@@ -50,7 +51,7 @@ from mbdkit.spec.run_source import RunSource, Sections
 from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch
 from mbdkit.stepping.start import start_method
 from mbdkit.stepping.warm_up import to_stderr
-from mbdkit.text import one_line, shown
+from mbdkit.text import shown
 from mbdkit.trust.criteria import judge
 
 if TYPE_CHECKING:
@@ -257,6 +258,7 @@ class _Simulation:
         self.stepper: Advancing | None = None
         self.watch: Watch | None = None
         self.failure: Failure | None = None
+        self.cause: BaseException | None = None
         self.interrupted = False
         self.accuracy: Accuracy | None = None
         if spec.estimates_errors:
@@ -331,7 +333,8 @@ class _Simulation:
         except BaseException as error:
             if item.origin.distribution == "mbdkit":
                 raise
-            self.failure = Failure("plugin-error", f"integrator {item.id} raised {one_line(error)}.")
+            self.failure = Failure("plugin-error", f"integrator {item.id} raised {with_place(error)}.")
+            self.cause = error
 
     def advance(self, stepper: Advancing, progress: Progress | None, begin: float) -> None:
         """Step until the end, a limit, a failure or an interrupt, and record the states."""
@@ -408,9 +411,12 @@ class _Simulation:
             warnings=self.warnings,
         )
         if file is not None:
-            return Run(file)
-        assert self.writer.path is not None
-        return load(self.writer.path)
+            run = Run(file)
+        else:
+            assert self.writer.path is not None
+            run = load(self.writer.path)
+        run.cause = self.cause
+        return run
 
 
 def _watch(spec: RunSpec, workspace: Workspace, stepper: Stepper) -> Watch:

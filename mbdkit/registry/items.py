@@ -53,7 +53,10 @@ class Claims:
     stages
         Number of stages; None where the method has no stages.
     drift
-        One sentence on how the constraints drift.
+        One sentence on how the constraints drift; ``none`` claims that they hold in positions to round-off.
+    constraints_hold
+        Levels, of ``position`` and ``velocity``, at which the constraints hold to round-off after every step, on the
+        first formulation.
     needs
         What the method needs of the equations of motion beside accelerations, such as ``"tangents"``.
     formulations
@@ -73,6 +76,7 @@ class Claims:
     adaptive: bool = False
     stages: int | None = None
     drift: str = ""
+    constraints_hold: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     formulations: tuple[str, ...] = ("index-1",)
     stabilizations: tuple[str, ...] = ("none", "baumgarte", "projection", "symmetric-projection")
