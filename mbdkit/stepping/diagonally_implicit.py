@@ -61,9 +61,7 @@ class DiagonallyImplicit(StepMethod):
         self._most = method.max_iterations or MOST_ITERATIONS
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        """Take one step; see `StepMethod.step`. The memory holds acceleration and multipliers of the last stage."""
-        first: Solved | None = state.memory
-        guess = equations.accelerations(t, state.q, state.v) if first is None else first
+        """Take one step; see `StepMethod.step`."""
         found: list[np.ndarray] = []
         n = equations.n
         work = dissipated = 0.0
@@ -71,8 +69,7 @@ class DiagonallyImplicit(StepMethod):
             v = state.v + h * _combined(self._a[i, :i], found, n)
             q = state.q + h * node * state.v + h * h * _combined(self._a2[i, :i], found, n)
             now, rate = t + node * h, h * self._a[i, i]
-            guess = self._solved(equations, now, q, v, rate, guess) if rate else equations.accelerations(now, q, v)
-            a, lam = guess
+            a, lam = self._solved(equations, now, q, v, rate) if rate else equations.accelerations(now, q, v)
             found.append(a)
             given, lost = equations.powers(now, q + rate * rate * a, v + rate * a, lam)
             work += h * self._b[i] * given
@@ -80,19 +77,18 @@ class DiagonallyImplicit(StepMethod):
         return state.moved(
             h * state.v + h * h * _combined(self._b2, found, n),
             h * _combined(self._b, found, n),
-            memory=guess,
             work=work,
             dissipated=dissipated,
         )
 
-    def _solved(
-        self, equations: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray, rate: float, guess: Solved
-    ) -> Solved:
+    def _solved(self, equations: EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray, rate: float) -> Solved:
         """Return acceleration and multipliers of a stage whose state is ``q + rate^2 a``, ``v + rate a``.
 
-        The iteration ends at the tolerance, or at stagnation: where the change is round-off, or no longer contracts.
+        The iteration starts from free flight: the acceleration of an earlier stage under a stiff force can lead to
+        another solution of the stage equations, far beyond the step. It ends at the tolerance, or at stagnation: where
+        the change is round-off, or no longer contracts.
         """
-        a, lam = guess
+        a, lam = np.zeros(equations.n), np.zeros(equations.m)
         before = np.inf
         for _ in range(self._most):
             change, lam = (self._newton_change if self._newton else _fixed_point_change)(
