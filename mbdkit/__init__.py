@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mbdkit.methods.step_method import StepMethod, StepState
     from mbdkit.methods.tableau import ButcherTableau
     from mbdkit.registry.hookspecs import hookimpl
-    from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, ModelPlugin, StudyPlugin
+    from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
     from mbdkit.simulation import run
     from mbdkit.spec import RunSpec, StudySpec
     from mbdkit.studies.study import Study, load_study, study
@@ -46,6 +46,7 @@ __all__ = [
     "Kinematics",
     "Linearization",
     "MbdkitError",
+    "MeasurePlugin",
     "Mechanism",
     "ModelPlugin",
     "Modes",
@@ -87,6 +88,7 @@ _HOME = {
     "Kinematics": "mbdkit.mechanics.kinematics",
     "Linearization": "mbdkit.mechanics.modes",
     "MbdkitError": "mbdkit.errors",
+    "MeasurePlugin": "mbdkit.registry.items",
     "Mechanism": "mbdkit.mechanism.mechanism",
     "ModelPlugin": "mbdkit.registry.items",
     "Modes": "mbdkit.mechanics.modes",

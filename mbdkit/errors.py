@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import errno
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
-from mbdkit.text import one_line, shortened
+from mbdkit.text import one_line, shortened, shown
 
 
 class MbdkitError(Exception):
@@ -106,7 +107,38 @@ def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
     except unchanged:
         raise
     except BaseException as error:
-        raise PluginError(f"{what}: {one_line(error)}") from error
+        raise PluginError(f"{what}: {with_place(error)}") from error
+
+
+_NO_PLUGINS = frozenset({"mbdkit", "pluggy", "pydantic", "pydantic_core", "numpy", "scipy", "sympy", "numba", "h5py"})
+"""Packages that call plugins, and those that plugins call."""
+
+
+def with_place(error: BaseException) -> str:
+    """Return an exception of a plugin on one line, with the file and line of the plugin where it was raised, if any.
+
+    The line is the last one of the package that was called first, so that an exception raised in a library is told
+    with the line of the plugin that called the library.
+    """
+    place = _place_of(error)
+    cause = error.__cause__
+    while not place and cause is not None:  # raised by mbdkit because of an exception of the plugin
+        place, cause = _place_of(cause), cause.__cause__
+    return f"{one_line(error)} ({shown(place)})" if place else one_line(error)
+
+
+def _place_of(error: BaseException) -> str:
+    package, place = "", ""
+    trace = error.__traceback__
+    while trace is not None:
+        frame = trace.tb_frame
+        name = str(frame.f_globals.get("__name__", "")).partition(".")[0]
+        if not package and name and name not in _NO_PLUGINS | sys.stdlib_module_names:
+            package = name
+        if package and name == package:
+            place = f"{frame.f_code.co_filename}, line {trace.tb_lineno}"
+        trace = trace.tb_next
+    return place
 
 
 class RunError(MbdkitError):

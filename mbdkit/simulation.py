@@ -28,6 +28,7 @@ from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
+from mbdkit.errors import with_place
 from mbdkit.interrupts import interrupts_noted
 from mbdkit.logs import logger_of
 from mbdkit.methods.kinds import Method
@@ -311,6 +312,7 @@ class _Simulation:
         self.stepper: Advancing | None = None
         self.watch: Watch | None = None
         self.failure: Failure | None = None
+        self.cause: BaseException | None = None
         self.interrupted = False
         self.accuracy: Accuracy | None = None
         if spec.estimates_errors:
@@ -392,7 +394,8 @@ class _Simulation:
         except BaseException as error:
             if item.origin.distribution == "mbdkit":
                 raise
-            self.failure = Failure("plugin-error", f"integrator {item.id} raised {one_line(error)}.")
+            self.failure = Failure("plugin-error", f"integrator {item.id} raised {with_place(error)}.")
+            self.cause = error
 
     def advance(self, stepper: Advancing, progress: Progress | None, begin: float) -> None:
         """Step until the end, a limit, a failure or an interrupt, and record the states."""
@@ -475,9 +478,12 @@ class _Simulation:
             warnings=self.warnings,
         )
         if file is not None:
-            return Run(file)
-        assert self.writer.path is not None
-        return load(self.writer.path)
+            run = Run(file)
+        else:
+            assert self.writer.path is not None
+            run = load(self.writer.path)
+        run.cause = self.cause
+        return run
 
 
 def _watch(spec: RunSpec, workspace: Workspace, stepper: Stepper) -> Watch:

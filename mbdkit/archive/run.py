@@ -59,6 +59,8 @@ class Run:
     def __init__(self, file: h5py.File, path: Path | None = None):
         self._file = file
         self._path = path
+        #: The exception of a plugin that ended the run, if it was run in this process; `check` chains it.
+        self.cause: BaseException | None = None
         self._arrays: dict[str, np.ndarray] = {}
         try:
             with reading("its header", path):
@@ -535,7 +537,7 @@ class Run:
             raise RunError("the run did not end: it crashed or is still running")
         reason = self.status_reason.removeprefix("interrupted: ")
         why = f": {reason}" if reason else ""
-        raise RunError(f"the run {'failed' if self.status == 'failed' else 'was interrupted'}{why}")
+        raise RunError(f"the run {'failed' if self.status == 'failed' else 'was interrupted'}{why}") from self.cause
 
     @property
     def plot(self) -> RunPlots:

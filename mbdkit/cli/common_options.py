@@ -23,6 +23,12 @@ SpecName = Annotated[
     str,
     typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example such as knee."),
 ]
+AnySpecName = Annotated[
+    str,
+    typer.Argument(
+        metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example or study, such as knee."
+    ),
+]
 StudyName = Annotated[
     str,
     typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged study such as paper."),
@@ -32,6 +38,12 @@ Archives = Annotated[list[Path], typer.Argument(metavar="FILE.h5", help="Run arc
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Set a key of the spec, such as time.step=0.005; may be repeated."),
+]
+BaseSet = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Set a key in the base of every run, such as time.end=5; may be repeated."
+    ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]

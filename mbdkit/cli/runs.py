@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mbdkit import terminal
-from mbdkit.cli.common_options import Archive, AsJson, Debug, Overwrite, Quiet, Set, SpecName
+from mbdkit.cli.common_options import AnySpecName, Archive, AsJson, Debug, Overwrite, Quiet, Set, SpecName
 from mbdkit.cli.output_paths import check_new, stem
 from mbdkit.terminal import progress_bar, say, show, show_json, silence
 from mbdkit.text import table
@@ -87,15 +87,26 @@ def _check_accuracy(accuracy: float) -> None:
         raise SpecError(f"{message}, not {accuracy:g}{why}")
 
 
-def validate(spec: SpecName, assignments: Set = None, debug: Debug = False) -> None:
-    """Check a spec without running it.
+def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -> None:
+    """Check a run spec or a study spec without running it.
 
     The mechanism is built and its start made consistent; changes of the start are
-    printed.
+    printed. Of a study, the specs of all runs are checked, and so are the
+    expressions of its measures; --set changes the base of every run.
     """
     from mbdkit.spec import load_spec
+    from mbdkit.spec.study_loading import load_study_spec, recognized
 
-    checked = load_spec(spec, assignments or ())
+    source, is_study = recognized(spec)
+    if is_study:
+        from mbdkit.studies.study_plan import plan_study
+        from mbdkit.studies.study_summary import plan_summary
+
+        study = load_study_spec(source, assignments or ())
+        told = plan_summary(study, plan_study(study))
+        show(f"{spec}: this study is valid\n{told}")
+        return
+    checked = load_spec(source, assignments or ())
     from mbdkit.run_corners import check_jumps
     from mbdkit.run_preparation import build, caution
     from mbdkit.run_warnings import start_warnings

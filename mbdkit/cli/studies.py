@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand
 
-from mbdkit.cli.common_options import AsJson, Debug, Quiet, StudyName
+from mbdkit.cli.common_options import AsJson, BaseSet, Debug, Quiet, StudyName
 from mbdkit.cli.output_paths import stem
 from mbdkit.terminal import STOPPED_EARLY, count_bar, say, show, show_json, silence
 
@@ -41,6 +41,13 @@ def study(
     executor: Annotated[
         Literal["local"], typer.Option("--executor", help="Where the processes run: on this machine.")
     ] = "local",
+    assignments: BaseSet = None,
+    overwrite: Annotated[
+        bool,
+        typer.Option(
+            "--overwrite", help="Start the folder anew: remove its study, runs and report; other files are kept."
+        ),
+    ] = False,
     with_report: Annotated[
         bool,
         typer.Option(
@@ -56,6 +63,9 @@ def study(
     Writes an archive for each run, and index.h5 with a row for each run. A second
     call computes only missing runs; failed runs are not repeated.
 
+    --set changes the base of every run, as the overrides of the study do; what an
+    axis varies cannot be set.
+
     Exit status 3 if runs are missing because the disk is full, a process died or the
     like: a second call tries again.
     """
@@ -67,7 +77,16 @@ def study(
     path = output if output is not None else Path(stem(spec))
     notify = silence if quiet else say
     with count_bar(path.name, quiet) as progress:
-        result = carry_out(spec, out=path, workers=workers or _cores(), shard=part, progress=progress, notify=notify)
+        result = carry_out(
+            spec,
+            out=path,
+            workers=workers or _cores(),
+            shard=part,
+            progress=progress,
+            notify=notify,
+            assignments=assignments or (),
+            overwrite=overwrite,
+        )
     page, told, values = None, "", {}
     if with_report:
         from mbdkit.report.report import write_report

@@ -241,8 +241,7 @@ class _Forces:
 
     def add_load(self, name: str, load: AppliedLoad) -> None:
         self.load_places.append(len(self.elements))
-        unit = "rad" if load.kind == "torque" else "m"
-        self.elements.append(ForceElement(name, (load.reaction_body, load.body), unit))
+        self.elements.append(ForceElement(name, (load.reaction_body, load.body), load.length_unit))
         motions = [self.motions.add(value) for value in load.values]
         bodies = (self.number[load.body], self.number[load.reaction_body])
         self.loads.append((LOADS[load.kind], *bodies, *motions, *[-1] * (2 - len(motions))))

@@ -23,7 +23,7 @@ import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, NoReturn
+from typing import ClassVar, NamedTuple, NoReturn
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import GROUND
@@ -39,17 +39,18 @@ MARKER = ("x", "y", "vx", "vy")
 ENERGY = ("kinetic", "potential", "total")
 
 Code = list[tuple[str, float]]
-_ATTRIBUTES: Mapping[str, Sequence[str]] = {
-    "bodies": BODY,
-    "joints": JOINT,
-    "forces": FORCE,
-    "markers": MARKER,
-    "energy": ENERGY,
+_ONE = {"bodies": "body", "joints": "joint", "forces": "force element", "markers": "marker", "events": "event"}
+_EXAMPLE = {
+    "bodies": "angle",
+    "joints": "force",
+    "forces": "value",
+    "markers": "x",
+    "energy": "total",
+    "events": "time",
 }
-_ONE = {"bodies": "body", "joints": "joint", "forces": "force element", "markers": "marker"}
-_EXAMPLE = {"bodies": "angle", "joints": "force", "forces": "value", "markers": "x", "energy": "total"}
 _BARE = ("bodies", "joints")
 """Kinds of elements whose quantities can be written without the kind, as NAME.ATTRIBUTE."""
+_ANGLES = ("angle", "angular_velocity", "angular_acceleration")
 _NOT_NEGATIVE = {("joints", "force"), ("joints", "misalignment"), ("energy", "kinetic")}
 
 
@@ -108,7 +109,7 @@ class RunExpression:
         SpecError
             If the syntax is wrong, a quantity does not exist, or the expression cannot cross zero.
         """
-        compiler = _RunCompiler(text, mechanism, parameters)
+        compiler = RunCompiler(text, mechanism, parameters)
         program = tuple(compiler.program())
         _check_crossing(program, compiler.quantities)
         return RunExpression(text, program, tuple(compiler.quantities))
@@ -216,9 +217,22 @@ def _check_crossing(program: Program, quantities: Sequence[Quantity]) -> None:
         )
 
 
-class _RunCompiler(Compiler):
-    """Compiles one expression with the quantities of a run."""
+class RunCompiler(Compiler):
+    """Compiles one expression with the quantities of a run.
 
+    Attributes
+    ----------
+    attributes
+        Names of the quantities of each kind of element.
+    """
+
+    attributes: ClassVar[Mapping[str, Sequence[str]]] = {
+        "bodies": BODY,
+        "joints": JOINT,
+        "forces": FORCE,
+        "markers": MARKER,
+        "energy": ENERGY,
+    }
     wanted = (
         "an expression of a run, which has numbers, t, pi, NAME.ATTRIBUTE of bodies and joints, forces.NAME.value, "
         "markers.NAME.x, energy.total"
@@ -255,7 +269,7 @@ class _RunCompiler(Compiler):
                 return self.of(kind, name, attribute, node)
             case ast.Attribute(value=ast.Name(id=name), attr=attribute) if name not in self.known or self.kinds(name):
                 return self.of(self.kind(name, attribute, node), name, attribute, node)
-            case ast.Name(id=group) if group in _ATTRIBUTES:
+            case ast.Name(id=group) if group in self.attributes:
                 example = f"{group}.{'NAME.' * (group in self.known)}{_EXAMPLE[group]}"
                 self.refuse(f"'{group}' is not a quantity by itself; write {example}, for example", node)
             case ast.Name(id=name) if any(name in names for names in self.known.values()):
@@ -277,10 +291,10 @@ class _RunCompiler(Compiler):
         kinds = self.kinds(name)
         if not kinds:
             if other := next((kind for kind, names in self.known.items() if name in names), ""):
-                example = f"{other}.{name}.{attribute if attribute in _ATTRIBUTES[other] else _EXAMPLE[other]}"
+                example = f"{other}.{name}.{attribute if attribute in self.attributes[other] else _EXAMPLE[other]}"
                 self.refuse(f"'{name}' is a {_ONE[other]}; write {example}", node)
             self.unknown(name, [*self.known["bodies"], *self.known["joints"]], "body or joint", node)
-        fitting = [kind for kind in kinds if self.checked(attribute, kinds, name, node) in _ATTRIBUTES[kind]]
+        fitting = [kind for kind in kinds if self.checked(attribute, kinds, name, node) in self.attributes[kind]]
         if len(fitting) > 1:
             both = " or ".join(f"{kind}.{name}.{attribute}" for kind in fitting)
             self.refuse(f"'{name}' is both a body and a joint; write {both}", node)
@@ -295,7 +309,7 @@ class _RunCompiler(Compiler):
         if name not in self.known[kind]:
             self.unknown(name, self.known[kind], _ONE[kind], node)
         self.checked(attribute, [kind], name, node)
-        if attribute.startswith("ang") and (kind == "bodies" or self.mechanism.joints[name].travel is None):
+        if attribute in _ANGLES and (kind == "bodies" or self.mechanism.joints[name].travel is None):
             for body in (name,) if kind == "bodies" else self.mechanism.joints[name].bodies:
                 if body != GROUND and self.mechanism.bodies[body].inertia is None:
                     self.refuse(f"'{body}' is a point mass (it has no inertia), so it has no angle", node)
@@ -309,7 +323,7 @@ class _RunCompiler(Compiler):
 
     def checked(self, attribute: str, kinds: Sequence[str], name: str, node: ast.expr) -> str:
         """Return `attribute` if one of the kinds has it; raise SpecError otherwise."""
-        known = [word for kind in kinds for word in _ATTRIBUTES[kind]]
+        known = [word for kind in kinds for word in self.attributes[kind]]
         if attribute not in known:
             whose = " and ".join(f"{_ONE[kind]} '{name}'" for kind in kinds) if name else "energy"
             hint = f"{did_you_mean(attribute, known)}; it has {listed(known, 'and')}"
@@ -318,7 +332,8 @@ class _RunCompiler(Compiler):
 
     def unknown(self, name: str, known: Sequence[str], what: str, node: ast.expr) -> NoReturn:
         """Raise SpecError for an unknown name."""
-        hint = did_you_mean(name, known) or f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}"
+        few = f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}" if known else "; there are none"
+        hint = did_you_mean(name, known) or few
         self.refuse(
             f"there is no {what} '{name}'{', because the ground does not move' if name == GROUND else hint}", node
         )

@@ -44,6 +44,11 @@ class AppliedLoad(NamedTuple):
     values: tuple[Motion, ...]
     point: tuple[float, float] = (0.0, 0.0)
 
+    @property
+    def length_unit(self) -> str:
+        """Unit of the coordinate along which the load does work: rad for a torque, m for a force."""
+        return "rad" if self.kind == "torque" else "m"
+
 
 class SpringDamper(LinePathway):
     """A linear spring and damper along the line between two points.

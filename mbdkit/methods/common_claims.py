@@ -59,6 +59,7 @@ def lobatto_pair_claims(stages: int) -> Claims:
         symplectic=True,
         stages=stages,
         drift="positions and velocities meet the joints to round-off at the end of every step",
+        constraints_hold=("position", "velocity"),
         needs=("accelerations",),
         formulations=("index-3",),
     )

@@ -61,12 +61,14 @@ class ExplicitRungeKutta:
 
 @dataclass(frozen=True)
 class ImplicitRungeKutta:
-    """A fully implicit Runge-Kutta method, whose stages are solved in second-order form.
+    """An implicit Runge-Kutta method, whose stages are solved in second-order form.
 
     Parameters
     ----------
     tableau
-        Coefficients of the method; ``a`` must be diagonalisable.
+        Coefficients of the method; ``a`` must be diagonalisable or lower triangular. If it is diagonalisable, compiled
+        code solves for all stages together; otherwise stages are solved one after the other, for index-1 only, at the
+        speed of a method written in Python.
     stage_solver
         Simplified Newton on accelerations and multipliers, or fixed-point iteration on accelerations.
     tolerance
@@ -86,9 +88,10 @@ class ImplicitRungeKutta:
     tolerances: Tolerances | None = None
 
     def __post_init__(self) -> None:
-        if not self.tableau.is_diagonalisable:
+        if not self.tableau.is_diagonalisable and not self.tableau.is_diagonally_implicit:
             raise TableauError(
-                f"the matrix of {self.tableau.name} cannot be diagonalised, which the transformed stage equations need"
+                f"the matrix of {self.tableau.name} is neither diagonalisable nor lower triangular, so that its stages "
+                "can be solved neither together nor one after the other"
             )
         if self.tolerances is not None and not self.tableau.is_collocation:
             raise TableauError(f"{self.tableau.name} is not a collocation method, so its error cannot be estimated")

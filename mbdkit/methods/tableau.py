@@ -201,6 +201,12 @@ class ButcherTableau:
         return all(a[i][j] == 0 for i in range(self.stages) for j in range(i, self.stages))
 
     @property
+    def is_diagonally_implicit(self) -> bool:
+        """Whether each stage depends on itself and on earlier stages only, and at least one on itself."""
+        a, _, _ = self._numbers
+        return not self.is_explicit and all(a[i][j] == 0 for i in range(self.stages) for j in range(i + 1, self.stages))
+
+    @property
     def is_diagonalisable(self) -> bool:
         """Whether ``a`` has a well-conditioned basis of eigenvectors. It may be singular, as for Lobatto IIIA."""
         import numpy as np

@@ -1,1 +1,1 @@
-"""The registry of plugins: models, integrators, force laws and studies, built-in or installed."""
+"""The registry of plugins: models, integrators, force laws, studies and measures, built-in or installed."""

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import pluggy
 
-from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, ModelPlugin, StudyPlugin
+from mbdkit.registry.items import ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
 
 PROJECT = "mbdkit"
 
@@ -92,5 +92,29 @@ def mbdkit_studies() -> list[StudyPlugin]:  # type: ignore[empty-body]
     Returns
     -------
     list of StudyPlugin
+        Each name once.
+    """
+
+
+@hookspec
+def mbdkit_measures() -> list[MeasurePlugin]:  # type: ignore[empty-body]
+    """Return the measures of this plugin, which a study takes of each of its runs.
+
+    A measure is a function of a run and of options::
+
+        class JumpOptions(BaseModel):
+            body: str = "trunk"
+
+        def jump_height(run, options):
+            height = run[options.body].position[:, 1]
+            return height.max() - height[0]
+
+        mbdkit.MeasurePlugin("jump-height", "Rise of a body above its start", JumpOptions, "m", jump_height)
+
+    and a study names it: ``measures: {jump: {name: jump-height, body: pelvis}}``.
+
+    Returns
+    -------
+    list of MeasurePlugin
         Each name once.
     """

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from mbdkit.errors import PluginError
+from mbdkit.errors import PluginError, SpecError
+from mbdkit.units import read_unit
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -52,7 +53,10 @@ class Claims:
     stages
         Number of stages; None where the method has no stages.
     drift
-        One sentence on how the constraints drift.
+        One sentence on how the constraints drift; ``none`` claims that they hold in positions to round-off.
+    constraints_hold
+        Levels, of ``position`` and ``velocity``, at which the constraints hold to round-off after every step, on the
+        first formulation.
     needs
         What the method needs of the equations of motion beside accelerations, such as ``"tangents"``.
     formulations
@@ -72,6 +76,7 @@ class Claims:
     adaptive: bool = False
     stages: int | None = None
     drift: str = ""
+    constraints_hold: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     formulations: tuple[str, ...] = ("index-1",)
     stabilizations: tuple[str, ...] = ("none", "baumgarte", "projection", "symmetric-projection")
@@ -333,7 +338,51 @@ class StudyPlugin(Plugin):
             self._check_callable("verdict")
 
 
-ITEM_CLASSES: tuple[type[Plugin], ...] = (ModelPlugin, IntegratorPlugin, ForceLawPlugin, StudyPlugin)
+@dataclass(frozen=True)
+class MeasurePlugin(Plugin):
+    """A measure of studies: a function that computes one number from a run.
+
+    Parameters
+    ----------
+    name
+        Short name, such as ``jump-height``, for ``measures`` in a study spec.
+    summary
+        One line that describes the measure.
+    options
+        Pydantic model of the options, without ``name``; `pydantic.BaseModel` itself if it has none.
+    units
+        Unit of the number, such as ``N m``; ``1`` for a pure number.
+    take
+        Takes the `mbdkit.Run`, complete or not, and an instance of `options`, and returns the number: nan if the run
+        does not provide it. Import what it needs inside the function: plugins are loaded whenever mbdkit starts.
+    references
+        BibTeX entries of the sources.
+    """
+
+    kind: ClassVar[str] = "measure"
+    hook: ClassVar[str] = "mbdkit_measures"
+    key: ClassVar[str] = "name"
+
+    name: str
+    summary: str
+    options: type[BaseModel]
+    units: str
+    take: Callable[[Any, Any], float]
+    references: tuple[str, ...] = ()
+
+    def check(self) -> None:
+        """Check the types of the fields and the unit; raises PluginError."""
+        super().check()
+        self._check_callable("take")
+        if not isinstance(self.units, str):
+            raise PluginError(f"its units are {described(self.units)}, not a text such as 'N m'")
+        try:
+            read_unit(self.units)
+        except SpecError as error:
+            raise PluginError(f"its units: {error.message}") from None
+
+
+ITEM_CLASSES: tuple[type[Plugin], ...] = (ModelPlugin, IntegratorPlugin, ForceLawPlugin, StudyPlugin, MeasurePlugin)
 """The kinds of plugin, in the order in which their hooks are called."""
 
 

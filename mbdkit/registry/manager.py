@@ -13,13 +13,13 @@ from typing import Any, Protocol
 
 import pluggy
 
-from mbdkit.errors import PluginError
+from mbdkit.errors import PluginError, with_place
 from mbdkit.registry import hookspecs
 from mbdkit.registry.catalogue import KINDS, Kind, Origin, Registered, Registry, Report
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.items import Plugin, described
 from mbdkit.registry.policy import STRICT, Policy, check_api
-from mbdkit.text import listed, one_line
+from mbdkit.text import listed
 
 GROUP = hookspecs.PROJECT
 
@@ -179,4 +179,4 @@ def _order(entry_point: EntryPoint) -> tuple[bool, str, str]:
 
 
 def _sentence(error: BaseException) -> str:
-    return str(error) if type(error) is PluginError else one_line(error)
+    return str(error) if type(error) is PluginError else with_place(error)

@@ -93,6 +93,8 @@ def read_source(source: Any) -> Document:
         )
     if isinstance(source, Mapping):
         return Document(copied(source))
+    if isinstance(source, Document):
+        return source
     if isinstance(source, str | FilePath):
         return _named(source)
     if hasattr(source, "to_spec"):

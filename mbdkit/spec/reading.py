@@ -191,20 +191,32 @@ def set_value(document: Document, assignment: str) -> None:
     SpecError
         If the text is not an assignment, if the value is not YAML, or if the key path does not fit the document.
     """
+    path, value = read_assignment(assignment)
+    where = f"--set {assignment}"
+    try:
+        put(document.data, path, value)
+    except SpecError as error:
+        raise error.located(file=where) from None
+    document.overridden[path] = assignment
+
+
+def read_assignment(assignment: str) -> tuple[Path, Any]:
+    """Return the key path and the value of an assignment ``key.path=value`` from the command line.
+
+    Raises
+    ------
+    SpecError
+        If the text is not an assignment, or if the value is not YAML.
+    """
     where = f"--set {assignment}"
     key, equals, text = assignment.partition("=")
     path = parse_key(key.strip())
     if not equals or not path:
         raise SpecError("should have the form KEY=VALUE, such as time.step=0.005", file=where)
     try:
-        value = read_value(text)
+        return path, read_value(text)
     except SpecError as error:
         raise SpecError(error.message, key=key.strip(), file=where) from None
-    try:
-        put(document.data, path, value)
-    except SpecError as error:
-        raise error.located(file=where) from None
-    document.overridden[path] = assignment
 
 
 def read_assignments(assignments: Iterable[str]) -> dict[str, Any]:

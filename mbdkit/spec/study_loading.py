@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -13,20 +13,24 @@ from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.spec.loading import example_names, exists, read_source
-from mbdkit.spec.reading import read_file, read_stdin, read_text
+from mbdkit.spec.reading import parse_key, read_assignment, read_file, read_stdin, read_text
 from mbdkit.spec.source_document import Document
 from mbdkit.spec.study_spec import StudySpec
+from mbdkit.spec.value_sets import sets_together
 from mbdkit.text import did_you_mean, listed
 
 
-def load_study_spec(source: Any) -> StudySpec:
+def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
     """Load and validate a study spec; each base becomes a mapping.
 
     Parameters
     ----------
     source
-        A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged study, a mapping, or a
-        `StudySpec`. The file name of a base is relative to the folder of the study file.
+        A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged study, a mapping, a document
+        that was read, or a `StudySpec`. The file name of a base is relative to the folder of the study file.
+    assignments
+        Assignments such as ``"time.end=5"``, with values in YAML, that are set in the base of every run, after the
+        `overrides` of the study.
 
     Returns
     -------
@@ -38,8 +42,9 @@ def load_study_spec(source: Any) -> StudySpec:
     SpecError
         If the spec is not valid, with the file, line and key path if known.
     """
+    assignments = tuple(assignments)
     if isinstance(source, StudySpec):
-        if source._document is not None:
+        if source._document is not None and not assignments:
             return source
         source = source.model_dump(exclude_unset=True)
     document, folder = _document(source)
@@ -49,12 +54,63 @@ def load_study_spec(source: Any) -> StudySpec:
         raise document.place(SpecError(message, key="mbdkit"))
     try:
         bases = _write_out_bases(data, folder)
+        for assignment in assignments:
+            _override(document, assignment)
         spec = StudySpec(**data)
     except SpecError as error:
         raise document.place(error) from None
     spec._document = document
     spec._bases = bases
     return spec
+
+
+def _override(document: Document, assignment: str) -> None:
+    """Set a key in the base of every run: in the overrides of the study, and of families that have their own."""
+    path, value = read_assignment(assignment)
+    key = path_text(path)
+    holders: dict[Path, dict[str, Any]] = {(): document.data}
+    families = document.data.get("families")
+    for name, family in families.items() if isinstance(families, Mapping) else ():
+        if isinstance(family, dict):  # validation reports others
+            holders["families", name] = family
+    for place, holder in holders.items():
+        _check_axes(holder.get("axes"), path, assignment)
+        given = holder.get("overrides")
+        if (place and not given) or not isinstance(given, Mapping | None):
+            continue
+        holder["overrides"] = {name: old for name, old in (given or {}).items() if name != key} | {key: value}
+        document.overridden[parse_path(path_text((*place, "overrides", key)))] = assignment
+
+
+def _check_axes(axes: Any, path: Path, assignment: str) -> None:
+    """Raise SpecError if an axis sets the key of an assignment, which would have no effect."""
+    for axis in axes if isinstance(axes, list) else ():
+        for name, values in axis.items() if isinstance(axis, Mapping) else ():
+            together = sets_together(values) if isinstance(values, list) else []
+            for key in [key for _, keys in together for key in keys] if together else [name]:
+                if (set_by_axis := parse_key(key)) and path[: len(set_by_axis)] == set_by_axis:
+                    message = f"an axis of the study sets {key}, so this would have no effect"
+                    raise SpecError(message, file=f"--set {assignment}")
+
+
+def recognized(source: str) -> tuple[str | Document, bool]:
+    """Return what `load_study_spec` or `load_spec` take for a spec of either kind, and whether it is that of a study.
+
+    Parameters
+    ----------
+    source
+        A file, ``"-"`` for standard input, or the name of a packaged example or study.
+
+    Raises
+    ------
+    SpecError
+        If the file cannot be read.
+    """
+    if source != "-" and not os.path.isfile(source):
+        return source, source not in example_names() and _packaged(source) is not None
+    document = read_stdin() if source == "-" else read_file(FilePath(source))
+    has_grid = "model" not in document.data and bool({"axes", "families"} & document.data.keys())
+    return document, "mbdkit" not in document.data and ("mbdkit_study" in document.data or has_grid)
 
 
 def study_names() -> list[str]:
@@ -73,6 +129,8 @@ def _document(source: Any) -> tuple[Document, FilePath]:
     """Return the document of a study, and the folder to which file names in it are relative."""
     if isinstance(source, Mapping):
         return Document(copied(source)), FilePath()
+    if isinstance(source, Document):
+        return _by_text(source), FilePath(source.file).parent
     if not isinstance(source, str | FilePath):
         what = type(source).__name__
         raise SpecError(f"a study is a file, the name of a packaged study, a dict or a StudySpec, not {what}")

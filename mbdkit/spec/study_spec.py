@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
@@ -13,43 +13,9 @@ from mbdkit.spec.reading import parse_key
 from mbdkit.spec.sections import Section
 from mbdkit.spec.source_document import Document
 from mbdkit.spec.strict_spec import StrictSpec
+from mbdkit.spec.study_measures import ERRORS, SECOND_RUN, DefinedMeasure, Measures, built_in, defined
 from mbdkit.spec.value_sets import ValueSet, sets_together, size
 from mbdkit.text import listed
-
-ErrorMeasure = Literal[
-    "end_error",
-    "end_angle_error",
-    "trajectory_error",
-    "trajectory_angle_error",
-    "velocity_error",
-    "angular_velocity_error",
-    "multiplier_error",
-]
-"""Measures that compare a run with its reference run."""
-SecondRunMeasure = Literal["reversibility_defect", "reversibility_velocity_defect", "velocity_misalignment_every_step"]
-"""Measures that need a second run of each spec; taken only if listed by name."""
-Measure = Literal[
-    "misalignment_max",
-    "velocity_misalignment_max",
-    "angle_misalignment_max",
-    "energy_balance_max",
-    "energy_balance_end",
-    "energy_scale",
-    "reaction_force_max",
-    "element_force_max",
-    "element_torque_max",
-    "driver_power_max",
-    ErrorMeasure,
-    "own_multipliers",
-    "energy_trend",
-    "energy_trend_error",
-    "energy_oscillation",
-    "duration",
-    "mechanism_size",
-    SecondRunMeasure,
-]
-ERRORS: tuple[str, ...] = get_args(ErrorMeasure)
-SECOND_RUN: tuple[str, ...] = get_args(SecondRunMeasure)
 
 
 def _check_key(key: str) -> str:
@@ -170,9 +136,11 @@ class StudySpec(StrictSpec):
     """Dotted keys to set in the spec of a run to obtain its reference run; `none` for no reference."""
     repeats: Repeats = 1
     """Number of timings of each run; if more than one, timing is serial, after all runs."""
-    measures: Literal["all"] | tuple[Measure, ...] = "all"
-    """Measures to take of each run, in addition to counters and times; `all` takes those computed from the archive, not
-    the reversibility defects and the velocity misalignment over every step, which need a second run."""
+    measures: Measures = "all"
+    """Measures to take of each run, in addition to counters and times. `all` takes the built-in ones that are computed
+    from the archive, not the reversibility defects and the velocity misalignment over every step, which need a second
+    run. A mapping defines further ones by expressions, such as `peak: max(abs(joints.B.force))`, or by measures of
+    plugins, and takes all built-in ones too. A list takes what it contains: names and such mappings."""
     verdict: str = ""
     """Name of the function that evaluates the results in the report; empty for none."""
 
@@ -199,8 +167,22 @@ class StudySpec(StrictSpec):
         if not self.families and self.base is None:
             raise SpecError("is missing: the run spec to vary (a packaged example, a file or a mapping)", key="base")
         references = [self.reference, *(family.reference for family in self.families.values())]
-        if self.measures != "all" and all(reference in ("none", None) for reference in references):
+        if isinstance(self.measures, list) and all(reference in ("none", None) for reference in references):
             for index, measure in enumerate(self.measures):
                 if measure in ERRORS:
                     raise SpecError(f"'{measure}' needs a `reference` to compare with", key=f"measures[{index}]")
         return self
+
+    @property
+    def built_in_measures(self) -> tuple[str, ...] | None:
+        """Names of the built-in measures to take; None for all that are computed from the archive."""
+        return built_in(self.measures)
+
+    @property
+    def second_run_measures(self) -> tuple[str, ...]:
+        """Names of the measures to take that need a second run."""
+        return tuple(name for name in SECOND_RUN if name in (self.built_in_measures or ()))
+
+    def defined_measures(self) -> tuple[DefinedMeasure, ...]:
+        """Return the measures that the study defines by expressions or takes from plugins."""
+        return tuple(defined(self.measures))

@@ -19,6 +19,7 @@ from mbdkit.methods.step_method import StepMethod
 from mbdkit.methods.tableau import TableauError
 from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.compiled_stepper import CompiledStepper
+from mbdkit.stepping.diagonally_implicit import DiagonallyImplicit
 from mbdkit.stepping.explicit import CompiledExplicit
 from mbdkit.stepping.interface import Stepper, Timetable
 from mbdkit.stepping.lobatto_iiia_iiib import CompiledLobattoPair
@@ -79,6 +80,13 @@ def _(method: ExplicitRungeKutta, workspace: Workspace, timetable: Timetable) ->
 @start_method.register
 def _(method: ImplicitRungeKutta, workspace: Workspace, timetable: Timetable) -> Stepper:
     tableau, control = method.tableau, None
+    if not tableau.is_diagonalisable:
+        if workspace.formulation != "index-1":
+            raise TableauError(
+                f"{tableau.name} cannot be used with the formulation {workspace.formulation!r}: its stages are solved "
+                "one after the other, which is implemented for index-1"
+            )
+        return PythonStepper(DiagonallyImplicit(method), workspace, timetable)
     if method.tolerances is not None:
         control = _control(method.tolerances, workspace, order=tableau.order, estimate_order=tableau.stages + 1)
     if workspace.formulation != "index-1" and not (tableau.is_stiffly_accurate and method.stage_solver == "newton"):

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.reader import load
 from mbdkit.errors import ResourceError, SpecError
-from mbdkit.spec.study_spec import ERRORS, StudySpec
+from mbdkit.spec.study_measures import ERRORS, DefinedMeasure
+from mbdkit.spec.study_spec import StudySpec
+from mbdkit.studies.defined_measures import Description, take
 from mbdkit.studies.known_runs import KnownRuns
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, worst_joint
 from mbdkit.studies.planned_points import PlannedPoint
@@ -28,6 +30,7 @@ def collect(
     known_runs: KnownRuns,
     repeats: Mapping[str, Sequence[float]],
     second: Mapping[str, Outcome],
+    defined: Mapping[str, Description],
 ) -> Index:
     """Return the index of the current content of the folder.
 
@@ -41,12 +44,15 @@ def collect(
         New serial timings by run id, s.
     second
         Outcomes of new second runs by run id.
+    defined
+        Units and descriptions of the measures that the study defines.
     """
     compared = any(point.grid.reference for point in points)
-    wanted = tuple(MEASURES) if spec.measures == "all" else spec.measures
+    wanted = tuple(MEASURES) if spec.built_in_measures is None else spec.built_in_measures
     collector = _Collector(
         known_runs,
         [name for name in wanted if name in MEASURES and (compared or name not in ERRORS)],
+        spec.defined_measures(),
         [name for name in wanted if name in SECOND],
         repeats,
         second,
@@ -70,6 +76,7 @@ def collect(
         version("mbdkit"),
         tuple(rows),
         tuple(collector.row(run_id, "") for run_id in references),
+        defined,
     )
 
 
@@ -78,17 +85,28 @@ class _Collector:
         self,
         known_runs: KnownRuns,
         measures: Sequence[str],
+        defined: Sequence[DefinedMeasure],
         again: Sequence[str],
         repeats: Mapping[str, Sequence[float]],
         second: Mapping[str, Outcome],
         timed: bool,
     ):
-        self.known_runs, self.measures, self.again = known_runs, measures, again
+        self.known_runs, self.measures, self.defined, self.again = known_runs, measures, defined, again
         self.repeats, self.second, self.timed = repeats, second, timed
+
+    @property
+    def taken(self) -> tuple[str, ...]:
+        """Names of the measures that are taken from archives."""
+        return *self.measures, *(measure.name for measure in self.defined)
+
+    @property
+    def uses_plugins(self) -> bool:
+        """Whether a measure is that of a plugin, which may have changed since the study was indexed."""
+        return any(measure.item is not None for measure in self.defined)
 
     def left_out(self, distribution: str) -> Row:
         """Return the row of a run that is left out because a distribution is not installed."""
-        columns = (*self.measures, *self.again, *COUNTERS, *TIMINGS)
+        columns = (*self.taken, *self.again, *COUNTERS, *TIMINGS)
         reason = f"not-installed: the distribution {distribution} is not installed."
         return Row("", "left-out", reason, values=dict.fromkeys(columns, math.nan))
 
@@ -96,7 +114,7 @@ class _Collector:
         """Return the row of a run without its family and axes."""
         path = self.known_runs.folder.archive(run_id)
         outcome = self.known_runs.outcome(run_id)
-        known = self.known_runs.measured(run_id, reference_id)
+        known = None if self.uses_plugins else self.known_runs.measured(run_id, reference_id)
         if known is not None:
             row = known
         elif outcome.status == "missing" or not path.exists():
@@ -131,7 +149,7 @@ class _Collector:
 
     def without_archive(self, run_id: str, outcome: Outcome) -> Row:
         """Return the row of a run that has no archive."""
-        columns = (*self.measures, *COUNTERS, *TIMINGS)
+        columns = (*self.taken, *COUNTERS, *TIMINGS)
         return Row(run_id, outcome.status, outcome.reason, values=dict.fromkeys(columns, math.nan))
 
     def measured(self, run_id: str, reference_id: str) -> Row:
@@ -140,9 +158,9 @@ class _Collector:
         with load(folder.archive(run_id)) as run:
             if reference_id and self.known_runs.outcome(reference_id).status == "complete":
                 with load(folder.archive(reference_id)) as reference:
-                    values = self.values(run, reference)
+                    values = self.values(run, reference, run_id)
             else:
-                values = self.values(run, None)
+                values = self.values(run, None, run_id)
             return Row(
                 run_id,
                 run.status,
@@ -154,8 +172,9 @@ class _Collector:
                 verdict_reasons=" ".join(run.verdict_reasons),
             )
 
-    def values(self, run: Run, reference: Run | None) -> dict[str, float]:
+    def values(self, run: Run, reference: Run | None, run_id: str) -> dict[str, float]:
         taken = {name: MEASURES[name].take(run, reference) for name in self.measures}
+        taken |= {measure.name: take(measure, run, self.known_runs.runs[run_id]) for measure in self.defined}
         if run.accuracy is not None:
             taken |= {name: measure.take(run, reference) for name, measure in OF_CHECKED_RUNS.items()}
         return taken | {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}

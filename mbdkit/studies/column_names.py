@@ -29,6 +29,11 @@ def check_column_names(spec: StudySpec) -> None:
     SpecError
         If a name cannot be stored, or two columns would have the same name.
     """
+    measures = {measure.name: ("measures", *measure.place) for measure in spec.defined_measures()}
+    for name, where in measures.items():
+        if name in COLUMNS | _OF_TABLES:
+            message = f"'{name}' is a column of the index of every study; choose another name for this measure"
+            raise spec.placed(SpecError(message, key=path_text(where)))
     columns: dict[str, str] = {}
     for grid in grids(spec):
         _check_text(spec, grid.name, ("families",), _CONTROL)
@@ -39,6 +44,9 @@ def check_column_names(spec: StudySpec) -> None:
                 for value in values:
                     _check_text(spec, str(value.label), (*place, *value.place), _UNSTORED)
                 other = columns.setdefault(axis_column(key), key)
+                if axis_column(key) in measures:
+                    message = f"'{key}' is also a measure of this study; choose another name for the measure"
+                    raise spec.placed(SpecError(message, key=path_text(measures[axis_column(key)])))
                 if why := _refusal(key, other):
                     raise spec.placed(SpecError(why, key=path_text(place)))
 

@@ -9,16 +9,13 @@ from dataclasses import dataclass
 
 from mbdkit.errors import SpecError
 from mbdkit.interrupts import interrupts_delayed
-from mbdkit.spec import RunSpec
-from mbdkit.spec.study_spec import SECOND_RUN, StudySpec
+from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
 from mbdkit.studies.collect import collect
-from mbdkit.studies.column_names import check_column_names
 from mbdkit.studies.known_runs import KnownRuns
-from mbdkit.studies.planned_points import plan_points
 from mbdkit.studies.pool import Outcome, Pool, Task
 from mbdkit.studies.study_folder import StudyFolder
-from mbdkit.studies.verdict_lookup import check_verdict
+from mbdkit.studies.study_plan import plan_study
 from mbdkit.text import counted
 
 #: Called with (tasks done, tasks in all, failed runs). A run is one task, and so are its repeated timings.
@@ -70,6 +67,8 @@ class Execution:
         that completes the study.
     notify
         Called with a message before an operation that takes long.
+    overwrite
+        Whether to remove the study that the folder contains; not with a shard.
 
     Raises
     ------
@@ -85,21 +84,17 @@ class Execution:
         shard: Shard | None,
         progress: Progress | None,
         notify: Callable[[str], None],
+        overwrite: bool = False,
     ):
-        self.spec, self.folder, self.shard = spec, folder, shard
+        if overwrite and shard is not None:
+            raise SpecError(
+                "--overwrite cannot be combined with --shard: it would remove what the calls for other parts computed"
+            )
+        self.spec, self.folder, self.shard, self.overwrite = spec, folder, shard, overwrite
         self.progress, self.notify = progress, notify
-        check_verdict(spec)
-        check_column_names(spec)
-        self.points = plan_points(spec)
-        runs, references = {}, {}
-        for point in self.points:
-            if point.lacking:
-                continue
-            runs[point.run_id] = point.spec
-            if point.reference is not None:
-                references[point.reference_id] = point.reference
-        self.runs: dict[str, RunSpec] = references | runs
-        folder.check(spec)
+        plan = plan_study(spec)
+        self.points, self.runs, self.defined = plan.points, plan.runs, plan.defined
+        folder.check(spec, overwrite=overwrite)
         self.names = {folder.archive(run_id): run_id for run_id in self.runs}
         self.computed = 0
         self.failed = 0
@@ -115,6 +110,8 @@ class Execution:
         workers
             Number of processes that compute in parallel. Timings are made by a single separate process.
         """
+        if self.overwrite:
+            self.folder.clear()
         self.folder.prepare(self.spec)
         self.tell_left_out()
         with self.folder.locked(shared=self.shard is not None):
@@ -133,7 +130,7 @@ class Execution:
                 self.time(repeats, total, known_runs)
             finally:
                 with interrupts_delayed(), self.folder.indexing():
-                    found = collect(self.spec, self.points, known_runs, self.timings, self.second)
+                    found = collect(self.spec, self.points, known_runs, self.timings, self.second, self.defined)
                     study_index.write(self.folder.index, found)
 
     def tell_left_out(self) -> None:
@@ -161,14 +158,9 @@ class Execution:
                 self.note_unfinished(outcome)
                 self.tell(self.computed, total)
 
-    @property
-    def wanted_again(self) -> tuple[str, ...]:
-        """The requested measures that need a second run."""
-        return tuple(name for name in SECOND_RUN if self.spec.measures != "all" and name in self.spec.measures)
-
     def to_run_again(self, known_runs: KnownRuns) -> list[str]:
         """Return the runs that still need a second run; references never do."""
-        if not self.wanted_again:
+        if not self.spec.second_run_measures:
             return []
         wanted = dict.fromkeys(point.run_id for point in self.points if not point.lacking)
         return [run_id for run_id in wanted if known_runs.run_twice(run_id) is None]
@@ -176,7 +168,7 @@ class Execution:
     def run_again(self, again: list[str], workers: int, last: int, total: int, known_runs: KnownRuns) -> None:
         """Take the measures that need a second run from complete runs, in parallel."""
         tasks = [
-            Task(self.runs[run_id], self.folder.archive(run_id), second=self.wanted_again)
+            Task(self.runs[run_id], self.folder.archive(run_id), second=self.spec.second_run_measures)
             for run_id in again
             if known_runs.outcome(run_id).status == "complete"
         ]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.errors import PluginError, SpecError
+from mbdkit.errors import PluginError, SpecError, with_place
 from mbdkit.studies.verdict_lookup import find_verdict
-from mbdkit.text import one_line
 
 if TYPE_CHECKING:
     from mbdkit.analysis.verdict import Verdict
@@ -45,7 +44,7 @@ def judge(study: Study) -> Verdict:
     except (Exception, SystemExit) as error:
         if item.origin.distribution == "mbdkit":
             raise
-        raise PluginError(f"the verdict of '{item.id}' raised {one_line(error)}") from error
+        raise PluginError(f"the verdict of '{item.id}' raised {with_place(error)}") from error
     return _checked(found, item)
 
 

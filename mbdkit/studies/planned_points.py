@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -262,6 +262,21 @@ def plan_points(spec: StudySpec) -> tuple[PlannedPoint, ...]:
         PlannedPoint(number, labels, spec, grid, tuple(settings), lacking)
         for number, (grid, labels, settings, lacking) in enumerate(chosen, start=1)
     )
+
+
+def distinct_runs(points: Iterable[PlannedPoint]) -> Iterator[tuple[str, RunSpec]]:
+    """Yield the spec of each different run of a study, references included, with a name for error messages."""
+    seen: set[str] = set()
+    for point in points:
+        if point.lacking:
+            continue
+        for name, run_id, spec in (
+            (f"run {point.number}", point.run_id, point.spec),
+            (f"the reference of run {point.number}", point.reference_id, point.reference),
+        ):
+            if spec is not None and run_id not in seen:
+                seen.add(run_id)
+                yield name, spec
 
 
 def point_label(axes: Mapping[str, Label]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from mbdkit.spec.run_source import StudySource
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
+from mbdkit.studies.defined_measures import Description
 from mbdkit.studies.execute import Execution, Progress, Shard
 from mbdkit.studies.planned_points import Label, PlannedPoint, plan_points, point_label
 from mbdkit.studies.study_folder import StudyFolder
@@ -147,6 +148,7 @@ class Study:
         planned = plan_points(self.spec)
         if index.study_sha256 != self.spec.sha256() or len(index.runs) != len(planned):
             raise SpecError("the index does not match study.yaml; run `mbdkit study` to renew it", file=folder)
+        self._index = index
         self.points: tuple[StudyPoint, ...] = tuple(
             StudyPoint(point.number, row, point, self._archive(row), point.axes)
             for point, row in zip(planned, index.runs, strict=True)
@@ -165,7 +167,8 @@ class Study:
         KeyError
             If there is no such column.
         """
-        return study_index.described(name)
+        found = self._index.described(name)
+        return found.units, found.long_name
 
     def _archive(self, row: Row) -> Path | None:
         path = self._files.archive(row.run_id)
@@ -238,9 +241,14 @@ class Study:
             raise MbdkitError(f"the study has several families; name one: {listed(self.families)}")
         return self.family(next(iter(self.families)) if name is None else name)
 
+    @property
+    def measures(self) -> dict[str, Description]:
+        """Units and descriptions, by column, of the measures that the study defines by expressions or plugins."""
+        return {measure.name: self._index.described(measure.name) for measure in self.spec.defined_measures()}
+
     def _columns(self, points: Sequence[StudyPoint]) -> dict[str, list[Any]]:
         """Return the columns of the index without those of the axes."""
-        names = dict.fromkeys(name for point in points for name in point.values)
+        names = dict.fromkeys((*self.measures, *(name for point in points for name in point.values)))
         return {
             "run_id": [point.run_id for point in points],
             "reference_id": [point.reference_id for point in points],
@@ -256,6 +264,8 @@ class Study:
 
     def to_frame(self, family: str | None = None) -> pandas.DataFrame:
         """Return a table with one row per point: number, family, axes, run, status, verdict, measures, counters, times.
+
+        Its attribute ``attrs["units"]`` has the unit of each numeric column.
 
         Parameters
         ----------
@@ -275,7 +285,9 @@ class Study:
         keys = dict.fromkeys(key for point in points for key in point.axes)
         axes = {key: [point.axes.get(key) for point in points] for key in keys}
         place = {"number": [point.number for point in points], "family": [point.family for point in points]}
-        return pandas.DataFrame({**place, **axes, **self._columns(points)})
+        frame = pandas.DataFrame({**place, **axes, **self._columns(points)})
+        frame.attrs["units"] = {name: self._index.described(name).units for name in points[0].values}
+        return frame
 
     def to_xarray(self, family: str | None = None) -> xarray.Dataset:
         """Return the grid of one family as a dataset with one dimension per axis.
@@ -311,7 +323,7 @@ class Study:
             dtype = object if isinstance(values[0], str) else None
             attributes = {}
             if name in points[0].values:
-                attributes = dict(zip(("units", "long_name"), study_index.described(name), strict=True))
+                attributes = asdict(self._index.described(name))
             variables[name] = (dims, np.array(values, dtype).reshape(shape), attributes)
         return xarray.Dataset(variables, coordinates, {"title": self.spec.title, "status": self.status})
 
@@ -352,6 +364,8 @@ def study(
     shard: Shard | None = None,
     progress: Progress | None = None,
     notify: Callable[[str], None] = say,
+    assignments: Sequence[str] = (),
+    overwrite: bool = False,
 ) -> Study:
     """Run a study: compute the runs that are missing in its folder.
 
@@ -369,6 +383,11 @@ def study(
         Called with (tasks done, tasks in all, failed runs) after each task.
     notify
         Called with a message before an operation that takes long.
+    assignments
+        Assignments such as ``"time.end=5"`` that are set in the base of every run.
+    overwrite
+        Whether to start the folder anew: its study.yaml, index, archives of runs and report are removed first, once the
+        new study has proved valid. Other files in it are kept.
 
     Returns
     -------
@@ -399,14 +418,14 @@ def study(
     >>> [point.status for point in study.points]
     ['complete', 'complete', 'complete', 'complete']
     """
-    spec = load_study_spec(source)
+    spec = load_study_spec(source, assignments)
     keep = None
     if out is None:
         keep = tempfile.TemporaryDirectory(prefix="mbdkit-study-")
         out = keep.name
     folder = StudyFolder(Path(out))
     try:
-        execution = Execution(spec, folder, shard=shard, progress=progress, notify=notify)
+        execution = Execution(spec, folder, shard=shard, progress=progress, notify=notify, overwrite=overwrite)
         _LOG.info("study in %s begins: %s", shown(folder.path), counted(len(execution.runs), "run"))
         execution.run(workers)
         _LOG.info("study in %s ends: %d computed, %d failed", shown(folder.path), execution.computed, execution.failed)

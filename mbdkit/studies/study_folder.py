@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import secrets
 import sys
 from collections.abc import Iterator
@@ -11,12 +12,19 @@ from pathlib import Path
 
 from mbdkit.errors import ResourceError, SpecError, file_error
 from mbdkit.files import check_folder, check_writable, rename_new
+from mbdkit.spec.reading import read_file
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.spec.yaml_reader import write_yaml
 
 #: Beginning of the name of study.yaml while it is written.
 _BEGUN = ".study.yaml-"
+
+#: Names of archives of runs, also of unfinished ones; see `RunSpec.run_id`.
+_ARCHIVE = re.compile(r"[0-9a-f]{16}\.h5(\.part)?")
+
+#: What every page of mbdkit contains near its beginning.
+_GENERATOR = b'<meta name="generator" content="mbdkit '
 
 
 class StudyFolder:
@@ -27,18 +35,24 @@ class StudyFolder:
         self.spec = path / "study.yaml"
         self.runs = path / "runs"
         self.index = path / "index.h5"
+        self.report = path / "report.html"
 
     def archive(self, run_id: str) -> Path:
         """Return the path of the archive of a run, whether it exists or not."""
         return self.runs / f"{run_id}.h5"
 
-    def check(self, spec: StudySpec) -> None:
+    def check(self, spec: StudySpec, *, overwrite: bool = False) -> None:
         """Check that the folder can be used for this study, without changing anything.
+
+        Parameters
+        ----------
+        overwrite
+            Whether the folder may contain another study, which `clear` then removes.
 
         Raises
         ------
         SpecError
-            If the folder belongs to another study, contains other files, or cannot be created.
+            If the folder belongs to another study, contains other files but no study, or cannot be created.
         ResourceError
             If writing into it is not permitted.
         """
@@ -52,7 +66,10 @@ class StudyFolder:
         check_writable(path, path)
         has_others = not all(entry.name.startswith(_BEGUN) for entry in path.iterdir())
         if self.spec.is_file():  # asked last: another call may be creating it, before any other file
-            self._check_same(spec)
+            if overwrite:
+                self._check_study()
+            else:
+                self._check_same(spec)
         elif has_others:
             raise SpecError(
                 "this folder contains other files and no study.yaml; choose another folder with -o", file=path
@@ -62,9 +79,41 @@ class StudyFolder:
         if load_study_spec(self.spec).sha256() != spec.sha256():
             raise SpecError(
                 "this folder belongs to another study, or to an earlier version of this one: its study.yaml "
-                "differs; choose another folder with -o",
+                "differs; choose another folder with -o, or start it anew with --overwrite",
                 file=self.path,
             )
+
+    def _check_study(self) -> None:
+        """Raise SpecError if study.yaml is not that of a study, so that nothing in the folder may be removed."""
+        if "mbdkit_study" not in read_file(self.spec).data:
+            raise SpecError("this is not the spec of a study, so its folder is not overwritten", file=self.spec)
+
+    def clear(self) -> None:
+        """Remove what studies write into the folder: study.yaml, the index, the archives of runs, and report.html.
+
+        All other files are kept, and so is a report.html that mbdkit has not written.
+
+        Raises
+        ------
+        ResourceError
+            If another call uses the folder, or the system refuses to remove a file.
+        """
+        if not self.spec.is_file():
+            return
+        self._check_study()
+        with self.locked():
+            try:
+                self.index.unlink(missing_ok=True)
+                for path in self.runs.glob("*.h5*"):
+                    if _ARCHIVE.fullmatch(path.name) and not path.is_dir():
+                        path.unlink()
+                if _is_report(self.report):
+                    self.report.unlink()
+                self.spec.unlink()
+            except OSError as error:
+                raise file_error(
+                    error.errno, f"cannot be removed: {error.strerror or error}", file=self.path
+                ) from error
 
     def prepare(self, spec: StudySpec) -> None:
         """Create the folder, study.yaml, and the subfolder for runs, unless they exist.
@@ -140,3 +189,11 @@ class StudyFolder:
                 for begun in self.path.glob(f"{_BEGUN}*"):  # of a call that was killed
                     begun.unlink(missing_ok=True)
             yield
+
+
+def _is_report(path: Path) -> bool:
+    """Return whether a file is a page that mbdkit has written."""
+    if not path.is_file() or path.is_symlink():
+        return False
+    with path.open("rb") as file:
+        return _GENERATOR in file.read(4096)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,12 +19,16 @@ from mbdkit.archive.part_file import LIBVER
 from mbdkit.archive.stranger_file import open_hdf5
 from mbdkit.errors import SpecError
 from mbdkit.files import replacing
+from mbdkit.studies.defined_measures import Description
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND
 from mbdkit.studies.planned_points import Label
 
 FORMAT = "mbdkit-study"
-FORMAT_VERSION = "1.3"
+FORMAT_VERSION = "1.4"
 STATUSES = ("complete", "failed", "missing", "left-out")
+
+#: Value of the attribute `role` of the column of a measure that the study defines.
+DEFINED = "measure"
 
 #: Minimum, quartiles and median of the repeated timings.
 QUARTILES = {"wall_min_s": 0.0, "wall_q1_s": 0.25, "wall_median_s": 0.5, "wall_q3_s": 0.75}
@@ -104,6 +108,8 @@ class Index:
         Version of mbdkit that wrote the index.
     runs, references
         One row per point, in the order of the study, and one row per reference run.
+    defined
+        Units and descriptions of the columns of measures that the study defines.
     """
 
     study_json: str
@@ -111,6 +117,17 @@ class Index:
     version: str
     runs: tuple[Row, ...]
     references: tuple[Row, ...]
+    defined: Mapping[str, Description] = field(default_factory=dict)
+
+    def described(self, name: str) -> Description:
+        """Return what describes a numeric column: a measure, a counter or a timing.
+
+        Raises
+        ------
+        KeyError
+            If there is no such column.
+        """
+        return self.defined[name] if name in self.defined else _described(name)
 
 
 def axis_column(key: str) -> str:
@@ -145,8 +162,8 @@ def write(path: Path, index: Index) -> None:
         set_text(file, "mbdkit", index.version)
         set_text(file, "study", index.study_json)
         set_text(file, "study_sha256", index.study_sha256)
-        _write_rows(file, "runs", "run", index.runs)
-        _write_rows(file, "references", "reference", index.references)
+        _write_rows(file, "runs", "run", index.runs, index)
+        _write_rows(file, "references", "reference", index.references, index)
         set_text(file, "data_sha256", data_sha256(file))
         file.flush()
         image = file.id.get_file_image()
@@ -154,7 +171,7 @@ def write(path: Path, index: Index) -> None:
         temporary.write_bytes(image)
 
 
-def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row]) -> None:
+def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row], index: Index) -> None:
     file.create_group(group)
     texts: dict[str, list[str]] = {
         "family": [row.family for row in rows],
@@ -187,8 +204,11 @@ def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row]) -> N
         )
         set_text(dataset, "role", "axis")
     for name in dict.fromkeys(name for row in rows for name in row.values):
-        units, what = described(name)
-        add(name, [row.values.get(name, math.nan) for row in rows], FLOAT, units, what)
+        column = index.described(name)
+        numbers = [row.values.get(name, math.nan) for row in rows]
+        dataset = add(name, numbers, FLOAT, column.units, column.long_name)
+        if name in index.defined:
+            set_text(dataset, "role", DEFINED)
     count = max((len(row.repeats) for row in rows), default=0)
     if count:
         add("repeat", range(1, count + 1), INTEGER, "1", "number of the timing", ("repeat",))
@@ -196,26 +216,19 @@ def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row]) -> N
         add("wall_repeats_s", padded, FLOAT, "s", "wall time of each serial timing", (dim, "repeat"))
 
 
-def described(name: str) -> tuple[str, str]:
-    """Return the units and the description of a numeric column.
-
-    Parameters
-    ----------
-    name
-        Name of a measure, a counter or a timing.
-    """
+def _described(name: str) -> Description:
     if name in MEASURES:
-        return MEASURES[name].units, MEASURES[name].long_name
+        return Description(MEASURES[name].units, MEASURES[name].long_name)
     if name in OF_CHECKED_RUNS:
-        return OF_CHECKED_RUNS[name].units, OF_CHECKED_RUNS[name].long_name
+        return Description(OF_CHECKED_RUNS[name].units, OF_CHECKED_RUNS[name].long_name)
     if name in SECOND:
-        return SECOND[name]
+        return Description(*SECOND[name])
     if name in COUNTERS:
-        return "1", f"counter of the run: {name.replace('_', ' ')}"
+        return Description("1", f"counter of the run: {name.replace('_', ' ')}")
     if name in QUARTILES:
-        return "s", f"wall time of the steps, {name.split('_')[1]} of the serial timings"
+        return Description("s", f"wall time of the steps, {name.split('_')[1]} of the serial timings")
     if name in TIMINGS:
-        return "s", f"time of the run: {name.removesuffix('_s')}"
+        return Description("s", f"time of the run: {name.removesuffix('_s')}")
     raise KeyError(name)
 
 
@@ -239,19 +252,25 @@ def read(path: Path) -> Index:
             raise SpecError(f"this index has format version {version}, this mbdkit reads {ours}.x", file=path)
         if file.attrs["data_sha256"] != data_sha256(file):
             raise ValueError("data_sha256 does not match")
+        defined = {
+            name: Description(str(dataset.attrs["units"]), str(dataset.attrs["long_name"]))
+            for name, dataset in file["runs"].items()
+            if dataset.attrs.get("role") == DEFINED
+        }
         return Index(
             str(file.attrs["study"]),
             str(file.attrs["study_sha256"]),
             str(file.attrs["mbdkit"]),
-            _read_rows(file["runs"], "run"),
-            _read_rows(file["references"], "reference"),
+            _read_rows(file["runs"], "run", defined),
+            _read_rows(file["references"], "reference", defined),
+            defined,
         )
 
 
-def _read_rows(group: h5py.Group, dim: str) -> tuple[Row, ...]:
+def _read_rows(group: h5py.Group, dim: str, defined: Iterable[str]) -> tuple[Row, ...]:
     empty = [""] * len(group[dim])  # for columns that earlier versions of the format lack
     texts = {name: list(group[name].asstr()[:]) if name in group else empty for name in TEXTS}
-    values = {name: group[name][:] for name in NUMBERS if name in group}
+    values = {name: group[name][:] for name in (*defined, *NUMBERS) if name in group}
     repeats = group["wall_repeats_s"][:] if "wall_repeats_s" in group else np.empty((len(empty), 0))
     return tuple(
         Row(

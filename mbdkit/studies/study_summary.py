@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.studies.study_index import STATUSES
@@ -10,7 +11,9 @@ from mbdkit.text import counted, shown
 from mbdkit.trust.criteria import LEVELS
 
 if TYPE_CHECKING:
+    from mbdkit.spec.study_spec import StudySpec
     from mbdkit.studies.study import Study, StudyPoint
+    from mbdkit.studies.study_plan import StudyPlan
 
 #: Maximum number of failed runs that the summary lists.
 FAILURES_SHOWN = 20
@@ -40,6 +43,39 @@ def summary(study: Study) -> str:
         f"unfinished {counted(count, 'time')}: {reason}" for reason, count in Counter(study.unfinished).most_common(5)
     ]
     return "\n".join(text)
+
+
+def plan_summary(spec: StudySpec, plan: StudyPlan) -> str:
+    """Return a plain text summary of a study before it runs: its runs, its axes, and the measures that it defines."""
+    absent = Counter(point.lacking for point in plan.points if point.lacking)
+    made = len({point.run_id for point in plan.points if not point.lacking})
+    references = len({point.reference_id for point in plan.points if not point.lacking and point.reference_id})
+    lines = [
+        ("study", " ".join(spec.title.split())),
+        (
+            "runs",
+            f"{len(plan.points)}"
+            + (f", {made} of them different" if made != len(plan.points) - absent.total() else "")
+            + (f"; reference runs: {references}" if references else ""),
+        ),
+        *(("left out", f"{count}: the distribution {name} is not installed") for name, count in absent.items()),
+    ]
+    grids = {point.grid.name: point.grid for point in plan.points}
+    for grid in grids.values():
+        if grid.name:
+            lines.append(("family", grid.name))
+        for axis in grid.axes:
+            keys = " with ".join(key for key, _ in axis)
+            lines.append(("axis", f"{keys}: {_few([value.label for value in axis[0][1]])}"))
+    for name, column in plan.defined.items():
+        lines.append(("measure", f"{name} [{column.units}]: {column.long_name}"))
+    return "\n".join(f"{label:<10} {shown(value)}" for label, value in lines if value)
+
+
+def _few(labels: Sequence[object]) -> str:
+    """Return the number of values on an axis and the first of them."""
+    few = ", ".join(str(label) for label in labels[:6])
+    return f"{counted(len(labels), 'value')}: {few}{', ...' * (len(labels) > 6)}"
 
 
 def _named(point: StudyPoint) -> str:

@@ -10,9 +10,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
-from mbdkit.errors import MbdkitError
+from mbdkit.errors import MbdkitError, with_place
 from mbdkit.testing.check_result import Result, failed, skipped
-from mbdkit.text import one_line
 
 UnderTest = TypeVar("UnderTest")
 TIME_LIMIT = 60.0
@@ -65,7 +64,7 @@ class Check(Generic[UnderTest]):
         except MbdkitError as error:
             result = failed(str(error).rstrip("."))
         except BaseException as error:  # a plugin may raise anything, SystemExit included
-            result = failed(f"it raised {one_line(error)}")
+            result = failed(f"it raised {with_place(error)}")
         return replace(result, name=self.name, what=self.what, seconds=time.perf_counter() - begin)
 
 

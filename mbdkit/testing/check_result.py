@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 from mbdkit.registry.catalogue import Kind
@@ -16,6 +17,7 @@ REQUIRED_GROUP: dict[Kind, str] = {
     "model": "energy",
     "force-law": "derivatives",
     "study": "study",
+    "measure": "measure",
 }
 """Group of checks, for each kind of plugin, of which at least one must have run for the plugin to be verified."""
 
@@ -24,7 +26,7 @@ REQUIRED_GROUP: dict[Kind, str] = {
 class Result:
     """Result of a check.
 
-    A check function returns the first three fields, by `passed`, `failed`, `warned` or `skipped`; `Check.run` adds the
+    A check function returns the first four fields, by `passed`, `failed`, `warned` or `skipped`; `Check.run` adds the
     others.
 
     Parameters
@@ -35,6 +37,8 @@ class Result:
         Reason in one sentence without a full stop; empty for a plain pass.
     figures
         Measured values by name; units are part of the names.
+    limits
+        What measured values are compared with, by their names: a number that they may not exceed, or a phrase.
     name
         ``group.check``, such as ``order.four-bar``.
     what
@@ -46,6 +50,7 @@ class Result:
     outcome: Outcome
     cause: str = ""
     figures: dict[str, Figure] = field(default_factory=dict)
+    limits: dict[str, float | str] = field(default_factory=dict)
     name: str = ""
     what: str = ""
     seconds: float = 0.0
@@ -54,6 +59,10 @@ class Result:
     def group(self) -> str:
         """The part of the name before the dot."""
         return self.name.partition(".")[0]
+
+    def within(self, limits: Mapping[str, float | str]) -> Result:
+        """Return the result with the limits that the measured values were compared with."""
+        return replace(self, limits=dict(limits))
 
 
 def passed(**figures: Figure) -> Result:
@@ -142,12 +151,23 @@ class Report:
 
     def text(self) -> str:
         """Return the report as a table with causes and measured values."""
-        told = [(result, "; ".join(filter(None, [result.cause, figures_text(result)]))) for result in self.results]
+        told = [
+            (result, _told(result, told_by)) for result, told_by in zip(self.results, self._first_told(), strict=True)
+        ]
         rows = [("CHECK", "OUTCOME", ""), *((result.name, result.outcome, text) for result, text in told)]
         head = f"{self.id} {self.version} ({self.kind})"
         if self.options:
             head += " with " + listed(f"{key} = {value}" for key, value in self.options.items())
         return f"{head}\n\n{table(rows, indent='  ')}\n\n{self.verdict()}, in {self.seconds:.0f} s"
+
+    def _first_told(self) -> list[str]:
+        """Return, for each result, the name of the earlier check that failed for the same reason, or an empty text."""
+        first: dict[str, str] = {}
+        names = []
+        for result in self.results:
+            known = first.setdefault(result.cause, result.name) if result.outcome == "fail" else result.name
+            names.append("" if known == result.name else known)
+        return names
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as JSON values; numbers that are not finite become None."""
@@ -171,9 +191,24 @@ class Report:
         }
 
 
+def _told(result: Result, first: str) -> str:
+    """Return cause and measured values of a result, or the check that told the same cause; of a pass, the criterion."""
+    if first:
+        return f"for the same reason as {first}"
+    required = result.what.rstrip(".") if result.outcome == "pass" and not result.limits else ""
+    return "; ".join(filter(None, [result.cause, figures_text(result), required]))
+
+
 def figures_text(result: Result) -> str:
-    """Return the measured values of a result in one line."""
-    return listed(f"{name} {_shown(value)}" for name, value in result.figures.items())
+    """Return the measured values of a result in one line, with their limits."""
+    return listed(f"{name} {_shown(value)}{_limit(result, name)}" for name, value in result.figures.items())
+
+
+def _limit(result: Result, name: str) -> str:
+    limit = result.limits.get(name)
+    if limit is None:
+        return ""
+    return f" ({limit})" if isinstance(limit, str) else f" (at most {limit:g})"
 
 
 def _shown(value: Figure) -> str:

@@ -10,12 +10,13 @@ import numpy as np
 from pydantic import ValidationError
 
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.errors import SpecError
 from mbdkit.methods.kinds import Method, SciPySolver
 from mbdkit.methods.step_method import StepMethod, StepState
-from mbdkit.testing.check import check
+from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, skipped, warned
 from mbdkit.testing.integrator_under_test import IntegratorUnderTest, drive
-from mbdkit.testing.options_under_test import validated
+from mbdkit.testing.options_under_test import validated, variants
 from mbdkit.testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM
 from mbdkit.text import counted, listed
 
@@ -52,7 +53,7 @@ def method(integrator: IntegratorUnderTest) -> Result:
         return failed(f"it created a {type(made).__name__}, which is not a method")
     if claims.order is None and not claims.adaptive:
         return failed("it claims neither an order nor adaptive steps")
-    if claims.adaptive != isinstance(made, SciPySolver):
+    if claims.adaptive != (isinstance(made, SciPySolver) or getattr(made, "tolerances", None) is not None):
         return failed(f"it claims adaptive = {claims.adaptive}, but its method is a {type(made).__name__}")
     if not claims.formulations:
         return failed("it claims no formulation")
@@ -191,4 +192,27 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
     return passed(formulations=counted(len(others) + 1, "formulation"))
 
 
-CHECKS = (options, method, inputs, repeatable, picklable, end_time, formulations)
+@check("contract.other-options")
+def other_options(integrator: IntegratorUnderTest) -> Result:
+    """With other values of each option within its bounds, its method has consistent claims, and it runs."""
+    tried = 0
+    for name, chosen in variants(integrator.item, integrator.options):
+        other = IntegratorUnderTest(integrator.item, chosen, integrator.installed)
+        try:
+            result = method.function(other)
+            if result.outcome != "fail":
+                time = {"end": 0.1} if other.claims.adaptive else {"end": 0.1, "step": 0.01}
+                with other.run(FORCED_PENDULUM, time) as run:
+                    if run.status_reason.startswith("plugin-error"):
+                        result = failed(run.status_reason.rstrip("."))
+        except SpecError:  # values that are refused
+            continue
+        tried += 1
+        if result.outcome == "fail":
+            return failed(f"with {name}: {result.cause}; if that is not meant, give the option bounds")
+    if not tried:
+        raise Skip("none of its options has another value to try")
+    return passed(variants=tried)
+
+
+CHECKS = (options, other_options, method, inputs, repeatable, picklable, end_time, formulations)

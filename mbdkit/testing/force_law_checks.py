@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.engine.jit.law_compiler import bind_law
+from mbdkit.errors import SpecError
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.items import ForceLawPlugin
 from mbdkit.simulation import simulate
@@ -19,7 +20,7 @@ from mbdkit.spec.law_options import law_element
 from mbdkit.spec.run_spec import spec_type
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, warned
-from mbdkit.testing.options_under_test import validated
+from mbdkit.testing.options_under_test import validated, variants
 from mbdkit.text import listed
 
 LENGTHS = tuple(np.linspace(0.15, 2.05, 39))
@@ -140,7 +141,7 @@ def _derivative(law: ForceLawUnderTest, argument: int) -> Result:
             f"time {where[2]:g}",
             difference=worst,
         )
-    return passed(difference=worst)
+    return passed(difference=worst).within({"difference": AGREE})
 
 
 def _slopes(law: ForceLawUnderTest, at: tuple[float, float, float], argument: int, of: int) -> Iterator[float]:
@@ -172,7 +173,7 @@ def potential(law: ForceLawUnderTest) -> Result:
             worst, where = defect, length
     if worst > AGREE:
         return failed(f"the derivative of its potential differs from its force at length {where:g}", difference=worst)
-    return passed(difference=worst)
+    return passed(difference=worst).within({"difference": AGREE})
 
 
 @check("law.passivity")
@@ -192,7 +193,7 @@ def passivity(law: ForceLawUnderTest) -> Result:
             f"it claims to be passive, but adds energy at length {where[0]:g}, rate {where[1]:g}, time {where[2]:g}",
             power=worst * law.scale,
         )
-    return passed()
+    return passed(power=worst * law.scale).within({"power": AGREE * law.scale})
 
 
 @check("law.energy")
@@ -222,10 +223,34 @@ def energy(law: ForceLawUnderTest) -> Result:
             found.append(float(np.max(np.abs(run.energy.balance))) / size)
     figures = {"coarsest": found[0], "finest": found[-1]}
     if found[-1] < 1e-9 or found[-1] < found[0] / 8:
-        return passed(**figures)
+        return passed(**figures).within({"finest": max(1e-9, found[0] / 8)})
     if found[-1] < found[0] / 2:
         return warned("the energy balance converges slowly with the step; its force may not be smooth", **figures)
     return failed("the energy balance does not converge with the step", **figures)
 
 
-CHECKS = (options, finite, by_length, by_rate, potential, passivity, energy)
+@check("law.other-options")
+def other_options(law: ForceLawUnderTest) -> Result:
+    """Derivatives, potential and passivity hold for other values of each option within its bounds, too."""
+    tried, undefined = 0, []
+    for name, chosen in variants(law.item, law.options):
+        other = ForceLawUnderTest(law.item, chosen, law.installed)
+        try:
+            if not all(np.all(np.isfinite(value)) for value in other.samples.values()):
+                undefined.append(name)
+                continue
+        except SpecError:  # values that the law refuses
+            continue
+        tried += 1
+        for one in (by_length, by_rate, potential, passivity):
+            result = one.run(other)
+            if result.outcome == "fail":
+                return failed(f"with {name}: {result.cause}; if that is not meant, give the option bounds")
+    if undefined:
+        return warned(f"with {listed(undefined, 'and')} its values are not finite; give the options bounds")
+    if not tried:
+        raise Skip("none of its options has another value to try")
+    return passed(variants=tried)
+
+
+CHECKS = (options, finite, by_length, by_rate, potential, passivity, other_options, energy)

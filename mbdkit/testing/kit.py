@@ -17,6 +17,7 @@ from mbdkit.testing import (
     failure_checks,
     force_law_checks,
     invariant_checks,
+    measure_checks,
     model_checks,
     newton_checks,
     order_checks,
@@ -48,6 +49,7 @@ CHECKS: dict[Kind, tuple[Check[Any], ...]] = {
     "model": model_checks.CHECKS,
     "force-law": force_law_checks.CHECKS,
     "study": study_checks.CHECKS,
+    "measure": measure_checks.CHECKS,
 }
 Watch = Callable[[int, int, str], None]
 
@@ -73,6 +75,7 @@ def plugin_under_test(kind: Kind, name: str, options: Mapping[str, Any], install
         "model": model_checks.ModelUnderTest,
         "force-law": force_law_checks.ForceLawUnderTest,
         "study": study_checks.StudyUnderTest,
+        "measure": measure_checks.MeasureUnderTest,
     }
     return types[kind](item, chosen, installed)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.motions import MAX_DEPTH, motions_at
+from mbdkit.errors import SpecError
 from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.catalogue import Registered, Registry
@@ -18,7 +19,7 @@ from mbdkit.simulation import simulate
 from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, skipped, warned
-from mbdkit.testing.options_under_test import validated
+from mbdkit.testing.options_under_test import validated, variants
 from mbdkit.text import listed
 
 END = 1.0
@@ -121,7 +122,7 @@ def start(model: ModelUnderTest) -> Result:
         return failed("its start does not satisfy the constraints", **figures)
     if moved > 1e-3:
         return warned("its start had to be moved to satisfy the constraints", **figures)
-    return passed(**figures)
+    return passed(**figures).within({"residual": START, "velocity_residual": START, "moved_m": 1e-3})
 
 
 @check("model.jacobian")
@@ -148,7 +149,7 @@ def jacobian(model: ModelUnderTest) -> Result:
         worst = max(worst, _share(twice, exact @ a - equations.gamma(t, q, v)))
     if worst > DERIVATIVE:
         return failed("a derivative of its constraints differs from finite differences", difference=worst)
-    return passed(difference=worst)
+    return passed(difference=worst).within({"difference": DERIVATIVE})
 
 
 def _share(found: np.ndarray, exact: np.ndarray) -> float:
@@ -182,7 +183,7 @@ def drivers(model: ModelUnderTest) -> Result:
                 return failed(
                     f"the {what} of a driver's motion is not the derivative near t = {at:.3g} s", defect=defect
                 )
-    return passed(drivers=len(driven), defect=worst)
+    return passed(drivers=len(driven), defect=worst).within({"defect": DERIVATIVE})
 
 
 @check("energy.balance")
@@ -218,4 +219,22 @@ def completes(model: ModelUnderTest) -> Result:
         return passed(misalignment_m=run.misalignment_max)
 
 
-CHECKS = (options, repeatable, mass, start, jacobian, drivers, balance, completes)
+@check("model.other-options")
+def other_options(model: ModelUnderTest) -> Result:
+    """Other values of each parameter within its bounds build a mechanism with positive masses, or are refused."""
+    tried = 0
+    for name, chosen in variants(model.item, model.options):
+        other = ModelUnderTest(model.item, chosen, model.installed)
+        try:
+            result = mass.function(other)
+        except SpecError:  # values that make no mechanism
+            continue
+        tried += 1
+        if result.outcome == "fail":
+            return failed(f"with {name}: {result.cause}; if that is not meant, give the parameter bounds")
+    if not tried:
+        raise Skip("none of its parameters has another value to try")
+    return passed(variants=tried)
+
+
+CHECKS = (options, other_options, repeatable, mass, start, jacobian, drivers, balance, completes)

@@ -61,7 +61,7 @@ def tolerance(integrator: IntegratorUnderTest) -> Result:
     change, error = float(np.max(np.abs(found - iterated))), float(np.max(np.abs(iterated - end(exact, 2 * steps))))
     if change > SAME * error + NEAR_ROUNDING:
         return failed("its iteration stops early: iterating to rounding changes the result", change=change, error=error)
-    return passed(change=change, error=error)
+    return passed(change=change, error=error).within({"change": SAME * error + NEAR_ROUNDING})
 
 
 def _require_iterations(integrator: IntegratorUnderTest) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -13,6 +14,9 @@ from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.registry.catalogue import Registered
 from mbdkit.strict_model import STRICT
 from mbdkit.text import listed
+
+MOST_CHOICES = 4
+"""Largest number of choices of an option that are tried."""
 
 Options = TypeVar("Options", bound=BaseModel)
 
@@ -50,6 +54,50 @@ def plain_options(item: Registered, given: Mapping[str, Any]) -> dict[str, Any]:
     except ValidationError as error:
         raise spec_error(error, strict) from None
     return chosen
+
+
+def variants(item: Registered, chosen: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield valid options of an item in which one option has another value, with a name such as ``damping = -1``.
+
+    The values are chosen by type and bounds only, the same ones in every call: numbers smaller and larger than the
+    chosen one, of both signs where the bounds allow it, the other truth value, and the other choices.
+    """
+    model: type[BaseModel] = item.plugin.options
+    if not model.model_fields:
+        return
+    schema = model.model_json_schema()
+    strict = type(model.__name__, (model,), {"__module__": __name__, "model_config": STRICT})
+    complete = {name: info.get("default") for name, info in schema["properties"].items()} | dict(chosen)
+    for name, info in schema["properties"].items():
+        for value in _others(info, complete[name]):
+            options = {**chosen, name: value}
+            try:
+                validated(strict, options)
+            except (ValidationError, SpecError):  # options may exclude each other
+                continue
+            yield f"{name} = {value}", options
+
+
+def _others(schema: Mapping[str, Any], now: Any) -> list[Any]:
+    """Return values of an option other than its present one."""
+    if "enum" in schema:
+        return [value for value in schema["enum"] if value != now][:MOST_CHOICES]
+    if schema.get("type") == "boolean":
+        return [not now]
+    kinds = [kind for kind in (schema, *schema.get("anyOf", ())) if kind.get("type") in ("number", "integer")]
+    if not kinds:
+        return []
+    limits = kinds[0]
+    size = abs(now) if isinstance(now, int | float) and now else 1
+    found = [-size, size / 2, 2 * size] if limits["type"] == "number" else [-size, size - 1, size + 1]
+    found += [limits[key] for key in ("minimum", "maximum") if key in limits]
+    return [value for value in dict.fromkeys(found) if value != now and _is_within(value, limits)]
+
+
+def _is_within(value: float, limits: Mapping[str, Any]) -> bool:
+    low, high = limits.get("minimum", -math.inf), limits.get("maximum", math.inf)
+    above, below = limits.get("exclusiveMinimum", -math.inf), limits.get("exclusiveMaximum", math.inf)
+    return bool(low <= value <= high and above < value < below)
 
 
 def validated(model: type[Options], options: Mapping[str, Any]) -> Options:

@@ -142,7 +142,7 @@ def compare_orders(claimed: float, observed: ObservedOrder, errors: np.ndarray, 
         return failed(f"it claims {what} {claimed:g}, but the observed one is {observed.order:.2f}", **figures)
     if observed.order > claimed + ABOVE:
         return warned(f"it claims {what} {claimed:g}, but the observed one is {observed.order:.2f}", **figures)
-    return passed(**figures)
+    return passed(**figures).within({"measured": f"from {claimed - BELOW:g} to {claimed + ABOVE:g}"})
 
 
 def _on(problem: str) -> Check[IntegratorUnderTest]:
@@ -220,7 +220,7 @@ def polynomials(integrator: IntegratorUnderTest) -> Result:
         if defect > POLYNOMIAL and first is None:
             first = power
     if first is None:
-        return passed(degree=order, defect=worst)
+        return passed(degree=order, defect=worst).within({"defect": POLYNOMIAL})
     cause = f"under the force t^{first} one step of 1 s is not exact, as order {order} requires"
     if isinstance(integrator.method(), StepMethod):
         return warned(f"{cause} of methods that are linear in the forces", defect=worst)

@@ -15,6 +15,8 @@ import pytest
 
 from mbdkit import load_study, terminal
 from mbdkit.archive.archive_check import check
+from mbdkit.spec import load_study_spec
+from mbdkit.studies.planned_points import plan_points
 
 SWEEP = """\
 mbdkit_study: 1
@@ -172,3 +174,83 @@ def test_a_terminal_sees_how_many_are_done_and_how_many_failed(monkeypatch, caps
 def test_without_a_terminal_there_is_no_bar():
     with terminal.count_bar("study") as advance:
         assert advance is None
+
+
+def test_a_key_is_set_in_the_base_of_every_run(mbdkit, in_tmp_path):
+    (in_tmp_path / "sweep.yaml").write_text(SWEEP)
+    done = mbdkit("study", "sweep.yaml", "--set", "time.end=0.1", "--set", "model.mass=3", "--workers", "1", "--quiet")
+    assert done.exit_code == 0
+    study = load_study("sweep")
+    assert {point.spec.time.end for point in study.points} == {0.1}
+    assert {point.spec.model.mass for point in study.points} == {3.0}
+    again = mbdkit("study", "sweep.yaml")
+    assert again.exit_code == 2
+    assert "belongs to another study" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("assignment", "expected"),
+    [
+        (
+            "model.length=3",
+            "--set model.length=3: an axis of the study sets model.length, so this would",
+        ),
+        ("limits.max_steps=3", "an axis of the study sets limits.max_steps"),
+        ("time.ende=3", "--set time.ende=3: overrides.time.ende: unknown key (did you mean 'end'?)"),
+        ("time.end", "should have the form KEY=VALUE"),
+    ],
+)
+def test_a_wrong_assignment_is_refused(mbdkit, in_tmp_path, assignment, expected):
+    (in_tmp_path / "sweep.yaml").write_text(SWEEP)
+    for command in ("study", "validate"):
+        result = mbdkit(command, "sweep.yaml", "--set", assignment)
+        assert result.exit_code == 2
+        assert expected in result.stderr
+    assert os.listdir() == ["sweep.yaml"]
+
+
+def test_an_assignment_comes_after_the_overrides_of_families():
+    base = {"model": {"name": "double-pendulum"}, "integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.1}}
+    axes = [{"model.masses": [[1.0, 2.0]]}]
+    families = {"a": {"axes": axes, "overrides": {"time.end": 2.0, "time.step": 0.5}}, "b": {"axes": axes}}
+    given = {"mbdkit_study": 1, "base": base, "families": families}
+    spec = load_study_spec(given, ["time.end=3"])
+    times = [(point.spec.time.end, point.spec.time.step) for point in plan_points(spec)]
+    assert times == [(3.0, 0.5), (3.0, 0.1)]
+
+
+def test_validate_takes_a_study(mbdkit, in_tmp_path):
+    text = SWEEP + 'measures: {far: "max(abs(rod1.position))", turn: {value: final(rod1.angle), unit: deg}}\n'
+    (in_tmp_path / "sweep.yaml").write_text(text)
+    for arguments, stdin in ((("sweep.yaml",), None), (("-",), text)):
+        result = mbdkit("validate", *arguments, stdin=stdin)
+        assert result.exit_code == 0, result.stderr
+        assert result.stdout.splitlines() == [
+            f"{arguments[0]}: this study is valid",
+            "study      A sweep",
+            "runs       4",
+            "axis       model.length: 2 values: 1.0, 2.0",
+            "axis       limits.max_steps: 2 values: 100, 3",
+            "measure    far [m]: max(abs(rod1.position))",
+            "measure    turn [deg]: final(rod1.angle)",
+        ]
+    assert os.listdir() == ["sweep.yaml"]
+    assert mbdkit("validate", "no-drift").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (SWEEP.replace("model.length", "model.lenght"), "sweep.yaml:7: axes[0].model.lenght[0]: "),
+        (
+            SWEEP + "measures: {far: max(abs(rod2.position))}\n",
+            "sweep.yaml:9: measures.far: there is no body",
+        ),
+        (SWEEP.replace("mbdkit_study: 1\n", ""), "sweep.yaml: mbdkit_study: is missing"),
+    ],
+)
+def test_validate_names_what_is_wrong_with_a_study(mbdkit, in_tmp_path, text, expected):
+    (in_tmp_path / "sweep.yaml").write_text(text)
+    result = mbdkit("validate", "sweep.yaml")
+    assert result.exit_code == 2
+    assert expected in result.stderr

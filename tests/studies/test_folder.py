@@ -1,4 +1,4 @@
-"""Several calls begin in one folder at the same time."""
+"""Several calls begin in one folder at the same time, and a folder is started anew."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from typing import Any
 
 import pytest
 
-from mbdkit.errors import MbdkitError
+import mbdkit
+from mbdkit.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.spec import load_study_spec
+from mbdkit.studies.execute import Shard
 from mbdkit.studies.study_folder import StudyFolder
 
 
@@ -65,3 +67,43 @@ def test_what_a_killed_call_left_is_removed(small, tmp_path):
     folder.prepare(spec)
     with folder.locked():
         assert sorted(os.listdir(folder.path)) == ["runs", "study.yaml"]
+
+
+def test_overwriting_starts_a_folder_anew_and_keeps_the_files_of_others(copied: Path, small: dict[str, Any]) -> None:
+    mine = {"notes.txt": "notes", "runs/mine.h5": "data", "report.html": "<p>my own report</p>"}
+    for name, text in mine.items():
+        (copied / name).write_text(text)
+    before = {path.name for path in (copied / "runs").glob("*.h5")} - {"mine.h5"}
+    changed = small | {"reference": "none", "axes": [{"integrator": [{"name": "rk4"}]}]}
+    with pytest.raises(SpecError, match=r"start it anew with --overwrite"):
+        mbdkit.study(changed, out=copied)
+    with pytest.raises(SpecError, match="unknown key"):
+        mbdkit.study(changed | {"overrides": {"time.stp": 1}}, out=copied, overwrite=True)
+    assert {path.name for path in (copied / "runs").glob("*.h5")} == before | {"mine.h5"}  # nothing was removed
+    anew = mbdkit.study(changed, out=copied, overwrite=True)
+    assert anew.computed == 1
+    assert {path.name for path in (copied / "runs").glob("*.h5")} == {f"{anew.points[0].run_id}.h5", "mine.h5"}
+    assert {name: (copied / name).read_text() for name in mine} == mine
+
+
+def test_a_report_of_mbdkit_is_removed_with_its_study(copied: Path) -> None:
+    (copied / "report.html").write_text('<html>\n<meta name="generator" content="mbdkit 1.0">')
+    StudyFolder(copied).clear()
+    assert sorted(path.name for path in copied.rglob("*")) == ["runs"]
+
+
+def test_a_folder_that_is_not_that_of_a_study_is_not_overwritten(tmp_path: Path, small: dict[str, Any]) -> None:
+    (tmp_path / "study.yaml").write_text("sweep: true\n")
+    (tmp_path / "index.h5").write_text("data")
+    with pytest.raises(SpecError, match="not the spec of a study, so its folder is not overwritten"):
+        mbdkit.study(small, out=tmp_path, overwrite=True)
+    assert (tmp_path / "index.h5").read_text() == "data"
+    with pytest.raises(SpecError, match=r"--overwrite cannot be combined with --shard"):
+        mbdkit.study(small, out=tmp_path / "s", overwrite=True, shard=Shard(1, 2))
+
+
+def test_a_study_in_use_is_not_overwritten(copied: Path) -> None:
+    folder = StudyFolder(copied)
+    with folder.locked(), pytest.raises(ResourceError, match="another `mbdkit study` is running"):
+        StudyFolder(copied).clear()
+    assert folder.index.exists()

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 import scipy.integrate
-from pydantic import BaseModel, ConfigDict
+import sympy
+from pydantic import BaseModel, ConfigDict, Field
 
 import mbdkit
 from mbdkit import Claims, EquationsOfMotion, ExpressionLaw, FunctionLaw, Mechanism, StepError, StepMethod, StepState
@@ -363,3 +364,52 @@ def _with(**hooks: Any) -> Registry:
     dist = SimpleNamespace(name="acme", version="1.0")
     mine: Any = SimpleNamespace(name="mine", value="acme", dist=dist, load=lambda: module)
     return load_registry([*ours, mine])
+
+
+# --- what is wrong away from the defaults ----------------------------------------------------------------------------
+
+
+class LooseDamping(BaseModel):
+    """A damping that may be negative, though the law calls itself passive."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    damping: float = 0.0
+    """Force by rate [N s/m]."""
+
+
+class BoundedDamping(BaseModel):
+    """A damping that may not."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    damping: float = Field(default=0.0, ge=0.0)
+    """Force by rate [N s/m]."""
+
+
+def offer_damper(options: type[BaseModel]) -> Registry:
+    """Offer a passive damper whose damping is 0 by default."""
+    damping, rate = sympy.symbols("damping rate")
+    law = ExpressionLaw(force=damping * rate, passive=True)
+    return _with(mbdkit_force_laws=mbdkit.ForceLawPlugin("mine", "A damper", options, law, ("@misc{acme}",)))
+
+
+class Fragile(BaseModel):
+    """An option of a method."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    order: int = Field(default=4, ge=1, le=4)
+    """Order."""
+
+
+def fragile(options: Any) -> Any:
+    """Create the classical method, and fail for the order 1."""
+    return {4: RungeKutta}.get(options.order, RungeKutta if options.order > 1 else None)()  # type: ignore[misc]
+
+
+class Raises(RungeKutta):
+    """It raises in the middle of its step."""
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
+        raise LookupError("no table for this step")

@@ -1,0 +1,230 @@
+"""The key `measures` of a study: names of measures, and definitions by an expression or by a measure of a plugin."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BaseModel, BeforeValidator, ValidationError, WithJsonSchema
+
+from mbdkit.errors import SpecError, blaming
+from mbdkit.mechanism.validation_errors import spec_error
+from mbdkit.plain_data import Path, found, path_text
+from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.item_options import named_options
+from mbdkit.registry.manager import registry
+from mbdkit.text import did_you_mean, listed
+from mbdkit.units import read_unit
+
+ErrorMeasure = Literal[
+    "end_error",
+    "end_angle_error",
+    "trajectory_error",
+    "trajectory_angle_error",
+    "velocity_error",
+    "angular_velocity_error",
+    "multiplier_error",
+]
+"""Measures that compare a run with its reference run."""
+SecondRunMeasure = Literal["reversibility_defect", "reversibility_velocity_defect", "velocity_misalignment_every_step"]
+"""Measures that need a second run of each spec; taken only if listed by name."""
+Measure = Literal[
+    "misalignment_max",
+    "velocity_misalignment_max",
+    "angle_misalignment_max",
+    "energy_balance_max",
+    "energy_balance_end",
+    "energy_scale",
+    "reaction_force_max",
+    "element_force_max",
+    "element_torque_max",
+    "driver_power_max",
+    ErrorMeasure,
+    "own_multipliers",
+    "energy_trend",
+    "energy_trend_error",
+    "energy_oscillation",
+    "duration",
+    "mechanism_size",
+    SecondRunMeasure,
+]
+ERRORS: tuple[str, ...] = get_args(ErrorMeasure)
+SECOND_RUN: tuple[str, ...] = get_args(SecondRunMeasure)
+BUILT_IN: tuple[str, ...] = get_args(Measure)
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]{0,99}")
+_FORMS = 'an expression such as "max(abs(joints.B.force))", {value: EXPRESSION, unit: UNIT} or {name: PLUGIN, ...}'
+
+
+@dataclass(frozen=True)
+class DefinedMeasure:
+    """A measure that a study spec defines.
+
+    Parameters
+    ----------
+    name
+        Name of its column.
+    place
+        Key path of its definition in the study spec.
+    expression, unit
+        Expression of a run, and the unit of its value; an empty unit follows from the expression.
+    item, options
+        Measure of a plugin and its options, instead of an expression.
+    """
+
+    name: str
+    place: Path
+    expression: str = ""
+    unit: str = ""
+    item: Registered | None = None
+    options: BaseModel | None = None
+
+
+def built_in(measures: Any) -> tuple[str, ...] | None:
+    """Return the names of built-in measures that a study lists; None if it takes all of them."""
+    if isinstance(measures, list):
+        return tuple(entry for entry in measures if entry in BUILT_IN)
+    return None
+
+
+def defined(measures: Any) -> Iterator[DefinedMeasure]:
+    """Yield the measures that a study defines, and those of plugins that it names.
+
+    Raises
+    ------
+    SpecError
+        If one is not valid, with its key below ``measures``.
+    """
+    if isinstance(measures, Mapping):
+        yield from _defined_in(measures, ())
+    for index, entry in enumerate(measures if isinstance(measures, list) else ()):
+        if isinstance(entry, Mapping):
+            yield from _defined_in(entry, (index,))
+        elif entry not in BUILT_IN:
+            yield _of_plugin(entry, {"name": entry}, (index,))
+
+
+def _defined_in(definitions: Mapping[str, Any], above: Path) -> Iterator[DefinedMeasure]:
+    for name, definition in definitions.items():
+        place = (*above, name)
+        if not _NAME.fullmatch(name):
+            message = "a measure has a name of letters, digits and _ . -, which begins with a letter"
+            raise SpecError(message, key=path_text(place))
+        if name in BUILT_IN:
+            raise SpecError(f"'{name}' is a built-in measure; choose another name", key=path_text(place))
+        match definition:
+            case str():
+                yield DefinedMeasure(name, place, definition)
+            case {"value": str() as expression}:
+                yield DefinedMeasure(name, place, expression, _unit(definition, place))
+            case {"name": str()}:
+                yield _of_plugin(name, definition, place)
+            case _:
+                raise SpecError(f"should be {_FORMS}, not {found(definition)}", key=path_text(place))
+
+
+def _unit(keys: Mapping[str, Any], place: Path) -> str:
+    """Return the unit among the keys of a definition by an expression; empty if there is none."""
+    for key in keys:
+        if key not in ("value", "unit"):
+            hint = did_you_mean(key, ["value", "unit"])
+            raise SpecError(f"unknown key{hint}; a measure has value and unit", key=path_text((*place, key)))
+    unit = keys.get("unit", "")
+    if "unit" in keys:
+        if not isinstance(unit, str):
+            message = f"should be a unit such as N, in quotes if it is a number, not {found(unit)}"
+            raise SpecError(message, key=path_text((*place, "unit")))
+        try:
+            read_unit(unit)
+        except SpecError as error:
+            raise error.located(prefix=path_text((*place, "unit"))) from None
+    return str(unit)
+
+
+def _of_plugin(name: str, definition: Mapping[str, Any], place: Path) -> DefinedMeasure:
+    """Return a measure of a plugin with validated options."""
+    installed = registry()
+    wanted = str(definition["name"])
+    items = installed.of_kind("measure")
+    if not any(wanted in (item.name, item.id) for item in items):
+        if wanted in BUILT_IN:
+            message = f"'{wanted}' is a built-in measure, which is taken by its name alone: `measures: [{wanted}]`"
+            raise SpecError(message, key=path_text(place))
+        known = [*(BUILT_IN if len(place) == 1 and isinstance(place[0], int) else ()), *installed.names("measure")]
+        told = f"; known: {listed(known)}" if known else "; no installed plugin has any"
+        hint = did_you_mean(wanted, known) or told
+        raise SpecError(f"there is no measure '{wanted}'{hint}{installed.advice(wanted)}", key=path_text(place))
+    try:
+        item = installed.get("measure", wanted)
+    except SpecError as error:  # several distributions use the name
+        raise SpecError(error.message, key=path_text(place)) from None
+    model = named_options(item)
+    with blaming(f"measure {item.id} failed to check its options"):
+        try:
+            options = model.model_validate_json(json.dumps(dict(definition)))
+        except ValidationError as error:
+            raise spec_error(error, model, prefix=path_text(place)) from None
+    return DefinedMeasure(name, place, item=item, options=options)
+
+
+def _check(given: Any) -> Any:
+    """Check the value of `measures` and return it unchanged."""
+    if given == "all":
+        return given
+    if not isinstance(given, list | Mapping):
+        raise SpecError(
+            f"should be 'all', a list of measures, or a mapping of names and expressions, not {found(given)}"
+        )
+    for index, entry in enumerate(given if isinstance(given, list) else ()):
+        if not isinstance(entry, str | Mapping):
+            message = f"should be the name of a measure, or a mapping of a name and {_FORMS}, not {found(entry)}"
+            raise SpecError(message, key=path_text((index,)))
+    places: dict[str, Path] = {}
+    for measure in defined(given):
+        if measure.name in places:
+            raise SpecError(f"'{measure.name}' is defined twice", key=path_text(measure.place))
+        places[measure.name] = measure.place
+    return given
+
+
+_DEFINITIONS = {
+    "type": "object",
+    "propertyNames": {"pattern": f"^{_NAME.pattern}$"},
+    "additionalProperties": {
+        "description": f"The measure: {_FORMS}.",
+        "anyOf": [
+            {"type": "string"},
+            {
+                "type": "object",
+                "properties": {
+                    "value": {"type": "string", "description": "Expression of a run."},
+                    "unit": {"type": "string", "description": "Unit of its value."},
+                },
+                "required": ["value"],
+                "additionalProperties": False,
+            },
+            {"type": "object", "properties": {"name": {"type": "string"}}, "required": ["name"]},
+        ],
+    },
+}
+
+Measures = Annotated[
+    Any,
+    BeforeValidator(_check),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"const": "all"},
+                {
+                    "type": "array",
+                    "items": {"anyOf": [{"enum": list(BUILT_IN)}, {"type": "string"}, _DEFINITIONS]},
+                },
+                _DEFINITIONS,
+            ],
+        }
+    ),
+]
+"""The value of `measures`: plain data that has been checked."""

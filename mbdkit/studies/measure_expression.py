@@ -1,0 +1,410 @@
+"""Expressions of measures: one number of a whole run, such as ``max(abs(joints.B.force))``.
+
+They are expressions of events with these additions. Bodies, joints and markers have vectors, of which ``abs`` is the
+norm; ``max``, ``min``, ``mean``, ``rms``, ``final`` and ``integral`` of a quantity reduce its values over time to one
+number, and ``at(QUANTITY, TIME)`` takes its value at one time; ``events.NAME.time`` is the time of the first crossing
+of an event, ``.last_time`` that of the last, ``.count`` their number. With several arguments, ``max`` and ``min``
+compare these at each time. Units are checked.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from mbdkit.archive.history import NotRecordedError
+from mbdkit.errors import SpecError
+from mbdkit.events.event_expression import Code, Quantity, RunCompiler
+from mbdkit.mechanism.time_expression import FUNCTIONS, Program
+from mbdkit.spec import RunSpec
+from mbdkit.spec.sections import QUANTITIES
+from mbdkit.studies.measured_quantities import ATTRIBUTES, is_over_time, is_vector, recorded, unit_of
+from mbdkit.text import did_you_mean, listed
+from mbdkit.units import Unit, read_unit
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+_PLAIN = read_unit("1")
+_RADIAN = read_unit("rad")
+_SECOND = read_unit("s")
+
+
+def _mean(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the mean over time by the trapezoidal rule; the value itself if there is one row only."""
+    duration = time[-1] - time[0]
+    return np.trapezoid(values, time, axis=-1) / duration if duration > 0 else values[..., 0]
+
+
+REDUCTIONS: Mapping[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
+    "max": lambda time, values: np.max(values, axis=-1),
+    "min": lambda time, values: np.min(values, axis=-1),
+    "mean": _mean,
+    "rms": lambda time, values: np.sqrt(_mean(time, values * values)),
+    "final": lambda time, values: values[..., -1],
+    "integral": lambda time, values: np.trapezoid(values, time, axis=-1),
+}
+"""Functions of times (T,) and values (..., T) that return a value for all rows together, (...).
+
+``mean``, ``rms`` and ``integral`` use the trapezoidal rule on the recorded rows.
+"""
+_OF_VECTORS = ("mean", "final", "integral", "at")
+"""Reductions that apply to each component of a vector."""
+_REDUCE = "over time: "
+"""Begin of the operations of a program that reduce over time."""
+
+
+@dataclass(frozen=True)
+class _Value:
+    """What is known of an operand before a run.
+
+    Parameters
+    ----------
+    unit
+        Its SI unit. None: it depends on named parameters, whose units are unknown.
+    is_number
+        Whether it is made of numbers in the text only; in sums these have the unit of the other operand.
+    is_series
+        Whether it changes over time.
+    is_vector
+        Whether it has two components.
+    """
+
+    unit: Unit | None
+    is_number: bool = False
+    is_series: bool = False
+    is_vector: bool = False
+
+
+_NUMBER = _Value(_PLAIN, is_number=True)
+_PARAMETER = _Value(None)
+
+
+class _Code(list[tuple[str, float]]):
+    """A program with what is known of its value."""
+
+    def __init__(self, program: Code, value: _Value):
+        super().__init__(program)
+        self.value = value
+
+
+@dataclass(frozen=True)
+class MeasureExpression:
+    """An expression whose value is one number per run.
+
+    Attributes
+    ----------
+    text
+        The expression as written by the user.
+    program
+        Postfix instructions as in `mbdkit.events.event_expression.RunExpression`, and reductions over time.
+    quantities
+        Quantities in the expression, except time.
+    unit
+        Unit of the value.
+    """
+
+    text: str
+    program: Program
+    quantities: tuple[Quantity, ...]
+    unit: Unit
+
+    @staticmethod
+    def parse(text: str, spec: RunSpec, unit: str = "") -> MeasureExpression:
+        """Parse an expression for the runs of a spec.
+
+        Parameters
+        ----------
+        unit
+            Unit in which to give the value; by default the SI unit that follows from the expression.
+
+        Raises
+        ------
+        SpecError
+            If the syntax is wrong, a quantity does not exist or is not recorded, units do not match, or the value is
+            not one number. The key is ``unit`` if the unit does not suit.
+        """
+        try:
+            wanted = read_unit(unit) if unit else None
+        except SpecError as error:
+            raise error.located(prefix="unit") from None
+        compiler = _MeasureCompiler(text, spec)
+        program, value = compiler.measure()
+        if wanted is None:
+            if value.unit is None:
+                raise SpecError(
+                    "the unit of this expression is unknown, because parameters have none; give the unit of the "
+                    "result, as in {value: EXPRESSION, unit: N}"
+                )
+            wanted = value.unit
+        elif value.unit is not None and not value.unit.is_like(wanted):
+            raise SpecError(f"the expression has the unit {value.unit}, which cannot be given in {wanted}", key="unit")
+        return MeasureExpression(text, program, tuple(compiler.quantities), wanted)
+
+    def of(self, run: Run) -> float:
+        """Return the value for a run, in `unit`; nan where it is undefined or a quantity was not recorded."""
+        time = run.time
+        if not len(time):
+            return float("nan")
+        stack: list[np.ndarray] = []
+        try:
+            with np.errstate(all="ignore"):
+                for operation, number in self.program:
+                    self._execute(operation, number, stack, run)
+        except NotRecordedError:
+            return float("nan")
+        value = float(stack.pop().reshape(-1)[0]) / self.unit.factor
+        return value if np.isfinite(value) else float("nan")
+
+    def _execute(self, operation: str, number: float, stack: list[np.ndarray], run: Run) -> None:
+        """Apply an instruction to the stack. Values have the shapes (T,) or (1,), those of vectors (2, T) or (2, 1)."""
+        if operation == "const":
+            stack.append(np.array([number]))
+        elif operation == "t":
+            stack.append(run.time)
+        elif operation == "get":
+            stack.append(recorded(self.quantities[int(number)], run))
+        elif operation == "powi":
+            stack.append(stack.pop() ** number)
+        elif operation == _REDUCE + "at":
+            time, values = stack.pop(), stack.pop()
+            stack.append(_interpolated(float(time[0]), run.time, values))
+        elif operation.startswith(_REDUCE):
+            values = stack.pop()
+            stack.append(REDUCTIONS[operation.removeprefix(_REDUCE)](run.time, values)[..., None])
+        elif operation in _BINARY:
+            right, left = stack.pop(), stack.pop()
+            stack.append(_BINARY[operation](left, right))
+        else:
+            stack.append(_UNARY[operation](stack.pop()))
+
+
+def _interpolated(at: float, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return values (..., T) at a time, interpolated linearly between the rows around it, (..., 1); nan outside."""
+    if not time[0] <= at <= time[-1]:
+        return np.full((*values.shape[:-1], 1), np.nan)
+    return np.apply_along_axis(lambda row: np.interp([at], time, row), -1, values)
+
+
+_BINARY: Mapping[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": np.divide,
+    "pow": np.power,
+    "atan2": np.arctan2,
+    "min": np.minimum,
+    "max": np.maximum,
+}
+_UNARY: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
+    "neg": np.negative,
+    "norm": lambda values: np.hypot(values[0], values[1]),
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "exp": np.exp,
+    "log": np.log,
+    "sqrt": np.sqrt,
+    "abs": np.abs,
+    "tanh": np.tanh,
+}
+_VECTORS_OF = {"neg": ([True],), "mul": ([True, False], [False, True]), "div": ([True, False],)}
+"""Which operands of an operation may be vectors."""
+_SYMBOLS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "pow": "**"}
+
+
+class _MeasureCompiler(RunCompiler):
+    """Compiles the expression of a measure, and derives unit, shape and dependence on time of each operand."""
+
+    attributes: ClassVar[Mapping[str, Sequence[str]]] = ATTRIBUTES
+    wanted = (
+        "an expression of a run, which has numbers, t, pi, bodies.NAME.angle, joints.NAME.force, forces.NAME.value, "
+        "markers.NAME.position, events.NAME.time, energy.total"
+    )
+
+    def __init__(self, text: str, spec: RunSpec):
+        self.spec = spec
+        super().__init__(text, spec.mechanism(), spec.numbers)
+        self.known["events"] = list(spec.events)
+
+    def measure(self) -> tuple[Program, _Value]:
+        """Return the program and its value, which is one number; raise SpecError otherwise."""
+        tree = self.tree()
+        program = self.compile(tree, 0)
+        value = _known(program)
+        if value.is_series:
+            self.refuse(
+                "the expression changes over time, and a measure is one number; use max, min, mean, rms, final, "
+                "integral or at of it",
+                tree,
+            )
+        if value.is_vector:
+            self.refuse("the expression is a vector, and a measure is one number; use abs of it, its norm", tree)
+        if all(operation not in ("get", "t") for operation, _ in program):
+            self.refuse("the expression contains no quantity of the run", tree)
+        return tuple(program), value
+
+    def compile(self, node: ast.expr, nesting: int) -> Code:
+        """Return the program of a node."""
+        match node:
+            case ast.Name(id="t"):
+                return _Code(super().compile(node, nesting), _Value(_SECOND, is_series=True))
+            case ast.Name(id=name) if name in self.parameters:
+                return _Code(super().compile(node, nesting), _PARAMETER)
+        return super().compile(node, nesting)
+
+    def operand(self, node: ast.expr) -> Code:
+        """Return the program of a quantity."""
+        if isinstance(node, ast.Name) and (node.id in REDUCTIONS or node.id == "at"):
+            self.refuse(f"'{node.id}' is a function and needs its argument in parentheses", node)
+        return super().operand(node)
+
+    def get(self, quantity: Quantity) -> Code:
+        """Return the program that pushes a checked quantity."""
+        chosen = self.spec.output.quantities
+        if quantity.kind in QUANTITIES and chosen != "all" and quantity.kind not in chosen:
+            raise SpecError(
+                f"this expression needs {quantity.kind}, which the runs do not record; add '{quantity.kind}' to "
+                "`output.quantities`"
+            )
+        value = _Value(
+            unit_of(quantity, self.mechanism),
+            is_series=is_over_time(quantity),
+            is_vector=is_vector(quantity),
+        )
+        return _Code(super().get(quantity), value)
+
+    def call(self, node: ast.Call, nesting: int) -> Code:
+        """Compile a function call."""
+        name = node.func.id if isinstance(node.func, ast.Name) else ""
+        if name == "at":
+            return self.at(node, nesting)
+        if name in REDUCTIONS and (len(node.args) == 1 or name not in FUNCTIONS):
+            if node.keywords or len(node.args) != 1:
+                self.refuse(f"'{name}' takes 1 argument", node)
+            return self.reduced(name, self.compile(node.args[0], nesting + 1), node)
+        if name and name not in FUNCTIONS:
+            known = [*FUNCTIONS, *REDUCTIONS, "at"]
+            self.refuse(f"'{name}' is not a function that can be used{did_you_mean(name, known)}", node)
+        return super().call(node, nesting)
+
+    def at(self, node: ast.Call, nesting: int) -> Code:
+        """Compile ``at(quantity, time)``."""
+        if node.keywords or len(node.args) != 2:
+            self.refuse("'at' takes 2 arguments, a quantity and a time", node)
+        program, when = (self.compile(argument, nesting + 1) for argument in node.args)
+        time = _known(when)
+        if time.is_series or time.is_vector:
+            self.refuse("the second argument of 'at' is one time, such as 0.5 or events.NAME.time", node.args[1])
+        if not time.is_number and time.unit is not None and not time.unit.is_like(_SECOND):
+            self.refuse(f"the second argument of 'at' is a time, but it has the unit {time.unit}", node.args[1])
+        start, end = self.spec.time.start, self.spec.time.final
+        if len(when) == 1 and when[0][0] == "const" and not start <= when[0][1] <= end:
+            self.refuse(f"the run goes from {start:g} s to {end:g} s", node.args[1])
+        code = self.reduced("at", program, node)
+        code[-1:-1] = when
+        return code
+
+    def reduced(self, name: str, program: Code, node: ast.Call) -> _Code:
+        """Return a program that reduces another one over time."""
+        value = _known(program)
+        if not value.is_series:
+            self.refuse(f"'{self.segment(node.args[0])}' does not change over time, so it has no '{name}'", node)
+        if value.is_vector and name not in _OF_VECTORS:
+            self.refuse(f"'{self.segment(node.args[0])}' is a vector, which has no '{name}'; use abs of it", node)
+        unit = value.unit
+        if name == "integral" and unit is not None:
+            unit = unit.times(_SECOND)
+        return _Code([*program, (_REDUCE + name, 0.0)], _Value(unit, is_vector=value.is_vector))
+
+    def apply(self, operation: str, operands: list[Code], node: ast.expr) -> Code:
+        """Append an operation to the programs of its operands."""
+        values = [_known(operand) for operand in operands]
+        if operation == "abs" and values[0].is_vector:
+            value = _Value(values[0].unit, is_series=values[0].is_series)
+            return _Code([*operands[0], ("norm", 0.0)], value)
+        exponent = operands[1][0][1] if operation == "pow" and _is_constant(operands[1]) else None
+        unit = self.unit(operation, values, exponent, node)
+        value = _Value(
+            unit,
+            is_number=all(one.is_number for one in values),
+            is_series=any(one.is_series for one in values),
+            is_vector=self.makes_vector(operation, values, node),
+        )
+        return _Code(super().apply(operation, operands, node), value)
+
+    def makes_vector(self, operation: str, values: Sequence[_Value], node: ast.expr) -> bool:
+        """Return whether the result is a vector; raise SpecError where vectors cannot be used."""
+        vectors = [one.is_vector for one in values]
+        if not any(vectors):
+            return False
+        if operation in ("add", "sub"):
+            if not all(vectors):
+                self.refuse(f"'{self.segment(node)}' adds a vector and a number; use abs of the vector", node)
+        elif vectors not in _VECTORS_OF.get(operation, ()):
+            what = f"'{_SYMBOLS[operation]}'" if operation in _SYMBOLS else operation
+            self.refuse(f"'{self.segment(node)}' is not possible with a vector in {what}; use abs of it", node)
+        return True
+
+    def unit(self, operation: str, values: Sequence[_Value], exponent: float | None, node: ast.expr) -> Unit | None:
+        """Return the unit of the result of an operation; raise SpecError if units do not match.
+
+        Parameters
+        ----------
+        exponent
+            The exponent of a power, if it is a constant.
+        """
+        if operation in ("add", "sub", "min", "max", "atan2"):
+            common = self.common(operation, values, node)
+            return _RADIAN if operation == "atan2" else common
+        if operation in ("mul", "div"):
+            return _product(values[0], values[1], Fraction(1 if operation == "mul" else -1))
+        base = values[0]
+        if operation in ("neg", "abs") or (base.unit is None and operation in ("pow", "sqrt")):
+            return base.unit
+        if operation == "sqrt" or exponent is not None:
+            power = Fraction(1, 2) if exponent is None else Fraction(exponent).limit_denominator(1000)
+            return _PLAIN.times(base.unit or _PLAIN, power)
+        for one in values:
+            if one.unit is not None and not one.unit.is_like(_PLAIN):
+                where = _SYMBOLS.get(operation, operation)
+                self.refuse(f"'{self.segment(node)}': {where} needs a number or an angle, not {one.unit}", node)
+        return _RADIAN if operation in ("asin", "acos", "atan") else _PLAIN
+
+    def common(self, operation: str, values: Sequence[_Value], node: ast.expr) -> Unit | None:
+        """Return the unit of operands that are added or compared."""
+        units = [one.unit for one in values if one.unit is not None and not one.is_number]
+        if not units:
+            return _PLAIN if all(one.is_number for one in values) else None
+        if len(units) == 2 and not units[0].is_like(units[1]):
+            verb = {"add": "adds", "sub": "subtracts"}.get(operation, "compares")
+            told = listed([str(one) for one in units], "and")
+            self.refuse(f"'{self.segment(node)}' {verb} quantities of different units, {told}", node)
+        return units[0]
+
+
+def _product(left: _Value, right: _Value, power: Fraction) -> Unit | None:
+    """Return the unit of ``left * right**power``; that of the other factor where one is a number."""
+    if left.unit is None or right.unit is None:
+        return None
+    if right.is_number:
+        return left.unit
+    if left.is_number and power == 1:
+        return right.unit
+    return left.unit.times(right.unit, power)
+
+
+def _known(program: Code) -> _Value:
+    return program.value if isinstance(program, _Code) else _NUMBER
+
+
+def _is_constant(program: Code) -> bool:
+    return len(program) == 1 and program[0][0] == "const"

@@ -1,0 +1,97 @@
+"""Checks of a measure: it returns numbers, repeatably, and changes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mbdkit.archive.run import Run
+from mbdkit.errors import MbdkitError
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.item_options import named_options
+from mbdkit.registry.items import MeasurePlugin
+from mbdkit.simulation import run as simulated
+from mbdkit.testing.check import Skip, check
+from mbdkit.testing.check_result import Result, failed, passed, warned
+from mbdkit.testing.options_under_test import validated
+from mbdkit.text import listed
+
+EXAMPLES = ("double-pendulum", "knee", "slider-crank")
+"""Packaged examples whose runs of a few steps a measure is tried on."""
+
+
+@dataclass
+class MeasureUnderTest:
+    """A measure with options.
+
+    Parameters
+    ----------
+    options
+        Its options, as in a study spec.
+    """
+
+    item: Registered
+    options: dict[str, Any]
+    installed: Registry
+    claims: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def plugin(self) -> MeasurePlugin:
+        """The plugin item."""
+        plugin = self.item.plugin
+        assert isinstance(plugin, MeasurePlugin)
+        return plugin
+
+    def runs(self) -> Iterator[tuple[str, Run]]:
+        """Yield runs of packaged examples with their names."""
+        for name in EXAMPLES:
+            with simulated(name, time={"steps": 20, "step": 0.005}) as run:
+                yield name, run
+
+    def take(self, run: Run) -> Any:
+        """Return the value for a run."""
+        return self.plugin.take(run, validated(named_options(self.item), {"name": self.item.id, **self.options}))
+
+
+@check("measure.options")
+def options(measure: MeasureUnderTest) -> Result:
+    """Its options round-trip through JSON and have descriptions."""
+    options_type = measure.plugin.options
+    if not options_type.model_fields:
+        return passed(options=0)
+    chosen = validated(options_type, measure.options)
+    if options_type.model_validate_json(chosen.model_dump_json()) != chosen:
+        return failed("its options change in a JSON round trip")
+    described = options_type.model_json_schema().get("properties", {})
+    if silent := [name for name, info in described.items() if not info.get("description")]:
+        return warned(f"{listed(silent, 'and')} have no description: write a docstring below each option")
+    return passed(options=len(described))
+
+
+@check("measure.value")
+def value(measure: MeasureUnderTest) -> Result:
+    """For a run of an example that has what it needs, it returns a number, and the same number twice."""
+    values: dict[str, float] = {}
+    refused = ""
+    for name, run in measure.runs():
+        try:
+            first, second = measure.take(run), measure.take(run)
+        except MbdkitError as error:  # such as a body that the example does not have
+            refused = refused or f"{name}: {error}"
+            continue
+        if not isinstance(first, int | float | np.number) or isinstance(first, bool):
+            return failed(f"for a run of {name} it returned an object of type {type(first).__name__}, not a number")
+        if not np.array_equal(first, second, equal_nan=True):
+            return failed(f"for a run of {name} it returned {first!r} and then {second!r}")
+        values[name] = float(first)
+    if not values:
+        raise Skip(f"no example has what it needs ({refused}); give options that suit one with --set")
+    if all(np.isnan(list(values.values()))):
+        return warned("it returned nan for every example that it was tried on")
+    return passed(**values)
+
+
+CHECKS = (options, value)

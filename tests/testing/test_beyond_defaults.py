@@ -1,0 +1,98 @@
+"""Verification beyond the defaults: options, claims of drift, the criterion of a pass, and where a plugin failed."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import replace
+
+import pytest
+
+import mbdkit
+from mbdkit.errors import with_place
+from mbdkit.registry.manager import registry
+from mbdkit.testing import Report, Result, checks_of, verify
+from mbdkit.testing.drift_checks import CHECKS as DRIFT
+from mbdkit.testing.kit import plugin_under_test
+from mbdkit.testing.options_under_test import variants
+
+from . import corpus
+
+
+def one(name: str, kind: str, installed: corpus.Registry) -> Result:
+    """Run one check of the plugin ``mine``."""
+    check = next(check for check in checks_of(kind) if check.name == name)
+    return check.run(plugin_under_test(kind, "mine", {}, installed))
+
+
+def test_a_negative_damping_of_a_passive_law_is_caught_though_its_default_is_0() -> None:
+    found = one("law.other-options", "force-law", corpus.offer_damper(corpus.LooseDamping))
+    assert found.outcome == "fail"
+    assert found.cause.startswith("with damping = -1: it claims to be passive, but adds energy")
+    assert found.cause.endswith("if that is not meant, give the option bounds")
+    assert one("law.passivity", "force-law", corpus.offer_damper(corpus.LooseDamping)).outcome == "pass"
+    assert one("law.other-options", "force-law", corpus.offer_damper(corpus.BoundedDamping)).outcome == "pass"
+
+
+def test_values_of_options_are_within_their_bounds_and_the_same_each_time() -> None:
+    item = registry().get("integrator", "gauss")
+    tried = list(variants(item, {"stages": 2}))
+    assert tried == list(variants(item, {"stages": 2}))
+    stages = {options["stages"] for _, options in tried}
+    assert stages <= {1, 2, 3, 4, 5, 6}
+    assert len(stages) > 2
+    assert any(options.get("stage_solver") == "fixed-point" for _, options in tried)
+
+
+def test_an_integrator_that_fails_with_another_option_is_caught() -> None:
+    installed = corpus.offer(corpus.fragile, corpus.Fragile, order=4, needs=("accelerations",))
+    found = one("contract.other-options", "integrator", installed)
+    assert found.outcome == "fail"
+    assert "TypeError" in found.cause
+
+
+@pytest.mark.parametrize(
+    ("claims", "outcome", "message"),
+    [
+        ({"drift": "none"}, "fail", "it claims drift = 'none', but the constraints do not hold at position level"),
+        ({"constraints_hold": ("position",)}, "fail", "it claims constraints_hold = ['position']"),
+        ({"drift": "of order 4"}, "pass", ""),
+    ],
+)
+def test_a_claim_of_no_drift_is_held(claims: dict[str, object], outcome: str, message: str) -> None:
+    installed = corpus.offer_method(corpus.RungeKutta, order=4, needs=("accelerations",), **claims)
+    found = DRIFT[0].run(plugin_under_test("integrator", "mine", {}, installed))
+    assert found.outcome == outcome
+    assert message in found.cause
+
+
+def test_a_pass_says_what_was_compared_with_what() -> None:
+    text = verify("force-law", "one-sided", {"stiffness": 50.0, "acts": "tension"}, quick=True).text()
+    lines = {line.split()[0]: line for line in text.splitlines() if line.startswith("  ")}
+    assert "(at most 1e-05)" in lines["derivatives.length"]
+    assert "Its values are finite and repeatable" in lines["law.finite"]
+
+
+def test_one_error_is_told_once() -> None:
+    broken = Result("fail", "it raised LookupError: no table", name="order.four-bar", what="The order holds.")
+    report = Report("a:b", "integrator", "1", {}, {}, (broken, replace(broken, name="order.pendulum")))
+    assert report.text().count("no table") == 1
+    assert "for the same reason as order.four-bar" in report.text()
+
+
+def test_an_exception_of_a_method_is_told_with_its_line_and_chained() -> None:
+    installed = corpus.offer_method(corpus.Raises, order=4, needs=("accelerations",))
+    under_test = plugin_under_test("integrator", "mine", {}, installed)
+    lines, first = inspect.getsourcelines(corpus.Raises)
+    line = first + next(i for i, text in enumerate(lines) if "raise LookupError" in text)
+    with under_test.run({"name": "double-pendulum"}, {"end": 0.1, "step": 0.01}) as run:
+        assert run.status_reason == (
+            "plugin-error: integrator acme:mine raised LookupError: no table for this step "
+            f"({corpus.__file__}, line {line})."
+        )
+        with pytest.raises(mbdkit.RunError) as caught:
+            run.check()
+    assert isinstance(caught.value.__cause__, LookupError)
+
+
+def test_an_exception_without_a_plugin_has_no_place() -> None:
+    assert with_place(ValueError("too small")) == "ValueError: too small"
