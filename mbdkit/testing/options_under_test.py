@@ -89,8 +89,10 @@ def _others(schema: Mapping[str, Any], now: Any) -> list[Any]:
         return []
     limits = kinds[0]
     size = abs(now) if isinstance(now, int | float) and now else 1
-    found = [-size, size / 2, 2 * size] if limits["type"] == "number" else [-size, size - 1, size + 1]
-    found += [limits[key] for key in ("minimum", "maximum") if key in limits]
+    if limits["type"] == "number":  # without its bounds, such as a tolerance of 0, which may suit special cases only
+        found = [-size, size / 2, 2 * size]
+    else:
+        found = [-size, size - 1, size + 1, *(limits[key] for key in ("minimum", "maximum") if key in limits)]
     return [value for value in dict.fromkeys(found) if value != now and _is_within(value, limits)]
 
 
