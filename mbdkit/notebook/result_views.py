@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from dataclasses import replace
 from functools import singledispatch
 
 import numpy as np
@@ -64,18 +65,21 @@ def _(run: Run) -> View:
     while lines and not lines[0][0]:
         sentences.append(lines.pop(0)[1])
     title = caption(run).title
+    lines = [line for line in lines if line[0] != "run"]  # the title
     if not len(run.time):
         return View(title, tuple(sentences), tone, tuple(lines))
     pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))[0]
     named = NamedPose.of(mechanism_of(run), list(run.bodies), pose, np.asarray(run.time)[:1])
     charts = [*reactions_plot.charts(run), *drift_plot.charts(run)[:1]]
-    pictures = tuple(Picture(chart_image(chart, *_CHART), f"{chart.title}. {chart.caption}") for chart in charts)
+    pictures = tuple(
+        Picture(chart_image(replace(chart, caption=""), *_CHART), f"{chart.title}. {chart.caption}") for chart in charts
+    )
     return View(title, tuple(sentences), tone, tuple(lines), drawing(named), pictures)
 
 
 @view.register
 def _(mechanism: Mechanism) -> View:
-    title = f"Mechanism {mechanism.name}"
+    title = "Mechanism" if mechanism.name == "mechanism" else f"Mechanism {mechanism.name}"
     if not mechanism.bodies:
         return View(title, ("It has no bodies yet.",))
     pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])

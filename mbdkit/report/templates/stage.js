@@ -33,7 +33,7 @@ class Stage {
   fit() {
     const { canvas } = this, width = canvas.clientWidth, ratio = window.devicePixelRatio || 1;
     const wanted = width * (this.top - this.bottom) / (this.right - this.left);
-    canvas.style.height = `${Math.round(Math.max(220, Math.min(wanted, 0.68 * window.innerHeight)))}px`;
+    canvas.style.height = `${Math.round(Math.max(220, Math.min(wanted, 0.68 * window.innerHeight, window.innerHeight - 290)))}px`;
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(canvas.clientHeight * ratio);
     this.scale = Math.min(width / (this.right - this.left), canvas.clientHeight / (this.top - this.bottom));
