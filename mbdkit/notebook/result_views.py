@@ -61,10 +61,10 @@ def view(thing: HtmlView) -> View:
 @view.register
 def _(run: Run) -> View:
     (_, verdict), *lines = summary_lines(run)
-    sentences, tone = [f"Verdict: {verdict}"], _TONES.get(run.verdict, "")
+    sentences, tone = [f"Verdict {verdict}"], _TONES.get(run.verdict, "")
     while lines and not lines[0][0]:
         sentences.append(lines.pop(0)[1])
-    title = caption(run).title
+    title = f"Run: {caption(run).title}"
     lines = [line for line in lines if line[0] != "run"]  # the title
     if not len(run.time):
         return View(title, tuple(sentences), tone, tuple(lines))
