@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from mbdkit import html_view
 from mbdkit.mechanism import higher_layers
 
 if TYPE_CHECKING:
@@ -150,6 +151,11 @@ def _symbolic_system(mechanism: Any, numbers: bool) -> Any:
     return build_system(mechanism, numbers=numbers)
 
 
-# Importing any module of the package runs this file first, so these functions are always available to mechanisms.
+def _html_of(thing: Any) -> str:
+    return str(importlib.import_module("mbdkit.notebook.result_views").html_of(thing))
+
+
+# Importing any module of the package runs this file first, so these functions are always available below.
 higher_layers.installed_plugins = _installed_plugins
 higher_layers.symbolic_system = _symbolic_system
+html_view.html_of = _html_of

@@ -32,6 +32,7 @@ from mbdkit.errors import with_place
 from mbdkit.interrupts import interrupts_noted
 from mbdkit.logs import logger_of
 from mbdkit.methods.kinds import Method
+from mbdkit.progress_bars import in_notebook, progress_bar
 from mbdkit.provenance import provenance
 from mbdkit.recorded_columns import ObservedRows
 from mbdkit.recorder import Recorder, archive_names, shared_forces
@@ -89,7 +90,8 @@ def run(
     progress
         Called with the time reached and the end time [s], several times per second; companion runs of a check begin
         again at the start. If it raises KeyboardInterrupt, the run ends as by Ctrl-C, with the status ``interrupted``.
-        After any other exception, the archive is removed, and the exception is raised.
+        After any other exception, the archive is removed, and the exception is raised. By default, notebooks show a
+        progress bar.
     **sections
         Sections of the spec, such as ``integrator={"name": "gauss", "stages": 2}``; they replace those of `source`.
 
@@ -115,7 +117,10 @@ def run(
     True
     """
     spec = load_spec(source, (), **sections)
-    return simulate(spec, path=None if archive is None else Path(archive), overwrite=overwrite, progress=progress)
+    path = None if archive is None else Path(archive)
+    is_shown = progress is None and in_notebook()
+    with progress_bar(spec.title or spec.model_item.name, quiet=not is_shown) as bar:
+        return simulate(spec, path=path, overwrite=overwrite, progress=progress or bar)
 
 
 def simulate(

@@ -1,4 +1,4 @@
-"""Results, error messages, exit statuses and progress bars of the commands.
+"""Results, error messages and exit statuses of the commands.
 
 stdout belongs to the results that `show` and `show_json` print. While a command runs, everything else that is written
 to stdout, such as the prints of a plugin, goes to stderr.
@@ -9,11 +9,10 @@ from __future__ import annotations
 import functools
 import os
 import sys
-import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 import typer
 from typer.core import TyperGroup
@@ -22,15 +21,10 @@ from mbdkit.errors import MbdkitError, PluginError, ResourceError, RunError, Spe
 from mbdkit.interrupts import INTERRUPTED as INTERRUPTED
 from mbdkit.text import one_line, shown
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.progress import Progress
-
 DONE, BUG, WRONG_INPUT, STOPPED_EARLY, PLUGIN_FAILED = 0, 1, 2, 3, 4
 DIFFERS = NOT_VERIFIED = 1
 
 DEBUG, JSON = "mbdkit.debug", "mbdkit.json"
-PATIENCE = 0.5  # seconds before a progress bar appears
 
 
 class PlainStream:
@@ -207,90 +201,6 @@ def say(text: str) -> None:
 
 def silence(text: str) -> None:
     """Print nothing; replaces `say` in quiet mode."""
-
-
-@contextmanager
-def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, float], None] | None]:
-    """Yield a function of (time reached, end time) [s] that draws a progress bar after `PATIENCE` seconds.
-
-    Yields None if `quiet` is set or stderr is not a terminal.
-    """
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    begin = time.perf_counter()
-    first: float | None = None
-    bar: Progress | None = None
-
-    def advance(now: float, end: float) -> None:
-        nonlocal bar, first
-        if first is None:
-            first = now
-        if bar is None:
-            if time.perf_counter() - begin < PATIENCE:
-                return
-            bar = _bar()
-            bar.add_task(shown(what), total=1.0, now=now, end=end)
-            bar.start()
-        done = (now - first) / (end - first) if end > first else 1.0
-        bar.update(bar.task_ids[0], completed=done, now=now, end=end)
-
-    def advance_while_there_is_a_terminal(now: float, end: float) -> None:
-        with suppress(OSError):  # it has been closed; the run goes on, or ends by SIGHUP
-            advance(now, end)
-
-    try:
-        yield advance_while_there_is_a_terminal
-    finally:
-        if bar is not None:
-            with suppress(OSError):
-                bar.stop()
-
-
-@contextmanager
-def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, int], None] | None]:
-    """Yield a function of (items done, total items, failed runs) that draws a progress bar.
-
-    Yields None if `quiet` is set or stderr is not a terminal.
-    """
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("[red]{task.fields[failed]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=_console(), transient=True) as bar:
-        task = bar.add_task(shown(what), total=None, failed="")
-
-        def advance(done: int, total: int, failed: int) -> None:
-            bar.update(task, completed=done, total=total, failed=f"{failed} failed" if failed else "")
-
-        yield advance
-
-
-def _bar() -> Progress:
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TextColumn("t = {task.fields[now]:.4g} of {task.fields[end]:.4g} s"),
-        TimeRemainingColumn(),
-        console=_console(),
-        transient=True,
-    )
-
-
-def _console() -> Console:
-    from rich.console import Console
-
-    return Console(file=getattr(sys.stderr, "stream", sys.stderr))
 
 
 def _status(error: BaseException) -> int:

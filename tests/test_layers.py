@@ -32,11 +32,12 @@ def test_no_file_imports_itself_through_others() -> None:
     known = modules()
     graph = {name: imported(path, known) - {name} for name, path in known.items()}
     graph["mbdkit"] = set()  # the public face imports everything lazily
-    # the conveniences `Run.summary`, `Run.to_frame` and `Run.plot`
+    # the conveniences `Run.summary`, `Run.to_frame`, `Run.plot` and `Run.animate`
     graph["mbdkit.archive.run"] -= {
         "mbdkit.archive.run_summary",
         "mbdkit.archive.data_frame",
         "mbdkit.plot.run_plots",
+        "mbdkit.notebook.animation",
     }
     try:
         TopologicalSorter(graph).prepare()

@@ -350,5 +350,8 @@ class Histories(Mapping[str, V]):
     def __len__(self) -> int:
         return len(self._index)
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._index)
+
     def __repr__(self) -> str:
         return f"<{len(self)} of {self._what}: {', '.join(list(self)[:8])}{', ...' if len(self) > 8 else ''}>"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -32,19 +31,21 @@ from mbdkit.archive.history import (
 from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.part_file import Target
 from mbdkit.errors import MbdkitError, ResourceError, RunError, SpecError
+from mbdkit.html_view import HtmlView
 from mbdkit.trust.criteria import LEVELS, Level
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
+    from mbdkit.notebook.animation import Animation
     from mbdkit.plot.run_plots import RunPlots
 
 #: Arrays larger than this are not cached, and are read column by column.
 KEEP_BYTES = 1 << 28
 
 
-class Run:
+class Run(HtmlView):
     """A run: its spec, status and recorded data, in SI units and radians.
 
     Arrays are read-only and are read from the archive on first use. Close the run, or use it in a `with` block, to
@@ -250,6 +251,9 @@ class Run:
     def __getitem__(self, name: str) -> BodyHistory:
         """Return the motion of the body `name`."""
         return self.bodies[name]
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.bodies)
 
     @cached_property
     def joints(self) -> Histories[JointHistory]:
@@ -546,6 +550,20 @@ class Run:
 
         return RunPlots(self)
 
+    def animate(self) -> Animation:
+        """Return an animation, which notebooks show with its controls.
+
+        ``run.animate().save("motion.gif")`` writes it to a file; see `mbdkit.notebook.animation.Animation.save`.
+
+        Raises
+        ------
+        SpecError
+            If the run has no rows.
+        """
+        from mbdkit.notebook.animation import Animation  # an import of a higher layer, for convenience
+
+        return Animation(self)
+
     def summary(self) -> str:
         """Return a summary of the run as a few lines of plain text.
 
@@ -650,10 +668,6 @@ class Run:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    def _repr_html_(self) -> str:
-        """Return the summary for a notebook."""
-        return f"<pre>{html.escape(self.summary() if self._file else repr(self))}</pre>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self._path is None:

@@ -41,6 +41,11 @@ def summary(run: Run) -> str:
     str
         Lines of text without a final newline.
     """
+    return "\n".join(f"{label:<13} {shown(text)}" for label, text in summary_lines(run))
+
+
+def summary_lines(run: Run) -> list[tuple[str, str]]:
+    """Return the lines of the summary of a run, each with its label; a line that continues another has none."""
     spec = run.spec
     bodies, joints = len(run.bodies), len(run.joints)
     lines = [
@@ -68,7 +73,7 @@ def summary(run: Run) -> str:
     ]
     if spec.get("title"):
         lines.insert(len(verdict_lines(run)), ("run", " ".join(str(spec["title"]).split())))
-    return "\n".join(f"{label:<13} {shown(text)}" for label, text in lines if text)
+    return [(label, text) for label, text in lines if text]
 
 
 def verdict_lines(run: Run) -> list[tuple[str, str]]:

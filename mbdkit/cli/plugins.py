@@ -9,7 +9,8 @@ import typer
 
 from mbdkit import terminal
 from mbdkit.cli.common_options import PLAIN, AsJson, Debug, Overwrite, Quiet
-from mbdkit.terminal import count_bar, say, show, show_json, silence
+from mbdkit.progress_bars import count_bar
+from mbdkit.terminal import say, show, show_json, silence
 
 plugins_app = typer.Typer(help="List, verify, diagnose and create plugins.", **PLAIN)
 

@@ -14,7 +14,8 @@ import typer
 from mbdkit import terminal
 from mbdkit.cli.common_options import AnySpecName, Archive, AsJson, Debug, Overwrite, Quiet, Set, SpecName
 from mbdkit.cli.output_paths import check_new, stem
-from mbdkit.terminal import progress_bar, say, show, show_json, silence
+from mbdkit.progress_bars import progress_bar
+from mbdkit.terminal import say, show, show_json, silence
 from mbdkit.text import table
 
 if TYPE_CHECKING:

@@ -39,35 +39,53 @@ def schema_study(debug: Debug = False) -> None:
 
 @examples_app.callback(invoke_without_command=True)
 def examples(context: typer.Context, debug: Debug = False) -> None:
-    """List the packaged examples.
+    """List the packaged examples, specs and notebooks.
 
-    Run one by its name, or copy its spec to edit it.
+    Run a spec by its name, or copy a spec or a notebook to edit it.
     """
     if context.invoked_subcommand is not None:
         return
+    from mbdkit.notebook.example_notebooks import notebook_names, notebook_title
     from mbdkit.spec.loading import example_names, read_source  # without validation, which would import plugins
 
-    show(table([("NAME", "TITLE"), *((name, read_source(name).data["title"]) for name in example_names())]))
+    specs = [(name, read_source(name).data["title"]) for name in example_names()]
+    notebooks = [(name, notebook_title(name)) for name in notebook_names()]
+    show(table([("NAME", "TITLE"), *specs, ("", ""), ("NOTEBOOK", "TITLE"), *notebooks]))
 
 
 @examples_app.command("copy")
 def examples_copy(
     name: Annotated[str, typer.Argument(metavar="NAME", help="An example, as listed.")],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE.yaml", help="The file; by default ./NAME.yaml.")
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="FILE", help="The file; by default ./NAME.yaml, or ./NAME.ipynb for a notebook."
+        ),
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """Copy the spec of an example to a file, with its comments.
+    """Copy an example to a file: a spec with its comments, or a notebook.
 
-    An existing file is not replaced.
+    A notebook is written for Jupyter, or as a script with cells if FILE ends
+    with .py. An existing file is not replaced.
     """
     from mbdkit.errors import SpecError
-    from mbdkit.files import replacing
-    from mbdkit.spec import example_text
+    from mbdkit.files import check_suffix, replacing
+    from mbdkit.notebook.example_notebooks import jupyter_text, notebook_names, notebook_text
+    from mbdkit.spec import example_names, example_text
+    from mbdkit.text import did_you_mean, listed
 
-    text = example_text(name)
-    path = output if output is not None else Path(f"{name}.yaml")
+    notebooks = notebook_names()
+    known = [*example_names(), *notebooks]
+    if name not in known:
+        raise SpecError(f"there is no example '{name}'{did_you_mean(name, known)}; examples: {listed(known)}")
+    path = output if output is not None else Path(f"{name}.{'ipynb' if name in notebooks else 'yaml'}")
+    if name in notebooks:
+        check_suffix(path, (".ipynb", ".py"), "a notebook")
+        script = notebook_text(name)
+        text = script if path.suffix.lower() == ".py" else jupyter_text(script)
+    else:
+        text = example_text(name)
     if path.is_file():  # there is no --overwrite here, which the message of `replacing` names
         raise SpecError("this file exists already; choose another name with -o", file=path)
     with replacing(path, overwrite=False) as temporary:

@@ -12,7 +12,8 @@ from typer.core import TyperCommand
 
 from mbdkit.cli.common_options import AsJson, BaseSet, Debug, Quiet, StudyName
 from mbdkit.cli.output_paths import stem
-from mbdkit.terminal import STOPPED_EARLY, count_bar, say, show, show_json, silence
+from mbdkit.progress_bars import count_bar
+from mbdkit.terminal import STOPPED_EARLY, say, show, show_json, silence
 
 
 class StudyCommand(TyperCommand):

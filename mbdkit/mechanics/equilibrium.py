@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Unpack
 
 import numpy as np
@@ -15,8 +15,10 @@ from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.engine.kernels.projection import STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.errors import StepError
+from mbdkit.html_view import HtmlView
 from mbdkit.mechanics.reduced import DENSE, State, at_rest, least_stiffness, reduce, stiffness_scale
 from mbdkit.mechanics.source import PreparedMechanism
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.plain_data import plain
 from mbdkit.spec.run_source import RunSource, Sections
 
@@ -58,7 +60,7 @@ NEUTRAL = 1e-11
 
 
 @dataclass(frozen=True)
-class Equilibrium:
+class Equilibrium(HtmlView):
     """A mechanism at rest, with its drivers held at their values at `time`.
 
     Attributes
@@ -89,6 +91,8 @@ class Equilibrium:
         freedom).
     iterations
         Number of Newton steps tried.
+    mechanism
+        The mechanism, from which notebooks draw the equilibrium.
     """
 
     time: float
@@ -105,11 +109,15 @@ class Equilibrium:
     stiffness: float
     stability: str
     iterations: int
+    mechanism: Mechanism | None = field(default=None, repr=False, compare=False)
 
     def __getitem__(self, body: str) -> np.ndarray:
         """Return x, y [m] and angle [rad] of a body by its name."""
         found: np.ndarray = self.position[self.bodies.index(body)]
         return found
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.bodies)
 
 
 @dataclass(frozen=True)
@@ -189,6 +197,7 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         stiffness=stiffness,
         stability=stability,
         iterations=found.iterations,
+        mechanism=prepared.spec.mechanism(),
     )
 
 

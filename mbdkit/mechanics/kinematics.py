@@ -56,6 +56,9 @@ class Kinematics:
         at = self.bodies.index(body)
         return BodyMotion(self.position[:, at], self.velocity[:, at], self.acceleration[:, at])
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.bodies)
+
     def write_csv(self, path: Path) -> None:
         """Write a CSV table with one row per time: time, then x, y, angle and their derivatives of each body."""
         with path.open("w", newline="", encoding="utf-8") as file:

@@ -28,18 +28,9 @@ STABILITY = {
 
 def equilibrium_text(found: Equilibrium) -> str:
     """Return an equilibrium as text: accuracy, positions of the bodies, reactions in the joints."""
-    left = f"remaining accelerations {found.imbalance:.1e}, gaps in the joints {found.residual:.1e} (m, rad, s)"
-    lines = [
-        f"equilibrium  {STABILITY[found.stability]}",
-        f"time         {found.time:g} s, for drivers and loads",
-        f"found in     {counted(found.iterations, 'step')}; {left}",
-    ]
-    if found.stability != "fixed":
-        lines.append(
-            f"stiffness    {found.stiffness:.6g} 1/s^2, the lowest along the degrees of freedom, for unit mass"
-        )
+    lines = [f"{label:<12} {fact}" for label, fact in equilibrium_facts(found)]
     places = [
-        (name, *(f"{x:.9g}" for x in _clean(place))) for name, place in zip(found.bodies, found.position, strict=True)
+        (name, *(f"{x:.9g}" for x in clean(place))) for name, place in zip(found.bodies, found.position, strict=True)
     ]
     lines += ["", table(_some([("BODY", "X [m]", "Y [m]", "ANGLE [rad]"), *places]))]
     if found.joints:
@@ -50,9 +41,27 @@ def equilibrium_text(found: Equilibrium) -> str:
             for j, name in enumerate(found.joints)
         ]
         lines += ["", table(_some([("JOINT", "FORCE X [N]", "FORCE Y [N]", "TORQUE [N m]"), *loads]))]
-    if found.shared:
-        lines.append(f"not unique, because joints are redundant: the reactions of {listed(found.shared, 'and')}")
+    lines += [note for note in [sharing(found)] if note]
     return "\n".join(lines)
+
+
+def equilibrium_facts(found: Equilibrium) -> list[tuple[str, str]]:
+    """Return stability, time, accuracy and stiffness of an equilibrium, each with its label."""
+    left = f"remaining accelerations {found.imbalance:.1e}, gaps in the joints {found.residual:.1e} (m, rad, s)"
+    stiffness = f"{found.stiffness:.6g} 1/s^2, the lowest along the degrees of freedom, for unit mass"
+    return [
+        ("equilibrium", STABILITY[found.stability]),
+        ("time", f"{found.time:g} s, for drivers and loads"),
+        ("found in", f"{counted(found.iterations, 'step')}; {left}"),
+        *([("stiffness", stiffness)] if found.stability != "fixed" else []),
+    ]
+
+
+def sharing(found: Equilibrium) -> str:
+    """Return which reactions of an equilibrium are not unique; empty if all are."""
+    if not found.shared:
+        return ""
+    return f"not unique, because joints are redundant: the reactions of {listed(found.shared, 'and')}"
 
 
 def equilibrium_data(found: Equilibrium) -> dict[str, Any]:
@@ -78,6 +87,17 @@ def equilibrium_data(found: Equilibrium) -> dict[str, Any]:
 
 def modes_text(found: Modes) -> str:
     """Return modes as text: the state they belong to, then one row per mode."""
+    lines = [f"{label:<12} {fact}" for label, fact in modes_facts(found)]
+    rows: list[tuple[str, ...]] = [("MODE", "RAD/S", "HZ", "DAMPING RATIO", "MOVES MOST", "")]
+    for k, value in enumerate(found.eigenvalues.tolist()):
+        ratio = "" if value == 0 else f"{found.damping_ratio[k] + 0.0:.6g}"
+        frequency = (f"{found.natural_frequency[k]:.9g}", f"{found.frequency_hz[k]:.9g}") if value.imag else ("", "")
+        rows.append((str(k + 1), *frequency, ratio if value.imag else "", moves_most(found, k), remark(value)))
+    return "\n".join([*lines, "", table(_some(rows))])
+
+
+def modes_facts(found: Modes) -> list[tuple[str, str]]:
+    """Return the state that modes belong to and the number of degrees of freedom, each with its label."""
     speed, push = (float(np.max(np.abs(x), initial=0.0)) for x in (found.velocity, found.acceleration))
     if speed > AT_REST or push > AT_REST:
         what = " and ".join(
@@ -88,16 +108,10 @@ def modes_text(found: Modes) -> str:
     else:
         state = "at rest"
     many = f", {len(found.eigenvalues)} modes computed" if len(found.eigenvalues) < found.freedoms else ""
-    lines = [
-        f"linearised   at t = {found.time:g} s, {state}",
-        f"freedoms     {counted(found.freedoms, 'degree of freedom', 'degrees of freedom')}{many}",
+    return [
+        ("linearised", f"at t = {found.time:g} s, {state}"),
+        ("freedoms", f"{counted(found.freedoms, 'degree of freedom', 'degrees of freedom')}{many}"),
     ]
-    rows: list[tuple[str, ...]] = [("MODE", "RAD/S", "HZ", "DAMPING RATIO", "MOVES MOST", "")]
-    for k, value in enumerate(found.eigenvalues.tolist()):
-        ratio = "" if value == 0 else f"{found.damping_ratio[k] + 0.0:.6g}"
-        frequency = (f"{found.natural_frequency[k]:.9g}", f"{found.frequency_hz[k]:.9g}") if value.imag else ("", "")
-        rows.append((str(k + 1), *frequency, ratio if value.imag else "", _moving(found, k), _remark(value)))
-    return "\n".join([*lines, "", table(_some(rows))])
 
 
 def modes_data(found: Modes) -> dict[str, Any]:
@@ -134,7 +148,7 @@ def kinematics_text(found: Kinematics) -> str:
     for name in found.bodies:
         motion = found[name]
         low, high = motion.position.min(axis=0), motion.position.max(axis=0)
-        ranges = [f"{a:.5g} to {b:.5g}" for a, b in zip(_clean(low), _clean(high), strict=True)]
+        ranges = [f"{a:.5g} to {b:.5g}" for a, b in zip(clean(low), clean(high), strict=True)]
         speed, push = (np.hypot(x[:, 0], x[:, 1]).max() for x in (motion.velocity, motion.acceleration))
         rows.append((name, *ranges, f"{speed:.5g}", f"{np.abs(motion.velocity[:, 2]).max():.5g}", f"{push:.5g}"))
     first, last = found.time[[0, -1]]
@@ -158,7 +172,7 @@ def kinematics_data(found: Kinematics) -> dict[str, Any]:
     }
 
 
-def _remark(value: complex) -> str:
+def remark(value: complex) -> str:
     """Return a remark on a mode that is not a steady or decaying oscillation; empty for one that is."""
     if value == 0:
         return "free: no restoring force"
@@ -168,7 +182,7 @@ def _remark(value: complex) -> str:
     return f"UNSTABLE: grows e-fold in {1 / value.real:.4g} s" if value.real > 1e-9 * abs(value) else ""
 
 
-def _moving(found: Modes, k: int) -> str:
+def moves_most(found: Modes, k: int) -> str:
     """Return the body whose coordinates change most in a mode."""
     size = np.abs(found.shapes[k]).max(axis=1)
     return found.bodies[int(np.argmax(size))]
@@ -184,7 +198,7 @@ def _some(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
     return rows if more <= 0 else [*rows[: SHOWN + 1], (f"and {more} more", *[""] * (len(rows[0]) - 1))]
 
 
-def _clean(values: np.ndarray) -> list[float]:
+def clean(values: np.ndarray) -> list[float]:
     """Return the numbers, with those that are only rounding errors of quantities of size 1 set to zero."""
     return [0.0 if abs(x) < 1e-12 else x for x in values.tolist()]
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, Unpack
 
 import numpy as np
 from scipy.linalg import eig, eigh, null_space
 
+from mbdkit.html_view import HtmlView
 from mbdkit.mechanics.equilibrium import rest
 from mbdkit.mechanics.reduced import DENSE, State, at_rest, lowest, reduce
 from mbdkit.mechanics.source import PreparedMechanism
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec.run_source import RunSource, Sections
 
 Where = Literal["equilibrium", "start"]
@@ -59,7 +61,7 @@ class Linearization:
 
 
 @dataclass(frozen=True)
-class Modes:
+class Modes(HtmlView):
     """Small motions of a mechanism about a state, each ``Re(shape exp(eigenvalue t))``.
 
     A pair of conjugate eigenvalues is one mode, represented by the eigenvalue with positive imaginary part. A real
@@ -81,6 +83,8 @@ class Modes:
         shape u satisfies ``Phi_q u = 0``. The angle of a point mass is zero.
     freedoms
         Number of degrees of freedom; driven coordinates are not free.
+    mechanism
+        The mechanism, from which notebooks draw the modes.
     """
 
     time: float
@@ -91,6 +95,7 @@ class Modes:
     eigenvalues: np.ndarray
     shapes: np.ndarray
     freedoms: int
+    mechanism: Mechanism | None = field(default=None, repr=False, compare=False)
 
     @property
     def natural_frequency(self) -> np.ndarray:
@@ -237,7 +242,8 @@ def modes_of(prepared: PreparedMechanism, at: Where = "equilibrium", count: int 
     order = np.lexsort((-values.imag, -values.real, np.round(np.abs(values), 12)))[:count]
     values, shapes = values[order], _normalised(shapes[:, order], prepared.equations.mass)
     shapes = shapes.T.reshape(len(values), -1, 3)
-    return Modes(state.t, prepared.equations.bodies, *_seen(state), values, shapes, prepared.freedoms)
+    mechanism = prepared.spec.mechanism()
+    return Modes(state.t, prepared.equations.bodies, *_seen(state), values, shapes, prepared.freedoms, mechanism)
 
 
 def state_of(prepared: PreparedMechanism, at: Where) -> State:

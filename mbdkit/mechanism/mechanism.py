@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from mbdkit.errors import SpecError
+from mbdkit.html_view import HtmlView
 from mbdkit.mechanism import higher_layers
 from mbdkit.mechanism.bodies import GROUND, Body, Element
 from mbdkit.mechanism.checks import check_known, check_mechanism, check_name, check_names, check_tables
@@ -35,7 +36,7 @@ AnyPlaced = TypeVar("AnyPlaced", bound=Element)
 _POINT: TypeAdapter[tuple[float, float]] = TypeAdapter(Point)
 
 
-class Mechanism:
+class Mechanism(HtmlView):
     """A planar multibody system as data.
 
     Build it with its methods or with :meth:`from_spec`. Bodies are referred to by name: :meth:`body` returns the name,

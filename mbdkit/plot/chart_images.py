@@ -50,9 +50,9 @@ def write_chart_images(charts: Iterable[Figure], folder: Path) -> list[Path]:
     return written
 
 
-def chart_image(chart: Figure) -> Picture:
-    """Return a chart as a Matplotlib figure, with its title and caption as heading."""
-    picture = new_figure(Caption(chart.title, chart.caption), 7.2, 4.6)
+def chart_image(chart: Figure, width: float = 7.2, height: float = 4.6) -> Picture:
+    """Return a chart as a Matplotlib figure of `width` x `height` inches, with its title and caption as heading."""
+    picture = new_figure(Caption(chart.title, chart.caption), width, height)
     draw_chart(picture.add_subplot(), chart)
     return picture
 

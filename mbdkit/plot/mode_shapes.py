@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from mbdkit.files import check_suffix
 from mbdkit.mechanics.modes import Modes
@@ -40,6 +41,12 @@ def plot_modes(found: Modes, mechanism: Mechanism, title: str, path: str | os.Pa
         The suffix is unknown, or the file cannot be written.
     """
     target = check_suffix(path, FORMATS, "a plot")
+    save(modes_figure(found, mechanism, title), target)
+    return target
+
+
+def modes_figure(found: Modes, mechanism: Mechanism, title: str) -> Figure:
+    """Return a figure of up to six of the slowest modes."""
     drawing = draw_mechanism(mechanism)
     count = min(MOST, len(found.eigenvalues))
     rest = drawing.world(found.position)
@@ -67,8 +74,7 @@ def plot_modes(found: Modes, mechanism: Mechanism, title: str, path: str | os.Pa
         for side, alpha in zip(sides[k], (0.3, 0.85), strict=True):
             Pose(axes, drawing, body_colors(drawing), size, alpha=alpha).move(side)
         axes.set_title(_heading(k, found), size=8.5, loc="left")
-    save(figure, target)
-    return target
+    return figure
 
 
 def _heading(k: int, found: Modes) -> str:

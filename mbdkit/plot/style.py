@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -132,6 +133,13 @@ def save(figure: Figure, target: Path) -> None:
     kind = target.suffix[1:].lower()
     with replacing(target) as temporary, mpl.rc_context(_FILES):
         quietly(lambda: figure.savefig(temporary, format=kind, dpi=figure.dpi, metadata=_NO_DATE.get(kind)))
+
+
+def png(figure: Figure) -> bytes:
+    """Return `figure` as the bytes of a PNG file."""
+    content = io.BytesIO()
+    quietly(lambda: figure.savefig(content, format="png", dpi=figure.dpi, bbox_inches=None))
+    return content.getvalue()
 
 
 def quietly(draw: Callable[[], Any]) -> Any:

@@ -20,6 +20,12 @@ def write_html(run: Run, target: Path) -> None:
     target.write_text(page(run), encoding="utf-8")
 
 
-def page(run: Run) -> str:
-    """Return the page of a run."""
-    return render("animation.html", {"caption": caption(run), "films": [film_data(run, _NUMBERS)]})
+def page(run: Run, numbers: int = _NUMBERS) -> str:
+    """Return the page of a run.
+
+    Parameters
+    ----------
+    numbers
+        Approximate number of pose values in it, six bytes each.
+    """
+    return render("animation.html", {"caption": caption(run), "films": [film_data(run, numbers)]})

@@ -40,23 +40,26 @@ def model_section(run: Run, mechanism: Mechanism | None) -> Section:
     pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))[0]
     times = np.asarray(run.time)[:: max(1, len(run.time) // _TIMES)]
     shown = NamedPose.of(mechanism, list(run.bodies), pose, times)
+    tables = element_tables(shown)
+    if shown.mechanism is None:
+        name = run.spec["model"]["name"]
+        sentence = f"The model {name} is not installed here, so only what the archive holds is shown."
+    else:
+        sentence = f"{composition(shown.mechanism)} Positions in the tables are global, at the start."
+        tables += [table for table in [_parameters(run.spec)] if table.rows]
+    return Section("model", "What was modelled", (sentence,), drawing(shown), tuple(tables))
+
+
+def element_tables(shown: NamedPose) -> list[Table]:
+    """Return tables of the bodies, joints, force elements and markers of a mechanism, without empty ones."""
     tables = [_bodies(shown)]
     if shown.mechanism is not None:
-        tables += [_joints(shown), _forces(shown.mechanism), _markers(shown), _parameters(run.spec)]
-    return Section(
-        "model",
-        "What was modelled",
-        (_sentence(run, shown),),
-        _drawing(shown),
-        tuple(table for table in tables if table.rows),
-    )
+        tables += [_joints(shown), _forces(shown.mechanism), _markers(shown)]
+    return [table for table in tables if table.rows]
 
 
-def _sentence(run: Run, shown: NamedPose) -> str:
-    mechanism = shown.mechanism
-    if mechanism is None:
-        name = run.spec["model"]["name"]
-        return f"The model {name} is not installed here, so only what the archive holds is shown."
+def composition(mechanism: Mechanism) -> str:
+    """Return sentences on what a mechanism consists of, its mass, and gravity."""
     drivers = sum(joint.is_driver for joint in mechanism.joints.values())
     parts = [count(len(mechanism.bodies), "body", "bodies"), count(len(mechanism.joints) - drivers, "joint")]
     parts += [count(drivers, "driver")] * bool(drivers)
@@ -64,11 +67,11 @@ def _sentence(run: Run, shown: NamedPose) -> str:
     x, y = mechanism.gravity
     gravity = f"Gravity is ({x:g}, {y:g}) m/s²." if x or y else "There is no gravity."
     mass = sum(body.mass for body in mechanism.bodies.values())
-    what = f"A planar mechanism of {listed(parts, 'and')}, with a mass of {mass:.4g} kg. {gravity}"
-    return f"{what} Positions in the tables are global, at the start."
+    return f"A planar mechanism of {listed(parts, 'and')}, with a mass of {mass:.4g} kg. {gravity}"
 
 
-def _drawing(shown: NamedPose) -> Drawing:
+def drawing(shown: NamedPose) -> Drawing:
+    """Return the drawing of a mechanism with the names of its elements."""
     elements = shown.mechanism
     names = list(shown.drawing.bodies)
     if elements is not None:

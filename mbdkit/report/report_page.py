@@ -95,13 +95,7 @@ class ReportPage:
         """Return the HTML."""
         from mbdkit import __version__
 
-        filters: dict[str, Callable[..., Any]] = {
-            "cell": cell_text,
-            "exact": _exact,
-            "mark": _MARKS.__getitem__,
-            "numeric": _is_numeric,
-        }
-        return render("report.html", {"page": self, "version": __version__}, filters)
+        return render("report.html", {"page": self, "version": __version__}, FILTERS)
 
 
 def cell_text(value: Cell) -> str:
@@ -126,6 +120,15 @@ def _exact(value: Cell) -> str:
 def _is_numeric(table: Table, column: int) -> bool:
     cells = [row[column] for row in table.rows if row[column] is not None]
     return bool(cells) and all(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in cells)
+
+
+FILTERS: dict[str, Callable[..., Any]] = {
+    "cell": cell_text,
+    "exact": _exact,
+    "mark": _MARKS.__getitem__,
+    "numeric": _is_numeric,
+}
+"""Filters that the macros of `templates/parts.html` need."""
 
 
 def _summary(figure: Figure) -> Table:

@@ -35,7 +35,7 @@ def run_report(run: Run) -> ReportPage:
     """
     require_rows(run)
     head = caption(run)
-    mechanism = _mechanism(run)
+    mechanism = mechanism_of(run)
     answer = answer_section(run, mechanism)
     return ReportPage(
         title=head.title,
@@ -55,7 +55,7 @@ def run_report(run: Run) -> ReportPage:
     )
 
 
-def _mechanism(run: Run) -> Mechanism | None:
+def mechanism_of(run: Run) -> Mechanism | None:
     """Return the mechanism of the spec of a run; None if its model is not available."""
     try:
         return build_mechanism(run.spec)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -63,7 +63,7 @@ def study_report(study: Study) -> ReportPage:
     missing = states["missing"] + sum(point.status == "missing" for point in study.references)
     return ReportPage(
         title=" ".join((study.spec.title or study.folder.resolve().name).split()),
-        settings=_settings(study, states),
+        settings=settings(study),
         alarm=f"{count(missing, 'run')} missing: `mbdkit study` computes them" if missing else "",
         verdict=_verdict(study),
         films=tuple(_films(study)),
@@ -78,7 +78,9 @@ def study_report(study: Study) -> ReportPage:
     )
 
 
-def _settings(study: Study, states: Mapping[str, int]) -> str:
+def settings(study: Study) -> str:
+    """Return the number of runs of a study, and how many ended in which way, as one line."""
+    states = Counter(point.status for point in study.points)
     parts = [count(len(study.points), "run")]
     if len(study.families) > 1:
         parts.append(count(len(study.families), "family", "families"))
@@ -92,10 +94,11 @@ def _verdict(study: Study) -> Verdict:
     """Return the verdict of the study with general charts if it has none, and with the table of all runs."""
     verdict = judge(study)
     figures = tuple(with_slope_guides(figure) for figure in verdict.figures) or study_figures(study)
-    return replace(verdict, figures=figures, tables=(*verdict.tables, _runs(study)))
+    return replace(verdict, figures=figures, tables=(*verdict.tables, runs_table(study)))
 
 
-def _runs(study: Study) -> Table:
+def runs_table(study: Study) -> Table:
+    """Return the table of all runs of a study: values on the axes, status, verdict, measures and cost."""
     is_timed = any(not math.isnan(value(point, "wall_median_s")) for point in study.points)
     usual = [*_COLUMNS, *(_TIMED if is_timed else _TIMED_ONCE)]
     asked = [one for one in measure_columns(study) if one[1] not in {name for _, name in usual}]

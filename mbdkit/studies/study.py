@@ -12,7 +12,9 @@ from mbdkit.archive.missing_plugins import advised
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.html_view import HtmlView
 from mbdkit.logs import logger_of
+from mbdkit.progress_bars import count_bar, in_notebook
 from mbdkit.spec import RunSpec
 from mbdkit.spec.run_source import StudySource
 from mbdkit.spec.study_loading import load_study_spec
@@ -111,7 +113,7 @@ class StudyPoint:
         return spec
 
 
-class Study:
+class Study(HtmlView):
     """A study in a folder: its spec, its runs and their measures.
 
     Parameters
@@ -380,7 +382,8 @@ def study(
     shard
         Part of the study to compute; by default all of it.
     progress
-        Called with (tasks done, tasks in all, failed runs) after each task.
+        Called with (tasks done, tasks in all, failed runs) after each task. By default, notebooks show a progress
+        bar.
     notify
         Called with a message before an operation that takes long.
     assignments
@@ -425,10 +428,16 @@ def study(
         out = keep.name
     folder = StudyFolder(Path(out))
     try:
-        execution = Execution(spec, folder, shard=shard, progress=progress, notify=notify, overwrite=overwrite)
-        _LOG.info("study in %s begins: %s", shown(folder.path), counted(len(execution.runs), "run"))
-        execution.run(workers)
-        _LOG.info("study in %s ends: %d computed, %d failed", shown(folder.path), execution.computed, execution.failed)
+        is_shown = progress is None and in_notebook()
+        with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:
+            execution = Execution(
+                spec, folder, shard=shard, progress=progress or bar, notify=notify, overwrite=overwrite
+            )
+            _LOG.info("study in %s begins: %s", shown(folder.path), counted(len(execution.runs), "run"))
+            execution.run(workers)
+            _LOG.info(
+                "study in %s ends: %d computed, %d failed", shown(folder.path), execution.computed, execution.failed
+            )
     except SpecError as error:
         raise advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
     return Study(folder.path, computed=execution.computed, unfinished=execution.unfinished, keep=keep)

@@ -7,7 +7,7 @@ import json
 import pytest
 
 import mbdkit as package
-from mbdkit import terminal
+from mbdkit import progress_bars
 from mbdkit.errors import PluginError, RunError, SpecError
 
 COMMANDS = [
@@ -109,15 +109,15 @@ def test_every_error_is_a_sentence_and_an_exit_status(error, status, words, mbdk
 
 
 def test_without_a_terminal_there_is_no_progress_bar():
-    with terminal.progress_bar("run") as advance:
+    with progress_bars.progress_bar("run") as advance:
         assert advance is None
 
 
 def test_on_a_terminal_a_bar_appears_once_work_takes_long(monkeypatch, capsys):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    monkeypatch.setattr(terminal, "PATIENCE", 0.0)
+    monkeypatch.setattr(progress_bars, "PATIENCE", 0.0)
     monkeypatch.setenv("FORCE_COLOR", "1")
-    with terminal.progress_bar("run") as advance:
+    with progress_bars.progress_bar("run") as advance:
         advance(0.0, 2.0)
         advance(1.0, 2.0)
     captured = capsys.readouterr()
@@ -127,5 +127,5 @@ def test_on_a_terminal_a_bar_appears_once_work_takes_long(monkeypatch, capsys):
 
 def test_quiet_has_no_bar_on_a_terminal_either(monkeypatch):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    with terminal.progress_bar("run", quiet=True) as advance:
+    with progress_bars.progress_bar("run", quiet=True) as advance:
         assert advance is None

@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from mbdkit import load_study, terminal
+from mbdkit import load_study, progress_bars
 from mbdkit.archive.archive_check import check
 from mbdkit.spec import load_study_spec
 from mbdkit.studies.planned_points import plan_points
@@ -162,7 +162,7 @@ def is_locked(path: Path) -> bool:
 def test_a_terminal_sees_how_many_are_done_and_how_many_failed(monkeypatch, capsys):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     monkeypatch.setenv("FORCE_COLOR", "1")
-    with terminal.count_bar("study") as advance:
+    with progress_bars.count_bar("study") as advance:
         advance(3, 7, 0)
         advance(4, 7, 2)
     captured = capsys.readouterr()
@@ -172,7 +172,7 @@ def test_a_terminal_sees_how_many_are_done_and_how_many_failed(monkeypatch, caps
 
 
 def test_without_a_terminal_there_is_no_bar():
-    with terminal.count_bar("study") as advance:
+    with progress_bars.count_bar("study") as advance:
         assert advance is None
 
 

@@ -493,7 +493,7 @@ def test_names_in_drawings_of_examples_do_not_overlap(browser, tmp_path):
         shown = NamedPose.of(mechanism, list(mechanism.bodies), pose, np.array([0.0]))
         drawings += [f'<div class="wide" title="{name}">{mechanism_svg(shown, WIDE)}</div>'] * names_shown(shown)
     path = tmp_path / "drawings.html"
-    style = f"<style>{inline('style.css')}{inline('report.css')}</style>"
+    style = f"<style>:root {{ {inline('light.css')} }} {inline('style.css')}{inline('drawing.css')}</style>"
     path.write_text(f'<!DOCTYPE html>{style}<figure class="drawing">{"".join(drawings)}</figure>', encoding="utf-8")
     watched = opened(browser, path)
     found = watched.page.evaluate(

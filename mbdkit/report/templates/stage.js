@@ -33,7 +33,8 @@ class Stage {
   fit() {
     const { canvas } = this, width = canvas.clientWidth, ratio = window.devicePixelRatio || 1;
     const wanted = width * (this.top - this.bottom) / (this.right - this.left);
-    canvas.style.height = `${Math.round(Math.max(220, Math.min(wanted, 0.68 * window.innerHeight)))}px`;
+    const room = Math.min(0.68 * window.innerHeight, window.innerHeight - 320); // a frame shows the controls, too
+    canvas.style.height = `${Math.round(Math.max(220, Math.min(wanted, room)))}px`;
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(canvas.clientHeight * ratio);
     this.scale = Math.min(width / (this.right - this.left), canvas.clientHeight / (this.top - this.bottom));

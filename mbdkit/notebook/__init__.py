@@ -1,0 +1,1 @@
+"""What Jupyter notebooks show of runs, mechanisms, studies, equilibria and modes: tables, pictures, animations."""

@@ -1,0 +1,60 @@
+"""`Run.animate`: an animation of a run that notebooks show with its controls."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from markupsafe import Markup
+
+from mbdkit.plot.downsampling import require_rows
+from mbdkit.report.animate import animate
+from mbdkit.report.animation_page import page
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+_NUMBERS = 150_000
+"""Pose values in the output of a cell, about one megabyte."""
+_HEIGHT = 640
+"""Height of the frame [px]."""
+
+
+class Animation:
+    """The motion of a run with controls for time and speed, and for magnifying the gaps in the joints.
+
+    In a notebook it appears as the output of a cell: a frame with the page that ``mbdkit animate RUN.h5 -o RUN.html``
+    writes. The frame may run the scripts of this page, but has no access to the notebook, and loads nothing.
+    """
+
+    def __init__(self, run: Run):
+        require_rows(run)
+        self._run = run
+        self._page = page(run, _NUMBERS)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the animation to a file, whose path is returned. An existing file is replaced.
+
+        Parameters
+        ----------
+        path
+            File to write. Its suffix selects the format: .gif, .html (a page with controls) or .mp4 (needs the program
+            ffmpeg).
+
+        Raises
+        ------
+        SpecError
+            The suffix is unknown, ffmpeg is needed and not installed, or the file cannot be written.
+        """
+        return animate(self._run, path)
+
+    def _repr_html_(self) -> str:
+        frame = (
+            '<iframe srcdoc="{}" sandbox="allow-scripts" title="Animation of the run" loading="lazy" '
+            'style="width: 100%; max-width: 60rem; height: {}px; border: 0; resize: vertical"></iframe>'
+        )
+        return str(Markup(frame).format(self._page, _HEIGHT))
+
+    def __repr__(self) -> str:
+        return f"<Animation of run {self._run.run_id}>"

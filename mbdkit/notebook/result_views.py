@@ -1,0 +1,142 @@
+"""The view of each kind of object that notebooks show."""
+
+from __future__ import annotations
+
+import html
+from dataclasses import replace
+from functools import singledispatch
+
+import numpy as np
+
+from mbdkit.analysis.verdict import Cell, Column, Table
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_summary import summary_lines
+from mbdkit.errors import MbdkitError
+from mbdkit.html_view import HtmlView
+from mbdkit.mechanics.equilibrium import Equilibrium
+from mbdkit.mechanics.mechanics_summary import (
+    clean,
+    equilibrium_facts,
+    modes_facts,
+    moves_most,
+    remark,
+    sharing,
+)
+from mbdkit.mechanics.modes import Modes
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.notebook.view import Picture, View
+from mbdkit.plot import drift_plot, reactions_plot
+from mbdkit.plot.caption import caption
+from mbdkit.plot.chart_images import chart_image
+from mbdkit.plot.downsampling import take
+from mbdkit.plot.mode_shapes import modes_figure
+from mbdkit.plot.plane_geometry import Array
+from mbdkit.report.mechanism_drawing import NamedPose
+from mbdkit.report.model_section import composition, drawing, element_tables
+from mbdkit.report.run_report import mechanism_of
+from mbdkit.report.section import Drawing
+from mbdkit.report.study_report import runs_table, settings
+from mbdkit.studies.study import Study
+from mbdkit.text import shown
+
+_TONES = {"good": "good", "doubtful": "warn", "bad": "alarm"}
+_CHART = (5.4, 3.3)
+"""Width and height of a chart of a run [inch]."""
+
+
+def html_of(thing: HtmlView) -> str:
+    """Return the HTML of an object; one that cannot be read, such as a closed run, is shown as text with the reason."""
+    try:
+        return view(thing).html()
+    except MbdkitError as error:
+        return f"<pre>{html.escape(shown(f'{thing!r}: {error}'))}</pre>"
+
+
+@singledispatch
+def view(thing: HtmlView) -> View:
+    """Return the view of an object."""
+    raise NotImplementedError(f"notebooks cannot show {type(thing).__name__}")
+
+
+@view.register
+def _(run: Run) -> View:
+    (_, verdict), *lines = summary_lines(run)
+    sentences, tone = [f"Verdict {verdict}"], _TONES.get(run.verdict, "")
+    while lines and not lines[0][0]:
+        sentences.append(lines.pop(0)[1])
+    title = f"Run: {caption(run).title}"
+    lines = [line for line in lines if line[0] != "run"]  # the title
+    if not len(run.time):
+        return View(title, tuple(sentences), tone, tuple(lines))
+    pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))[0]
+    named = NamedPose.of(mechanism_of(run), list(run.bodies), pose, np.asarray(run.time)[:1])
+    charts = [*reactions_plot.charts(run), *drift_plot.charts(run)[:1]]
+    pictures = tuple(
+        Picture(chart_image(replace(chart, caption=""), *_CHART), f"{chart.title}. {chart.caption}") for chart in charts
+    )
+    return View(title, tuple(sentences), tone, tuple(lines), drawing(named), pictures)
+
+
+@view.register
+def _(mechanism: Mechanism) -> View:
+    title = "Mechanism" if mechanism.name == "mechanism" else f"Mechanism {mechanism.name}"
+    if not mechanism.bodies:
+        return View(title, ("It has no bodies yet.",))
+    pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
+    named = NamedPose.of(mechanism, list(mechanism.bodies), pose, np.zeros(1))
+    tables = tuple(element_tables(named))
+    return View(title, (composition(mechanism),), drawing=drawing(named), tables=tables, is_folded=True)
+
+
+@view.register
+def _(study: Study) -> View:
+    title = " ".join(study.spec.title.split()) or study.folder.resolve().name
+    return View(f"Study: {title}", (settings(study),), tables=(runs_table(study),))
+
+
+@view.register
+def _(found: Equilibrium) -> View:
+    bodies: list[tuple[Cell, ...]] = [
+        (name, *clean(place)) for name, place in zip(found.bodies, found.position, strict=True)
+    ]
+    forces = np.column_stack([found.reaction_force, found.reaction_torque])
+    forces[np.abs(forces) < 1e-12 * np.max(np.abs(forces), initial=0.0)] = 0.0
+    joints: list[tuple[Cell, ...]] = [(name, *row) for name, row in zip(found.joints, forces.tolist(), strict=True)]
+    place = (Column("body"), Column("x", "m"), Column("y", "m"), Column("angle", "rad"))
+    force = (Column("joint"), Column("force x", "N"), Column("force y", "N"), Column("torque", "N m"))
+    tables = (
+        Table("bodies", "Positions of the bodies", place, tuple(bodies)),
+        Table("reactions", "Reactions in the joints", force, tuple(joints), sharing(found)),
+    )
+    (_, stability), *facts = equilibrium_facts(found)
+    tone = {"stable": "good", "unstable": "alarm"}.get(found.stability, "")
+    picture = _posed(found.mechanism, found.position, found.time)
+    filled = tuple(table for table in tables if table.rows)
+    return View("Equilibrium", (stability[:1].upper() + stability[1:],), tone, tuple(facts), picture, tables=filled)
+
+
+def _posed(mechanism: Mechanism | None, position: Array, time: float) -> Drawing | None:
+    """Return the drawing of a mechanism in a position (B, 3)."""
+    if mechanism is None:
+        return None
+    return drawing(NamedPose.of(mechanism, list(mechanism.bodies), position, np.array([time])))
+
+
+@view.register
+def _(found: Modes) -> View:
+    rows: list[tuple[Cell, ...]] = []
+    for k, value in enumerate(found.eigenvalues.tolist()):
+        swings: list[Cell] = [None, None, None]
+        if value.imag:
+            swings = [float(x[k]) for x in (found.natural_frequency, found.frequency_hz, found.damping_ratio + 0.0)]
+        rows.append((k + 1, *swings, moves_most(found, k), remark(value)))
+    columns = [Column("mode"), Column("natural frequency", "rad/s"), Column("frequency", "Hz")]
+    columns += [Column("damping ratio"), Column("moves most"), Column("remark")]
+    if not any(row[-1] for row in rows):
+        rows, columns = [row[:-1] for row in rows], columns[:-1]
+    pictures: tuple[Picture, ...] = ()
+    if found.mechanism is not None:
+        figure = modes_figure(found, found.mechanism, "Mode shapes")
+        pictures = (Picture(figure, "Shapes of the slowest modes, displaced in both directions"),)
+    table = Table("modes", "All modes", tuple(columns), tuple(rows))
+    return View("Modes", facts=tuple(modes_facts(found)), pictures=pictures, tables=(table,))
