@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
-from mbdkit.text import one_line, shortened
+from mbdkit.text import one_line, shortened, shown
 
 
 class MbdkitError(Exception):
@@ -36,10 +36,10 @@ class SpecError(MbdkitError, ValueError):
         self.line = line
 
     def __str__(self) -> str:
-        place = self.file or ""
+        place = shown(self.file or "")
         if self.line is not None:
             place += f":{self.line}" if place else f"line {self.line}"
-        where = ": ".join(part for part in (place, shortened(self.key)) if part)
+        where = ": ".join(part for part in (place, shortened(shown(self.key))) if part)
         return f"{where}: {self.message}" if where else self.message
 
     def located(self, *, prefix: str = "", file: str | Path | None = None, line: int | None = None) -> SpecError:
@@ -70,7 +70,7 @@ class ResourceError(MbdkitError):
         self.file = None if file is None else str(file)
 
     def __str__(self) -> str:
-        return f"{self.file}: {self.message}" if self.file else self.message
+        return f"{shown(self.file)}: {self.message}" if self.file else self.message
 
 
 #: Error numbers of the system that are due to a file name given by the user.
