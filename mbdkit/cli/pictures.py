@@ -36,9 +36,9 @@ def plot(
     from mbdkit.files import check_output
     from mbdkit.plot.save_plot import plot as draw
 
-    target = output or archive.with_name(f"{archive.stem}-{kind}.png")
-    check_output(target, overwrite=True, source=archive)
     with blaming_damage(archive), load(archive) as loaded:
+        target = output or archive.with_name(f"{archive.stem}-{kind}.png")
+        check_output(target, overwrite=True, source=archive)
         target = draw(loaded, kind, target)
     if not quiet:
         show(target)
@@ -59,9 +59,9 @@ def animate(
     from mbdkit.files import check_output
     from mbdkit.report.animate import animate as draw
 
-    target = output or archive.with_suffix(".gif")
-    check_output(target, overwrite=True, source=archive)
     with blaming_damage(archive), load(archive) as loaded:
+        target = output or archive.with_suffix(".gif")
+        check_output(target, overwrite=True, source=archive)
         target = draw(loaded, target)
     if not quiet:
         show(target)

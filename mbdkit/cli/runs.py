@@ -188,6 +188,8 @@ def rerun(
         with result as after:
             if after.status == "interrupted":
                 _exit_with(after)
+            if after.status != "complete":
+                say(f"the new run stopped early: {after.status}: {after.status_reason}")
             comparison = compare(before, after)
             if not quiet:
                 if before.status in ("interrupted", "running"):
