@@ -116,6 +116,7 @@ def test_a_temporary_file_removed_before_it_is_locked_is_made_again(
 
     monkeypatch.setattr(files, "_locked", late)
     with replacing(tmp_path / "out.txt") as temporary:
+        assert temporary.exists()
         temporary.write_text("whole")
     assert [file.name for file in tmp_path.iterdir()] == ["out.txt"]
     assert (tmp_path / "out.txt").read_text() == "whole"
