@@ -37,10 +37,10 @@ class SpecError(MbdkitError, ValueError):
         self.line = line
 
     def __str__(self) -> str:
-        place = self.file or ""
+        place = shown(self.file or "")
         if self.line is not None:
             place += f":{self.line}" if place else f"line {self.line}"
-        where = ": ".join(part for part in (place, shortened(self.key)) if part)
+        where = ": ".join(part for part in (place, shortened(shown(self.key))) if part)
         return f"{where}: {self.message}" if where else self.message
 
     def located(self, *, prefix: str = "", file: str | Path | None = None, line: int | None = None) -> SpecError:
@@ -71,7 +71,7 @@ class ResourceError(MbdkitError):
         self.file = None if file is None else str(file)
 
     def __str__(self) -> str:
-        return f"{self.file}: {self.message}" if self.file else self.message
+        return f"{shown(self.file)}: {self.message}" if self.file else self.message
 
 
 #: Error numbers of the system that are due to a file name given by the user.

@@ -30,7 +30,7 @@ def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str
     return target
 
 
-def check_output(path: Path, *, overwrite: bool, source: str | Path | None = None) -> None:
+def check_output(path: Path, *, overwrite: bool, source: str | Path | None = None, suffix: str = "") -> None:
     """Check that a file may be written at `path`, without changing the file system.
 
     Parameters
@@ -40,6 +40,8 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
         or symbolic link.
     source
         The input, which is never replaced; None or ``-`` if it is no file.
+    suffix
+        Suffix of the name that is suggested if `path` is a folder; by default that of `path`.
 
     Raises
     ------
@@ -50,7 +52,9 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
     """
     # os.path instead of methods of Path, which raise for names that are too long and for folders without permission
     if os.path.isdir(path):
-        raise SpecError(f"this is a folder; name a file in it, such as {path / 'results'}{path.suffix}", file=path)
+        suffix = suffix or path.suffix
+        example = f", such as {path / 'results'}{suffix}" if suffix else ""
+        raise SpecError(f"this is a folder; name a file in it{example}", file=path)
     check_folder(path.parent, path)
     if os.path.lexists(path):
         if not stat.S_ISREG(os.lstat(path).st_mode):
@@ -59,7 +63,8 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
         check_not_input(path, source)
         if not overwrite:
             raise SpecError(
-                "this file exists already; choose another name with -o, or replace it with --overwrite",
+                "this file exists already; choose another name, or replace it with --overwrite (overwrite=True in "
+                "Python)",
                 file=path,
             )
     check_writable(path.parent, path)
@@ -83,7 +88,7 @@ def check_not_input(path: Path, source: str | Path | None) -> None:
     if source in (None, "-") or not os.path.isfile(path) or not os.path.isfile(str(source)):
         return
     if os.path.samefile(path, str(source)):
-        raise SpecError("this file is the input, which is not overwritten; choose another name with -o", file=path)
+        raise SpecError("this file is the input, which is not overwritten; choose another name", file=path)
 
 
 @contextmanager
@@ -105,12 +110,11 @@ def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None
     """
     check_output(target, overwrite=overwrite, source=source)
     stem = f".{target.stem[:40]}"
-    temporary = target.with_name(f"{stem}-{secrets.token_hex(4)}.mbdkit{target.suffix}")
+    temporary: Path | None = None
     lock: int | None = None
     try:
         _remove_left(target.parent, re.compile(rf"{re.escape(stem)}-[0-9a-f]{{8}}\.mbdkit{re.escape(target.suffix)}"))
-        lock = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), 0o666)
-        _locked(lock)
+        temporary, lock = _created(target, stem)
         yield temporary
         os.fsync(lock)
         if os.path.lexists(target) and not stat.S_ISREG(os.lstat(target).st_mode):
@@ -126,10 +130,23 @@ def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None
             raise
         raise file_error(error.errno, f"this file cannot be written: {error.strerror or error}", file=target) from error
     finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        if lock is not None:
+        if temporary is not None and lock is not None:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
             os.close(lock)
+
+
+def _created(target: Path, stem: str) -> tuple[Path, int]:
+    """Create a temporary file in the folder of `target`, lock it, and return it with its handle."""
+    while True:
+        path = target.with_name(f"{stem}-{secrets.token_hex(4)}.mbdkit{target.suffix}")
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        _locked(handle, wait=True)
+        # Until it is locked, another process may take it for the file of a killed process, and remove it.
+        with suppress(FileNotFoundError):
+            if sys.platform == "win32" or os.path.samestat(os.fstat(handle), os.lstat(path)):
+                return path, handle
+        os.close(handle)
 
 
 def rename_new(source: Path, target: Path) -> None:
@@ -163,14 +180,14 @@ def _remove_left(folder: Path, pattern: re.Pattern[str]) -> None:
                 os.close(handle)
 
 
-def _locked(handle: int) -> bool:
-    """Lock an open file, and return whether that was possible."""
+def _locked(handle: int, *, wait: bool = False) -> bool:
+    """Lock an open file, and return whether that was possible; `wait` until another process unlocks it."""
     if sys.platform == "win32":
         return True
     import fcntl
 
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:  # locked by another process, or a file system without locks
         return False
     return True

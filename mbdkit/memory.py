@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from mbdkit.text import counted
+
 _MEMINFO = Path("/proc/meminfo")
 
 
@@ -30,7 +32,10 @@ def installed_memory() -> int | None:
         return None
 
 
-def in_gib(size: int) -> str:
-    """Format a number of bytes as ``1.5 GiB``."""
-    tenths = size * 10 // 2**30
-    return f"{tenths // 10:,}.{tenths % 10} GiB" if tenths < 1000 else f"{tenths // 10:,} GiB"
+def in_bytes(size: int) -> str:
+    """Format a number of bytes as ``1.5 GiB``, or in a smaller unit."""
+    for power, unit in ((30, "GiB"), (20, "MiB"), (10, "KiB")):
+        tenths = size * 10 >> power
+        if tenths >= 10:
+            return f"{tenths // 10:,}.{tenths % 10} {unit}" if tenths < 1000 else f"{tenths // 10:,} {unit}"
+    return counted(size, "byte")

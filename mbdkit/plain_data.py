@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from mbdkit.errors import SpecError
-from mbdkit.text import listed
+from mbdkit.text import listed, shown
 
 Path = tuple[str | int, ...]
 
@@ -164,10 +164,10 @@ def found(value: Any) -> str:
         case bool():
             return "true" if value else "false"
         case str():
-            return f"the text '{value if len(value) <= 60 else value[:57] + '...'}'"
+            return f"the text '{shown(value if len(value) <= 60 else value[:57] + '...')}'"
         case Mapping():
             return (
-                f"a mapping with the keys {listed(str(key) for key in list(value)[:5])}"
+                f"a mapping with the keys {listed(shown(key) for key in list(value)[:5])}"
                 if value
                 else "an empty mapping"
             )

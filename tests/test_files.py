@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from mbdkit import files
 from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.files import check_output, replacing
 
@@ -100,6 +101,25 @@ def test_what_a_killed_process_left_is_removed_and_what_a_running_one_writes_is_
         with replacing(path) as temporary:
             temporary.write_text("second")
     assert [file.read_text() for file in tmp_path.iterdir()] == ["second"]
+
+
+def test_a_temporary_file_removed_before_it_is_locked_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    locked, removed = files._locked, list[Path]()
+
+    def late(handle: int, **options: bool) -> bool:
+        if not removed:
+            removed.extend(tmp_path.iterdir())
+            removed[0].unlink()  # as another process does with the file of a killed one
+        return locked(handle, **options)
+
+    monkeypatch.setattr(files, "_locked", late)
+    with replacing(tmp_path / "out.txt") as temporary:
+        assert temporary.exists()
+        temporary.write_text("whole")
+    assert [file.name for file in tmp_path.iterdir()] == ["out.txt"]
+    assert (tmp_path / "out.txt").read_text() == "whole"
 
 
 def test_a_full_disk_leaves_what_was_there(tmp_path: Path) -> None:

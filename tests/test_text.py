@@ -7,9 +7,14 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from mbdkit.errors import ResourceError, SpecError
+from mbdkit.spec import load_spec
+from mbdkit.studies.study_summary import summary
 from mbdkit.terminal import PlainStream
 from mbdkit.text import csv_cell, markdown, shown, table
 
@@ -27,6 +32,31 @@ from mbdkit.text import csv_cell, markdown, shown, table
 def test_control_characters_are_escaped(text: str, words: str) -> None:
     assert shown(text) == words
     assert table([("TITLE",), (text,)]).splitlines() == ["TITLE", words]
+
+
+FORGED = "x\nall is well"
+
+
+@pytest.mark.parametrize("error", [SpecError("wrong", key=FORGED, file=FORGED), ResourceError("full", file=FORGED)])
+def test_names_in_errors_do_not_add_lines(error: Exception) -> None:
+    assert str(error).startswith("x\\nall is well: ")
+    assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize("sections", [{FORGED: 1}, {"title": {FORGED: 1}}, {"formulation": FORGED}, {"model": FORGED}])
+def test_keys_and_values_of_a_spec_do_not_add_lines(sections: dict[str, Any]) -> None:
+    with pytest.raises(SpecError) as caught:
+        load_spec("pendulum", **sections)
+    assert "all is well" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_reasons_in_the_summary_of_a_study_do_not_add_lines() -> None:
+    study: Any = SimpleNamespace(
+        points=(), references=(), failures=(), spec=SimpleNamespace(title=""), computed=0, folder="out"
+    )
+    study.unfinished = (FORGED,)
+    assert summary(study).splitlines()[-1] == "unfinished 1 time: x\\nall is well"
 
 
 def test_a_stream_for_the_terminal_keeps_lines_and_valid_json() -> None:

@@ -19,7 +19,7 @@ from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, Array
 from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.run import Run
 from mbdkit.errors import MbdkitError, SpecError
-from mbdkit.text import listed
+from mbdkit.text import listed, one_line, shown
 from mbdkit.trust.criteria import LEVELS
 
 
@@ -57,7 +57,7 @@ def examine(path: str | Path) -> Checked:
     try:
         file = open_archive(path)
     except SpecError as error:
-        return Checked([error.message])
+        return Checked([shown(error.message)])
     with contextlib.closing(file):
         problems = _Checker(file).problems()
         covered = layout.ATTRIBUTES_HASH in file.attrs
@@ -91,7 +91,11 @@ def _unreadable(path: Path) -> list[str]:
         with Run.open(path) as run:
             run.summary()
     except MbdkitError as error:
-        return [error.message if isinstance(error, SpecError) else str(error)]
+        return [shown(error.message if isinstance(error, SpecError) else str(error))]
+    except MemoryError:
+        raise
+    except Exception as error:
+        return [f"it cannot be summarized: {one_line(error)}"]
     return []
 
 
@@ -140,7 +144,7 @@ class _Checker:
         return self.found
 
     def say(self, sentence: str) -> None:
-        self.found.append(sentence)
+        self.found.append(shown(sentence))  # names and values are from outside
 
     @contextlib.contextmanager
     def reading(self, what: str) -> Iterator[None]:

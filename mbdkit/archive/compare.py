@@ -21,7 +21,7 @@ from mbdkit.archive.fingerprint import (
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import ATTRIBUTES_HASH, FORMAT_VERSION, is_hashed
 from mbdkit.archive.run import Run
-from mbdkit.text import counted, listed
+from mbdkit.text import counted, listed, shown
 
 #: Provenance attributes that cannot affect the results.
 _NOT_VERSIONS = {"command"}
@@ -85,7 +85,7 @@ class Comparison:
         lines += [
             f"{name}: {first or 'none'} and {second or 'none'}" for name, (first, second) in self.versions.items()
         ]
-        return "\n".join(lines)
+        return "\n".join(map(shown, lines))  # names and values are from outside
 
 
 def compare(first: Run, second: Run) -> Comparison:

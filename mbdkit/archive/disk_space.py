@@ -9,7 +9,10 @@ from pathlib import Path
 
 from mbdkit.archive import layout
 from mbdkit.errors import ResourceError, SpecError
-from mbdkit.memory import available_memory, in_gib, installed_memory
+from mbdkit.memory import available_memory, in_bytes, installed_memory
+
+NEARLY_NOTHING = 2**20
+"""A disk with less free space than this is called full [bytes]."""
 
 
 def row_bytes(sizes: Mapping[str, int], quantities: frozenset[str]) -> int:
@@ -61,10 +64,15 @@ def check_room(path: Path | None, rows: int, row: int, every: int | None) -> Non
     times = 2 * needed // max(free, 1) + 1
     less = f"`interval` {times:,} times as long" if every is None else f"`every: {_round_up(every * times)}`"
     message = (
-        f"{rows:,} rows of {row:,} bytes take {in_gib(needed)}, but only {in_gib(free)} are {place}: "
+        f"{rows:,} rows of {row:,} bytes take {in_bytes(needed)}, but only {in_bytes(free)} are {place}: "
         f"record less often, such as {less}, or fewer `quantities`"
     )
     if size is None or needed <= size:
+        if path is not None and free < NEARLY_NOTHING:
+            raise ResourceError(
+                f"the disk of {path.parent.resolve()} is full: {in_bytes(free)} are free, and the archive takes about "
+                f"{in_bytes(needed)}; free some space, or choose another folder"
+            )
         raise ResourceError(f"output.{setting}: {message}")
     raise SpecError(message, key=f"output.{setting}")
 

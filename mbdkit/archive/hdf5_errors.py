@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.text import shown
 
 #: Exceptions that h5py raises on damaged files.
 DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError)
@@ -50,5 +51,5 @@ def reading(what: str, file: Path | None, *, hint: str = "`mbdkit archive check`
     except MbdkitError:
         raise
     except DAMAGE as error:
-        message = f"this file is damaged, {what} cannot be read ({cause(error)}); {hint}"
+        message = f"this file is damaged, {shown(what)} cannot be read ({shown(cause(error))}); {hint}"
         raise SpecError(message, file=file) from error

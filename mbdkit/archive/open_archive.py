@@ -12,6 +12,7 @@ from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
 from mbdkit.archive.part_file import part_path
 from mbdkit.archive.stranger_file import open_hdf5
 from mbdkit.errors import SpecError
+from mbdkit.text import shortened, shown
 
 
 def open_archive(path: Path) -> h5py.File:
@@ -49,6 +50,7 @@ def _check_format(file: h5py.File, path: Path) -> None:
     ours = FORMAT_VERSION.partition(".")[0]
     if not isinstance(version, str) or version.partition(".")[0] != ours:
         raise SpecError(
-            f"this archive has format version {version}, this mbdkit reads {ours}.x; install a version that matches",
+            f"this archive has format version {shortened(shown(version))}, this mbdkit reads {ours}.x; install a "
+            "version that matches",
             file=path,
         )

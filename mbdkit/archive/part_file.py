@@ -50,9 +50,9 @@ def check_target(path: str | Path, *, overwrite: bool = False, source: str | Pat
     """
     path = Path(path)
     check_not_input(path, source)
-    if path.suffix != SUFFIX and not os.path.isdir(path):
+    if path.suffix != SUFFIX and (os.path.isfile(path) or not os.path.lexists(path)):  # not a device, a folder
         raise SpecError(f"the name of an archive ends in .h5: write {path.with_suffix(SUFFIX)}", file=path)
-    check_output(path, overwrite=overwrite, source=source)
+    check_output(path, overwrite=overwrite, source=source, suffix=SUFFIX)
     return path
 
 

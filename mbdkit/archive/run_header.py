@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -91,7 +92,7 @@ def misalignments(file: h5py.File) -> np.ndarray | None:
 
 def spec_of(text: str) -> dict[str, Any]:
     """Return a spec from its canonical JSON; raise ValueError if it is not the spec of a run."""
-    spec = json.loads(text)
+    spec = json.loads(text, parse_int=_integer)
     if not isinstance(spec, dict):
         raise ValueError("it is not a mapping")
     for name in (*_MAPPINGS, *_OPTIONAL_MAPPINGS):
@@ -104,6 +105,13 @@ def spec_of(text: str) -> dict[str, Any]:
     if not isinstance(spec.get("title") or "", str) or len(spec.get("title") or "") > LONGEST_TITLE:
         raise ValueError(f"title is not a string of at most {LONGEST_TITLE:,} characters")
     step = spec.get("time", {}).get("step")
-    if step is not None and not isinstance(step, int | float):
-        raise ValueError("time.step is not a number")
+    if step is not None and not (isinstance(step, int | float) and math.isfinite(step)):
+        raise ValueError("time.step is not a finite number")
     return spec
+
+
+def _integer(digits: str) -> int:
+    """Return an integer of a spec; raise ValueError if it is larger than any float, which no number of a spec is."""
+    if math.isinf(float(digits)):
+        raise ValueError(f"it has an integer of {len(digits)} digits")
+    return int(digits)

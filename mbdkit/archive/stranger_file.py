@@ -18,6 +18,7 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 
 from mbdkit.archive.hdf5_errors import DAMAGE, cause, error_number, reading
 from mbdkit.errors import ResourceError, SpecError, file_error
+from mbdkit.text import shown
 
 OBJECTS = 2_000
 """Largest number of groups and arrays; an archive has about 60."""
@@ -118,7 +119,7 @@ class _Inspection:
         self.seen: set[int] = set()
 
     def refused(self, why: str) -> SpecError:
-        return SpecError(f"this file is refused: {why}", file=self.path)
+        return SpecError(f"this file is refused: {shown(why)}", file=self.path)
 
     def inspect(self) -> None:
         root = h5g.open(self.file.id, b"/")

@@ -67,14 +67,14 @@ def plot(
     from mbdkit.plot.paper_figure import size_in_mm
     from mbdkit.plot.save_plot import plot as draw
 
-    target = output or archives[0].with_name(f"{archives[0].stem}-{kind}.png")
-    for archive in archives:
-        check_output(target, overwrite=True, source=archive)
     asked = {"joints": joints, "elements": elements, "points": points, "components": component}
     options = {name: value for name, value in asked.items() if value}
     _check_options(kind, options)
     with blaming_damage(*archives), ExitStack() as stack:
         runs = [stack.enter_context(load(archive)) for archive in archives]
+        target = output or archives[0].with_name(f"{archives[0].stem}-{kind}.png")
+        for archive in archives:
+            check_output(target, overwrite=True, source=archive)
         target = draw(runs, kind, target, size=None if size is None else size_in_mm(size), **options)
     if not quiet:
         show(target)
@@ -107,9 +107,9 @@ def animate(
     from mbdkit.files import check_output
     from mbdkit.report.animate import animate as draw
 
-    target = output or archive.with_suffix(".gif")
-    check_output(target, overwrite=True, source=archive)
     with blaming_damage(archive), load(archive) as loaded:
+        target = output or archive.with_suffix(".gif")
+        check_output(target, overwrite=True, source=archive)
         target = draw(loaded, target)
     if not quiet:
         show(target)

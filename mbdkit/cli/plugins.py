@@ -90,7 +90,7 @@ def plugins_verify(
             notify = silence if quiet else say
             reports.append(verify(item.kind, item.id, options, quick=quick, watch=watch, notify=notify))
     if page is not None:
-        write_page(reports, page)
+        write_page(reports, page, overwrite=overwrite)
     if as_json:
         show_json({"reports": [report.to_dict() for report in reports]})
     elif not quiet:

@@ -55,14 +55,14 @@ def run(
     to this share of the mechanism's size over the whole run, and a check confirms it.
     If the spec gives an integrator, only its step or tolerance is chosen.
     """
-    path = output if output is not None else Path(f"{stem(spec)}.h5")
-    check_new(path, spec, overwrite)
     from mbdkit.spec import load_spec
 
     if accuracy is not None:
         _check_accuracy(accuracy)
     asked = [*(["check=true"] if check else []), *([] if accuracy is None else [f"accuracy={accuracy!r}"])]
     checked = load_spec(spec, [*(assignments or ()), *asked])
+    path = output if output is not None else Path(f"{stem(spec)}.h5")
+    check_new(path, spec, overwrite)
     from mbdkit.simulation import simulate  # compiled code: not needed to refuse a spec
 
     with _placing(checked), progress_bar(path.name, quiet) as progress:
@@ -200,6 +200,8 @@ def rerun(
         with result as after:
             if after.status == "interrupted":
                 _exit_with(after)
+            if after.status != "complete":
+                say(f"the new run stopped early: {after.status}: {after.status_reason}")
             comparison = compare(before, after)
             if not quiet:
                 if before.status in ("interrupted", "running"):

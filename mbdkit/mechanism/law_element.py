@@ -13,6 +13,7 @@ from mbdkit.mechanism import higher_layers
 from mbdkit.mechanism.bodies import Attachment, Body, Element
 from mbdkit.mechanism.force_law import ForceLaw
 from mbdkit.mechanism.pathways import Pathway
+from mbdkit.plain_data import plain
 
 OptionsClass = type[BaseModel]
 
@@ -48,9 +49,10 @@ class Law(Element):
         if cls is not Law or not isinstance(data, Mapping) or not isinstance(data.get("law"), str):
             return handler(data)
         element = _plugin_lookup(info.context).law_element(data["law"])
+        text = to_json(plain(data))
         try:
             with blaming(f"force law {element.law_id} failed to check its options", ValidationError):
-                return element.model_validate_json(to_json(data, fallback=lambda x: x.tolist()))
+                return element.model_validate_json(text)
         except ValidationError as error:
             raise _below(error, element.law_id) from None
 

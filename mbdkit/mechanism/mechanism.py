@@ -502,14 +502,18 @@ class Mechanism(HtmlView):
 
     def to_local(self, body: str, point: Pair) -> tuple[float, float]:
         """Return the coordinates of a global `point` (x, y) [m] in the frame of `body`, at its initial position."""
+        self._known(body, "body")
         return (point[0], point[1]) if body == GROUND else self.bodies[body].to_local((point[0], point[1]))
 
     def to_global(self, body: str, point: Pair) -> tuple[float, float]:
         """Return the global coordinates of a `point` (x, y) [m] in the frame of `body`, at its initial position."""
+        self._known(body, "body")
         return (point[0], point[1]) if body == GROUND else self.bodies[body].to_global((point[0], point[1]))
 
     def relative_angle(self, a: str, b: str) -> float:
         """Return angle_b - angle_a [rad] at the initial positions; the ground's angle is 0."""
+        for key, name in (("a", a), ("b", b)):
+            self._known(name, key)
         angle_a, angle_b = (0.0 if name == GROUND else self.bodies[name].angle for name in (a, b))
         return angle_b - angle_a
 

@@ -16,7 +16,7 @@ from mbdkit.mechanism.key_path import walk
 from mbdkit.mechanism.law_element import PluginLookup
 from mbdkit.mechanism.time_expression import Expression
 from mbdkit.plain_data import Path, found, parse_path, path_text
-from mbdkit.text import did_you_mean, listed, message_of, shortened
+from mbdkit.text import did_you_mean, listed, message_of, shortened, shown
 
 WANTED = {
     "float_type": "a number",
@@ -90,7 +90,7 @@ def spec_error(
         sentences.append((path_text((*([prefix] if prefix else []), *path)), _either(list(told))))
     (key, message), *others = sentences
     for place, sentence in others:
-        message += f"\n  also: {shortened(place)}: {sentence}"
+        message += f"\n  also: {shortened(shown(place))}: {sentence}"
     if len(paths) > EXPLAINED:
         message += f"\n  and {len(paths) - EXPLAINED} more"
     return SpecError(message, key=key)

@@ -11,7 +11,7 @@ from pydantic import Field
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Number, Point, Positive
-from mbdkit.memory import available_memory, in_gib
+from mbdkit.memory import available_memory, in_bytes
 from mbdkit.strict_model import StrictModel
 
 SUMMARY = "N four-bar windows in a row, with two singular positions per turn (IFToMM benchmark A02)."
@@ -86,7 +86,7 @@ def build(options: NFourBarOptions) -> Mechanism:
     needed, available = o.n * BYTES_PER_WINDOW, available_memory()
     if available is not None and needed > available:
         raise SpecError(
-            f"{o.n:,} windows need about {in_gib(needed)} of memory, but only {in_gib(available)} are available: "
+            f"{o.n:,} windows need about {in_bytes(needed)} of memory, but only {in_bytes(available)} are available: "
             f"use at most {available // BYTES_PER_WINDOW:,}",
             key="n",
         )

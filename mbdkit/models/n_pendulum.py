@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Number, Point, Positive, sequence
-from mbdkit.memory import available_memory, in_gib
+from mbdkit.memory import available_memory, in_bytes
 from mbdkit.models._chain import chain
 from mbdkit.strict_model import StrictModel
 
@@ -102,7 +102,7 @@ def build(options: NPendulumOptions) -> Mechanism:
     needed, available = o.count * BYTES_PER_ROD, available_memory()
     if available is not None and needed > available:
         raise SpecError(
-            f"{o.count:,} rods need about {in_gib(needed)} of memory, but only {in_gib(available)} are available: "
+            f"{o.count:,} rods need about {in_bytes(needed)} of memory, but only {in_bytes(available)} are available: "
             f"use at most {available // BYTES_PER_ROD:,}",
             key="n",
         )

@@ -67,11 +67,13 @@ def write_report(
     folder = None if figures is None else Path(figures)
     if not os.path.exists(source):
         raise SpecError("there is no run archive or study folder of this name", file=source)
-    _check(target, folder, overwrite)
+    check_suffix(target, SUFFIXES, "a report")
+    check_output(target, overwrite=overwrite, source=source)
+    _check_figures(folder, overwrite)
     with _document(source, is_study) as document:
         page = markdown_text(document) if target.suffix == ".md" else document.html()
         stands = os.path.isfile(target) and target.read_bytes() == page.encode()
-        with replacing(target, overwrite=overwrite) as temporary:
+        with replacing(target, overwrite=overwrite, source=source) as temporary:
             temporary.write_bytes(page.encode())
         drawn = document.verdict.figures
         if folder is not None and not (stands and all(file.exists() for file in image_files(drawn, folder))):
@@ -91,10 +93,8 @@ def _document(source: Path, is_study: bool) -> Iterator[ReportPage]:
             yield run_report(run)
 
 
-def _check(target: Path, folder: Path | None, overwrite: bool) -> None:
-    """Raise SpecError if the page or the charts cannot be written."""
-    check_suffix(target, SUFFIXES, "a report")
-    check_output(target, overwrite=overwrite)
+def _check_figures(folder: Path | None, overwrite: bool) -> None:
+    """Raise SpecError if the charts cannot be written."""
     if folder is None:
         return
     if not os.path.lexists(folder):

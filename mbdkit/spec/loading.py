@@ -107,8 +107,10 @@ def read_source(source: Any) -> Document:
 def _named(source: str | FilePath) -> Document:
     if source == "-":
         return read_stdin()
-    path = FilePath(source)
     names = example_names()
+    if not source:
+        raise SpecError(f"the name of the spec is empty: give a file or an example; examples: {listed(names)}")
+    path = FilePath(source)
     if str(source) in names and not os.path.isfile(path):
         return read_text(example_text(str(source)), f"{source} (packaged example)")
     if not exists(path):

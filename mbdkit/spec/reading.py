@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
-from mbdkit.errors import SpecError
+from mbdkit.errors import SpecError, file_error
 from mbdkit.plain_data import DEEPEST, Path, copied, found, parse_path, path_text, without_collection
 from mbdkit.spec.source_document import Document
 from mbdkit.spec.yaml_reader import LARGEST, read_data, read_yaml
@@ -27,6 +27,8 @@ def read_file(path: FilePath) -> Document:
     ------
     SpecError
         If the file is not a spec, with the file name and, if known, the line.
+    ResourceError
+        If the system refuses to read the file.
     """
     file = str(path)
     if os.path.isdir(path):
@@ -35,7 +37,7 @@ def read_file(path: FilePath) -> Document:
         with path.open("rb") as stream:
             raw = stream.read(LARGEST_FILE + 1)
     except OSError as error:
-        raise SpecError(f"this file cannot be read: {error.strerror or error}", file=file) from None
+        raise file_error(error.errno, f"this file cannot be read: {error.strerror or error}", file=file) from None
     return read_text(_decoded(raw, file), file, path.suffix.lower())
 
 

@@ -5,6 +5,7 @@ A value may also set several keys together, and may be skipped if a distribution
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import re
@@ -15,7 +16,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, WithJsonSchema
 
 from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path, found
+from mbdkit.plain_data import LARGEST_NUMBER, Path, found
 from mbdkit.text import did_you_mean, listed
 
 #: Larger sets are assumed to be mistakes.
@@ -115,12 +116,16 @@ def is_labelled(entry: Any) -> bool:
 def _check_limits(kind: str, limits: Any) -> None:
     if not isinstance(limits, list) or len(limits) != 3 or not all(map(_is_number, limits)):
         raise SpecError(f"should be [first, last, number of values], not {found(limits)}", key=kind)
+    for place, limit in enumerate(limits):
+        if not abs(limit) <= LARGEST_NUMBER:
+            message = f"should be a finite number of at most {float(LARGEST_NUMBER):.2g} in size"
+            raise SpecError(message, key=f"{kind}[{place}]")
     first, last, count = limits
     if count != int(count) or not 1 <= count <= LARGEST_SET:
         raise SpecError(f"should be a whole number of values from 1 to {LARGEST_SET}, not {count!r}", key=f"{kind}[2]")
     if count == 1 and first != last:
         raise SpecError(f"a single value cannot be both {first!r} and {last!r}", key=f"{kind}[2]")
-    if kind == "geomspace" and not first * last > 0:
+    if kind == "geomspace" and (first == 0 or last == 0 or (first > 0) != (last > 0)):
         place = 0 if first == 0 else 1
         raise SpecError(
             "both limits should be non-zero and have the same sign: the spacing is geometric", key=f"{kind}[{place}]"
@@ -170,18 +175,25 @@ def expand(values: Any) -> tuple[Value, ...]:
 
 def _spaced(kind: str, first: float, last: float, count: int) -> list[int | float]:
     whole = isinstance(first, int) and isinstance(last, int)
+    first, last = float(first), float(last)
     numbers: list[int | float] = []
     for index in range(count):
         share = index / max(1, count - 1)
         if index in (0, count - 1):
-            number = float(last if index else first)
+            number = last if index else first
         elif kind == "linspace":
-            number = first + (last - first) * share
+            number = 2 * (first / 2 + (last / 2 - first / 2) * share)  # last - first may overflow
         else:
-            number = math.copysign(math.exp(math.log(abs(first)) + math.log(last / first) * share), first)
+            number = math.copysign(math.exp(math.log(abs(first)) + _log_ratio(first, last) * share), first)
         number = float(f"{number:.{DIGITS}g}") if 0 < index < count - 1 else number
         numbers.append(int(number) if whole and number.is_integer() else number)
     return numbers
+
+
+def _log_ratio(first: float, last: float) -> float:
+    """Return the logarithm of last / first, of which the quotient may overflow or underflow."""
+    ratio = last / first
+    return math.log(ratio) if 0 < ratio < math.inf else math.log(abs(last)) - math.log(abs(first))
 
 
 def label_of(value: Any) -> int | float | str:
@@ -205,12 +217,18 @@ def _short(value: Any) -> str:
 
 def _told_apart(entries: Sequence[Value]) -> tuple[Value, ...]:
     """Append a number to labels shared by different values, so that labels are unique."""
-    seen: dict[int | float | str, dict[Hashable, int]] = {}
+    taken: set[int | float | str] = {entry.label for entry in entries}
+    labels: dict[int | float | str, dict[Hashable, int | float | str]] = {}
     result = []
     for entry in entries:
-        namesakes = seen.setdefault(entry.label, {})
-        number = namesakes.setdefault(_hashable(entry.value), len(namesakes) + 1)
-        result.append(entry if number == 1 else replace(entry, label=f"{entry.label} ({number})"))
+        namesakes, value = labels.setdefault(entry.label, {}), _hashable(entry.value)
+        if not namesakes:
+            namesakes[value] = entry.label
+        elif value not in namesakes:
+            numbered = (f"{entry.label} ({number})" for number in itertools.count(2))
+            namesakes[value] = next(label for label in numbered if label not in taken)
+            taken.add(namesakes[value])
+        result.append(replace(entry, label=namesakes[value]))
     return tuple(result)
 
 

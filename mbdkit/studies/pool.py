@@ -165,22 +165,27 @@ class _Worker:
         environment = os.environ | dict.fromkeys(ONE_THREAD, "1")
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
         # In a session of its own, so that Ctrl-C interrupts only the parent process, which then ends its workers.
-        self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "mbdkit.studies.worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self.errors,
-            env=environment,
-            start_new_session=True,
-            text=True,
-            encoding="utf-8",
-        )
+        try:
+            self.process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "mbdkit.studies.worker"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self.errors,
+                env=environment,
+                start_new_session=True,
+                text=True,
+                encoding="utf-8",
+            )
+        except OSError:
+            self.errors.close()
+            raise
         threading.Thread(target=self._listen, args=(lines,), daemon=True).start()
 
     def _listen(self, lines: queue.SimpleQueue[tuple[_Worker, str]]) -> None:
         assert self.process.stdout is not None
-        for line in self.process.stdout:
-            lines.put((self, line))
+        with self.process.stdout as output:  # closed here: closing it in another thread would wait for this one
+            for line in output:
+                lines.put((self, line))
         lines.put((self, ""))
 
     def give(self, task: Task) -> None:

@@ -74,6 +74,14 @@ class StudyFolder:
             raise SpecError(
                 "this folder contains other files and no study.yaml; choose another folder with -o", file=path
             )
+        self._check_kinds()
+
+    def _check_kinds(self) -> None:
+        """Check that no file has the name of the subfolder for runs, and no folder that of the index."""
+        if os.path.lexists(self.runs) and not os.path.isdir(self.runs):
+            raise SpecError("this is not a folder, as the runs of the study need; rename or remove it", file=self.runs)
+        if os.path.isdir(self.index):
+            raise SpecError("this is a folder, where the study writes a file; rename or remove it", file=self.index)
 
     def _check_same(self, spec: StudySpec) -> None:
         if load_study_spec(self.spec).sha256() != spec.sha256():

@@ -40,7 +40,8 @@ def summary(study: Study) -> str:
     if len(study.failures) > FAILURES_SHOWN:
         text.append(f"           and {len(study.failures) - FAILURES_SHOWN} more")
     text += [
-        f"unfinished {counted(count, 'time')}: {reason}" for reason, count in Counter(study.unfinished).most_common(5)
+        f"unfinished {counted(count, 'time')}: {shown(reason)}"
+        for reason, count in Counter(study.unfinished).most_common(5)
     ]
     return "\n".join(text)
 

@@ -29,10 +29,10 @@ def check_page(target: Path, *, overwrite: bool) -> None:
     check_output(target, overwrite=overwrite)
 
 
-def write_page(reports: Sequence[Report], target: Path) -> None:
+def write_page(reports: Sequence[Report], target: Path, *, overwrite: bool) -> None:
     """Write the page of one or several reports."""
     page = html(reports)
-    with replacing(target) as temporary:
+    with replacing(target, overwrite=overwrite) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 

@@ -15,7 +15,7 @@ import pytest
 import xarray
 
 from mbdkit.archive.archive_check import Checked, check, examine
-from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
+from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, spec_sha256
 from mbdkit.archive.info import describe
 from mbdkit.archive.layout import CORRECTIONS
 from mbdkit.archive.reader import load
@@ -100,6 +100,18 @@ def drop(path: str) -> Callable[[h5py.File], None]:
     return lambda file: file.__delitem__(path)
 
 
+def step(value: object) -> Callable[[h5py.File], None]:
+    text = json.dumps({**SPEC, "time": {"end": 1.0, "step": value}})
+
+    def change(file: h5py.File) -> None:
+        file.attrs.update(spec=text, spec_sha256=spec_sha256(text))
+        file.attrs["attributes_sha256"] = attributes_sha256(file)
+
+    return change
+
+
+FORGED = "x\nother.h5: sound"
+
 DAMAGE: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "missing array": (drop("energy/work"), "energy/work is missing"),
     "missing scale": (drop("joints/joint"), "joints/joint is missing"),
@@ -107,6 +119,15 @@ DAMAGE: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "missing trajectory": (drop("trajectory"), "trajectory/position is missing"),
     "missing statistics": (drop("stats"), "the group stats is missing"),
     "unknown array": (lambda file: file.__setitem__("energy/heat", [1.0]), "energy/heat is not part of the layout"),
+    "array with two lines": (lambda file: file.__setitem__(FORGED, [1.0]), r"x\nother.h5: sound is not part of the"),
+    "link with two lines": (
+        lambda file: file.__setitem__(FORGED, h5py.SoftLink("/energy")),
+        r"x\nother.h5: sound is a",
+    ),
+    "group with two lines": (lambda file: file.__setitem__(FORGED, file["energy"]), r"x\nother.h5: sound is a second"),
+    "version with two lines": (attribute("/", "format_version", FORGED), r"version x\nother.h5: sound, this"),
+    "step of 400 digits": (step(10**399), "it has an integer of 400 digits"),
+    "infinite step": (step(float("inf")), "time.step is not a finite number"),
     "other type": (retype, "energy/work has the type <f4, not <f8"),
     "other shape": (shorten, "axis 0 of energy/work has the length 10, its scale energy/time 11"),
     "fewer axes": (flatten, "joints/misalignment has 1 axes, not 2"),

@@ -89,6 +89,15 @@ def test_specs_and_versions_that_differ_are_told() -> None:
     assert str(result).splitlines()[1:] == ["the specs differ", "numpy: 2.4.6 and 1.26", "scipy: none and 1.11"]
 
 
+def test_names_and_values_do_not_add_lines() -> None:
+    forged = "1\nthe data are the same to the bit"
+    other = make(None, provenance={**PROVENANCE, "numpy": forged, forged: "x"})
+    other["energy"][forged] = [1.0]
+    told = str(compared(Run(other))).splitlines()
+    assert any(line.startswith("the data differ") for line in told)
+    assert "the data are the same to the bit" not in told
+
+
 def test_crashed_runs_are_never_the_same(tmp_path: Path) -> None:
     into = writer(tmp_path / "run.h5")
     assert into._target is not None

@@ -7,11 +7,13 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import pytest
 
 from mbdkit.archive.archive_check import check
+from mbdkit.archive.disk_space import check_room
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
 from mbdkit.errors import MbdkitError, ResourceError, SpecError
@@ -34,6 +36,23 @@ def run_python(script: str, folder: Path, **environment: str) -> subprocess.Comp
         timeout=120,
         check=False,
     )
+
+
+@pytest.mark.parametrize(
+    ("free", "words"),
+    [
+        (0, "is full: 0 bytes are free, and the archive takes about 3.5 KiB"),
+        (3 << 20, "10,000 rows of 360 bytes take 3.4 MiB, but only 3.0 MiB are free"),
+        (2 << 30, "10,000,000 rows of 360 bytes take 3.3 GiB, but only 2.0 GiB are free"),
+    ],
+)
+def test_sizes_are_told_in_units_that_suit_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: int, words: str
+) -> None:
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=free, total=1 << 40))
+    rows = 10 if free == 0 else 10_000 if free < 1 << 30 else 10_000_000
+    with pytest.raises(ResourceError, match=words):
+        check_room(tmp_path / "run.h5", rows, 360, None)
 
 
 @pytest.mark.parametrize(

@@ -308,6 +308,9 @@ def _of(path: str) -> Callable[[h5py.File, Path], Any]:
 
 _HUGE = 1 << 40  # 8 TiB of float64
 
+FORGED = "all hashes match, says the attacker"
+_TWO_LINES = f"x\n{FORGED}"
+
 HOSTILE: dict[str, Callable[[h5py.File, Path], None]] = {
     "external link to a file": _link(
         "energy/kinetic", lambda folder: h5py.ExternalLink(str(_secret(folder)), "/secret")
@@ -403,6 +406,20 @@ HOSTILE: dict[str, Callable[[h5py.File, Path], None]] = {
     "spec stabilization is a number": _spec(stabilization=7),
     "spec of another mechanism": _spec(model={"name": "n-pendulum", "n": 5}),
     "scale of another group": lambda file, folder: _other_scale(file),
+    "array named in two lines": lambda file, folder: file["energy"].__setitem__(_TWO_LINES, [1.0]),
+    "link named in two lines": _link(_TWO_LINES, lambda folder: h5py.SoftLink("/energy")),
+    "group named in two lines": lambda file, folder: file.create_group(_TWO_LINES) and None,
+    "body named in two lines": lambda file, folder: file["trajectory/body"].__setitem__(0, _TWO_LINES),
+    "event named in two lines": lambda file, folder: file["events/name"].__setitem__(..., _TWO_LINES),
+    "provenance in two lines": _set("provenance", "mbdkit", _TWO_LINES),
+    "provenance named in two lines": _set("provenance", _TWO_LINES, "x"),
+    "reason in two lines": _set("/", "verdict_reasons", [_TWO_LINES]),
+    "status reason in two lines": _set("/", "status_reason", f"event: {_TWO_LINES}"),
+    "version in two lines": _set("/", "format_version", _TWO_LINES),
+    "spec key in two lines": _spec(**{_TWO_LINES: 1}),
+    "spec value in two lines": _spec(formulation=_TWO_LINES),
+    "spec title in two lines": _spec(title=_TWO_LINES),
+    "spec step of 400 digits": _spec(time={"end": 1.0, "step": 10**400}),
     "plugin of a stranger": lambda file, folder: file["provenance"].attrs.update(
         {"model": "evil:x", "model_distribution": "evil'; rm -rf ~ #", "model_version": "1"}
     ),
@@ -464,6 +481,8 @@ def read_hostile(name: str, commands: Sequence[str], folder: Path) -> list[str]:
         for place, text in (("stdout", ending.output), ("stderr", ending.errors)):
             if any(char in text for char in "\x1b\x07\x9b\r"):
                 found.append(f"{command} of '{name}' printed a control character to {place}")
+            if any(line.strip().startswith(FORGED) for line in text.splitlines()):
+                found.append(f"{command} of '{name}' printed a line of the archive to {place}")
         for result in (folder / "page.html", folder / "page.md"):
             text = result.read_text() if result.exists() else ""
             if "4711.47" in text + ending.output or "password" in text + ending.output:

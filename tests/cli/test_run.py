@@ -292,6 +292,14 @@ def test_rerun_tells_how_far_the_data_differ(mbdkit, archive):
     assert "trajectory/position" in result.stdout
 
 
+def test_rerun_tells_why_the_new_run_stopped_early(mbdkit, archive):
+    with h5py.File(archive, "r+") as file:
+        file.attrs["spec"] = json.dumps(json.loads(file.attrs["spec"]) | {"limits": {"max_steps": 3}})
+    result = mbdkit("rerun", archive)
+    assert result.exit_code == 1
+    assert "the new run stopped early: failed: max-steps: " in result.stderr
+
+
 def test_archive_info_and_check(mbdkit, archive):
     info = mbdkit("archive", "info", archive)
     assert info.exit_code == 0
@@ -335,7 +343,7 @@ def test_animate_makes_a_film(mbdkit, archive):
 
 
 @pytest.mark.parametrize("command", [("plot",), ("animate",), ("rerun",), ("archive", "info")])
-@pytest.mark.parametrize("name", ["missing.h5", "text.h5", "folder"])
+@pytest.mark.parametrize("name", ["missing.h5", "text.h5", "folder", "."])
 def test_what_is_no_archive_is_refused(command, name, mbdkit, in_tmp_path):
     (in_tmp_path / "text.h5").write_text("not HDF5")
     (in_tmp_path / "folder").mkdir()

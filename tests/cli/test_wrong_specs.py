@@ -398,13 +398,19 @@ def test_a_source_that_is_no_spec_is_refused(name, refusal, in_tmp_path):
     (in_tmp_path / "archive.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
     message = refusal("run", name, "-o", "out.h5")
     assert message.startswith(f"{name}: ")
+    assert refusal("run", name) == message  # also where the archive would be named like the source
+
+
+def test_an_empty_name_of_a_spec_is_refused(refusal, in_tmp_path):
+    assert refusal("run", "").startswith("the name of the spec is empty: give a file or an example")
 
 
 @pytest.mark.parametrize(
     ("output", "words"),
     [
         ("there.h5", "--overwrite"),
-        ("folder", "folder"),
+        ("folder", "name a file in it, such as folder/results.h5"),
+        ("/dev/null", "this is not a regular file and is not replaced"),
         ("missing/out.h5", "does not exist"),
         ("spec.yaml", "this file is the input, which is not overwritten"),
         ("out.yaml", ".h5"),
@@ -414,7 +420,7 @@ def test_a_source_that_is_no_spec_is_refused(name, refusal, in_tmp_path):
 def test_an_output_that_cannot_be_is_refused_before_any_work(output, words, refusal, in_tmp_path):
     (in_tmp_path / "there.h5").write_bytes(b"precious")
     (in_tmp_path / "folder").mkdir()
-    (in_tmp_path / "spec.yaml").write_text(small("step:", "stpe:"))  # wrong as well, but not looked at yet
+    (in_tmp_path / "spec.yaml").write_text(SMALL)
     message = refusal("run", "spec.yaml", "-o", output)
     assert words in message
     assert (in_tmp_path / "there.h5").read_bytes() == b"precious"

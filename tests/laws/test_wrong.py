@@ -277,3 +277,10 @@ def test_a_law_that_changes_its_parameters_is_refused():
 
     with pytest.raises(PluginError, match=r"force law mine cannot be compiled: .*readonly"):
         bind_law(FunctionLaw(law, parameters=lambda options: [1.0]), None, "mine")
+
+
+def test_an_option_that_no_spec_can_have_is_not_blamed_on_the_law() -> None:
+    m = Mechanism()
+    m.body("arm", mass=1.0, inertia=0.1)
+    with pytest.raises(SpecError, match="stiffness: a spec cannot contain an object of type object"):
+        m.law("p", m.ground, "arm", law="linear", along="angle", stiffness=object())

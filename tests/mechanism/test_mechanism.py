@@ -459,3 +459,18 @@ def test_a_place_is_in_the_position_as_given_before_assembly() -> None:
     assert m.joints["E"].points == ((1.5, 2.0), (0.5, 0.0))
     x, y, angle = assemble(m).q[0]
     assert (x + 0.5 * math.cos(angle), y + 0.5 * math.sin(angle)) == pytest.approx((1.5, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("query", "key"),
+    [
+        (lambda m: m.to_local("arn", (0.0, 0.0)), "body"),
+        (lambda m: m.to_global("arn", (0.0, 0.0)), "body"),
+        (lambda m: m.relative_angle("arm", "arn"), "b"),
+    ],
+)
+def test_queries_refuse_an_unknown_body(query: Any, key: str) -> None:
+    m = Mechanism()
+    m.body("arm", mass=1.0, inertia=0.1)
+    with pytest.raises(SpecError, match=rf"^{key}: there is no body 'arn' \(did you mean 'arm'\?\)"):
+        query(m)

@@ -189,8 +189,16 @@ def test_the_command_writes_a_page_and_replaces_it_only_when_told(archive, mbdki
     assert mbdkit_command("report", str(archive)).stdout == f"{archive.with_name('swing-report.html')}\n"
     again = mbdkit_command("report", str(archive))
     assert (again.exit_code, again.stdout) == (2, "")
-    assert "this file exists already; choose another name with -o, or replace it with --overwrite" in again.stderr
+    assert "this file exists already; choose another name, or replace it with --overwrite" in again.stderr
     assert mbdkit_command("report", str(archive), "--overwrite", "--quiet").stdout == ""
+
+
+def test_an_archive_is_not_replaced_by_its_own_report(archive):
+    page = archive.rename(archive.with_suffix(".html"))
+    before = page.read_bytes()
+    with pytest.raises(SpecError, match="this file is the input"):
+        report(page, page, overwrite=True)
+    assert page.read_bytes() == before
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,12 @@ import io
 import json
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from mbdkit.errors import SpecError
+from mbdkit.errors import ResourceError, SpecError
 from mbdkit.plain_data import DEEPEST, parse_path
 from mbdkit.spec import load_spec
 
@@ -141,3 +142,9 @@ def test_the_garbage_collector_runs_again_after_an_error():
     with pytest.raises(SpecError):
         load_spec({"mbdkit": 1, "unknown": 2})
     assert gc.isenabled()
+
+
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file whose first byte cannot be read")
+def test_a_spec_that_the_system_cannot_read_is_no_wrong_input():
+    with pytest.raises(ResourceError, match="this file cannot be read: Input/output error"):
+        load_spec("/proc/self/mem")

@@ -243,6 +243,7 @@ def test_a_run_whose_worker_dies_is_tried_once_more_in_the_same_call(finished, s
     monkeypatch.setattr(pool._Worker, "give", deadly)
     study = mbdkit.study(small, out=tmp_path / "out", workers=2)
     assert len(deaths) == 1
+    assert deaths[0].process.stdout.closed
     assert study.computed == 5
     assert study.unfinished == ()
     assert index_hash(tmp_path / "out") == index_hash(finished.folder)

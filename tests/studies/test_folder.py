@@ -59,6 +59,24 @@ def test_of_two_studies_that_begin_in_one_folder_one_is_refused(attempt, small, 
     assert "belongs to another study" in str(errors[0])
 
 
+@pytest.mark.parametrize(
+    ("name", "is_folder", "words"),
+    [
+        ("runs", False, "this is not a folder, as the runs of the study need"),
+        ("index.h5", True, "this is a folder, where the study writes a file"),
+    ],
+)
+def test_what_has_the_name_of_something_else_in_the_folder_is_named(name, is_folder, words, small, tmp_path):
+    spec, path = load_study_spec(small), tmp_path / "out"
+    begin(path, spec)
+    if name == "runs":
+        (path / name).rmdir()
+    (path / name).mkdir() if is_folder else (path / name).touch()
+    with pytest.raises(SpecError, match=words) as caught:
+        begin(path, spec)
+    assert caught.value.file == str(path / name)
+
+
 def test_what_a_killed_call_left_is_removed(small, tmp_path):
     folder, spec = StudyFolder(tmp_path / "out"), load_study_spec(small)
     folder.path.mkdir()

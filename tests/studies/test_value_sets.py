@@ -54,6 +54,18 @@ def test_equal_values_are_recognised_at_all_levels():
     assert labels(shared) == ["a", "a", "a (2)", "a (3)"]
 
 
+def test_a_numbered_label_is_none_that_another_value_has():
+    given = [{"label": label, "value": value} for value, label in enumerate(["a", "a", "a (2)", "a", "a (2)"])]
+    assert labels(given) == ["a", "a (3)", "a (2)", "a (4)", "a (2) (2)"]
+
+
+def test_spaced_numbers_of_any_size_are_finite():
+    assert values({"geomspace": [1e-300, 1e300, 3]}) == [1e-300, 1.0, 1e300]
+    assert values({"geomspace": [-1e300, -1e-300, 3]}) == [-1e300, -1.0, -1e-300]
+    assert values({"linspace": [-1.5e308, 1.5e308, 5]}) == [-1.5e308, -7.5e307, 0.0, 7.5e307, 1.5e308]
+    assert values({"linspace": [-15 * 10**307, 15 * 10**307, 3]})[1] == 0
+
+
 @pytest.mark.parametrize(
     ("given", "key", "words"),
     [
@@ -68,6 +80,9 @@ def test_equal_values_are_recognised_at_all_levels():
         ({"linspace": [1, 2, 0]}, "linspace[2]", "from 1 to 10000"),
         ({"linspace": [1, 2, 10**9]}, "linspace[2]", "from 1 to 10000"),
         ({"linspace": [1, 2, 1]}, "linspace[2]", "both 1 and 2"),
+        ({"linspace": [0, 10**400, 3]}, "linspace[1]", "a finite number"),
+        ({"linspace": [float("nan"), 1, 3]}, "linspace[0]", "a finite number"),
+        ({"geomspace": [1, float("inf"), 3]}, "geomspace[1]", "a finite number"),
         ({"geomspace": [0, 1, 3]}, "geomspace[0]", "non-zero"),
         ({"geomspace": [1, -1, 3]}, "geomspace[1]", "the same sign"),
     ],

@@ -10,12 +10,13 @@ import pytest
 
 import mbdkit
 import mbdkit.testing
+from mbdkit.errors import SpecError
 from mbdkit.registry.manager import registry
 from mbdkit.stepping.warm_up import ensure_compiled
 from mbdkit.testing import Report, Result, checks_of, conformance
 from mbdkit.testing.kit import plugin_under_test
 from mbdkit.testing.trial_models import DRIVEN_PENDULUM
-from mbdkit.testing.verification_page import html
+from mbdkit.testing.verification_page import html, write_page
 from mbdkit.testing.verification_table import BEGIN, END, VARIANTS, title
 
 README = Path(mbdkit.testing.__file__).with_name("README.md")
@@ -138,3 +139,11 @@ def test_the_table_in_the_readme_has_every_integrator_with_what_it_claims_now() 
     assert [row[:2] for row in cells] == expected
     assert {row[-1].rpartition(", ")[2] for row in cells} == {"0 failed"}
     assert {item.name for item in registry().only("mbdkit").of_kind("integrator")} == {name for name, _ in VARIANTS}
+
+
+def test_a_page_that_appears_during_the_checks_is_not_replaced(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    page.write_text("theirs")
+    with pytest.raises(SpecError, match="exists already"):
+        write_page([], page, overwrite=False)
+    assert page.read_text() == "theirs"

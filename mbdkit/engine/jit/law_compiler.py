@@ -1,8 +1,10 @@
 """Compile force laws to machine code.
 
 Each law becomes a C function in a small generated module in the cache folder. The name of the module contains a hash of
-all sources that its code depends on. A law is therefore compiled once, loaded by later processes, and compiled again
-after any change. A function that cannot be imported, such as a lambda, is compiled in every process.
+all sources in the package of the law's function. A law is therefore compiled once, loaded by later processes, and
+compiled again after any change. If the function cannot be imported by its name, such as a lambda or a bound method, the
+name contains a hash of the code generated from its expression instead; one that returns numbers is compiled in every
+process.
 """
 
 from __future__ import annotations
@@ -111,35 +113,22 @@ def _compile(law: ForceLaw, example: dict[str, float], name: str) -> CompiledLaw
 
 
 def _of_expression(law: ExpressionLaw, example: dict[str, float]) -> dict[str, Any]:
-    origins = [_origin(expression) for expression in (law.force, law.potential)]
-
     def body() -> str:
         from mbdkit.symbolic.symbolic_law import law_source
 
         return "from math import *\n" + law_source(law, example) + "\nlaw = compiled(law)\n"
 
-    return _generated_module("\n".join([*origins, *example]), body)
-
-
-def _origin(expression: Any) -> str:
-    """Return text that identifies an expression: the hash of its sources, or else its SymPy representation.
-
-    The hash avoids importing SymPy if the compiled law is already in the cache.
-    """
-    if expression is None:
-        return ""
-    sources = _sources(expression) if callable(expression) and getattr(expression, "__code__", None) else None
-    if sources is not None:
-        return f"{expression.__qualname__} {expression.__code__.co_firstlineno} {sources}"
-    from sympy import srepr, sympify
-
-    return str(srepr(sympify(expression() if callable(expression) else expression)))
+    expressions = [law.force] if law.potential is None else [law.force, law.potential]
+    origins = [_origin(expression) for expression in expressions]
+    if None not in origins:  # SymPy is imported only if the compiled law is not in the cache
+        return _generated_module("\n".join(map(str, [*origins, "", *example])), body)
+    text = body()
+    return _generated_module(text, lambda: text)
 
 
 def _of_function(function: Callable[..., Any]) -> dict[str, Any]:
-    python = getattr(function, "py_func", function)
-    module, name, sources = python.__module__, python.__qualname__, _sources(python)
-    if sources is None or getattr(sys.modules[module], name, None) is not function:
+    origin = _origin(function)
+    if origin is None:
         _check_results(function)
         space: dict[str, Any] = {"law": compiled(function), "__name__": "mbdkit_law"}
         exec(_HEAD + _ENTRY.format(decorator="cfunc"), space)
@@ -147,9 +136,10 @@ def _of_function(function: Callable[..., Any]) -> dict[str, Any]:
 
     def body() -> str:
         _check_results(function)
-        return f"from {module} import {name} as _law\n\nlaw = compiled(_law)\n"
+        python = getattr(function, "py_func", function)
+        return f"from {python.__module__} import {python.__qualname__} as _law\n\nlaw = compiled(_law)\n"
 
-    return _generated_module(f"{module} {name} {sources}", body)
+    return _generated_module(origin, body)
 
 
 def _check_results(function: Callable[..., Any]) -> None:
@@ -167,25 +157,32 @@ def _check_results(function: Callable[..., Any]) -> None:
     )
 
 
-def _sources(function: Callable[..., Any]) -> str | None:
-    """Return a hash of the source files of a function's package; None if they do not determine the function.
+def _origin(function: Any) -> str | None:
+    """Return the module and name of a function and a hash of the source files of its package.
 
-    This is the case in an interactive session or a script, and for closures, whose variables are not in the sources.
+    None if these do not determine the function: if it is no function; in an interactive session or a script; if it is
+    not what its module has under its name, such as a lambda, a bound method or one of several functions of the same
+    name; and for closures, whose variables are not in the sources.
     """
-    module = sys.modules.get(function.__module__)
+    python = getattr(function, "py_func", function)
+    module = sys.modules.get(str(getattr(python, "__module__", "")))
+    name = str(getattr(python, "__qualname__", ""))
     file = getattr(module, "__file__", None)
-    if module is None or not file or module.__name__ == "__main__" or getattr(function, "__closure__", None):
+    if module is None or not file or module.__name__ == "__main__" or getattr(python, "__closure__", None):
         return None
-    return _package_hash(module.__name__.partition(".")[0], file)
+    if getattr(module, name, None) is not function:
+        return None
+    return f"{module.__name__} {name} {_package_hash(module.__name__.partition('.')[0], file)}"
 
 
 @cache
 def _package_hash(package: str, file: str) -> str:
-    root = getattr(sys.modules.get(package), "__file__", None)
-    files = sorted(Path(root).parent.rglob("*.py")) if root and Path(root).name == "__init__.py" else []
+    """Return a hash of all source files of a package; of `file` alone if it is a module outside of packages."""
+    folders = map(Path, getattr(sys.modules.get(package), "__path__", ()))  # several for a namespace package
+    found = [(folder, path) for folder in folders for path in sorted(folder.rglob("*.py")) if path.is_file()]
     digest = hashlib.sha256()
-    for path in files or [Path(file)]:
-        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    for folder, path in found or [(Path(file).parent, Path(file))]:
+        digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
 
