@@ -167,6 +167,6 @@ def timetable(spec: RunSpec, guards: Guards, *, all_knots: bool = False) -> Time
         single=bool(spec.events),
         guards=guards,
         stops=stops.times,
-        stop_margin=stops.margin,
+        stop_margins=stops.margins,
         impacts=stops.impacts,
     )

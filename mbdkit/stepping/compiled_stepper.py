@@ -93,6 +93,7 @@ class CompiledStepper:
         self._plan = PinnedBundle(self.plan)
         self.worst_pairs = self.run_state.worst
         self._renewed: set[tuple[int, int]] = set()
+        workspace.clamp_motions(*timetable.sides(0))
         size = timetable.step
         if control is not None:
             span = timetable.end - timetable.start
@@ -205,7 +206,9 @@ class CompiledStepper:
             return
         c.base_state[0] = MODIFIED
         self.method.forget()
-        stop = table.stops[int(progress.passed[0]) - 1]
+        passed = int(progress.passed[0])
+        self.workspace.clamp_motions(*table.sides(passed))
+        stop = table.stops[passed - 1]
         if stop in table.impacts and not (self.impacts and self.impacts[-1].time == stop):
             try:
                 impact, v = impulse(self.workspace, float(progress.restart[0]), c.q, c.v, stop)

@@ -109,6 +109,8 @@ class Scratch(NamedTuple):
 
     time: RealVector
     """(1,) time of the last `prepare` [s]."""
+    sides: RealVector
+    """(2,) earliest and latest time at which motions are evaluated [s]; see `Workspace.clamp_motions`."""
     cs: RealMatrix
     """(B + 1, 2) cosine and sine of every angle."""
     u: RealMatrix
@@ -209,7 +211,8 @@ load_engine = bundle_loader(lambda: example_of(Engine))
 def prepare(top, w, t, q):
     """Evaluate the quantities that all elements share at a time and position: motions, cosines and sines."""
     w.time[0] = t
-    evaluate_motions(t, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
+    at = min(max(t, w.sides[0]), w.sides[1])
+    evaluate_motions(at, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
     turn_bodies(q, w.cs)
 
 
