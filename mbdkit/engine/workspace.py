@@ -194,6 +194,14 @@ class Workspace:
         """Return whether drivers and loads were finite in the last evaluation."""
         return finite_motions(self.mechanism.topology, self.scratch.u)
 
+    def unusable(self) -> str:
+        """Return which force or motion was not finite when last evaluated, as a clause; empty if all were finite."""
+        if not self.motions_are_finite():
+            return "the value of a driver or load is not finite"
+        if force := self.unusable_law():
+            return f"the law of force '{force}' gives no finite number"
+        return ""
+
     def unusable_law(self) -> str | None:
         """Return the name of the last force whose law returned no finite number, if any."""
         law = int(self.scratch.faulty[0])

@@ -345,7 +345,7 @@ class CompiledStepper:
             return
         done = self._accepted
         where = f"in step {done + 1} from t = {self.time:.6g} s"
-        if unusable := self._unusable():
+        if unusable := self.workspace.unusable():
             if not (self.controlled and status != driver.TOO_SMALL and self._shrink()):
                 self.failure = Failure("not-finite", f"{unusable} {where}.")
             return
@@ -377,14 +377,6 @@ class CompiledStepper:
         )
         if near:
             self.failure = replace(self.failure, sentence=f"{self.failure.sentence.rstrip('.')}; {near}.")
-
-    def _unusable(self) -> str:
-        """Return which force or motion was not finite when last evaluated; empty if all were finite."""
-        if not self.workspace.motions_are_finite():
-            return "the value of a driver or load is not finite"
-        if force := self.workspace.unusable_law():
-            return f"the law of force '{force}' gives no finite number"
-        return ""
 
     def _renew(self, status: int) -> bool:
         """Choose new pivots after `status`; return whether the step is worth another attempt.

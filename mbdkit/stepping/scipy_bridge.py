@@ -112,10 +112,18 @@ class SciPyStepper:
         end = table.stops[self._passed] if self._passed < len(table.stops) else table.end
         if "first_step" in self._options:
             self._options["first_step"] = min(self._options["first_step"], end - t)
+        self._finite = True
         try:
-            self.solver = self._new_solver(self.rates, t, self.y, end, **self._options)
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore")
+                self.solver = self._new_solver(self.rates, t, self.y, end, **self._options)
         except _StoppedError as stop:
             self.failure = stop.failure
+        except (ValueError, np.linalg.LinAlgError):
+            if self._finite:
+                raise
+        if not self._finite:  # with such rates some solvers choose a first step that is no number, and never end
+            self.failure = self._overflow(t)
         self._options.pop("first_step", None)  # after a stop the solver chooses it
 
     def _restart(self) -> bool:
@@ -338,8 +346,8 @@ class SciPyStepper:
         return near and f"; {near}"
 
     def _overflow(self, t: float) -> Failure:
-        if force := self.workspace.unusable_law():
-            return Failure("not-finite", f"the law of force '{force}' gives no finite number after t = {t:.6g} s.")
+        if unusable := self.workspace.unusable():
+            return Failure("not-finite", f"{unusable} after t = {t:.6g} s.")
         return Failure("not-finite", f"numbers overflowed after t = {t:.6g} s; tighter tolerances may help.")
 
     def _effort(self, t: float) -> tuple[int, int]:
