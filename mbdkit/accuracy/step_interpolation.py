@@ -99,7 +99,7 @@ class StepStates:
         stops: tuple[float, ...] = (),
         margins: tuple[float, ...] = (),
     ):
-        self.time = time
+        self.time, self.width = time, q.shape[1]
         cuts: dict[int, tuple[float, float]] = {}
         for stop, margin in zip(stops, margins, strict=True):
             if time[0] < stop < time[-1]:
@@ -122,11 +122,10 @@ class StepStates:
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities at times (T,) [s], in order; nan where there are none."""
-        width = self.parts[0].q.shape[1] if self.parts else 0
-        q, v = np.full((2, len(times), width), np.nan)
+        q, v = np.full((2, len(times), self.width), np.nan)
         begin = 0
         for part in self.parts:
-            end = int(np.searchsorted(times, part.time[-1] * (1 + 1e-15), side="right"))
+            end = int(np.searchsorted(times, part.time[-1] + 1e-15 * abs(part.time[-1]), side="right"))
             if end > begin:
                 q[begin:end], v[begin:end] = part.at(np.clip(times[begin:end], part.time[0], part.time[-1]))
             begin = max(begin, end)
