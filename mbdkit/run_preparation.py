@@ -21,8 +21,9 @@ from mbdkit.recorder import archive_names
 from mbdkit.run_corners import corner_warnings, stops_of
 from mbdkit.run_warnings import spec_warnings
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Guards, Timetable
+from mbdkit.stepping.interface import Failure, Guards, Timetable
 from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
+from mbdkit.text import one_line
 
 
 def caution(spec: RunSpec, method: Method | None = None) -> tuple[str, ...]:
@@ -170,3 +171,11 @@ def timetable(spec: RunSpec, guards: Guards, *, all_knots: bool = False) -> Time
         stop_margins=stops.margins,
         impacts=stops.impacts,
     )
+
+
+def plugin_failure(spec: RunSpec, error: BaseException) -> Failure:
+    """Return the failure of a run whose third-party integrator has raised an exception; raise that of another again."""
+    item = spec.integrator_item
+    if item.origin.distribution == "mbdkit":
+        raise error
+    return Failure("plugin-error", f"integrator {item.id} raised {one_line(error)}.")

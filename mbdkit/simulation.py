@@ -41,6 +41,7 @@ from mbdkit.run_preparation import (
     guards,
     make_method,
     optional_arrays,
+    plugin_failure,
     size_at_start,
     timetable,
 )
@@ -50,7 +51,7 @@ from mbdkit.spec.run_source import RunSource, Sections
 from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch
 from mbdkit.stepping.start import start_method
 from mbdkit.stepping.warm_up import to_stderr
-from mbdkit.text import one_line, shown
+from mbdkit.text import shown
 from mbdkit.trust.criteria import judge
 
 if TYPE_CHECKING:
@@ -325,13 +326,10 @@ class _Simulation:
     @contextmanager
     def _blaming_the_plugin(self) -> Iterator[None]:
         """Convert whatever a third-party integrator raises, errors of mbdkit included, into a failure of the run."""
-        item = self.spec.integrator_item
         try:
             yield
         except BaseException as error:
-            if item.origin.distribution == "mbdkit":
-                raise
-            self.failure = Failure("plugin-error", f"integrator {item.id} raised {one_line(error)}.")
+            self.failure = plugin_failure(self.spec, error)
 
     def advance(self, stepper: Advancing, progress: Progress | None, begin: float) -> None:
         """Step until the end, a limit, a failure or an interrupt, and record the states."""
