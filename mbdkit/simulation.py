@@ -392,7 +392,7 @@ class _Simulation:
         evidence = evidence_of_run(self.recorder, stepper, ending, misalignment_max, self.size, self.warnings)
         errors = None
         if self.accuracy is not None:
-            missed = missed_because(self.accuracy, self.tried)
+            missed = missed_because(self.accuracy, self.tried, self.failure)
             position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)
             errors = estimated_errors(self.recorder, self.accuracy, position, missed)
         judgement = judge(evidence, errors)
