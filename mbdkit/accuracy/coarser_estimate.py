@@ -84,7 +84,9 @@ def estimate_from_coarser(
 def error_share(differences: Sequence[float], tolerances: Sequence[float]) -> float:
     """Return the estimated error of the last of two or three runs from the differences of the others from it."""
     factor, falls = _factor([np.array(x) for x in differences], tolerances)
-    return float(differences[-1] * factor) if falls or differences[-1] == 0 else math.inf
+    if falls:
+        return float(differences[-1] * factor)
+    return 0.0 if differences[-1] == 0 and np.isfinite(factor) else math.inf
 
 
 def _factor(differences: Sequence[np.ndarray], tolerances: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -93,11 +95,12 @@ def _factor(differences: Sequence[np.ndarray], tolerances: Sequence[float]) -> t
     falls = np.full(differences[-1].shape, True)
     if len(differences) > 1:
         with np.errstate(divide="ignore", invalid="ignore"):
-            observed = np.log(differences[0] / differences[1]) / math.log(tolerances[0] / tolerances[1])
+            observed = np.log(differences[0] / differences[1]) / np.log(tolerances[0] / tolerances[1])
         falls = observed >= LEAST
         exponent = np.clip(np.nan_to_num(observed, nan=LEAST, posinf=ASSUMED, neginf=LEAST), LEAST, ASSUMED)
     ratio = (tolerances[-1] / tolerances[-2]) ** exponent
-    return SAFETY * ratio / (1.0 - ratio), falls
+    differs = ratio < 1.0  # else the runs are the same and tell nothing
+    return np.where(differs, SAFETY * ratio / np.where(differs, 1.0 - ratio, 1.0), math.inf), falls & differs
 
 
 class _Quantity:
