@@ -59,6 +59,10 @@ class Topology(NamedTuple):
     """(P, 4) kind, first body, second body, motion (-1: none)."""
     rows: IntVector
     """(P,) number of rows that are solved for, 0, 1 or 2."""
+    length: RealVector
+    """(1,) unit in which lengths are compared with angles: the characteristic length of the mechanism, at most 1 m."""
+    row_units: RealMatrix
+    """(P, 2) `length` for rows whose Phi is a length, 1 for angles."""
     pair_parameters: RealMatrix
     """(P, 6) parameters of each pair, the two points first; see `mbdkit.engine.kernels.element_kernels`."""
     spare: IntMatrix
