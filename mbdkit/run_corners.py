@@ -11,8 +11,9 @@ import numpy as np
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.checks import motions_by_key
 from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, overshoot
-from mbdkit.mechanism.time_jets import EPS, jet_of
+from mbdkit.mechanism.time_jets import jet_of
 from mbdkit.mechanism.values import Motion, Table
+from mbdkit.stepping.interface import SAME_TIME
 
 if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
@@ -33,10 +34,10 @@ OVERSHOOT = 0.1
 
 @dataclass(frozen=True)
 class Stops:
-    """Times at which steps end [s], their margin [s], and those of them at which the rate of a driver jumps."""
+    """Times at which steps end [s], their margins [s], and those of them at which the rate of a driver jumps."""
 
     times: tuple[float, ...] = ()
-    margin: float = 0.0
+    margins: tuple[float, ...] = ()
     impacts: tuple[float, ...] = ()
 
 
@@ -53,17 +54,20 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
             is_impact = _is_driver(key) and corner.jumps[1]
             if is_impact or (len(corners) <= MOST_STOPS and (all_knots or _needs_stop(spec, corner, motion))):
                 found.append((corner, is_impact))
-    margin = max([4.0 * EPS * max(abs(start), abs(end)), *(corner.margin for corner, _ in found)])
     times: list[float] = []
+    margins: list[float] = []
     impacts: list[float] = []
     for corner, is_impact in sorted(found, key=lambda item: item[0].time):
-        if not start + 4.0 * margin < corner.time < end - 4.0 * margin:
+        if _is_at_end(corner, start, end):
             continue
-        if not times or corner.time - times[-1] > 4.0 * margin:
+        if times and corner.time - times[-1] <= 2.0 * (corner.margin + margins[-1]):  # the same corner of two motions
+            margins[-1] = max(margins[-1], corner.time + corner.margin - times[-1])
+        else:
             times.append(corner.time)
+            margins.append(corner.margin)
         if is_impact and times[-1] not in impacts:
             impacts.append(times[-1])
-    return Stops(tuple(times), margin, tuple(impacts))
+    return Stops(tuple(times), tuple(margins), tuple(impacts))
 
 
 def check_jumps(spec: RunSpec) -> None:
@@ -86,7 +90,7 @@ def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:
     """Raise SpecError if the value or the rate of the motion of a driver jumps."""
     start, end = spec.time.start, spec.time.final
     for corner in corners_of(motion, start, end):
-        if min(corner.time - start, end - corner.time) <= 4.0 * corner.margin:
+        if _is_at_end(corner, start, end):
             _check_end(motion, corner, start, end, unit)
         elif corner.jumps[0]:
             raise SpecError(
@@ -121,6 +125,11 @@ def corner_warnings(spec: RunSpec) -> tuple[str, ...]:
                 "methods of high order lose their order"
             )
     return tuple(warnings)
+
+
+def _is_at_end(corner: Corner, start: float, end: float) -> bool:
+    """Return whether a corner and the start or the end of the run are the same but for rounding errors."""
+    return min(corner.time - start, end - corner.time) <= SAME_TIME * corner.margin
 
 
 def _motions(spec: RunSpec) -> Iterator[tuple[str, Motion]]:

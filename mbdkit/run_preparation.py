@@ -13,7 +13,7 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import within_double_precision, workspace_at_start
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import PluginError, SpecError, blaming
+from mbdkit.errors import PluginError, SpecError, blaming, with_place
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
@@ -21,7 +21,7 @@ from mbdkit.recorder import archive_names
 from mbdkit.run_corners import corner_warnings, stops_of
 from mbdkit.run_warnings import spec_warnings
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Guards, Timetable
+from mbdkit.stepping.interface import Failure, Guards, Timetable
 from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
 
 
@@ -167,6 +167,14 @@ def timetable(spec: RunSpec, guards: Guards, *, all_knots: bool = False) -> Time
         single=bool(spec.events),
         guards=guards,
         stops=stops.times,
-        stop_margin=stops.margin,
+        stop_margins=stops.margins,
         impacts=stops.impacts,
     )
+
+
+def plugin_failure(spec: RunSpec, error: BaseException) -> Failure:
+    """Return the failure of a run whose third-party integrator has raised an exception; raise that of another again."""
+    item = spec.integrator_item
+    if item.origin.distribution == "mbdkit":
+        raise error
+    return Failure("plugin-error", f"integrator {item.id} raised {with_place(error)}.")

@@ -28,7 +28,6 @@ from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import with_place
 from mbdkit.interrupts import interrupts_noted
 from mbdkit.logs import logger_of
 from mbdkit.methods.kinds import Method
@@ -45,6 +44,7 @@ from mbdkit.run_preparation import (
     guards,
     make_method,
     optional_arrays,
+    plugin_failure,
     size_at_start,
     timetable,
 )
@@ -393,13 +393,10 @@ class _Simulation:
     @contextmanager
     def _blaming_the_plugin(self) -> Iterator[None]:
         """Convert whatever a third-party integrator raises, errors of mbdkit included, into a failure of the run."""
-        item = self.spec.integrator_item
         try:
             yield
         except BaseException as error:
-            if item.origin.distribution == "mbdkit":
-                raise
-            self.failure = Failure("plugin-error", f"integrator {item.id} raised {with_place(error)}.")
+            self.failure = plugin_failure(self.spec, error)
             self.cause = error
 
     def advance(self, stepper: Advancing, progress: Progress | None, begin: float) -> None:
@@ -463,7 +460,7 @@ class _Simulation:
         evidence = evidence_of_run(self.recorder, stepper, ending, misalignment_max, self.size, self.warnings)
         errors = None
         if self.accuracy is not None:
-            missed = missed_because(self.accuracy, self.tried)
+            missed = missed_because(self.accuracy, self.tried, self.failure)
             position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)
             errors = estimated_errors(self.recorder, self.accuracy, position, missed)
         judgement = judge(evidence, errors)

@@ -11,6 +11,7 @@ from mbdkit.accuracy.position_measure import PositionMeasure
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.engine.workspace import Workspace
 from mbdkit.spec import RunSpec
+from mbdkit.stepping.interface import Failure
 from mbdkit.text import listed
 
 AS_GIVEN = "The spec gives method and step (`choose: nothing`)."
@@ -47,13 +48,19 @@ def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: 
     )
 
 
-def missed_because(accuracy: Accuracy, tried: Sequence[Choice]) -> str:
-    """Return why the accuracy asked is not reached, as a clause; empty if it is, or if nothing was chosen."""
+def missed_because(accuracy: Accuracy, tried: Sequence[Choice], failure: Failure | None = None) -> str:
+    """Return why the accuracy asked is not reached, as a clause; empty if it is, or if nothing was chosen.
+
+    `failure` is why the run ended early, or None.
+    """
     if accuracy.is_reached or not tried:
         return ""
+    if failure is not None:
+        return f"the run ended early: {failure.sentence.rstrip('.')}"
     methods = list(dict.fromkeys(str(choice.candidate.integrator["name"]) for choice in tried))
     limits = [choice.limited for choice in tried if choice.limited]
-    why = limits[-1] if limits else f"{len(tried)} attempts with smaller steps did not suffice"
+    attempts = "one attempt" if len(tried) == 1 else f"{len(tried)} attempts with smaller steps"
+    why = limits[-1] if limits else f"{attempts} did not suffice"
     if len(methods) > 1:
         why += f"; the best of {listed(methods, 'and')} is returned"
     if not accuracy.is_complete:

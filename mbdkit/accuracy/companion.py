@@ -16,8 +16,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError
 from mbdkit.methods.kinds import Method
 from mbdkit.recorded_columns import ObservedRows
-from mbdkit.stepping.driver import SAME_TIME
-from mbdkit.stepping.interface import Stepper, Timetable
+from mbdkit.stepping.interface import SAME_TIME, Stepper, Timetable
 from mbdkit.stepping.start import start_method
 from mbdkit.text import one_line
 
@@ -151,10 +150,9 @@ def _beside_stops(times: np.ndarray, companion: Companion) -> tuple[np.ndarray, 
     """Return the times of rows (T,), those at a stop moved to the side of it that they show, and which these are."""
     table = companion.timetable
     moved, at_stop = times.copy(), np.zeros(len(times), dtype=bool)
-    side = table.stop_margin if companion.after_stops else -table.stop_margin
-    for stop in table.stops:
-        near = np.abs(times - stop) <= SAME_TIME * table.stop_margin
-        moved[near], at_stop[near] = stop + side, True
+    for stop, margin in zip(table.stops, table.stop_margins, strict=True):
+        near = np.abs(times - stop) <= SAME_TIME * margin
+        moved[near], at_stop[near] = stop + (margin if companion.after_stops else -margin), True
     return moved, at_stop
 
 
@@ -234,9 +232,14 @@ class Budget:
 
 def until(timetable: Timetable, end: float) -> Timetable:
     """Return a timetable that ends at `end` [s], without the stops from there on."""
-    last = end - 4.0 * timetable.stop_margin
-    stops, impacts = (tuple(t for t in some if t < last) for some in (timetable.stops, timetable.impacts))
-    return replace(timetable, end=end, stops=stops, impacts=impacts)
+    table = timetable
+    margins = {
+        stop: margin
+        for stop, margin in zip(table.stops, table.stop_margins, strict=True)
+        if stop < end - SAME_TIME * margin
+    }
+    impacts = tuple(stop for stop in table.impacts if stop in margins)
+    return replace(table, end=end, stops=tuple(margins), stop_margins=tuple(margins.values()), impacts=impacts)
 
 
 def finer(timetable: Timetable, times: np.ndarray, factor: int) -> Timetable:

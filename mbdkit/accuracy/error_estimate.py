@@ -94,8 +94,9 @@ class ErrorEstimate:
     known_until
         Time [s] until which all of these are known; nan if not even at the first row.
     order
-        Observed order of the positions in the step, log2(d01 / d12), at the last known row; nan if only rounding errors
-        were seen.
+        Observed exponent of the error of positions in the step, or in the tolerance of an adaptive run, at the last
+        known row: log(d01 / d12) over the logarithm of the factor between the runs; nan if only rounding errors were
+        seen.
     """
 
     position: np.ndarray

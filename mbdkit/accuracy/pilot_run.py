@@ -10,8 +10,9 @@ from mbdkit.accuracy.position_measure import PositionMeasure
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import ExplicitRungeKutta, Method
-from mbdkit.run_preparation import guards, make_method, timetable
+from mbdkit.run_preparation import guards, make_method, plugin_failure, timetable
 from mbdkit.spec import RunSpec
+from mbdkit.stepping.interface import Failure
 from mbdkit.stepping.start import start_method
 
 SAMPLES = 16
@@ -83,14 +84,22 @@ def run_pilot(spec: RunSpec, setting: float, workspace: Workspace, most_steps: i
         stepper = start_method(method, own, table)
     except SingularSystemError:
         return PilotRun(setting, position, 0, 0.0, "singular")
+    except (Exception, SystemExit) as error:
+        return PilotRun(setting, position, 0, 0.0, plugin_failure(spec, error).code)
+    failure: Failure | None = None
     while not (stepper.finished or stepper.failure):
-        stretch = stepper.advance()
+        try:
+            stretch = stepper.advance()
+        except (Exception, SystemExit) as error:  # the run itself will fail in the same way, and tell it
+            failure = plugin_failure(spec, error)
+            break
         if not len(stretch.time):
             continue
         row = np.clip(np.round((stretch.time - start) / (end - start) * SAMPLES).astype(int), 0, SAMPLES)
         met = np.abs(stretch.time - samples[row]) <= 1e-9 * (end - start)
         position[row[met]] = stretch.q[met, :-3].reshape(int(np.sum(met)), -1, 3)
-    code = stepper.failure.code if stepper.failure else ""
+    failure = failure or stepper.failure
+    code = failure.code if failure else ""
     counters = stepper.counters
     return PilotRun(setting, position, counters.steps, work_of(method, counters.rhs_evaluations), code)
 

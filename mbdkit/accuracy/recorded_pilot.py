@@ -86,7 +86,7 @@ class RecordedPilot:
     @cached_property
     def _states(self) -> StepStates:
         table = self.timetable
-        return StepStates(self.workspace, self.time, self.q, self.v, table.stops, table.stop_margin)
+        return StepStates(self.workspace, self.time, self.q, self.v, table.stops, table.stop_margins)
 
     def positions(self, times: np.ndarray) -> np.ndarray:
         """Return the positions of the bodies (T, B, 3) at times of another run [s]; nan where it has none."""

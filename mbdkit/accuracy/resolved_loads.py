@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from mbdkit.mechanism.checks import motions_by_key
-from mbdkit.mechanism.time_jets import jet_of
+from mbdkit.mechanism.time_jets import EPS, jet_of
 from mbdkit.mechanism.values import Motion
 from mbdkit.run_corners import stops_of
 from mbdkit.spec import RunSpec
@@ -41,7 +41,7 @@ def resolved_until(spec: RunSpec, time: np.ndarray) -> float:
     varying = [motion for _, motion in motions_by_key(mechanism.joints, mechanism.forces) if _varies(motion)]
     if not varying or len(time) < 2:
         return math.inf
-    margin = 4.0 * stops_of(spec).margin
+    margin = 4.0 * max(stops_of(spec).margins, default=4.0 * EPS * float(np.max(np.abs(time))))
     begin, end = time[:-1] + margin, time[1:] - margin  # a motion may jump at the ends of a step
     nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(NODES) / (NODES - 1))
     samples = (np.arange(max(LOOKS_OF_STEP, LOOKS // len(begin))) + 0.5) / max(LOOKS_OF_STEP, LOOKS // len(begin))

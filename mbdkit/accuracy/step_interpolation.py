@@ -14,6 +14,7 @@ import numpy as np
 
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
+from mbdkit.stepping.interface import SAME_TIME
 
 NODES = 4
 """Number of ends of steps of one polynomial; fewer next to a corner of a motion."""
@@ -85,8 +86,8 @@ class StepStates:
         Workspace of the mechanism.
     time, q, v
         (N,), (N, 3 (B + 1)) ends of all steps, with the start.
-    stops, margin
-        Times of corners of motions and loads, at which steps end [s], and their margin; see `Timetable`.
+    stops, margins
+        Times of corners of motions and loads, at which steps end [s], and their margins; see `Timetable`.
     """
 
     def __init__(
@@ -96,19 +97,20 @@ class StepStates:
         q: np.ndarray,
         v: np.ndarray,
         stops: tuple[float, ...] = (),
-        margin: float = 0.0,
+        margins: tuple[float, ...] = (),
     ):
-        self.time = time
-        corners = np.array([stop for stop in stops if time[0] < stop < time[-1]])
-        cuts = np.searchsorted(time, corners - 2 * margin)
-        borders = np.unique([0, *cuts.tolist(), len(time) - 1])
+        self.time, self.width = time, q.shape[1]
+        cuts: dict[int, tuple[float, float]] = {}
+        for stop, margin in zip(stops, margins, strict=True):
+            if time[0] < stop < time[-1]:
+                cuts[int(np.searchsorted(time, stop - SAME_TIME * margin))] = stop - margin, stop + margin
+        borders = sorted({0, *cuts, len(time) - 1})
         observer = StateObserver(workspace.with_own_pivots())
         self.parts: list[StepEnds] = []
-        for begin, end in pairwise(borders.tolist()):
+        for begin, end in pairwise(borders):
             part = slice(begin, end + 1)
             seen = time[part].copy()  # accelerations jump at a corner
-            seen[0] += 4 * margin if begin else 0.0
-            seen[-1] -= 4 * margin if end < len(time) - 1 else 0.0
+            seen[0], seen[-1] = cuts[begin][1] if begin in cuts else seen[0], cuts[end][0] if end in cuts else seen[-1]
             out = observer.arrays(len(seen))
             ends = np.ascontiguousarray(q[part]), np.ascontiguousarray(v[part])
             singular = observer.observe(seen, *ends, out)
@@ -120,11 +122,10 @@ class StepStates:
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities at times (T,) [s], in order; nan where there are none."""
-        width = self.parts[0].q.shape[1] if self.parts else 0
-        q, v = np.full((2, len(times), width), np.nan)
+        q, v = np.full((2, len(times), self.width), np.nan)
         begin = 0
         for part in self.parts:
-            end = int(np.searchsorted(times, part.time[-1] * (1 + 1e-15), side="right"))
+            end = int(np.searchsorted(times, part.time[-1] + 1e-15 * abs(part.time[-1]), side="right"))
             if end > begin:
                 q[begin:end], v[begin:end] = part.at(np.clip(times[begin:end], part.time[0], part.time[-1]))
             begin = max(begin, end)

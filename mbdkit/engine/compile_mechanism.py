@@ -114,6 +114,12 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         mass[i] = (body.mass, body.mass, 1.0 if body.inertia is None else body.inertia)
     weight = 1 / mass
     weight[ground] = 0.0
+    characteristic = _length(mechanism)
+    unit = min(1.0, characteristic)
+    row_units = np.full((len(pairs), 2), unit)
+    for one in rows:
+        if one.unit == "rad":
+            row_units[one.pair, one.place] = 1.0
     topology = Topology(
         mass=mass,
         weight=weight,
@@ -122,6 +128,8 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
             [(KINDS[pairs[k].kind], *pairs[k].bodies, pairs[k].motion) for k in order], dtype=np.int64
         ).reshape(-1, 4),
         rows=np.array([pairs[k].rows for k in order], dtype=np.int64),
+        length=np.array([unit]),
+        row_units=row_units,
         pair_parameters=np.array([pairs[k].parameters for k in order], dtype=float).reshape(-1, 6),
         spare=np.zeros((0, 2), dtype=np.int64),
         spare_axes=np.zeros((0, 2)),
@@ -158,7 +166,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         markers=tuple((name, marker.body) for name, marker in mechanism.markers.items()),
         drivers=frozenset(name for name, joint in joints if joint.is_driver),
         coordinates=sum(2 if body.inertia is None else 3 for body in mechanism.bodies.values()),
-        length=_length(mechanism),
+        length=characteristic,
         motions=tuple(motions.numbers),
         laws=tuple(forces.laws),
         order=tuple(order),

@@ -285,11 +285,12 @@ class EquationsOfMotion:
     def relative_change(self, q: np.ndarray, dq: np.ndarray) -> float:
         """Return the largest change of a coordinate relative to the largest coordinate of the same kind.
 
-        Lengths are compared with the largest length (at least 1 m), angles with the largest angle (at least 1 rad). A
-        Newton iteration has converged if the result is a few eps or does not decrease any more.
+        Lengths are compared with the largest length (at least 1 m, or the mechanism's length if that is smaller),
+        angles with the largest angle (at least 1 rad). A Newton iteration has converged if the result is a few eps or
+        does not decrease any more.
         """
         size, change = np.abs(q).reshape(-1, 3), np.abs(dq).reshape(-1, 3)
-        lengths = change[:, :2].max() / max(1.0, size[:, :2].max())
+        lengths = change[:, :2].max() / max(min(1.0, self._workspace.mechanism.length), size[:, :2].max())
         return float(max(lengths, change[:, 2].max() / max(1.0, size[:, 2].max())))
 
     def arrive(self, t: float, q: np.ndarray, v: np.ndarray, worst: np.ndarray) -> bool:
@@ -375,11 +376,7 @@ class EquationsOfMotion:
         return StepError("singular", f"the system of equations is singular at {name}")
 
     def _not_finite(self) -> StepError:
-        if not self._workspace.motions_are_finite():
-            return StepError("not-finite", "the value of a driver or load is not finite")
-        if force := self._workspace.unusable_law():
-            return StepError("not-finite", f"the law of force {force!r} did not return a finite number")
-        return StepError("not-finite", "numbers overflowed")
+        return StepError("not-finite", self._workspace.unusable() or "numbers overflowed")
 
 
 def call_everything(p: EquationsOfMotion, check: Callable[[], None] = lambda: None) -> None:

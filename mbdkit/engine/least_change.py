@@ -88,7 +88,7 @@ class LeastChange:
         rate = self.rates(jacobian, v, phi_t)
         try:
             solve = self.kkt(jacobian)
-        except RuntimeError:
+        except np.linalg.LinAlgError:
             return v
         for _ in range(6):
             v = v + solve(np.zeros(self.n), rate)[0]
@@ -106,7 +106,7 @@ class LeastChange:
             gap = float(np.max(np.abs(phi)))
             try:
                 step, _ = self.kkt(jacobian)(nothing, phi)
-            except RuntimeError:
+            except np.linalg.LinAlgError:
                 return q
             largest = float(np.max(np.abs(step)))
             if not np.isfinite(largest):
@@ -144,7 +144,7 @@ class LeastChange:
                 row, column, value = jacobian
                 gradient = pull + np.bincount(column, value * multipliers[row], minlength=self.n)
                 step, change = self.kkt(jacobian, self.stiffness(q, multipliers))(gradient, phi)
-            except RuntimeError:
+            except np.linalg.LinAlgError:
                 return None
             largest = float(np.max(np.abs(step)))
             if not largest < size:
@@ -161,7 +161,7 @@ class LeastChange:
         _, jacobian, _ = self.evaluate(q)
         try:
             step, _ = self.kkt(jacobian)(self.mass * (q - given), np.zeros(len(self.rows)))
-        except RuntimeError:
+        except np.linalg.LinAlgError:
             return None
         scale = 1.0
         for _ in range(12):

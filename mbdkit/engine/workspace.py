@@ -182,9 +182,25 @@ class Workspace:
         terms = w.source if tangents else w.source[self.terms.chosen(tangents=False).source]
         return bool(all(np.all(np.isfinite(x)) for x in (terms, w.gamma, w.force)))
 
+    def clamp_motions(self, begin: float, end: float) -> None:
+        """From now on, evaluate motions and loads before `begin` as at `begin`, and after `end` as at `end` [s].
+
+        A step from one corner of a motion to the next must see the side of each corner that it is on, although the
+        times of its first and last stage are those of the corners but for rounding errors.
+        """
+        self.scratch.sides[:] = begin, end
+
     def motions_are_finite(self) -> bool:
         """Return whether drivers and loads were finite in the last evaluation."""
         return finite_motions(self.mechanism.topology, self.scratch.u)
+
+    def unusable(self) -> str:
+        """Return which force or motion was not finite when last evaluated, as a clause; empty if all were finite."""
+        if not self.motions_are_finite():
+            return "the value of a driver or load is not finite"
+        if force := self.unusable_law():
+            return f"the law of force '{force}' gives no finite number"
+        return ""
 
     def unusable_law(self) -> str | None:
         """Return the name of the last force whose law returned no finite number, if any."""
@@ -210,12 +226,17 @@ class Workspace:
         return replace(self, formulation=formulation, stabilization=stabilization)
 
     def with_own_pivots(self) -> Workspace:
-        """Return a workspace that shares the arrays of this one, but whose pivots are chosen independently."""
+        """Return a workspace that shares the arrays of this one, but whose pivots are chosen independently.
+
+        Its motions are not clamped.
+        """
         other = copy(self)
         other.pivotings = 0
+        other.scratch = self.scratch._replace(sides=np.array([-np.inf, np.inf]))
         other.solver = self.solver._replace(pivoted=self.solver.pivoted.copy())
-        other._engine = PinnedBundle(self._engine.bundle._replace(solver=other.solver))
-        other._stepping_engine = PinnedBundle(self._stepping_engine.bundle._replace(solver=other.solver))
+        own = {"w": other.scratch, "solver": other.solver}
+        other._engine = PinnedBundle(self._engine.bundle._replace(**own))
+        other._stepping_engine = PinnedBundle(self._stepping_engine.bundle._replace(**own))
         return other
 
     @property
@@ -276,6 +297,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     unknowns = mechanism.unknowns
     scratch = Scratch(
         time=np.zeros(1),
+        sides=np.array([-np.inf, np.inf]),
         cs=cs,
         u=np.zeros((len(top.motion_start) - 1, 3)),
         stack=np.zeros((MAX_DEPTH, 3)),

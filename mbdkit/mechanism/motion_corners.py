@@ -43,7 +43,7 @@ MOST_KNOTS = 100_000
 """Largest number of knots of a periodic table that are looked at; the further ones are the same again."""
 
 WIDEST_MARGIN = 1e-10
-"""Largest margin of a corner, as a share of the span."""
+"""Largest rounding error of the time of a corner that is part of its margin, as a share of the span."""
 
 
 MOST_CACHED = 64
@@ -106,7 +106,8 @@ def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES)
     if not any(operation in ("abs", "min", "max", "atan2") for operation, _ in program):
         return ()
     roots = _switching_times(program, start, end, max(1000, min(samples, MOST_OPERATIONS // len(program))))
-    found = [(t, min(rounding + noise, widest)) for t, noise in roots]
+    # A larger noise is that of a corner at which several derivatives agree: both sides are the same within it.
+    found = [(t, rounding + (noise if noise <= widest else 0.0)) for t, noise in roots]
     corners = _described(motion, found, start, end, is_knot=False)
     # a zero of the first operand of atan2 is no corner if the second is positive, nor is sin(atan2(y, x)) anywhere
     wraps = any(operation == "atan2" for operation, _ in program)

@@ -148,7 +148,8 @@ class Limits(Section):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("misalignment", "energy_jump")
 
     wall_time: Positive | None = None
-    """Largest elapsed real time of the run [s]; unlimited by default."""
+    """Largest elapsed real time of the run [s]; unlimited by default. The companions of a check may together take as
+    long again; the pilot runs of `accuracy` are not limited by it."""
     max_steps: Count = 10_000_000
     """Largest number of steps."""
     misalignment: Positive = 1.0

@@ -93,6 +93,7 @@ class CompiledStepper:
         self._plan = PinnedBundle(self.plan)
         self.worst_pairs = self.run_state.worst
         self._renewed: set[tuple[int, int]] = set()
+        workspace.clamp_motions(*timetable.sides(0))
         size = timetable.step
         if control is not None:
             span = timetable.end - timetable.start
@@ -205,7 +206,9 @@ class CompiledStepper:
             return
         c.base_state[0] = MODIFIED
         self.method.forget()
-        stop = table.stops[int(progress.passed[0]) - 1]
+        passed = int(progress.passed[0])
+        self.workspace.clamp_motions(*table.sides(passed))
+        stop = table.stops[passed - 1]
         if stop in table.impacts and not (self.impacts and self.impacts[-1].time == stop):
             try:
                 impact, v = impulse(self.workspace, float(progress.restart[0]), c.q, c.v, stop)
@@ -342,7 +345,7 @@ class CompiledStepper:
             return
         done = self._accepted
         where = f"in step {done + 1} from t = {self.time:.6g} s"
-        if unusable := self._unusable():
+        if unusable := self.workspace.unusable():
             if not (self.controlled and status != driver.TOO_SMALL and self._shrink()):
                 self.failure = Failure("not-finite", f"{unusable} {where}.")
             return
@@ -374,14 +377,6 @@ class CompiledStepper:
         )
         if near:
             self.failure = replace(self.failure, sentence=f"{self.failure.sentence.rstrip('.')}; {near}.")
-
-    def _unusable(self) -> str:
-        """Return which force or motion was not finite when last evaluated; empty if all were finite."""
-        if not self.workspace.motions_are_finite():
-            return "the value of a driver or load is not finite"
-        if force := self.workspace.unusable_law():
-            return f"the law of force '{force}' gives no finite number"
-        return ""
 
     def _renew(self, status: int) -> bool:
         """Choose new pivots after `status`; return whether the step is worth another attempt.

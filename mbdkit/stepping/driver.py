@@ -24,6 +24,7 @@ from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.projection import mass_norm, project_positions, project_velocities
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_rows, prepare
 from mbdkit.engine.kernels.vectors import add_compensated, copy, stays_finite
+from mbdkit.stepping.interface import SAME_TIME
 from mbdkit.stepping.projected_step import project, take
 from mbdkit.stepping.run_plan import NEAR_SINGULARITY, NO_PROJECTION, PLAIN, SYMMETRIC, load_plan
 from mbdkit.stepping.run_state import (
@@ -59,9 +60,6 @@ TOO_SMALL = 5
 AT_STOP = 8
 """Status: a step has ended at a stop; what the method keeps from it is not valid for the next."""
 
-SAME_TIME = 16.0
-"""A stop and the end of a fixed step are the same if their distance is below this many margins of a stop."""
-
 ROW_MARGIN = 1e-9
 """A row by interval that is nearer to the end than this share of the interval is replaced by the row of the end."""
 
@@ -90,8 +88,11 @@ def _end_of_whole_step(plan, progress):
 
 @subkernel
 def _is_end_of_whole_step(plan, progress, stop):
-    """Return whether a stop and the end of a fixed step are the same but for rounding errors."""
-    return abs(stop - _end_of_whole_step(plan, progress)) <= SAME_TIME * plan.times.margin[0]
+    """Return whether the next stop and the end of a fixed step are the same but for rounding errors."""
+    n = progress.passed[0]
+    return n < len(plan.times.stops) and (
+        abs(stop - _end_of_whole_step(plan, progress)) <= SAME_TIME * plan.times.margins[n]
+    )
 
 
 @subkernel
@@ -99,29 +100,28 @@ def _chosen_step(plan, progress):
     """Return the start and the size of the next step, and whether it ends at a stop."""
     times = plan.times
     stop = _next_stop(plan, progress)
-    last = stop - times.margin[0]
     if plan.control.controlled[0]:
         t = progress.restart[0] if progress.after_stop[0] != 0 else progress.time[0]
-        target = min(last, times.end[0])
+        target = min(stop, times.end[0])
         h = fitted_size(t, min(progress.next_size[0], plan.control.max_size[0]), target)
-        return t, h, last < times.end[0] and h == last - t
+        return t, h, stop < times.end[0] and h == stop - t
     # a product, since the rounding errors of a sum would grow with the number of steps
     t = progress.restart[0] if progress.after_stop[0] != 0 else times.start[0] + progress.whole[0] * times.step[0]
-    if stop < np.inf and (stop < _end_of_whole_step(plan, progress) or _is_end_of_whole_step(plan, progress, stop)):
-        return t, last - t, True
+    if stop < _end_of_whole_step(plan, progress) or _is_end_of_whole_step(plan, progress, stop):
+        return t, stop - t, True
     if progress.after_stop[0] != 0:
         return t, _end_of_whole_step(plan, progress) - t, False
     return t, times.step[0] if progress.whole[0] < times.steps[0] - 1 else times.last_step[0], False
 
 
 @subkernel
-def _end_of_step(plan, progress):
-    """Return start, size and end of the step just accepted, and whether it is the last."""
-    times, t, h = plan.times, progress.tried_begin[0], progress.last_size[0]
-    if progress.at_stop[0] != 0:
-        return t, h, _next_stop(plan, progress) - times.margin[0], False
+def _end_of_step(plan, progress, t, h, at_stop):
+    """Return the end of a step of size `h` from `t`, and whether it is the last of the run."""
+    times = plan.times
+    if at_stop:
+        return _next_stop(plan, progress), False
     last = t + h >= times.end[0] if plan.control.controlled[0] else progress.whole[0] + 1 >= times.steps[0]
-    return t, h, times.end[0] if last else t + h, last
+    return times.end[0] if last else t + h, last
 
 
 @subkernel
@@ -234,11 +234,7 @@ def _try_step(run, method, attempt, plan):
         distance = 1.0
         if guards.has_loops[0] != 0.0:
             distance = guards.distance[0] = distance_to_singularity(c, guards.vectors)
-        if control.controlled[0]:
-            ends = t + h >= plan.times.end[0]
-        else:
-            ends = not at_stop and progress.whole[0] + 1 == plan.times.steps[0]
-        at = plan.times.end[0] if ends else t + h
+        at, _ = _end_of_step(plan, progress, t, h, at_stop)
         due = (progress.accepted[0] + 1) % plan.projection.every[0] == 0
         if mode == NEAR_SINGULARITY:
             due = distance < plan.projection.near[0] * guards.farthest[0]
@@ -316,6 +312,12 @@ def _dense_row(run, method, dense, row, t, h, at, mode):
 
 
 @subkernel
+def _begins_at_impact(plan, progress):
+    """Return whether the pending step begins at an impact."""
+    return progress.after_stop[0] != 0 and plan.times.impacts[progress.passed[0] - 1] != 0
+
+
+@subkernel
 def _write_inner_rows(run, method, dense, plan, rows):
     """Write the rows by interval within the pending step after `rows` others; return a status and the new number.
 
@@ -324,10 +326,14 @@ def _write_inner_rows(run, method, dense, plan, rows):
     c = load_run_state(run)
     progress, interval = c.progress, plan.recording.interval[0]
     start, end = plan.times.start[0], plan.times.end[0]
-    t, h, reached, _ = _end_of_step(plan, progress)
+    t, h = progress.tried_begin[0], progress.last_size[0]
+    reached, _ = _end_of_step(plan, progress, t, h, progress.at_stop[0] != 0)
+    reached = min(reached, c.w.sides[1])  # a row at a stop shows the side after it
+    earliest = c.w.sides[0] if _begins_at_impact(plan, progress) else -np.inf
     at = start + progress.next_row[0] * interval
     while rows < len(c.row_time) and at <= reached and at < end - ROW_MARGIN * interval:
-        status = _dense_row(run, method, dense, rows, t, h, at, plan.projection.mode[0])
+        shown = max(at, earliest)
+        status = _dense_row(run, method, dense, rows, t, h, shown, plan.projection.mode[0])
         if status != OK:
             return status, rows
         rows += 1
@@ -350,16 +356,17 @@ def _add_energies(c):
 def _pass_stop(plan, progress):
     """Move the time to the stop at which the pending step ends; return whether a fixed step is complete.
 
-    The time is that before the stop, so that a row there shows this side of it, but for rows of the fixed grid.
+    The time is that before the stop, so that a row there shows this side of it. Rows of the fixed grid keep the time of
+    the grid, on whichever side it is, except at impacts, where the velocities of both sides differ.
     """
-    stop = _next_stop(plan, progress)
+    stop, n = _next_stop(plan, progress), progress.passed[0]
     complete = plan.control.controlled[0] != 0 or _is_end_of_whole_step(plan, progress, stop)
-    progress.time[0], progress.time_low[0] = stop - plan.times.margin[0], 0.0
+    progress.time[0], progress.time_low[0] = stop - plan.times.margins[n], 0.0
     if complete:
-        if not plan.control.controlled[0]:
+        if not plan.control.controlled[0] and plan.times.impacts[n] == 0:
             progress.time[0] = _end_of_whole_step(plan, progress)
         progress.whole[0] += 1
-    progress.restart[0] = stop + plan.times.margin[0]
+    progress.restart[0] = stop
     progress.passed[0] += 1
     return complete
 
@@ -370,7 +377,8 @@ def _advance_time(plan, progress):
 
     Returns whether that is the end of the run, and whether it is the end of a whole step.
     """
-    t, h, reached, last = _end_of_step(plan, progress)
+    t, h = progress.tried_begin[0], progress.last_size[0]
+    reached, last = _end_of_step(plan, progress, t, h, progress.at_stop[0] != 0)
     progress.accepted[0] += 1
     progress.pending[0] = 0
     progress.after_stop[0] = progress.at_stop[0]

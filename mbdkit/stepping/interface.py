@@ -14,6 +14,10 @@ import numpy as np
 from mbdkit.engine.counters import Counters
 from mbdkit.trust.criteria import BranchSuspicion
 
+SAME_TIME = 16.0
+"""A stop and the end of a fixed step, or of the run, are the same if they are closer than this many margins of the
+stop."""
+
 STRETCH = 0.1
 """Seconds after which a compiled loop should return to Python, so that it stays well below the promised 0.2 s."""
 
@@ -104,13 +108,17 @@ class Timetable:
     guards
         Limits that stop the run.
     stops
-        Times of knots and corners of motions and loads, in order, strictly between `start` and `end` [s]. Steps end
-        there, and the step after a stop uses nothing of the step before. A fixed step is split; N, `every` and the
-        rows then still are those of the whole steps, while `max_steps` and the counters count the parts.
-    stop_margin
-        A step ends this time before a stop, and the next begins this time after it, so that both see one side only.
+        Times of knots and corners of motions and loads, in order, between `start` and `end` and farther than
+        `SAME_TIME` margins from both [s]. Steps end there, and the step after a stop uses nothing of the step before. A
+        fixed step is split; N, `every` and the rows then still are those of the whole steps, while `max_steps` and the
+        counters count the parts.
+    stop_margins
+        For each stop, a time [s] by which motions are evaluated before it, at the latest, in the step that ends there,
+        and after it, at the earliest, in the next one. Each step so sees one side only; see `sides`.
     impacts
-        Stops at which the rate of a driver jumps, so that an impulse changes the velocities.
+        Stops at which the rate of a driver jumps, so that an impulse changes the velocities. A row at the end of a step
+        shows the state before the impulse, at the time of the stop less its margin; a row by `interval` the state after
+        it, at the time of the stop plus its margin.
     """
 
     start: float
@@ -123,8 +131,14 @@ class Timetable:
     single: bool = False
     guards: Guards = Guards()
     stops: tuple[float, ...] = ()
-    stop_margin: float = 0.0
+    stop_margins: tuple[float, ...] = ()
     impacts: tuple[float, ...] = ()
+
+    def sides(self, passed: int) -> tuple[float, float]:
+        """Return the first and the last time at which motions are evaluated after `passed` stops [s]; may be inf."""
+        begin = self.stops[passed - 1] + self.stop_margins[passed - 1] if passed else -math.inf
+        end = self.stops[passed] - self.stop_margins[passed] if passed < len(self.stops) else math.inf
+        return begin, end
 
     @property
     def last_step(self) -> float:

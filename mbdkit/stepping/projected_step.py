@@ -16,6 +16,7 @@ from mbdkit.engine.kernels.projection import (
     project_positions,
     project_velocities,
     rate_rows,
+    scaled_residual,
 )
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, solve_system, solved_rows
 from mbdkit.engine.kernels.vectors import copy
@@ -97,8 +98,8 @@ def _symmetric_step(run, method, attempt, t, h):
         solved_rows(c.still, c.w, c.new_q, c.rest)
         rate_rows(c.still, c.w.jac, c.w.phi_t, c.new_v, c.miss)
         now = max(
-            largest_residual(c.still, c.w.phi) / largest_size(c.new_q),
-            largest_residual(c.still, c.miss) / largest_size(c.new_v),
+            scaled_residual(c.still, c.w.phi) / largest_size(c.still, c.new_q),
+            scaled_residual(c.still, c.miss) / largest_size(c.still, c.new_v),
         )
         if not now < np.inf:
             return NOT_FINITE

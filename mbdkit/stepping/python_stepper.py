@@ -18,9 +18,8 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError, StepError
 from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.stepping import interface
-from mbdkit.stepping.driver import SAME_TIME
 from mbdkit.stepping.impulse import impulse
-from mbdkit.stepping.interface import Failure, Impact, StepEvidence, StepTaken, Stretch, Timetable
+from mbdkit.stepping.interface import SAME_TIME, Failure, Impact, StepEvidence, StepTaken, Stretch, Timetable
 from mbdkit.stepping.kept_state import kept, protect
 from mbdkit.stepping.python_projection import StabilizedSteps, Taken
 from mbdkit.stepping.step_watch import StepWatch
@@ -76,7 +75,7 @@ class Reached:
 
 @dataclass(frozen=True, slots=True)
 class _Planned:
-    """The next step: start, size and end [s], whether it ends at a stop, and whether it completes a fixed step."""
+    """The next step: start, size and time of a row at its end [s], whether it ends at a stop or a fixed step."""
 
     begin: float
     size: float
@@ -102,6 +101,7 @@ class PythonStepper:
         self.raised: Exception | None = None
         self.worst_pairs = np.zeros(len(workspace.mechanism.topology.pairs))
         self.has_power = workspace.has_power
+        workspace.clamp_motions(*timetable.sides(0))
         self.equations = EquationsOfMotion(workspace)
         self.equations.counters = self.counters
         self.stabilized = StabilizedSteps(self._own_step, self.equations)
@@ -124,6 +124,7 @@ class PythonStepper:
         if now.restart is None:
             return
         state, energy = StepState(now.state.q, now.state.v, low=now.state.low), now.energy
+        self.workspace.clamp_motions(*table.sides(now.passed))
         stop = table.stops[now.passed - 1]
         if stop in table.impacts and not (self.impacts and self.impacts[-1].time == stop):
             q, v = self._with_ground(state)
@@ -214,10 +215,11 @@ class PythonStepper:
         t = begin.time if begin.restart is None else begin.restart
         if begin.passed < len(table.stops):
             stop = table.stops[begin.passed]
-            is_end = abs(stop - end) <= SAME_TIME * table.stop_margin
+            is_end = abs(stop - end) <= SAME_TIME * table.stop_margins[begin.passed]
             if stop < end or is_end:
-                left = stop - table.stop_margin  # so that a row there shows this side of the stop
-                return _Planned(t, left - t, end if is_end else left, True, is_end)
+                before = table.sides(begin.passed)[1]  # so that a row there shows this side of the stop
+                is_on_grid = is_end and stop not in table.impacts
+                return _Planned(t, stop - t, end if is_on_grid else before, True, is_end)
         size = table.last_step if n == table.steps else table.step
         return _Planned(t, size if begin.restart is None else end - t, end, False, True)
 
@@ -253,7 +255,7 @@ class PythonStepper:
             whole = begin.whole + 1
             reached = table.end if whole == table.steps else end
             return Reached(done, whole, begin.passed, None, reached, new, energy, low, interval), taken
-        whole, restart = begin.whole + plan.is_whole, table.stops[begin.passed] + table.stop_margin
+        whole, restart = begin.whole + plan.is_whole, table.stops[begin.passed]
         return Reached(done, whole, begin.passed + 1, restart, plan.reached, new, energy, low, interval), taken
 
     def _again(self, theta: float) -> Reached | None:

@@ -53,8 +53,10 @@ class Times(NamedTuple):
     """Number of fixed steps."""
     stops: np.ndarray
     """(S,) times at which steps end, in order [s]."""
-    margin: np.ndarray
-    """Distance of the end of a step before a stop, and of the start of the next step after it [s]."""
+    margins: np.ndarray
+    """(S,) margin of each stop [s]; see `Timetable`."""
+    impacts: np.ndarray
+    """(S,) whether an impulse changes the velocities at a stop."""
 
 
 class Recording(NamedTuple):
@@ -72,7 +74,7 @@ class Projection(NamedTuple):
     """When states are projected onto the constraints; each array has one element."""
 
     mode: np.ndarray
-    """NO_PROJECTION, PLAIN or SYMMETRIC."""
+    """NO_PROJECTION, PLAIN, SYMMETRIC or NEAR_SINGULARITY."""
     every: np.ndarray
     """Project after every k-th step."""
     bound: np.ndarray
@@ -148,7 +150,8 @@ def new_plan(
             _real(last),
             _whole(table.steps),
             np.array(table.stops, dtype=np.float64),
-            _real(table.stop_margin),
+            np.array(table.stop_margins, dtype=np.float64),
+            np.array([stop in table.impacts for stop in table.stops], dtype=np.int64),
         ),
         recording=Recording(
             every=_whole(0 if table.interval is not None else table.every),
@@ -170,8 +173,9 @@ def new_plan(
 def single_step(plan: RunPlan, t: float, h: float, *, projected: bool) -> RunPlan:
     """Return the plan of a run of one fixed step of size `h` from `t` with the projection of `plan`."""
     never = 2  # of one step
+    no_stops = np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64)
     return RunPlan(
-        times=Times(_real(t), _real(t + h), _real(h), _real(h), _whole(1), np.zeros(0), _real(0.0)),
+        times=Times(_real(t), _real(t + h), _real(h), _real(h), _whole(1), *no_stops),
         recording=Recording(every=_whole(never), interval=_real(0.0), start_of_step=_whole(0)),
         control=control_data(None, 0.0),
         projection=plan.projection._replace(every=_whole(1 if projected else never)),

@@ -81,6 +81,7 @@ class SciPyStepper:
         self._watch = StepWatch.loaded(workspace, timetable.guards, self.worst_pairs, "tighter tolerances may help")
         self.solver: Any = None
         self.y = y0
+        workspace.clamp_motions(*timetable.sides(0))
         self._start_solver(timetable.start)
         self._since = np.zeros(6)  # steps, -, -, iterations, most iterations, rejected since the last row
         self._stabilized = workspace.stabilization.kind == "baumgarte"
@@ -108,24 +109,31 @@ class SciPyStepper:
     def _start_solver(self, t: float) -> None:
         """Start the solver from `t` to the next stop, or to the end."""
         table = self.timetable
-        more = self._passed < len(table.stops)
-        end = table.stops[self._passed] - table.stop_margin if more else table.end
+        end = table.stops[self._passed] if self._passed < len(table.stops) else table.end
         if "first_step" in self._options:
             self._options["first_step"] = min(self._options["first_step"], end - t)
+        self._finite = True
         try:
-            self.solver = self._new_solver(self.rates, t, self.y, end, **self._options)
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore")
+                self.solver = self._new_solver(self.rates, t, self.y, end, **self._options)
         except _StoppedError as stop:
             self.failure = stop.failure
+        except (ValueError, np.linalg.LinAlgError):
+            if self._finite:
+                raise
+        if not self._finite:  # with such rates some solvers choose a first step that is no number, and never end
+            self.failure = self._overflow(t)
         self._options.pop("first_step", None)  # after a stop the solver chooses it
 
     def _restart(self) -> bool:
         """Start the solver anew after a stop, and apply the impulse if there is one; return whether that succeeded."""
         table = self.timetable
         stop = table.stops[self._passed]
-        t = stop + table.stop_margin
+        self.workspace.clamp_motions(*table.sides(self._passed + 1))
         if stop in table.impacts:
             try:
-                impact, v = impulse(self.workspace, t, *self._state(self.y), stop)
+                impact, v = impulse(self.workspace, stop, *self._state(self.y), stop)
             except StepError as error:
                 self.failure = Failure(error.code, f"{error} at the impulse of a driver at t = {stop:.6g} s.")
                 return False
@@ -137,7 +145,7 @@ class SciPyStepper:
                 self.y[2 * self.n3] += impact.energy
         self._passed += 1
         self._stopped = False
-        self._start_solver(t)
+        self._start_solver(stop)
         return self.failure is None
 
     def rates(self, t: float, y: np.ndarray) -> np.ndarray:
@@ -313,6 +321,8 @@ class SciPyStepper:
         self.time, self.y = float(solver.t), solver.y.copy()
         self._stopped = solver.status == "finished" and self._passed < len(self.timetable.stops)
         self.finished = solver.status == "finished" and not self._stopped
+        if self._stopped:  # so that a row there shows this side of the stop
+            self.time = self.timetable.sides(self._passed)[1]
         if self.finished:
             self.time = self.timetable.end
         q, _ = self._state(self.y)
@@ -336,8 +346,8 @@ class SciPyStepper:
         return near and f"; {near}"
 
     def _overflow(self, t: float) -> Failure:
-        if force := self.workspace.unusable_law():
-            return Failure("not-finite", f"the law of force '{force}' gives no finite number after t = {t:.6g} s.")
+        if unusable := self.workspace.unusable():
+            return Failure("not-finite", f"{unusable} after t = {t:.6g} s.")
         return Failure("not-finite", f"numbers overflowed after t = {t:.6g} s; tighter tolerances may help.")
 
     def _effort(self, t: float) -> tuple[int, int]:
@@ -368,11 +378,14 @@ class SciPyStepper:
                 rows.append(self._row(self.time, self.y))
             return rows
         dense = None
+        begins_at_impact = self._passed > 0 and table.stops[self._passed - 1] in table.impacts
+        earliest = table.sides(self._passed)[0] if begins_at_impact else -math.inf  # such a row shows the side after it
         inner = math.ceil((table.end - table.start) / table.interval - 1e-9)  # the end is always recorded
         while self._next < inner and (at := table.start + self._next * table.interval) <= self.time:
             if dense is None:
                 dense = self.solver.dense_output()
-            rows.append(self._row(at, np.asarray(dense(at))))
+            shown = max(at, earliest)
+            rows.append(self._row(shown, np.asarray(dense(shown))))
             self._next += 1
         if self.finished:
             rows.append(self._row(self.time, self.y))

@@ -31,6 +31,7 @@ class EnergyRecord:
         """
         if not len(kinetic):
             return
-        self.kinetic = max(self.kinetic, float(np.max(kinetic)))
-        self.energy = max(self.energy, self.kinetic, float(np.max(np.abs(others))))
-        self.balance = max(self.balance, float(np.max(np.abs(balance))))
+        # np.max, since max would ignore nan
+        self.kinetic = float(np.max([self.kinetic, np.max(kinetic)]))
+        self.energy = float(np.max([self.energy, self.kinetic, np.max(np.abs(others))]))
+        self.balance = float(np.max([self.balance, np.max(np.abs(balance))]))

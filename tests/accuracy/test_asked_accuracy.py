@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.accuracy.asked_accuracy_result import missed_because
+from mbdkit.accuracy.chosen_method import Candidate, Choice
+from mbdkit.accuracy.coarser_estimate import error_share
 from mbdkit.accuracy.position_measure import PositionMeasure
+from mbdkit.accuracy.step_interpolation import StepStates
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.compare import compare
 from mbdkit.errors import SpecError
 from mbdkit.run_preparation import build
 from mbdkit.spec import load_spec
+from mbdkit.stepping.interface import Failure
 from tests.benchmarks.asked_accuracy import TEN, counted
 from tests.witness.known_motions import Known, forced_oscillator, known_motions, pendulum
 
@@ -191,6 +197,41 @@ def test_limits_of_steps_are_told_where_they_prevent_the_accuracy():
     assert made.status == "complete"
     assert made.stats["steps"] <= 500
     assert "limits.max_steps allows 500 steps" in made.verdict_reasons[0]
+
+
+def test_a_run_that_ends_early_misses_its_accuracy_for_this_reason():
+    choice = Choice(Candidate({"name": "dop853"}, adaptive=True, order=0.93), 1e-8, 1.0, "", 0.0)
+    accuracy = run(1e-3, time={"end": 0.5}).accuracy
+    assert accuracy is not None
+    missed = replace(accuracy, reached=np.nan, known_until=0.0)
+    failure = Failure("wall-time", "stopped at t = 1 s after limits.wall_time = 1 s.")
+    told = "the run ended early: stopped at t = 1 s after limits.wall_time = 1 s"
+    assert missed_because(missed, [choice], failure) == told
+    assert missed_because(missed, [choice]).endswith("(chaos); one attempt did not suffice")
+    assert missed_because(missed, [choice] * 2).endswith("2 attempts with smaller steps did not suffice")
+
+
+def test_the_errors_of_a_run_before_time_zero_are_known_to_its_end():
+    # expected: the same pendulum does not know when it swings
+    model = {"name": "single-pendulum", "angle": 0.3}
+    early, late = (run(1e-6, model=model, time={"start": t, "end": t + 1.0}) for t in (-2.0, 0.0))
+    assert early.verdict == late.verdict == "good"
+    assert early.accuracy is not None
+    assert early.accuracy.is_complete
+
+
+def test_runs_of_equal_tolerance_tell_nothing_about_their_error():
+    assert error_share([0.0], [1e-13, 1e-13]) == np.inf
+    assert error_share([1e-3, 0.0], [1e-11, 1e-13, 1e-13]) == np.inf
+    assert error_share([0.0], [1e-11, 1e-13]) == 0.0
+
+
+def test_a_run_without_steps_has_no_states():
+    workspace = build(load_spec({"mbdkit": 1, "model": DOUBLE, "time": {"end": 2.0}, "accuracy": 1e-6}))[0]
+    states = StepStates(workspace, np.zeros(1), workspace.q0[None], workspace.v0[None])
+    q, v = states.at(np.array([0.0, 1.0]))
+    assert q.shape == v.shape == (2, len(workspace.q0))
+    assert np.all(np.isnan(q))
 
 
 def test_a_disc_that_turns_about_its_centre_has_errors_of_its_angle():

@@ -150,7 +150,7 @@ def test_companions_of_a_run_that_ended_early_have_no_stops_beyond_its_end() -> 
     workspace = workspace_at_start(spec.mechanism(), 0.0)[0]
     plan = timetable(spec, guards(spec, 1.0))
     assert plan.stops == plan.impacts == (0.5037,)
-    for end in (0.3, 0.5037 - plan.stop_margin):
+    for end in (0.3, 0.5037 - plan.stop_margins[0]):
         early = finer(plan, np.array([0.0, end]), 2)
         assert early.stops == early.impacts == ()
         chosen = choose_companions(spec, make_method(spec), workspace, np.array([0.0, end]), 50)

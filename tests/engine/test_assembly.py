@@ -282,3 +282,14 @@ def test_a_mechanism_far_from_the_origin_is_assembled_to_its_round_off() -> None
     m.body("rod", mass=1.0, inertia=0.1, position=(1e6 + 0.52, 3e5), angle=0.01)
     m.revolute("A", m.ground, "rod", points=((1e6, 3e5), (-0.5, 0.0)))
     assert assemble(m).residual <= 1e-9
+
+
+def test_a_rod_that_lies_opposite_to_its_pin_is_assembled() -> None:
+    # the matrix of Newton's method is singular. Expected: turned by phi, with the centre at 0.5 (cos phi, sin phi), the
+    # squared distance is 0.5 (1 + cos phi) + 0.25 phi^2, least at phi = 0
+    m = Mechanism()
+    m.body("rod", mass=1.0, inertia=0.25, position=(-0.5, 0.0))
+    m.revolute("A", m.ground, "rod", points=((0.0, 0.0), (-0.5, 0.0)))
+    state = assemble(m)
+    assert state.residual <= 1e-12
+    np.testing.assert_allclose(state.q, [[0.5, 0.0, 0.0]], rtol=0, atol=1e-9)

@@ -181,6 +181,78 @@ def test_knots_are_stops_but_for_those_on_the_grid_and_for_thousands() -> None:
     assert stops(np.linspace(0.0, 1.0, 6001).tolist()) == ()
 
 
+# ---- the time at stops ---------------------------------------------------------------------------------------------
+
+
+FLAT = "1e-30*max(sin(pi*t), sin(3*pi*t)/3)"
+"""A corner at every whole number of seconds where the first three derivatives of both sides agree."""
+
+
+@pytest.mark.parametrize("integrator", [GAUSS, {"name": "rk4"}, DOP853, ADAPTIVE[4], None], ids=str)
+def test_steps_lose_no_time_at_corners(integrator: dict[str, Any] | None) -> None:
+    # expected: a free body at 1 m/s, which a force of 1e-30 N does not move
+    model = pushed(FLAT, velocity=[1.0, 0.0])
+    time = {"end": 200.0} if integrator in ADAPTIVE else {"end": 200.0, "step": 0.4}
+    if integrator is None:
+        made = run_with(RungeKutta(), model, time)
+    else:
+        made = mbdkit.run({"mbdkit": 1, "model": model, "integrator": integrator, "time": time})
+    with made as there:
+        assert there.check().stats["steps"] > 200
+        assert there["a"].position[-1, 0] == pytest.approx(200.0, abs=1e-10)
+
+
+@pytest.mark.parametrize("integrator", [GAUSS, DOP853, None], ids=str)
+def test_a_knot_just_before_the_end_does_not_take_the_last_row(integrator: dict[str, Any] | None) -> None:
+    table = {"table": [[0, 0.5, 1.0 - 7e-15, 2], [0, 1, 0, 5]], "interpolation": "linear"}
+    model = pushed(table)
+    time = {"end": 1.0} if integrator is DOP853 else {"end": 1.0, "step": 0.3}
+    output = {"every": 3}
+    if integrator is None:
+        made = run_with(RungeKutta(), model, time, output=output)
+    else:
+        made = mbdkit.run({"mbdkit": 1, "model": model, "integrator": integrator, "time": time, "output": output})
+    with made as there:
+        assert there.check().time[-1] == 1.0
+        assert there["a"].velocity[-1, 0] == pytest.approx(0.5, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "output"),
+    [
+        *((one, {"every": 1}) for one in (GAUSS, {"name": "rk4"}, DOP853, ADAPTIVE[4], None)),
+        *((one, {"interval": 0.25}) for one in (GAUSS, DOP853, ADAPTIVE[4])),  # methods with dense output
+    ],
+    ids=str,
+)
+def test_the_row_at_an_impact_has_time_and_velocities_of_one_side(
+    integrator: dict[str, Any] | None, output: dict[str, Any]
+) -> None:
+    # expected: the rate of the driver, 1 m/s before the impact at 1 s and -1 m/s after it
+    model = driven({"table": [[0, 1, 2], [0, 1, 0]], "interpolation": "linear"})
+    time = {"end": 2.0} if integrator in ADAPTIVE else {"end": 2.0, "step": 0.25}
+    if integrator is None:
+        made = run_with(RungeKutta(), model, time, output=output, impacts="allow")
+    else:
+        spec = {"mbdkit": 1, "model": model, "integrator": integrator, "time": time, "output": output}
+        made = mbdkit.run({**spec, "impacts": "allow"})
+    with made as there:
+        there.check()
+        assert np.min(np.abs(there.time - 1.0)) < 1e-12
+        assert there.joints["d"].velocity_misalignment == pytest.approx(0.0, abs=1e-9)
+        before = there.time < 1.0
+        assert there["a"].velocity[:, 0] == pytest.approx(np.where(before, 1.0, -1.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("integrator", ADAPTIVE[4:], ids=named)
+def test_solvers_of_scipy_refuse_a_load_that_is_no_number_after_a_corner(integrator: dict[str, Any]) -> None:
+    # without the check of the first rates, DOP853 chooses a step that is no number, and tries it for ever
+    model = pushed("0*abs(t - 1) + sqrt(1 - t)")
+    with mbdkit.run({"mbdkit": 1, "model": model, "integrator": integrator, "time": {"end": 2.0}}) as there:
+        assert there.status_reason == "not-finite: the value of a driver or load is not finite after t = 1 s."
+        assert there.time[-1] == pytest.approx(1.0)
+
+
 # ---- max_step ------------------------------------------------------------------------------------------------------
 
 

@@ -15,6 +15,7 @@ import pytest
 
 import mbdkit
 from mbdkit.spec import load_spec
+from tests.stepping.step_methods import RungeKutta, run_with
 
 SMALL = 1e-6
 END = 3.0
@@ -90,6 +91,27 @@ def test_errors_of_a_small_mechanism_are_known(integrator: dict[str, Any]) -> No
         assert accuracy.position_error_max < 1e-5 * SMALL
     error, _ = measured(SMALL, 9.81, integrator)
     assert error < 1e-5
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+@pytest.mark.parametrize("method", ["gauss", "python"])
+def test_projection_closes_the_joints_of_a_small_mechanism(method: str, symmetric: bool) -> None:
+    # expected: the same motion as of 1 m, in times scaled by the root of the length
+    ends = []
+    for length in (1.0, 1e-9):
+        rate = math.sqrt(length)
+        model = {"name": "double-pendulum", "lengths": [length] * 2, "masses": [1.0, 1.0], "angles": [0.3, 0.2]}
+        time = {"end": 2 * rate, "step": 0.02 * rate}
+        rest: dict[str, Any] = {"stabilization": {"name": "projection", "symmetric": symmetric}}
+        if method == "python":
+            made = run_with(RungeKutta(), model, time, **rest)
+        else:
+            integrator = {"name": "gauss", "stages": 2}
+            made = mbdkit.run({"mbdkit": 1, "model": model, "integrator": integrator, "time": time, **rest})
+        with made as there:
+            assert there.check().misalignment_max < 1e-14 * length
+            ends.append(there["rod2"].position[-1, :2] / length)
+    assert ends[1] == pytest.approx(ends[0], abs=1e-10)
 
 
 def test_an_asked_accuracy_is_that_of_the_small_mechanism() -> None:

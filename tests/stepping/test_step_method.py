@@ -189,6 +189,16 @@ def test_a_step_that_is_wrong_is_a_failure_of_the_plugin_and_keeps_what_was_reco
     np.testing.assert_allclose(run.time, [0.0, 0.02, 0.04, 0.05])
 
 
+def test_a_method_that_fails_while_its_step_is_chosen_is_a_failure_of_the_plugin() -> None:
+    def then(p: Any, s: StepState) -> StepState:
+        raise KeyError("oops")
+
+    run = run_with(Failing(5, then), DOUBLE, {"end": 0.5}, accuracy=1e-3)
+    assert run.status == "failed"
+    assert run.status_reason.startswith("plugin-error: integrator acme:mine raised ")
+    assert "oops" in run.status_reason
+
+
 def test_multipliers_that_were_promised_must_come() -> None:
     class Silent(RungeKutta):
         carries_multipliers = True

@@ -109,3 +109,6 @@ def test_the_largest_energies_are_kept_across_calls() -> None:
     record.add(np.array([1.0, 3.0]), none, np.array([0.0, 0.5]))
     record.add(np.array([1.0, 2.0]), none - 7.0, np.array([-0.5, 3.5]))
     assert (record.kinetic, record.energy, record.balance) == (3.0, 7.0, 3.5)
+    record.add(np.array([2.0]), none[:, :1] + np.nan, np.array([np.nan]))
+    assert np.isnan(record.energy)
+    assert np.isnan(record.balance)

@@ -24,7 +24,8 @@ from mbdkit.engine.kernels.vectors import copy
 EPS = float(np.finfo(float).eps)
 
 FEW_ROUNDINGS = 4.0
-"""Residuals and changes below this many `EPS` times the largest coordinate (at least 1 m or 1 rad) count as zero.
+"""Residuals and changes below this many `EPS` times the largest coordinate (at least 1) count as zero, with lengths in
+units of the mechanism's length if that is below 1 m.
 
 A residual or a stage position is a sum of a few products, each rounded once.
 """
@@ -43,11 +44,11 @@ A larger one is never accepted, however ill-conditioned the equations are.
 
 
 @subkernel
-def largest_size(q):
-    """Return the largest absolute value in `q`, at least 1."""
-    size = 1.0
-    for d in range(len(q)):
-        size = max(size, abs(q[d]))
+def largest_size(top, q):
+    """Return the largest absolute value in `q` (3 (B + 1),), at least 1; lengths in units of ``top.length``."""
+    size, unit = 1.0, top.length[0]
+    for b in range(len(q) // 3):
+        size = max(size, abs(q[3 * b]) / unit, abs(q[3 * b + 1]) / unit, abs(q[3 * b + 2]))
     return size
 
 
@@ -60,6 +61,18 @@ def largest_residual(top, phi):
             if not abs(phi[k, r]) < np.inf:
                 return np.inf
             worst = max(worst, abs(phi[k, r]))
+    return worst
+
+
+@subkernel
+def scaled_residual(top, phi):
+    """Return the same with lengths in units of ``top.length``, for comparison with `largest_size`."""
+    worst = 0.0
+    for k in range(len(phi)):
+        for r in range(top.rows[k]):
+            if not abs(phi[k, r]) < np.inf:
+                return np.inf
+            worst = max(worst, abs(phi[k, r]) / top.row_units[k, r])
     return worst
 
 
@@ -104,8 +117,8 @@ def project_positions(still, w, solver, t, q, p, rest, x, lam):
     before = np.inf
     for m in range(MOST_ITERATIONS):
         position_rows(still, w, t, p)
-        now = largest_residual(still, w.phi)
-        size = largest_size(p)
+        now = scaled_residual(still, w.phi)
+        size = largest_size(still, p)
         if now <= FEW_ROUNDINGS * EPS * size or (m > 1 and now > 0.5 * before and now < STAGNANT * size):
             return OK
         if not now < np.inf:
@@ -136,11 +149,11 @@ def project_velocities(still, w, solver, t, q, v, x, lam):
     """
     before = np.inf
     position_rows(still, w, t, q)
-    size = largest_size(v)
+    size = largest_size(still, v)
     for m in range(3):
         solved_rows(still, w, q, v)
         rate_rows(still, w.jac, w.phi_t, v, w.refinement)
-        now = largest_residual(still, w.refinement)
+        now = scaled_residual(still, w.refinement)
         if now <= FEW_ROUNDINGS * EPS * size or (m > 1 and now > 0.5 * before):
             return OK
         before = now

@@ -59,6 +59,10 @@ class Topology(NamedTuple):
     """(P, 4) kind, first body, second body, motion (-1: none)."""
     rows: IntVector
     """(P,) number of rows that are solved for, 0, 1 or 2."""
+    length: RealVector
+    """(1,) unit in which lengths are compared with angles: the characteristic length of the mechanism, at most 1 m."""
+    row_units: RealMatrix
+    """(P, 2) `length` for rows whose Phi is a length, 1 for angles."""
     pair_parameters: RealMatrix
     """(P, 6) parameters of each pair, the two points first; see `mbdkit.engine.kernels.element_kernels`."""
     spare: IntMatrix
@@ -109,6 +113,8 @@ class Scratch(NamedTuple):
 
     time: RealVector
     """(1,) time of the last `prepare` [s]."""
+    sides: RealVector
+    """(2,) earliest and latest time at which motions are evaluated [s]; see `Workspace.clamp_motions`."""
     cs: RealMatrix
     """(B + 1, 2) cosine and sine of every angle."""
     u: RealMatrix
@@ -209,7 +215,8 @@ load_engine = bundle_loader(lambda: example_of(Engine))
 def prepare(top, w, t, q):
     """Evaluate the quantities that all elements share at a time and position: motions, cosines and sines."""
     w.time[0] = t
-    evaluate_motions(t, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
+    at = min(max(t, w.sides[0]), w.sides[1])
+    evaluate_motions(at, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
     turn_bodies(q, w.cs)
 
 
