@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 from pathlib import Path
 from typing import Any
@@ -184,7 +185,7 @@ def test_the_verdict_leads_every_account_of_a_run(tmp_path: Path) -> None:
         first = run.verdict_reasons[0]
         assert run.summary().splitlines()[0] == f"verdict       bad: {first}"
         assert "verdict bad" in repr(run)
-        assert "verdict       bad" in run._repr_html_()
+        assert f"Verdict bad: {first}" in html.unescape(run._repr_html_())
         page = run_report(run)
         assert page.verdict.claims[0].computed == "bad"
         assert page.verdict.sentence.startswith("The verdict is bad. The run stopped at")

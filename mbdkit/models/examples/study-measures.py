@@ -2,7 +2,8 @@
 # # A study with your own measures
 #
 # Which spring behind the knee slows the leg, and what does it cost in joint force? A study runs all combinations of its
-# axes, here of stiffness and damping, and keeps every run.
+# axes, here of stiffness and damping, and keeps every run. A measure is a number of a run, written as an expression;
+# `mbdkit guide measures` lists functions and quantities.
 
 # %%
 import matplotlib.pyplot as plt
@@ -22,6 +23,11 @@ study = mbdkit.study(
             {"model.springs.support.stiffness": STIFFNESS},
             {"model.springs.support.damping": DAMPING},
         ],
+        "measures": {
+            "peak_force": "max(abs(joints.C.force + joints.D.force))",
+            "peak_speed": "max(abs(shank.angular_velocity))",
+            "swing": {"value": "final(shank.angle) - at(shank.angle, 0)", "unit": "deg"},
+        },
     },
     out="springs",
 )
@@ -30,45 +36,37 @@ study
 # %% [markdown]
 # ## Measures
 #
-# A measure is a number of a run. Any function of a run will do: here the largest force in the knee, the largest speed
-# of the leg, and its angle at the end.
-
+# `point.values` are the measures of a run; `study.to_frame()` returns all of them as a table, and `study.measures` has
+# their units.
 
 # %%
-def peak_force(run):
-    """Return the largest force in the knee [N]."""
-    force = run.joints["C"].reaction_force + run.joints["D"].reaction_force
-    return np.hypot(force[:, 0], force[:, 1]).max()
-
-
-def peak_speed(run):
-    """Return the largest angular speed of the leg [rad/s]."""
-    return np.abs(run["shank"].angular_velocity).max()
-
-
-def end_angle(run):
-    """Return the angle of the leg at the end, from its start [rad]."""
-    return run["shank"].angle[-1] - run["shank"].angle[0]
-
-
-MEASURES = {"peak force [N]": peak_force, "peak speed [rad/s]": peak_speed, "end angle [rad]": end_angle}
-
-found = {name: np.empty((len(STIFFNESS), len(DAMPING))) for name in MEASURES}
-for point, run in study.runs():
-    stiffness = STIFFNESS.index(point.axes["model.springs.support.stiffness"])
-    damping = DAMPING.index(point.axes["model.springs.support.damping"])
-    with run:
-        for name, measure in MEASURES.items():
-            found[name][stiffness, damping] = measure(run.check())
-
+found = {
+    name: np.array([point.values[name] for point in study.points]).reshape(len(STIFFNESS), len(DAMPING))
+    for name in study.measures
+}
 for name, values in found.items():
-    print(f"{name:20} {np.array2string(values, precision=3).replace(chr(10), ' ')}")
+    print(f"{name} [{study.measures[name].units}]: {values.min():.4g} to {values.max():.4g}")
+
+# %% [markdown]
+# What no expression can say is a function of a run, such as the time of the largest force.
+
 
 # %%
-figure, axes = plt.subplots(1, len(MEASURES), figsize=(9, 3), layout="constrained")
+def peak_time(run):
+    """Return the time of the largest force in the knee [s]."""
+    force = run.joints["C"].reaction_force + run.joints["D"].reaction_force
+    return run.time[np.argmax(np.hypot(force[:, 0], force[:, 1]))]
+
+
+for point, run in study.runs():
+    with run:
+        print(f"{point.label}: {peak_time(run):.2f} s")
+
+# %%
+figure, axes = plt.subplots(1, len(found), figsize=(9, 3), layout="constrained")
 for ax, (name, values) in zip(axes, found.items(), strict=True):
     ax.plot(STIFFNESS, values, marker="o", label=[f"{damping:g} N s/m" for damping in DAMPING])
-    ax.set(xlabel="stiffness [N/m]", ylabel=name)
+    ax.set(xlabel="stiffness [N/m]", ylabel=f"{name} [{study.measures[name].units}]")
 axes[0].legend(title="damping")
 figure.savefig("springs.pdf")
 
