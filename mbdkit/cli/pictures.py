@@ -24,6 +24,7 @@ def _check_kind(kind: str) -> str:
 
 def plot(
     archives: Archives,
+    *,
     kind: Annotated[str, typer.Option("--kind", metavar="KIND", callback=_check_kind, help=_KINDS_HELP)] = "trajectory",
     joints: Annotated[
         list[str] | None,

@@ -29,6 +29,7 @@ class StudyCommand(TyperCommand):
 
 def study(
     spec: StudyName,
+    *,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="The study's folder; by default ./SPEC.")
     ] = None,
