@@ -26,7 +26,7 @@ REQUIRED_GROUP: dict[Kind, str] = {
 class Result:
     """Result of a check.
 
-    A check function returns the first four fields, by `passed`, `failed`, `warned` or `skipped`; `Check.run` adds the
+    A check function returns the first three fields, by `passed`, `failed`, `warned` or `skipped`; `Check.run` adds the
     others.
 
     Parameters
@@ -37,23 +37,23 @@ class Result:
         Reason in one sentence without a full stop; empty for a plain pass.
     figures
         Measured values by name; units are part of the names.
-    limits
-        What measured values are compared with, by their names: a number that they may not exceed, or a phrase.
     name
         ``group.check``, such as ``order.four-bar``.
     what
         What the check requires, in one sentence.
     seconds
         Duration [s].
+    limits
+        What measured values are compared with, by their names: a number that they may not exceed, or a phrase.
     """
 
     outcome: Outcome
     cause: str = ""
     figures: dict[str, Figure] = field(default_factory=dict)
-    limits: dict[str, float | str] = field(default_factory=dict)
     name: str = ""
     what: str = ""
     seconds: float = 0.0
+    limits: dict[str, float | str] = field(default_factory=dict)
 
     @property
     def group(self) -> str:

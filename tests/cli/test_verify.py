@@ -12,7 +12,7 @@ def test_what_is_verified_leaves_with_0_and_says_so(mbdkit: Any) -> None:
     result = mbdkit("plugins", "verify", "linear", "--set", "stiffness=20", "--set", "damping=1")
     assert result.exit_code == 0
     assert "mbdkit:linear" in result.stdout
-    assert "verified: 7 checks run" in result.stdout
+    assert "verified: 8 checks run" in result.stdout
 
 
 def test_what_is_not_verified_leaves_with_1(mbdkit: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,7 +27,7 @@ def test_as_json_it_is_one_object_on_stdout(mbdkit: Any) -> None:
     told = json.loads(mbdkit("plugins", "verify", "double-pendulum", "--json").stdout)
     (report,) = told["reports"]
     assert (report["id"], report["kind"], report["verified"]) == ("mbdkit:double-pendulum", "model", True)
-    assert {"name", "what", "outcome", "cause", "figures", "seconds"} == set(report["checks"][0])
+    assert {"name", "what", "outcome", "cause", "figures", "seconds", "limits"} == set(report["checks"][0])
 
 
 def test_as_html_it_is_a_page_that_is_not_replaced_unasked(
