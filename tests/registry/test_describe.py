@@ -36,7 +36,7 @@ def test_the_listing_has_the_keys_of_the_contract(mixed):
         "error": None,
     }
     assert listing["plugins"][0]["status"] == "error"
-    assert listing["plugins"][0]["error"] == "ImportError: no acme here"
+    assert listing["plugins"][0]["error"] == f"ImportError: no acme here ({__file__}, line 17)"
 
 
 def test_the_doctor_says_what_failed_and_how_long_loading_took(mixed):
