@@ -9,7 +9,8 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Hashable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -219,13 +220,14 @@ def _told_apart(entries: Sequence[Value]) -> tuple[Value, ...]:
     """Append a number to labels shared by different values, so that labels are unique."""
     taken: set[int | float | str] = {entry.label for entry in entries}
     labels: dict[int | float | str, dict[Hashable, int | float | str]] = {}
+    numbers: dict[int | float | str, Iterator[int]] = defaultdict(lambda: itertools.count(2))
     result = []
     for entry in entries:
         namesakes, value = labels.setdefault(entry.label, {}), _hashable(entry.value)
         if not namesakes:
             namesakes[value] = entry.label
         elif value not in namesakes:
-            numbered = (f"{entry.label} ({number})" for number in itertools.count(2))
+            numbered = (f"{entry.label} ({number})" for number in numbers[entry.label])
             namesakes[value] = next(label for label in numbered if label not in taken)
             taken.add(namesakes[value])
         result.append(replace(entry, label=namesakes[value]))
