@@ -10,11 +10,11 @@ from pydantic import BaseModel
 
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.mechanism.joints import Driver
-from mbdkit.mechanism.parameters import names_in
+from mbdkit.mechanism.parameters import evaluate, names_in
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.plain_data import Path, path_text
 from mbdkit.spec import RunSpec
-from mbdkit.text import did_you_mean
+from mbdkit.text import did_you_mean, listed
 
 FAR = 0.1
 """Share of the mechanism's size by which assembly may move the start without a warning."""
@@ -64,16 +64,23 @@ def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
 
 
 def _angles_in_degrees(spec: RunSpec) -> Iterator[str]:
-    for path, value in _angles(spec.model, ("model",)):
-        if abs(value) > 2.0 * math.pi and round(value, DIGITS) == value and path not in spec.written:
+    for path, angle in _angles(spec.model, ("model",)):
+        written = spec.written.get(path)
+        used = [name for name in spec.parameters if name in names_in(written)]
+        if "t" in names_in(written) or (not used and (written is not None or isinstance(angle, str))):
+            continue  # a function of time, or an expression of numbers, which states that radians are meant
+        value = evaluate(angle, {}) if isinstance(angle, str) else float(angle)
+        if abs(value) > 2.0 * math.pi and round(value, DIGITS) == value:
+            origin = f" (from {listed((f'parameters.{name}' for name in used), 'and')})" if used else ""
+            degrees = written or f"{value:g}"
             yield (
-                f"the angle of {value:g} rad at {path_text(path)} is more than a turn; if degrees are meant, write "
-                f"degrees({value:g}), otherwise an expression such as {value / math.pi:.6g}*pi"
+                f"the angle of {value:g} rad at {path_text(path)}{origin} is more than a turn; if degrees are meant, "
+                f"write degrees({degrees}), otherwise an expression such as {value / math.pi:.6g}*pi"
             )
 
 
-def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tuple[Path, float]]:
-    """Return the key path and value of each angle in the options of a model: fields with the unit radian."""
+def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tuple[Path, float | str]]:
+    """Return the key path and the number or text of each option of a model whose unit is the radian."""
     if isinstance(value, BaseModel):
         for name, field in type(value).model_fields.items():
             unit = _ANGLE.search(field.description or "")
@@ -85,8 +92,8 @@ def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tu
     elif isinstance(value, list | tuple):
         for index, item in enumerate(value):
             yield from _angles(item, (*path, index), is_angle=is_angle)
-    elif is_angle and isinstance(value, int | float):
-        yield path, float(value)
+    elif is_angle and isinstance(value, int | float | str):
+        yield path, value
 
 
 def _long_step(spec: RunSpec) -> Iterator[str]:
