@@ -9,7 +9,7 @@ from typing import Any, Literal
 from mbdkit.registry.catalogue import Kind
 from mbdkit.text import counted, listed, table
 
-Outcome = Literal["pass", "fail", "warn", "skip"]
+Outcome = Literal["pass", "fail", "warn", "not claimed", "skip"]
 Figure = float | int | str
 
 REQUIRED_GROUP: dict[Kind, str] = {
@@ -26,13 +26,14 @@ REQUIRED_GROUP: dict[Kind, str] = {
 class Result:
     """Result of a check.
 
-    A check function returns the first three fields, by `passed`, `failed`, `warned` or `skipped`; `Check.run` adds the
-    others.
+    A check function returns the first three fields, by `passed`, `failed`, `warned`, `unclaimed` or `skipped`;
+    `Check.run` adds the others.
 
     Parameters
     ----------
     outcome
-        ``pass``; ``fail``; ``warn``, a pass with a remark for the author; or ``skip``, if the check does not apply.
+        ``pass``; ``fail``; ``warn``, a pass with a remark for the author; ``not claimed``, if a property was measured
+        that the plugin does not claim; or ``skip``, if the check does not apply.
     cause
         Reason in one sentence without a full stop; empty for a plain pass.
     figures
@@ -78,6 +79,11 @@ def failed(cause: str, **figures: Figure) -> Result:
 def warned(cause: str, **figures: Figure) -> Result:
     """Return the result of a check that passed with a remark for the author."""
     return Result("warn", cause, figures)
+
+
+def unclaimed(**figures: Figure) -> Result:
+    """Return the result of a check that measured a property which the plugin does not claim."""
+    return Result("not claimed", "", figures)
 
 
 def skipped(cause: str, **figures: Figure) -> Result:
@@ -141,6 +147,8 @@ class Report:
         counts = f"{counted(self.run, 'check')} run"
         if warnings := self.of("warn"):
             counts += f", {counted(len(warnings), 'warning')}"
+        if unclaimed := self.of("not claimed"):
+            counts += f", {len(unclaimed)} of properties that are not claimed"
         if left := self.of("skip"):
             counts += f", {len(left)} skipped"
         if self.verified:
@@ -185,6 +193,7 @@ class Report:
             "run": self.run,
             "failed": len(self.of("fail")),
             "warned": len(self.of("warn")),
+            "not_claimed": len(self.of("not claimed")),
             "skipped": len(self.of("skip")),
             "seconds": self.seconds,
             "checks": results,
@@ -192,10 +201,13 @@ class Report:
 
 
 def _told(result: Result, first: str) -> str:
-    """Return cause and measured values of a result, or the check that told the same cause; of a pass, the criterion."""
+    """Return cause and measured values of a result, or the check that told the same cause, and the criterion.
+
+    The criterion is told where nothing else says what the values mean: without limits, and of what is not claimed.
+    """
     if first:
         return f"for the same reason as {first}"
-    required = result.what.rstrip(".") if result.outcome == "pass" and not result.limits else ""
+    required = result.what.rstrip(".") if result.outcome in ("pass", "not claimed") and not result.limits else ""
     return "; ".join(filter(None, [result.cause, figures_text(result), required]))
 
 

@@ -11,7 +11,7 @@ from mbdkit.report.templating import render
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit.testing.check_result import Report, figures_text
 
-_TONES = {"pass": "yes", "fail": "no", "warn": "partly", "skip": "open"}
+_TONES = {"pass": "yes", "fail": "no", "warn": "partly", "not claimed": "open", "skip": "open"}
 
 
 def html(reports: Sequence[Report]) -> str:

@@ -82,6 +82,8 @@ def test_a_decorated_test_fails_where_the_check_does_and_skips_where_it_does() -
     dishonest = next(case for case in by_name.values() if str(case) == "contract.method")
     assert dishonest().outcome == "pass"
     assert issubclass(ConformanceWarning, UserWarning)
+    with pytest.raises(pytest.skip.Exception, match="not claimed; measured: defect"):
+        by_name["geometry.symplectic-form"]()
     with pytest.raises(TypeError, match="exactly one of integrator=, model= and force_law="):
         conformance(integrator="rk4", model="single-pendulum")
 
@@ -106,6 +108,21 @@ def test_a_warning_is_no_failure_and_a_failure_is_named() -> None:
     assert report(result("order.x", "warn"), result("geometry.x", "pass")).verified
     found = report(result("order.x", "fail"), result("geometry.x", "pass"), result("drift.x", "skip"))
     assert found.verdict() == "not verified: 1 failed (order.x); 2 checks run, 1 skipped"
+
+
+def test_a_property_that_is_not_claimed_is_measured_but_does_not_pass() -> None:
+    ensure_compiled()
+    rk4 = plugin_under_test("integrator", "mbdkit:rk4", {})  # neither symmetric nor symplectic
+    names = ["tableau.symmetry", "tableau.symplecticity", "geometry.quadratic-invariants", "geometry.symplectic-form"]
+    found = [check.run(rk4) for check in checks_of("integrator") if check.name in names]
+    assert [one.name for one in found] == names
+    assert all(one.outcome == "not claimed" and one.figures for one in found)
+    assert all(value > 1e-7 for one in found[2:] for value in one.figures.values() if isinstance(value, float))
+    told = report(*found, result("order.x", "pass"))
+    assert told.verdict() == "verified: 5 checks run, 4 of properties that are not claimed"
+    assert "not claimed  symmetric no; It is symmetric" in told.text()
+    assert told.to_dict()["not_claimed"] == 4
+    assert ">not claimed</span>" in html([told])
 
 
 def test_a_report_as_json_holds_no_number_that_json_has_not() -> None:
