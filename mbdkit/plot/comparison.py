@@ -6,14 +6,17 @@ import inspect
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from mbdkit.errors import SpecError
+from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.plain_data import Path as SpecPath
 from mbdkit.plain_data import path_text
 from mbdkit.plot.caption import method, plain_name
 from mbdkit.plot.chart_axes import draw_on
 from mbdkit.plot.downsampling import require_rows
 from mbdkit.plot.plot_kinds import plot_module
+from mbdkit.spec import RunSpec
+from mbdkit.spec.key_words import key_unit, key_words
 from mbdkit.text import counted, did_you_mean, listed
 
 if TYPE_CHECKING:
@@ -115,7 +118,10 @@ def differences(runs: Sequence[Run]) -> list[str]:
     settings = [_settings(run) for run in runs]
     keys = [key for key in dict.fromkeys(key for one in settings for key in one) if _differs(key, settings)]
     if 0 < len(keys) <= _DIFFERENCES:
-        found = [", ".join(one[key] for key in keys if one.get(key)) for one in settings]
+        found = [
+            ", ".join(filter(None, _with_units([one.get(key, _NONE) for key in keys], run)))
+            for one, run in zip(settings, runs, strict=True)
+        ]
         if len(set(found)) == len(found):
             return found
     for name in (_title, _file, lambda run: run.run_id):
@@ -151,24 +157,53 @@ def _labelled(line: Line, name: str, *, alone: bool) -> Line:
     return replace(line, label=f"{part}, {name}", group=part) if part else replace(line, label=name, group=name)
 
 
-def _settings(run: Run) -> dict[str, str]:
-    """Return what a spec sets, as text by key: first what is called by its own name, then all other keys."""
+class _Setting(NamedTuple):
+    """A setting of a run in words, and the key of its number, if it is one: the number may have a unit."""
+
+    text: str
+    path: SpecPath = ()
+
+
+_NONE = _Setting("")
+
+
+def _settings(run: Run) -> dict[str, _Setting]:
+    """Return what a spec sets by key: first what is called by its own name, then all other keys."""
     spec = run.spec
     step = spec.get("time", {}).get("step")
     found = {
-        "integrator": method(spec),
-        "formulation": plain_name(spec.get("formulation"), ""),
-        "stabilization": plain_name(spec.get("stabilization"), ""),
-        "step": "" if step is None else f"step {step:g} s",
+        "integrator": _Setting(method(spec)),
+        "formulation": _Setting(plain_name(spec.get("formulation"), "")),
+        "stabilization": _Setting(plain_name(spec.get("stabilization"), "")),
+        "step": _NONE if step is None else _Setting(f"step {step:g} s"),
     }
     told = ("integrator", "formulation", "stabilization", "title", "output", "limits", "check")
     for path, value in _leaves({key: value for key, value in spec.items() if key not in told}):
         if path != ("time", "step"):
-            found[path_text(path)] = f"{path_text(path[1:] if path[0] == 'model' else path)} {_short(value)}"
+            found[path_text(path)] = _setting(path, value)
     return found
 
 
-def _leaves(value: Any, path: tuple[str | int, ...] = ()) -> list[tuple[tuple[str | int, ...], Any]]:
+def _setting(path: SpecPath, value: Any) -> _Setting:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return _Setting(f"{key_words(path)} {value}")
+    return _Setting(f"{key_words(path)} {value:g}", path)
+
+
+def _with_units(settings: Sequence[_Setting], run: Run) -> list[str]:
+    """Return settings of a run in words, the numbers with their units; without units if plugins are missing."""
+    texts = [setting.text for setting in settings]
+    if not any(setting.path for setting in settings):
+        return texts
+    try:
+        spec = RunSpec(**run.spec)
+    except MbdkitError:
+        return texts
+    units = [key_unit(setting.path, [spec]) if setting.path else "" for setting in settings]
+    return [" ".join(filter(None, pair)) for pair in zip(texts, units, strict=True)]
+
+
+def _leaves(value: Any, path: SpecPath = ()) -> list[tuple[SpecPath, Any]]:
     """Return the values in nested mappings and lists with their paths."""
     if isinstance(value, Mapping):
         return [leaf for key, item in value.items() for leaf in _leaves(item, (*path, str(key)))]
@@ -177,12 +212,8 @@ def _leaves(value: Any, path: tuple[str | int, ...] = ()) -> list[tuple[tuple[st
     return [(path, value)]
 
 
-def _short(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _differs(key: str, settings: Sequence[Mapping[str, str]]) -> bool:
-    return len({one.get(key) for one in settings}) > 1
+def _differs(key: str, settings: Sequence[Mapping[str, _Setting]]) -> bool:
+    return len({one.get(key, _NONE).text for one in settings}) > 1
 
 
 def _title(run: Run) -> str:

@@ -11,7 +11,8 @@ from mbdkit.report.report import report
 from mbdkit.report.report_page import cell_text
 from mbdkit.report.slope_guides import with_slope_guides
 from mbdkit.report.study_report import study_report
-from mbdkit.studies.axis_words import key_words, point_words
+from mbdkit.spec.key_words import key_words
+from mbdkit.studies.axis_words import point_words
 from mbdkit.studies.execute import Shard
 from mbdkit.studies.study import load_study
 from mbdkit.studies.study import study as run_study

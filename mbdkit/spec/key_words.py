@@ -1,0 +1,75 @@
+"""Keys of run specs in words with units, as readers see them: ``time.step`` becomes step [s]."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from pydantic import BaseModel
+
+from mbdkit.errors import MbdkitError
+from mbdkit.plain_data import Path
+from mbdkit.spec.reading import parse_key
+
+_WORDS = {
+    "time.step": "step",
+    "time.end": "end of the run",
+    "time.start": "start of the run",
+    "time.steps": "number of steps",
+    "integrator": "method",
+    "integrator.rtol": "relative tolerance",
+    "integrator.atol": "absolute tolerance",
+    "output.every": "steps between recorded rows",
+}
+_SECTIONS = {"model", "integrator", "time", "output", "limits", "stabilization", "parameters"}
+_KINDS = {"bodies", "joints", "forces", "markers", "springs"}
+
+
+def key_words(key: str | Path) -> str:
+    """Return a key of a run spec in words, such as stiffness of support for ``model.springs.support.stiffness``."""
+    path = [str(part) for part in _parts(key)]
+    if ".".join(path) in _WORDS:
+        return _WORDS[".".join(path)]
+    shown = [part.replace("_", " ") for part in path if part not in _KINDS]
+    if len(shown) > 1 and path[0] in _SECTIONS:
+        shown = shown[1:]
+    if shown[-1].isdigit() and len(shown) > 1:
+        shown[-2:] = [f"{shown[-2]}, number {int(shown[-1]) + 1}"]
+    return " of ".join(reversed(shown))
+
+
+def key_unit(key: str | Path, specs: Iterable[BaseModel]) -> str:
+    """Return the unit in the description of the option that a key sets; empty if there is none.
+
+    Parameters
+    ----------
+    specs
+        Specs that have this key; the first that has the option shows what the key sets.
+    """
+    for spec in specs:
+        try:
+            found = _description(spec, _parts(key))
+        except (MbdkitError, LookupError, TypeError, AttributeError):  # the option is computed, or not installed
+            continue
+        match = re.search(r"\[([^\]\s][^\]]*)\]", found)
+        return match[1].replace("^2", "²") if match and "," not in match[1] else ""
+    return ""
+
+
+def _parts(key: str | Path) -> Path:
+    return parse_key(key) if isinstance(key, str) else key
+
+
+def _description(holder: Any, path: Path) -> str:
+    """Return the description of the last field of pydantic models on a path."""
+    described = ""
+    for part in path:
+        if isinstance(holder, BaseModel):
+            described = type(holder).model_fields[str(part)].description or ""
+            holder = getattr(holder, str(part))
+        elif isinstance(holder, Mapping):
+            holder = holder[part]
+        else:
+            holder = holder[int(part)]
+    return described
