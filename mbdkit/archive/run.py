@@ -44,6 +44,9 @@ if TYPE_CHECKING:
 #: Arrays larger than this are not cached, and are read column by column.
 KEEP_BYTES = 1 << 28
 
+_ROWS_OF_DRIVERS = (["angle"], ["x"], ["y"])
+"""Constraint rows of drivers; every other joint has other rows, or more of them."""
+
 
 class Run(HtmlView):
     """A run: its spec, status and recorded data, in SI units and radians.
@@ -283,6 +286,15 @@ class Run(HtmlView):
                 units[index],
             ),
         )
+
+    @cached_property
+    def drivers(self) -> tuple[str, ...]:
+        """Names of the joints that are drivers, such as motors."""
+        rows: dict[str, list[str]] = {}
+        for constraint in self._names.get("constraints/constraint", ()):
+            joint, _, row = constraint.rpartition(".")
+            rows.setdefault(joint, []).append(row)
+        return tuple(name for name in self.joint_names if rows.get(name) in _ROWS_OF_DRIVERS)
 
     @cached_property
     def forces(self) -> Histories[ForceHistory]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,12 @@ JOINTS_NAMED = 4
 
 #: Number of events listed.
 EVENTS_NAMED = 4
+
+#: Torques [N m] below this share of the largest force [N] or torque of drivers count as zero, and forces likewise.
+ROUND_OFF = 1e-10
+
+#: Decimal places of the first digits of numbers that are printed without an exponent.
+SMALLEST_PLACE, LARGEST_PLACE = -3, 8
 
 #: Distance from a singular position below which the summary reports it.
 SINGULAR = 0.1
@@ -67,6 +74,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("misalignment", _misalignment(run)),
         ("singularity", _singularity(run)),
         ("energy", _energy(run)),
+        ("drivers", _drivers(run)),
         ("events", _events(run)),
         ("counters", _counters(run.stats)),
         ("archive", "in memory" if run.path is None else str(run.path)),
@@ -184,7 +192,7 @@ def asked_sentence(run: Run) -> str:
 
 
 def plus_minus(value: float, error: float, sign: str = "+-") -> str:
-    """Return a value and its error, such as ``368.2 +- 0.3``, with the digits that the error leaves.
+    """Return a value and its error, such as ``368.2 +- 0.3``: digits to the place of the error's first digit.
 
     Parameters
     ----------
@@ -197,8 +205,10 @@ def plus_minus(value: float, error: float, sign: str = "+-") -> str:
         return f"{value:.4g} (error unknown)"
     if error <= 0:
         return f"{value:.6g} {sign} 0"
-    digits = max(0, min(8, math.floor(math.log10(max(abs(value), error))) - math.floor(math.log10(error)) + 1))
-    return f"{value:.{max(digits, 3)}g} {sign} {error:.2g}"
+    first, last = math.floor(math.log10(max(abs(value), error))), math.floor(math.log10(error))
+    last = max(last, first - sys.float_info.dig + 1)  # a float has no more digits
+    known = f"{value:.{max(0, -last)}f}" if SMALLEST_PLACE <= first <= LARGEST_PLACE else f"{value:.{first - last}e}"
+    return f"{known} {sign} {error:.2g}"
 
 
 def _time(run: Run) -> str:
@@ -261,6 +271,22 @@ def _energy(run: Run) -> str:
     most = float(np.max(run.energy.kinetic))
     share = f", {drift / most:.2g} of the largest kinetic energy" if most > 0 else ""
     return f"balance within {drift:.3g} J{share}"
+
+
+def _drivers(run: Run) -> str:
+    """Return the largest torque and the largest force of the drivers, such as motors, and their times."""
+    if not run.drivers or not run.records("joints/reaction_torque") or len(run.time) == 0:
+        return ""
+    columns = [run.joint_names.index(name) for name in run.drivers]
+    torque, force = (run.array(f"joints/reaction_{kind}")[:, columns] for kind in ("torque", "force"))
+    floor = ROUND_OFF * max(np.nanmax(np.abs(torque), initial=0.0), np.nanmax(np.abs(force), initial=0.0))
+    found = []
+    for name, size, unit in (("torque", np.abs(torque), "N m"), ("force", np.linalg.norm(force, axis=2), "N")):
+        largest = float(np.nanmax(size, initial=0.0))
+        if largest > floor:
+            row, column = np.unravel_index(int(np.nanargmax(size)), size.shape)
+            found.append(f"largest {name} {largest:.4g} {unit}, of {run.drivers[column]} at {run.time[row]:.4g} s")
+    return "; ".join(found)
 
 
 def _events(run: Run) -> str:

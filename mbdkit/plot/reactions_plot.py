@@ -37,8 +37,15 @@ _AXIS |= {"axial": "axial joint force", "shear": "shear joint force"}
 
 
 def panels(run: Run) -> list[Panel]:
-    """Return the panel of the forces and, if there are torques, that of the joints which carry them."""
+    """Return the panel of the forces and, if there are torques, that of the joints which carry them.
+
+    Drivers that exert only a torque, such as motors, are left out of the forces.
+    """
     force = reaction_force(run)
+    idle = {
+        name for name, peak in zip(force.elements, force.data.peaks, strict=True) if name in run.drivers and not peak
+    }
+    force = force.only([column for column, name in enumerate(force.elements) if name not in idle])
     found = [Panel(partial(draw_elements, quantity=force, what="joints"))]
     if (torque := carried_torque(run, force)) is not None:
         found.append(Panel(partial(draw_elements, quantity=torque, what="joints")))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Figure
+from mbdkit.archive.run_summary import ROUND_OFF
 from mbdkit.errors import SpecError
 from mbdkit.plot.downsampling import Bands
 from mbdkit.plot.element_quantity import (
@@ -24,9 +25,6 @@ from mbdkit.plot.panel import Panel
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-
-_ROUND_OFF = 1e-10
-"""Torques [N m] below this share of the largest force [N], or of the largest torque, count as zero."""
 
 
 def panels(run: Run) -> list[Panel]:
@@ -82,9 +80,9 @@ def carried_torque(run: Run, force: ElementQuantity) -> ElementQuantity | None:
     torque = reaction_torque(run)
     largest = np.nan_to_num(torque.data.peaks)
     size = float(np.max(largest, initial=0.0))
-    if not size > _ROUND_OFF * np.nanmax(force.data.peaks, initial=0.0):
+    if not size > ROUND_OFF * np.nanmax(force.data.peaks, initial=0.0):
         return None
-    return torque.only(np.flatnonzero(largest > _ROUND_OFF * size).tolist())
+    return torque.only(np.flatnonzero(largest > ROUND_OFF * size).tolist())
 
 
 def _carried_by_any(run: Run) -> ElementQuantity:

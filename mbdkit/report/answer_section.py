@@ -10,18 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.analysis.verdict import Cell, Column, Table
-from mbdkit.archive.run_summary import plus_minus
+from mbdkit.archive.run_summary import ROUND_OFF, plus_minus
 from mbdkit.plot.downsampling import BEYOND, Array, blocks
 from mbdkit.report.section import Section
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-    from mbdkit.mechanism.mechanism import Mechanism
 
 ROWS = 50
 """Largest number of joints or force elements in a table, those with the largest forces."""
-ROUND_OFF = 1e-10
-"""Torques [N m] below this share of the largest force [N] or torque count as zero, and forces likewise."""
 
 
 @dataclass(frozen=True)
@@ -109,31 +106,20 @@ class _Quantity:
         return f"{plus_minus(value, float(self.error[joint]), '±')} {self.unit} (at {time:.4g} s)"
 
 
-def answer_section(run: Run, mechanism: Mechanism | None) -> Section | None:
-    """Return the section on forces and torques of a run that has rows; None if it recorded none.
-
-    Parameters
-    ----------
-    mechanism
-        The mechanism of its spec, which says what is a driver; None if it is not available.
-    """
+def answer_section(run: Run) -> Section | None:
+    """Return the section on forces and torques of a run that has rows; None if it recorded none."""
     tables: list[Table] = []
     sentences: list[str] = []
     if run.joint_names and run.records("joints/reaction_force"):
-        tables, sentences = _of_joints(run, _drivers(run, mechanism))
+        tables, sentences = _of_joints(run)
     if run.records("forces/value"):
         tables.append(_of_forces(run))
     shown = tuple(table for table in tables if table.rows)
     return Section("answer", "Largest forces and torques", tuple(sentences), None, shown) if shown else None
 
 
-def _drivers(run: Run, mechanism: Mechanism | None) -> list[int]:
-    """Return the columns of the drivers among the joints."""
-    known = {} if mechanism is None else mechanism.joints
-    return [column for column, name in enumerate(run.joint_names) if name in known and known[name].is_driver]
-
-
-def _of_joints(run: Run, drivers: list[int]) -> tuple[list[Table], list[str]]:
+def _of_joints(run: Run) -> tuple[list[Table], list[str]]:
+    drivers = [run.joint_names.index(name) for name in run.drivers]
     force = _quantity(run, "force", "N", "joints/reaction_force", lambda f: np.hypot(f[..., 0], f[..., 1]))
     found = [force]
     if run.records("joints/reaction_torque"):

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Figure, Line
+from mbdkit.archive.run_summary import ROUND_OFF
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.plot.downsampling import bands, evenly
 from mbdkit.plot.drawing_geometry import draw_spec
 from mbdkit.plot.pose import body_colors
 from mbdkit.plot.style import INK, PALETTE
-from mbdkit.report.answer_section import ROUND_OFF, Peaks
+from mbdkit.report.answer_section import Peaks
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

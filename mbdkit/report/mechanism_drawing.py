@@ -74,7 +74,11 @@ class NamedPose:
         x, y, angle = self.pose[self.drawing.bodies.index(body)]
         c, s = math.cos(angle), math.sin(angle)
         found = np.array([x + c * local[0] - s * local[1], y + s * local[0] + c * local[1]])
-        return np.where(np.abs(found) <= self.round_off, 0.0, found)
+        return self.rounded(found)
+
+    def rounded(self, lengths: Sequence[float] | Array) -> Array:
+        """Return coordinates or lengths [m], those that are rounding errors as 0."""
+        return np.where(np.abs(lengths) <= self.round_off, 0.0, lengths)
 
 
 def mechanism_svg(shown: NamedPose, width: float) -> Markup:

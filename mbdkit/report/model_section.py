@@ -54,7 +54,7 @@ def element_tables(shown: NamedPose) -> list[Table]:
     """Return tables of the bodies, joints, force elements and markers of a mechanism, without empty ones."""
     tables = [_bodies(shown)]
     if shown.mechanism is not None:
-        tables += [_joints(shown), _forces(shown.mechanism), _markers(shown)]
+        tables += [_joints(shown), _forces(shown), _markers(shown)]
     return [table for table in tables if table.rows]
 
 
@@ -120,14 +120,15 @@ def _joints(shown: NamedPose) -> Table:
     return _limited("model-joints", "Joints and drivers", columns, rows)
 
 
-def _forces(mechanism: Mechanism) -> Table:
+def _forces(shown: NamedPose) -> Table:
     rows: list[tuple[Cell, ...]] = []
     force: Any
-    for name, force in mechanism.forces.items():
+    assert shown.mechanism is not None
+    for name, force in shown.mechanism.forces.items():
         load = getattr(force, "load", None)
         between = _between(force.pathway.bodies if load is None else (load.reaction_body, load.body))
         kind = f"{force.type}: {force.law}" if force.type == "law" else force.type
-        rows.append((name, kind, between, _force_details(force)))
+        rows.append((name, kind, between, _force_details(force, shown)))
     columns = (Column("force element"), Column("type"), Column("between"), Column("data"))
     return _limited("model-forces", "Springs, dampers and loads", columns, rows)
 
@@ -137,7 +138,7 @@ def _markers(shown: NamedPose) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for name, marker in shown.mechanism.markers.items():
         x, y = shown.place(marker.body, marker.held).tolist()
-        rows.append((name, marker.body, *marker.held, x, y))
+        rows.append((name, marker.body, *shown.rounded(marker.held).tolist(), x, y))
     columns = [Column("marker"), Column("body"), Column("x in its frame", "m"), Column("y in its frame", "m")]
     columns += [Column("x", "m"), Column("y", "m")]
     return _limited("markers", "Markers", columns, rows)
@@ -170,14 +171,14 @@ def _joint_details(joint: Any) -> str:
     return ", ".join(told)
 
 
-def _force_details(force: Any) -> str:
+def _force_details(force: Any, shown: NamedPose) -> str:
     load = getattr(force, "load", None)
     if load is None:
         return ", ".join(_options(force))
     if load.kind == "torque":
         return f"{_motion(load.values[0])} N m"
     frame = "of the body" if load.kind == "body_force" else "global"
-    where = "({:.4g}, {:.4g}) m".format(*load.point)
+    where = "({:.4g}, {:.4g}) m".format(*shown.rounded(load.point))
     return f"({_motion(load.values[0])}, {_motion(load.values[1])}) N, {frame} frame, at {where} of {load.body}"
 
 

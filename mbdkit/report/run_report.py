@@ -36,7 +36,7 @@ def run_report(run: Run) -> ReportPage:
     require_rows(run)
     head = caption(run)
     mechanism = mechanism_of(run)
-    answer = answer_section(run, mechanism)
+    answer = answer_section(run)
     return ReportPage(
         title=head.title,
         settings=head.settings,

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import mbdkit
 from mbdkit.archive.layout import CORRECTIONS
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
+from mbdkit.archive.run_summary import plus_minus
 from mbdkit.errors import MbdkitError
 
 from .making import PROVENANCE, SPEC, STATS, largest, make, names, rows, steps, writer
@@ -89,3 +92,35 @@ def test_summary_says_how_near_a_run_came_to_a_singular_position() -> None:
             np.testing.assert_array_equal(run.singularity_distance, distance)
             assert ("singularity   distance 0.002 at 0.04 s, maximum 0.4" in run.summary()) is told
             assert ("singularity" in run.summary()) is told
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (185.8112901234567, 4.4e-9, "185.811290123 +- 4.4e-09"),
+        (185.8112901, 4.4e-12, "185.811290100000 +- 4.4e-12"),
+        (368.2, 0.3, "368.2 +- 0.3"),
+        (368.2, 30.0, "368 +- 30"),
+        (0.3, 0.5, "0.3 +- 0.5"),
+        (-2.0, 1e-30, "-2.00000000000000 +- 1e-30"),
+        (1.234567e-6, 2e-9, "1.235e-06 +- 2e-09"),
+        (1.0, math.nan, "1 (error unknown)"),
+    ],
+)
+def test_a_value_is_printed_with_the_digits_that_its_error_leaves(value: float, error: float, text: str) -> None:
+    assert plus_minus(value, error) == text
+
+
+def test_the_summary_tells_the_largest_torque_of_a_motor_and_force_of_a_driven_slide() -> None:
+    # expected: I alpha at the start for a wheel whose angle is t^3 - t^2; m a at the end for a block at x = t^3
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    wheel = m.body("wheel", mass=1.0, inertia=0.5)
+    block = m.body("block", mass=2.0, inertia=1.0, position=(1.0, 0.0))
+    m.revolute("hub", m.ground, wheel, at=(0.0, 0.0))
+    m.driver("motor", m.ground, wheel, coordinate="angle", motion="t**3 - t**2")
+    m.prismatic("slide", m.ground, block, axis=(1.0, 0.0), at=(0.0, 0.0))
+    m.driver("push", m.ground, block, coordinate="x", motion="1 + t**3")
+    with mbdkit.run(m, integrator={"name": "gauss"}, time={"end": 0.5, "step": 0.01}) as run:
+        assert run.drivers == ("motor", "push")
+        told = next(line for line in run.summary().splitlines() if line.startswith("drivers"))
+    assert told == "drivers       largest torque 1 N m, of motor at 0 s; largest force 6 N, of push at 0.5 s"

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 import mbdkit
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.plot import reactions_plot
 
 MASS, HALF, RATE, STIFFNESS = 2.0, 0.5, 3.0, 40.0
 
@@ -255,6 +256,16 @@ def test_of_long_runs_both_extremes_are_drawn(make_run: Any, axes: Axes) -> None
     drawn = lines(make_run(rows=100_000, change=swing).plot.reactions(axes, joints="J1", components="x"))["J1"]
     assert len(drawn) < 5_000
     assert (drawn.min(), drawn.max()) == (-70.0, 50.0)
+
+
+def test_a_motor_without_a_force_is_drawn_among_the_torques_only(driven: mbdkit.Run) -> None:
+    axes = Figure().subplots(2)
+    for panel, one in zip(reactions_plot.panels(driven), axes, strict=True):
+        panel.draw(one)
+    force, torque = ([text.get_text() for text in one.get_legend().get_texts()] for one in axes)
+    assert "motor" in torque
+    assert "motor" not in force
+    assert "pin" in force
 
 
 def test_runs_are_compared_by_what_differs(driven: mbdkit.Run) -> None:
