@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 MAX_LENGTH = 10_000
 MAX_DEPTH = 32
+MOST_TOLD = 6
+"""Parameters whose values a message names."""
 MAX_NESTING = 100
 MAX_INTEGER_POWER = 1_000_000
 
@@ -310,9 +312,15 @@ class Compiler:
         try:
             value = compute()
         except ZeroDivisionError:
-            self.refuse(f"'{self.segment(node)}' divides by zero, so it is not a finite number", node)
+            self.refuse(f"'{self.segment(node)}' divides by zero{self.given(node)}, so it is not a finite number", node)
         except (ArithmeticError, ValueError):
             value = math.nan
         if not math.isfinite(value):
-            self.refuse(f"'{self.segment(node)}' is not a finite number", node)
+            self.refuse(f"'{self.segment(node)}' is not a finite number{self.given(node)}", node)
         return [("const", value)]
+
+    def given(self, node: ast.expr) -> str:
+        """Return the values of the parameters in a node as words; empty if there are none."""
+        names = dict.fromkeys(part.id for part in ast.walk(node) if isinstance(part, ast.Name))
+        values = [f"{name} = {self.parameters[name]:g}" for name in names if name in self.parameters]
+        return f" for {listed(values[:MOST_TOLD], 'and')}" if values else ""

@@ -41,6 +41,23 @@ BOUNDS = {
     "less_than": "less than {:g}",
     "less_than_equal": "at most {:g}",
 }
+ELEMENTS = {
+    "spring": ("forces", "spring-damper"),
+    "damper": ("forces", "spring-damper"),
+    "load": ("forces", "force"),
+    "torque": ("forces", "torque"),
+    "motor": ("joints", "driver"),
+    "actuator": ("joints", "driver"),
+    "driver": ("joints", "driver"),
+    "constraint": ("joints", ""),
+    "hinge": ("joints", "revolute"),
+    "pin": ("joints", "revolute"),
+    "slider": ("joints", "prismatic"),
+    "link": ("bodies", ""),
+    "rod": ("bodies", ""),
+    "point": ("markers", ""),
+}
+"""Section of a mechanism and type of element for words that users write as keys, in the singular."""
 EXPLAINED = 12
 """Problems that a message explains; the others are counted."""
 PYDANTIC_KINDS = frozenset(get_args(ErrorType))
@@ -165,6 +182,9 @@ def _unknown_key(key: str, owner: type[BaseModel] | None, plugins: PluginLookup)
         section = info.annotation
         if isinstance(section, type) and issubclass(section, BaseModel) and key in section.model_fields:
             message = f"unknown key: '{key}' belongs under '{name}'"
+    section, kind = ELEMENTS.get(key.lower().removesuffix("s"), ("", ""))
+    if section in fields and "bodies" in fields:
+        message = f"unknown key; write its elements under '{section}'{f' with `type: {kind}`' if kind else ''}"
     return f"{message}; known here: {listed(known)}"
 
 

@@ -63,8 +63,8 @@ before its end is `bad`. Warnings that question the result make it `doubtful`.
 - **`mbdkit run SPEC --check`** (`check: true`) runs companions: the same method with half and a quarter of the step, or
   with tighter tolerances, and another method. Their differences give an estimated error for every recorded position,
   velocity, reaction force and reaction torque. Where the differences do not fall, the estimate is nan, and
-  `run.accuracy.known_until` is the time of the last row before. The summary says `largest force in J1 119.02677 N,
-  known to 7.8e-08 N`, plots draw bands, and the group `accuracy` of the archive holds the estimates. A check takes
+  `run.accuracy.known_until` is the time of the last row before. The summary says `largest force in J1 24.525000 N,
+  known to 1.1e-06 N`, plots draw bands, and the group `accuracy` of the archive holds the estimates. A check takes
   about ten times as long as the run, and at least a second. In 504 runs of 21 mechanisms with known motions (6 methods,
   4 steps or tolerances each), errors are known for 95 % of the time, and all true errors are 0.39 to 1.08 times their
   estimates (`python -m tests.benchmarks.error_bars`).

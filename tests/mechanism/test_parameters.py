@@ -136,6 +136,11 @@ WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
     "cycle": ({"parameters__crank": "2*half"}, "parameters.", "depends on itself: "),
     "itself": ({"parameters__crank": "2*crank"}, "parameters.crank", "depends on itself: crank -> crank"),
     "division by zero": ({"parameters__crank": "1/(2 - 2)"}, "parameters.crank", "divides by zero"),
+    "no root": (
+        {"parameters": {"l": 0.2, "by": 0.3, "h": "sqrt(l**2 - by**2)"}},
+        "parameters.h",
+        "'sqrt(l**2 - by**2)' is not a finite number for l = 0.2 and by = 0.3",
+    ),
     "not finite": ({"parameters__crank": "exp(1000)"}, "parameters.crank", "is not a finite number"),
     "misspelled": ({"parameters__half": "0.5*crnk"}, "parameters.half", "did you mean 'crank'"),
     "function": ({"parameters__sin": 1}, "parameters.sin", "has a meaning in expressions"),
