@@ -47,7 +47,8 @@ def study(
     overwrite: Annotated[
         bool,
         typer.Option(
-            "--overwrite", help="Start the folder anew: remove its study, runs and report; other files are kept."
+            "--overwrite",
+            help="Start the folder anew: remove its study, runs, report and figures; other files are kept.",
         ),
     ] = False,
     with_report: Annotated[

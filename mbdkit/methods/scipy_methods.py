@@ -30,7 +30,7 @@ class AdaptiveOptions(Options):
 
     rtol: Annotated[float, Field(ge=2.3e-14, lt=1, allow_inf_nan=False)] = 1e-8
     """Relative error tolerance of a step; SciPy takes none below 100 roundings, 2.3e-14."""
-    atol: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    atol: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
     """Absolute error tolerance of a step [m, rad, m/s, rad/s]; left out: 1e-10, for lengths and velocities times the
     mechanism's characteristic length if that is below 1 m."""
     max_step: MaxStep = None

@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from matplotlib.axes import Axes
+
 from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.plain_data import Path as SpecPath
 from mbdkit.plain_data import path_text
@@ -20,8 +22,6 @@ from mbdkit.spec.key_words import key_unit, key_words
 from mbdkit.text import counted, did_you_mean, listed
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from mbdkit.analysis.verdict import Figure, Line
     from mbdkit.archive.run import Run
 
@@ -34,9 +34,9 @@ _DIFFERENCES = 3
 
 def compare(
     runs: Iterable[Run],
-    kind: str = "trajectory",
+    *chosen: str | Axes,
+    kind: str | None = None,
     ax: Axes | None = None,
-    *,
     labels: Sequence[str] | None = None,
     **options: Any,
 ) -> Axes:
@@ -49,8 +49,10 @@ def compare(
     ----------
     runs
         The runs.
+    *chosen
+        `kind` and `ax` may also be given without their names, in any order.
     kind
-        ``trajectory``, ``drift``, ``energy``, ``reactions``, ``torques`` or ``forces``.
+        ``trajectory`` (the default), ``drift``, ``energy``, ``reactions``, ``torques`` or ``forces``.
     ax
         Where to draw; by default a new figure.
     labels
@@ -69,6 +71,8 @@ def compare(
     ------
     SpecError
         The kind, a name or an option is unknown, there is no run, or one has no rows.
+    TypeError
+        An argument is neither a kind nor axes, or one is given twice.
     NotRecordedError
         A run did not record the quantity.
 
@@ -80,8 +84,18 @@ def compare(
     >>> [text.get_text() for text in axes.get_legend().get_texts()]
     ['step 0.02 s', 'step 0.01 s']
     """
+    for argument in chosen:
+        if isinstance(argument, str) and kind is None:
+            kind = argument
+        elif isinstance(argument, Axes) and ax is None:
+            ax = argument
+        else:
+            raise TypeError(
+                f"compare takes one kind of plot and one pair of axes, such as compare(runs, kind='drift', ax=ax), and "
+                f"has no place for this {type(argument).__name__}"
+            )
     found = list(runs)
-    chart, heading = comparison(found, kind, labels, **options)
+    chart, heading = comparison(found, kind or "trajectory", labels, **options)
     return draw_on(ax, chart, heading, vary_dashes=len(found) > 1)
 
 

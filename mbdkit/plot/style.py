@@ -31,7 +31,12 @@ _FILES: dict[Any, Any] = {
     "svg.hashsalt": "mbdkit",
     "savefig.bbox": None,  # the size of the file is that of the figure
 }
-_NO_DATE = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+_METADATA: dict[str, dict[str, str | None]] = {
+    "pdf": {"CreationDate": None},
+    "png": {"Software": "mbdkit"},
+    "svg": {"Date": None, "Creator": "mbdkit"},
+}
+"""No dates, and the name by which `mbdkit study --overwrite` recognizes the images of its reports."""
 
 
 def new_figure(caption: Caption, width: float = 7.2, height: float = 4.8, dpi: int = DPI) -> Figure:
@@ -132,7 +137,7 @@ def save(figure: Figure, target: Path) -> None:
     """
     kind = target.suffix[1:].lower()
     with replacing(target) as temporary, mpl.rc_context(_FILES):
-        quietly(lambda: figure.savefig(temporary, format=kind, dpi=figure.dpi, metadata=_NO_DATE.get(kind)))
+        quietly(lambda: figure.savefig(temporary, format=kind, dpi=figure.dpi, metadata=_METADATA.get(kind)))
 
 
 def png(figure: Figure) -> bytes:

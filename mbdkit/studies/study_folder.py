@@ -26,6 +26,9 @@ _ARCHIVE = re.compile(r"[0-9a-f]{16}\.h5(\.part)?")
 #: What every page of mbdkit contains near its beginning.
 _GENERATOR = b'<meta name="generator" content="mbdkit '
 
+#: What every chart of a report contains near its beginning, by suffix; see the metadata in plot/style.py.
+_DRAWN = {".png": b"Software\0mbdkit", ".svg": b"<dc:title>mbdkit</dc:title>"}
+
 
 class StudyFolder:
     """Paths in the folder of a study, and its locks."""
@@ -36,6 +39,7 @@ class StudyFolder:
         self.runs = path / "runs"
         self.index = path / "index.h5"
         self.report = path / "report.html"
+        self.figures = path / "figures"
 
     def archive(self, run_id: str) -> Path:
         """Return the path of the archive of a run, whether it exists or not."""
@@ -97,9 +101,9 @@ class StudyFolder:
             raise SpecError("this is not the spec of a study, so its folder is not overwritten", file=self.spec)
 
     def clear(self) -> None:
-        """Remove what studies write into the folder: study.yaml, the index, the archives of runs, and report.html.
+        """Remove what studies write into the folder: study.yaml, the index, the archives of runs, and the report.
 
-        All other files are kept, and so is a report.html that mbdkit has not written.
+        All other files are kept, and so are a report.html and images in figures/ that mbdkit has not written.
 
         Raises
         ------
@@ -115,13 +119,24 @@ class StudyFolder:
                 for path in self.runs.glob("*.h5*"):
                     if _ARCHIVE.fullmatch(path.name) and not path.is_dir():
                         path.unlink()
-                if _is_report(self.report):
-                    self.report.unlink()
+                self._clear_report()
                 self.spec.unlink()
             except OSError as error:
                 raise file_error(
                     error.errno, f"cannot be removed: {error.strerror or error}", file=self.path
                 ) from error
+
+    def _clear_report(self) -> None:
+        """Remove report.html and its charts, and the folder of the charts if nothing is left in it."""
+        if _contains(self.report, _GENERATOR):
+            self.report.unlink()
+        if not self.figures.is_dir() or self.figures.is_symlink():
+            return
+        for image in list(self.figures.iterdir()):
+            if image.suffix in _DRAWN and _contains(image, _DRAWN[image.suffix]):
+                image.unlink()
+        if not any(self.figures.iterdir()):
+            self.figures.rmdir()
 
     def prepare(self, spec: StudySpec) -> None:
         """Create the folder, study.yaml, and the subfolder for runs, unless they exist.
@@ -199,9 +214,9 @@ class StudyFolder:
             yield
 
 
-def _is_report(path: Path) -> bool:
-    """Return whether a file is a page that mbdkit has written."""
+def _contains(path: Path, mark: bytes) -> bool:
+    """Return whether a regular file has a mark of mbdkit near its beginning."""
     if not path.is_file() or path.is_symlink():
         return False
     with path.open("rb") as file:
-        return _GENERATOR in file.read(4096)
+        return mark in file.read(4096)

@@ -146,6 +146,12 @@ WRONG = {
         "stabilization",
         "does not support the stabilization 'projection'",
     ),
+    "a solver of SciPy without an absolute tolerance": (
+        small("{name: gauss, stages: 2}", "{name: scipy-radau, atol: 0}"),
+        5,
+        "integrator.atol",
+        "should be greater than 0, not 0",
+    ),
     "duplicate key": (SMALL + "title: a\ntitle: b\n", 10, "title", "twice"),
     "recursive alias": (SMALL + "title: &a [*a]\n", 9, "title[0]", "contains the alias"),
     "a Python object": (SMALL + "title: !!python/object/apply:os.system [id]\n", 9, "title", "plain data"),

@@ -321,6 +321,15 @@ def test_the_same_elements_are_compared_although_others_matter_in_the_second_run
     assert "J5, one" in drawn
 
 
+def test_kind_and_axes_of_a_comparison_stand_in_any_order(driven: mbdkit.Run, axes: Axes) -> None:
+    assert mbdkit.plot.compare([driven], axes, kind="torques") is axes
+    assert mbdkit.plot.compare([driven], axes, "torques") is axes
+    assert mbdkit.plot.compare([driven], "torques", ax=axes) is axes
+    for wrong, name in ((("torques", "drift"), "str"), ((axes.figure,), "Figure"), (([driven],), "list")):
+        with pytest.raises(TypeError, match=rf"^compare takes one kind of plot .* no place for this {name}$"):
+            mbdkit.plot.compare([driven], *wrong)
+
+
 def test_wrong_comparisons_are_explained(driven: mbdkit.Run, axes: Axes) -> None:
     with pytest.raises(SpecError, match="no run to draw"):
         mbdkit.plot.compare([], "drift", axes)

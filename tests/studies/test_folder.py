@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 
 import mbdkit
 from mbdkit.errors import MbdkitError, ResourceError, SpecError
+from mbdkit.report.report import report
 from mbdkit.spec import load_study_spec
 from mbdkit.studies.execute import Shard
 from mbdkit.studies.study_folder import StudyFolder
@@ -108,6 +110,21 @@ def test_a_report_of_mbdkit_is_removed_with_its_study(copied: Path) -> None:
     (copied / "report.html").write_text('<html>\n<meta name="generator" content="mbdkit 1.0">')
     StudyFolder(copied).clear()
     assert sorted(path.name for path in copied.rglob("*")) == ["runs"]
+
+
+def test_the_figures_of_a_report_are_removed_with_it_and_other_images_are_kept(copied: Path) -> None:
+    report(copied, overwrite=True)
+    drawn = {path.name for path in (copied / "figures").iterdir()}
+    assert {".png", ".svg"} == {Path(name).suffix for name in drawn}
+    Figure().savefig(copied / "figures" / "mine.png")
+    (copied / "figures" / "mine.svg").write_text("<svg/>")
+    StudyFolder(copied).clear()
+    assert sorted(path.name for path in (copied / "figures").iterdir()) == ["mine.png", "mine.svg"]
+    (copied / "study.yaml").write_text("mbdkit_study: 1\n")
+    for path in list((copied / "figures").iterdir()):
+        path.unlink()
+    StudyFolder(copied).clear()
+    assert not (copied / "figures").exists()
 
 
 def test_a_folder_that_is_not_that_of_a_study_is_not_overwritten(tmp_path: Path, small: dict[str, Any]) -> None:
