@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar, overload
+from typing import Any, ClassVar, Protocol, TypeVar, overload
 
 import numpy as np
 
 from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, MIXED, later
+from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.errors import MbdkitError
 from mbdkit.text import did_you_mean, listed
 
@@ -323,35 +324,53 @@ class Events(Sequence[Event]):
 V = TypeVar("V", bound=View)
 
 
-class Histories(Mapping[str, V]):
+class Histories(ReadOnlyDict[str, V]):
     """The histories of a run by name, in the order of the archive.
 
     Parameters
     ----------
-    what
-        Kind of object, such as ``body`` or ``joint``.
     make
         Creates a history from a name and its index.
     """
 
-    def __init__(self, what: str, names: Sequence[str], make: Callable[[str, int], V]):
-        self._what = what
-        self._index = {name: index for index, name in enumerate(names)}
-        self._make = make
+    what: ClassVar[str]
+    """Kind of object, such as ``body``."""
 
-    def __getitem__(self, name: str) -> V:
-        if name not in self._index:
-            raise UnknownNameError(self._what, name, list(self._index))
-        return self._make(name, self._index[name])
+    def __init__(self, names: Sequence[str], make: Callable[[str, int], V]):
+        super().__init__((name, make(name, index)) for index, name in enumerate(names))
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._index)
-
-    def __len__(self) -> int:
-        return len(self._index)
-
-    def _ipython_key_completions_(self) -> list[str]:
-        return list(self._index)
+    def __missing__(self, name: str) -> V:
+        raise UnknownNameError(self.what, name, list(self))
 
     def __repr__(self) -> str:
-        return f"<{len(self)} of {self._what}: {', '.join(list(self)[:8])}{', ...' if len(self) > 8 else ''}>"
+        return f"<{len(self)} of {self.what}: {', '.join(list(self)[:8])}{', ...' if len(self) > 8 else ''}>"
+
+
+class BodyHistories(Histories[BodyHistory]):
+    """The bodies of a run by name."""
+
+    what = "body"
+
+
+class JointHistories(Histories[JointHistory]):
+    """The joints of a run by name."""
+
+    what = "joint"
+
+
+class ForceHistories(Histories[ForceHistory]):
+    """The force elements of a run by name."""
+
+    what = "force element"
+
+
+class MarkerHistories(Histories[MarkerHistory]):
+    """The markers of a run by name."""
+
+    what = "marker"
+
+
+class ConstraintHistories(Histories[ConstraintHistory]):
+    """The constraints of a run by name."""
+
+    what = "constraint"

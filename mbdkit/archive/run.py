@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType, TracebackType
+from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -16,13 +16,17 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import cause, reading
 from mbdkit.archive.history import (
+    BodyHistories,
     BodyHistory,
+    ConstraintHistories,
     ConstraintHistory,
     Energy,
     Events,
+    ForceHistories,
     ForceHistory,
-    Histories,
+    JointHistories,
     JointHistory,
+    MarkerHistories,
     MarkerHistory,
     NotRecordedError,
     Steps,
@@ -30,6 +34,7 @@ from mbdkit.archive.history import (
 )
 from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.part_file import Target
+from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.errors import MbdkitError, ResourceError, RunError, SpecError
 from mbdkit.html_view import HtmlView
 from mbdkit.trust.criteria import LEVELS, Level
@@ -100,7 +105,7 @@ class Run(HtmlView):
         self._verdict = ""
         self._reasons: tuple[str, ...] = ()
         self._warnings: tuple[str, ...] = ()
-        self._stats: Mapping[str, Any] = MappingProxyType({})
+        self._stats: Mapping[str, Any] = ReadOnlyDict()
         self._misalignment_max: np.ndarray | None = None
         if self.status == "running":
             return
@@ -212,12 +217,12 @@ class Run(HtmlView):
         with reading("its spec", self.path):
             return run_header.spec_of(self.spec_json)
 
-    @property
+    @cached_property
     def stats(self) -> Mapping[str, int | float]:
         """Counters (steps, evaluations, factorizations, ...) and times in s (setup_s, wall_s, finish_s, cpu_s)."""
         return self._stats
 
-    @property
+    @cached_property
     def provenance(self) -> Mapping[str, str | int | float]:
         """Versions, platform and command."""
         return self._provenance
@@ -238,7 +243,7 @@ class Run(HtmlView):
         return self._names["joints/joint"]
 
     @cached_property
-    def bodies(self) -> Histories[BodyHistory]:
+    def bodies(self) -> BodyHistories:
         """Motions of the bodies by name.
 
         Examples
@@ -249,7 +254,7 @@ class Run(HtmlView):
         (101, 2)
         """
         names = self._names["trajectory/body"]
-        return Histories("body", names, lambda name, index: BodyHistory(self, name, index))
+        return BodyHistories(names, lambda name, index: BodyHistory(self, name, index))
 
     def __getitem__(self, name: str) -> BodyHistory:
         """Return the motion of the body `name`."""
@@ -259,7 +264,7 @@ class Run(HtmlView):
         return list(self.bodies)
 
     @cached_property
-    def joints(self) -> Histories[JointHistory]:
+    def joints(self) -> JointHistories:
         """Misalignments, reactions and angles of the joints by name.
 
         Examples
@@ -274,8 +279,7 @@ class Run(HtmlView):
         largest = self._largest_misalignments
         names = self._names["joints/joint"]
         bodies, units = self._body_pairs("joints", names), self._texts("joints/angle_row_units", names)
-        return Histories(
-            "joint",
+        return JointHistories(
             names,
             lambda name, index: JointHistory(
                 self,
@@ -297,7 +301,7 @@ class Run(HtmlView):
         return tuple(name for name in self.joint_names if rows.get(name) in _ROWS_OF_DRIVERS)
 
     @cached_property
-    def forces(self) -> Histories[ForceHistory]:
+    def forces(self) -> ForceHistories:
         """Lengths, forces and energies of the force elements by name.
 
         Raises
@@ -307,14 +311,13 @@ class Run(HtmlView):
         """
         names = self._elements("forces", "force")
         bodies, units = self._body_pairs("forces", names), self._texts("forces/value_row_units", names)
-        return Histories(
-            "force element",
+        return ForceHistories(
             names,
             lambda name, index: ForceHistory(self, name, index, bodies[index], units[index]),
         )
 
     @cached_property
-    def markers(self) -> Histories[MarkerHistory]:
+    def markers(self) -> MarkerHistories:
         """Positions and velocities of the markers by name.
 
         Raises
@@ -324,8 +327,7 @@ class Run(HtmlView):
         """
         names = self._elements("markers", "marker")
         bodies = self._texts("markers/body", names)
-        return Histories(
-            "marker",
+        return MarkerHistories(
             names,
             lambda name, index: MarkerHistory(self, name, index, bodies[index]),
         )
@@ -362,13 +364,12 @@ class Run(HtmlView):
         return self._redundancy
 
     @cached_property
-    def constraints(self) -> Histories[ConstraintHistory]:
+    def constraints(self) -> ConstraintHistories:
         """Residuals and multipliers of the constraint rows by name, ``joint.row``."""
         if "constraints/constraint" not in self._names:
             raise NotRecordedError("constraints", self.format_version)
         units = self._names["constraints/row_units"]
-        return Histories(
-            "constraint",
+        return ConstraintHistories(
             self._names["constraints/constraint"],
             lambda name, index: ConstraintHistory(self, name, index, units[index]),
         )

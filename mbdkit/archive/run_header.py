@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 import h5py
@@ -13,6 +12,7 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import is_text
+from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.plain_data import LONGEST_TITLE
 
 #: Sections of a spec that are mappings if they are present.
@@ -60,7 +60,7 @@ def plain_attributes(group: h5py.Group) -> Mapping[str, Any]:
     strange = [name for name, value in values.items() if not isinstance(value, str | int | float)]
     if strange:
         raise ValueError(f"{strange[0]} of {group.name.lstrip('/')} is neither a string nor a number")
-    return MappingProxyType(values)
+    return ReadOnlyDict(values)
 
 
 def numbers(group: h5py.Group) -> Mapping[str, Any]:

@@ -182,9 +182,9 @@ def _unknown_key(key: str, owner: type[BaseModel] | None, plugins: PluginLookup)
         section = info.annotation
         if isinstance(section, type) and issubclass(section, BaseModel) and key in section.model_fields:
             message = f"unknown key: '{key}' belongs under '{name}'"
-    section, kind = ELEMENTS.get(key.lower().removesuffix("s"), ("", ""))
-    if section in fields and "bodies" in fields:
-        message = f"unknown key; write its elements under '{section}'{f' with `type: {kind}`' if kind else ''}"
+    meant, kind = ELEMENTS.get(key.lower().removesuffix("s"), ("", ""))
+    if meant in fields and "bodies" in fields:
+        message = f"unknown key; write its elements under '{meant}'{f' with `type: {kind}`' if kind else ''}"
     return f"{message}; known here: {listed(known)}"
 
 

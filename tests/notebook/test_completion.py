@@ -55,5 +55,21 @@ def test_energies_and_plots_complete(knee: mbdkit.Run, complete: Callable[[str, 
     assert {"reactions", "torques", "drift"} <= complete("it.plot.", knee)
 
 
+def test_histories_complete_without_a_name_of_their_own(
+    knee: mbdkit.Run, complete: Callable[[str, object], set[str]]
+) -> None:
+    for history, names in {
+        'it.joints["A"].': {"reaction_force", "misalignment", "angle"},
+        'it.bodies["shank"].': {"position", "angular_velocity"},
+        f'it.forces["{next(iter(knee.forces))}"].': {"value", "power"},
+    }.items():
+        assert names <= complete(history, knee)
+
+
+def test_statistics_and_provenance_complete(knee: mbdkit.Run, complete: Callable[[str, object], set[str]]) -> None:
+    assert complete('it.stats["', knee) == set(knee.stats)
+    assert complete('it.provenance["', knee) == set(knee.provenance)
+
+
 def test_kinds_of_history_complete(knee: mbdkit.Run, complete: Callable[[str, object], set[str]]) -> None:
     assert {"reaction_force", "misalignment"} <= complete("it.", knee.joints["A"])
