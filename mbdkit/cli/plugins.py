@@ -126,7 +126,8 @@ def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
 def plugins_new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the distribution, such as mbdkit-rocket.")],
     kind: Annotated[
-        Literal["integrator", "tableau", "model", "force-law"], typer.Option("--kind", help="Kind of plugin.")
+        Literal["integrator", "tableau", "model", "force-law", "measure"],
+        typer.Option("--kind", help="Kind of plugin."),
     ],
     as_json: AsJson = False,
     debug: Debug = False,

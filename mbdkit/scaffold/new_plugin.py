@@ -18,7 +18,7 @@ from mbdkit.registry.catalogue import Kind
 from mbdkit.registry.manager import load_installed
 from mbdkit.registry.policy import API
 
-NewKind = Literal["integrator", "tableau", "model", "force-law"]
+NewKind = Literal["integrator", "tableau", "model", "force-law", "measure"]
 KINDS: tuple[NewKind, ...] = get_args(NewKind)
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
@@ -80,6 +80,14 @@ _FLAVOURS: dict[NewKind, _Flavour] = {
                 "`mbdkit.FunctionLaw` that Numba compiles;"
             ),
         ),
+    ),
+    "measure": _Flavour(
+        "measure",
+        "A measure of studies",
+        ("numpy>=1.26", "pydantic>=2.7"),
+        "study.yaml",
+        "mbdkit study {name}/study.yaml",
+        ("the options and `take`, which computes one number from a run, nan if the run does not provide it;",),
     ),
 }
 
@@ -152,7 +160,7 @@ def _files(name: str, package: str, item: str, kind: NewKind) -> dict[str, str]:
         "command": flavour.command.format(name=name),
         "todo": "\n".join(f"* {line}" for line in flavour.todo),
     }
-    example = "study.yaml" if flavour.example == "study.yaml" else f"{kind}.yaml"
+    example = "study.yaml" if flavour.kind == "integrator" else f"{kind}.yaml"
     templates = {
         "pyproject.toml": "pyproject.toml",
         "README.md": "README.md",

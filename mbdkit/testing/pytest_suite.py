@@ -71,6 +71,7 @@ def conformance(
     integrator: str | None = None,
     model: str | None = None,
     force_law: str | None = None,
+    measure: str | None = None,
     options: dict[str, Any] | None = None,
     quick: bool = False,
 ) -> Callable[[Callable[[Case], Any]], Callable[[Case], Any]]:
@@ -78,8 +79,8 @@ def conformance(
 
     Parameters
     ----------
-    integrator, model, force_law
-        Short or long name of the plugin; exactly one of the three is given.
+    integrator, model, force_law, measure
+        Short or long name of the plugin; exactly one of the four is given.
     quick
         Whether to leave out the slow checks.
 
@@ -91,14 +92,14 @@ def conformance(
     """
     import pytest
 
-    named: list[tuple[Kind, str]] = []
-    if integrator is not None:
-        named.append(("integrator", integrator))
-    if model is not None:
-        named.append(("model", model))
-    if force_law is not None:
-        named.append(("force-law", force_law))
+    given: dict[Kind, str | None] = {
+        "integrator": integrator,
+        "model": model,
+        "force-law": force_law,
+        "measure": measure,
+    }
+    named = [(kind, name) for kind, name in given.items() if name is not None]
     if len(named) != 1:
-        raise TypeError("conformance needs exactly one of integrator=, model= and force_law=")
+        raise TypeError("conformance needs exactly one of integrator=, model=, force_law= and measure=")
     kind, name = named[0]
     return pytest.mark.parametrize("case", list(cases(kind, name, options, quick=quick)), ids=str)
