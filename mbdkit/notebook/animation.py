@@ -34,18 +34,12 @@ class Animation:
         self._page = page(run, _NUMBERS)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the animation to a file, whose path is returned. An existing file is replaced.
+        """Write the animation to a file, and return its path; see `mbdkit.report.animate.animate`.
 
         Parameters
         ----------
         path
-            File to write. Its suffix selects the format: .gif, .html (a page with controls) or .mp4 (needs the program
-            ffmpeg).
-
-        Raises
-        ------
-        SpecError
-            The suffix is unknown, ffmpeg is needed and not installed, or the file cannot be written.
+            File to write, ending in .gif, .html or .mp4. An existing file is replaced.
         """
         return animate(self._run, path)
 

@@ -55,7 +55,7 @@ def html_of(thing: HtmlView) -> str:
 @singledispatch
 def view(thing: HtmlView) -> View:
     """Return the view of an object."""
-    raise NotImplementedError(f"notebooks cannot show {type(thing).__name__}")
+    raise TypeError(f"there is no view for a {type(thing).__name__}: register one with `view.register`")
 
 
 @view.register
