@@ -20,7 +20,7 @@ from mbdkit.spec.law_options import law_element
 from mbdkit.spec.run_spec import spec_type
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, warned
-from mbdkit.testing.options_under_test import validated, variants
+from mbdkit.testing.options_under_test import options_result, validated, variants
 from mbdkit.text import listed
 
 LENGTHS = tuple(np.linspace(0.15, 2.05, 39))
@@ -91,14 +91,7 @@ class ForceLawUnderTest:
 @check("law.options")
 def options(law: ForceLawUnderTest) -> Result:
     """Its options round-trip through JSON and have descriptions."""
-    options_type = law.plugin.options
-    chosen = validated(options_type, law.options)
-    if options_type.model_validate_json(chosen.model_dump_json()) != chosen:
-        return failed("its options change in a JSON round trip")
-    described = options_type.model_json_schema().get("properties", {})
-    if silent := [name for name, info in described.items() if not info.get("description")]:
-        return warned(f"{listed(silent, 'and')} have no description: write a docstring below each option")
-    return passed(options=len(described))
+    return options_result(law.plugin.options, law.options)
 
 
 @check("law.finite")

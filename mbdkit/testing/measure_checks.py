@@ -16,8 +16,7 @@ from mbdkit.registry.items import MeasurePlugin
 from mbdkit.simulation import run as simulated
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, warned
-from mbdkit.testing.options_under_test import validated
-from mbdkit.text import listed
+from mbdkit.testing.options_under_test import options_result, validated
 
 EXAMPLES = ("double-pendulum", "knee", "slider-crank")
 """Packaged examples whose runs of a few steps a measure is tried on."""
@@ -59,16 +58,7 @@ class MeasureUnderTest:
 @check("measure.options")
 def options(measure: MeasureUnderTest) -> Result:
     """Its options round-trip through JSON and have descriptions."""
-    options_type = measure.plugin.options
-    if not options_type.model_fields:
-        return passed(options=0)
-    chosen = validated(options_type, measure.options)
-    if options_type.model_validate_json(chosen.model_dump_json()) != chosen:
-        return failed("its options change in a JSON round trip")
-    described = options_type.model_json_schema().get("properties", {})
-    if silent := [name for name, info in described.items() if not info.get("description")]:
-        return warned(f"{listed(silent, 'and')} have no description: write a docstring below each option")
-    return passed(options=len(described))
+    return options_result(measure.plugin.options, measure.options)
 
 
 @check("measure.value")

@@ -19,8 +19,7 @@ from mbdkit.simulation import simulate
 from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, skipped, warned
-from mbdkit.testing.options_under_test import validated, variants
-from mbdkit.text import listed
+from mbdkit.testing.options_under_test import options_result, validated, variants
 
 END = 1.0
 START = 1e-10
@@ -72,14 +71,7 @@ class ModelUnderTest:
 @check("model.options")
 def options(model: ModelUnderTest) -> Result:
     """Its parameters round-trip through JSON and have descriptions."""
-    options_type = model.item.plugin.options
-    chosen = validated(options_type, model.options)
-    if options_type.model_validate_json(chosen.model_dump_json()) != chosen:
-        return failed("its parameters change in a JSON round trip")
-    described = options_type.model_json_schema().get("properties", {})
-    if silent := [name for name, info in described.items() if not info.get("description")]:
-        return warned(f"{listed(silent, 'and')} have no description: write a docstring below each parameter")
-    return passed(parameters=len(described))
+    return options_result(model.item.plugin.options, model.options, "parameters")
 
 
 @check("model.repeatable")

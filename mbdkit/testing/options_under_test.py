@@ -13,12 +13,36 @@ from mbdkit.errors import SpecError
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.registry.catalogue import Registered
 from mbdkit.strict_model import STRICT
+from mbdkit.testing.check_result import Result, failed, passed, warned
 from mbdkit.text import listed
 
 MOST_CHOICES = 4
 """Largest number of choices of an option that are tried."""
 
 Options = TypeVar("Options", bound=BaseModel)
+
+
+def options_result(options_type: type[BaseModel], given: Mapping[str, Any], words: str = "options") -> Result:
+    """Return the result of the check that options round-trip through JSON and have descriptions.
+
+    Parameters
+    ----------
+    given
+        Values of the options.
+    words
+        What the options of this kind of plugin are called, in the plural.
+    """
+    if not options_type.model_fields:  # of BaseModel itself, which has no schema
+        return passed(**{words: 0})
+    chosen = validated(options_type, given)
+    again = options_type.model_validate_json(chosen.model_dump_json())
+    if again != chosen:
+        return failed(f"its {words} {chosen!r} become {again!r} in a JSON round trip")
+    described = options_type.model_json_schema().get("properties", {})
+    if silent := [name for name, info in described.items() if not info.get("description")]:
+        one = words.removesuffix("s")
+        return warned(f"{listed(silent, 'and')} have no description: write a docstring below each {one}")
+    return passed(**{words: len(described)})
 
 
 def plain_options(item: Registered, given: Mapping[str, Any]) -> dict[str, Any]:
