@@ -14,6 +14,7 @@ from mbdkit.engine.consistent_start import within_double_precision, workspace_at
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import PluginError, SpecError, blaming, with_place
+from mbdkit.measures.take import check_measures
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
@@ -61,9 +62,10 @@ def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Wor
     Raises
     ------
     SpecError
-        If the joints cannot be assembled, or the initial accelerations are not unique.
+        If the joints cannot be assembled, the initial accelerations are not unique, or a measure is not valid.
     """
     mechanism = spec.mechanism()
+    check_measures(spec)
     ensure_compiled(notify)
     try:
         workspace, start = workspace_at_start(

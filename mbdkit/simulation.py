@@ -30,6 +30,7 @@ from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.interrupts import interrupts_noted
 from mbdkit.logs import logger_of
+from mbdkit.measures.take import take_all
 from mbdkit.methods.kinds import Method
 from mbdkit.progress_bars import in_notebook, progress_bar
 from mbdkit.provenance import provenance
@@ -58,6 +59,8 @@ from mbdkit.text import one_line, shown
 from mbdkit.trust.criteria import judge
 
 if TYPE_CHECKING:
+    import h5py
+
     from mbdkit.events.watch import Watch
 
 Progress = Callable[[float, float], None]
@@ -440,6 +443,13 @@ class _Simulation:
             found = check_run(self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted, progress)
         self.accuracy = with_asked(found, self.spec, self.workspace, self.choice)
 
+    def measured(self, file: h5py.File) -> str:
+        """Return the measures of the run in a file, as its archive stores them."""
+        found = take_all(Run(file), self.spec)
+        for name, reason in found.reasons.items():
+            _LOG.warning("measure %s: %s", name, reason)
+        return found.to_json()
+
     def finish(self) -> Run:
         """Finish the archive with the final status, and return the run."""
         stepper = self.stepper
@@ -478,6 +488,7 @@ class _Simulation:
             accuracy=self.accuracy,
             judgement=judgement,
             warnings=self.warnings,
+            measured=self.measured if self.spec.measures else None,
         )
         if file is not None:
             run = Run(file)

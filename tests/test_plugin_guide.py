@@ -33,6 +33,7 @@ PLUGINS = {
     "An integrator in thirty": (30, PENDULUM, {"name": "verlet"}),
     "A model in twenty": (20, {"name": "swing"}, RK4),
     "A force law in ten": (10, BALL, RK4),
+    "A measure in ten": (10, PENDULUM, RK4),
 }
 
 
@@ -51,11 +52,15 @@ def test_a_plugin_runs_as_printed_and_is_no_longer_than_it_says(heading: str, tm
     assert len([line for line in code.splitlines() if line.strip()]) <= lines
     install_module(tmp_path, "guide-kit", code)
     spec = {"mbdkit": 1, "model": model, "integrator": integrator, "time": {"end": 0.5, "step": 0.005}}
-    (tmp_path / "spec.json").write_text(json.dumps(spec))
+    measures = {"far": {"name": "reach"}} if "measure" in heading else {}
+    (tmp_path / "spec.json").write_text(json.dumps(spec | {"measures": measures}))
     done = python("-m", "mbdkit", "run", "spec.json", "--json", path=(tmp_path,), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "warning" not in done.stderr
-    assert json.loads(done.stdout)["misalignment_max"] < 1e-3
+    told = json.loads(done.stdout)
+    assert told["misalignment_max"] < 1e-3
+    assert list(told.get("measures", ())) == list(measures)
+    assert all(0.0 < told["measures"][name] < 2.0 for name in measures)
 
 
 def test_a_packaged_study_runs_by_name_as_printed_and_is_reported_with_its_verdict(tmp_path: Path) -> None:

@@ -44,6 +44,8 @@ ROOT_ATTRIBUTES = (
     "spec_sha256",
     "data_sha256",
 )
+MEASURES = "measures"
+"""Root attribute with the values and units of the measures of a run, in JSON; absent without measures."""
 VERDICT_ATTRIBUTES = ("verdict", "verdict_reasons", "warnings")
 """Root attributes that say how far a run can be trusted; archives of earlier versions lack them."""
 

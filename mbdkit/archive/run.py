@@ -32,6 +32,7 @@ from mbdkit.archive.history import (
     Steps,
     UnknownNameError,
 )
+from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.part_file import Target
 from mbdkit.archive.read_only_dict import ReadOnlyDict
@@ -290,6 +291,23 @@ class Run(HtmlView):
                 units[index],
             ),
         )
+
+    @cached_property
+    def measures(self) -> MeasuredValues:
+        """Values of the measures in the spec of the run by name, each in its unit; nan where one is undefined.
+
+        Examples
+        --------
+        >>> import mbdkit
+        >>> pull = {"value": "max(abs(joints.J1.force))", "unit": "kN"}
+        >>> run = mbdkit.run("double-pendulum", time={"end": 0.1, "step": 0.01}, measures={"pull": pull})
+        >>> 0.0 < run.measures["pull"] < 1.0
+        True
+        >>> run.measures.units["pull"]
+        'kN'
+        """
+        with reading("the measures", self.path):
+            return MeasuredValues.from_json(str(self.file.attrs.get(layout.MEASURES, "{}")))
 
     @cached_property
     def drivers(self) -> tuple[str, ...]:

@@ -76,6 +76,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("energy", _energy(run)),
         ("drivers", _drivers(run)),
         ("events", _events(run)),
+        *_measures(run),
         ("counters", _counters(run.stats)),
         ("archive", "in memory" if run.path is None else str(run.path)),
     ]
@@ -299,6 +300,16 @@ def _events(run: Run) -> str:
             f"{name} {('once' if len(times) == 1 else f'{len(times)} times') if len(times) else 'never'}{first}"
         )
     return ", ".join(found[:EVENTS_NAMED]) + (f", {len(found) - EVENTS_NAMED} more" if found[EVENTS_NAMED:] else "")
+
+
+def _measures(run: Run) -> list[tuple[str, str]]:
+    """Return a line for each measure: its value and unit, or why it has none."""
+    lines: list[tuple[str, str]] = []
+    for name, value in run.measures.items():
+        unit, reason = run.measures.units[name], run.measures.reasons.get(name, "undefined")
+        text = f"{value:.6g} {unit.removesuffix('1')}".rstrip() if math.isfinite(value) else reason
+        lines.append(("" if lines else "measures", f"{name} {text}"))
+    return lines
 
 
 def _counters(stats: Mapping[str, int | float]) -> str:

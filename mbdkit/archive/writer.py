@@ -6,7 +6,7 @@ import contextlib
 import hashlib
 import itertools
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -273,6 +273,7 @@ class ArchiveWriter:
         judgement: Judgement = UNJUDGED,
         warnings: Sequence[str] = (),
         accuracy: Accuracy | None = None,
+        measured: Callable[[h5py.File], str] | None = None,
     ) -> h5py.File | None:
         """Write the remaining rows, the hash and the status, and rename the archive to its final name.
 
@@ -294,6 +295,9 @@ class ArchiveWriter:
             The verdict on the run; ``unknown`` by default.
         warnings
             Warnings about the spec and the run, as sentences.
+        measured
+            Takes the measures of the run from the file, in which all else is written, and returns the attribute
+            ``measures``.
 
         Returns
         -------
@@ -321,6 +325,8 @@ class ArchiveWriter:
                 self._write_verdict(judgement, warnings)
                 file.flush()
                 file.attrs.modify("status", status)  # after all that it declares valid
+                if measured is not None:
+                    set_text(file, layout.MEASURES, measured(file))
                 # read back from the file, so that it covers attributes and arrays by whatever way they were written
                 set_text(file, layout.ATTRIBUTES_HASH, attributes_sha256(file))
             if self._target is None:

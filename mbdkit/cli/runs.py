@@ -222,6 +222,10 @@ def _placing(spec: RunSpec) -> Iterator[None]:
         raise spec.placed(error) from error
 
 
+def _measures(result: Run) -> dict[str, Any]:
+    return {name: measure["value"] for name, measure in result.measures.to_dict().items()}
+
+
 def _outcome(result: Run) -> dict[str, Any]:
     return {
         "path": None if result.path is None else str(result.path),
@@ -234,6 +238,7 @@ def _outcome(result: Run) -> dict[str, Any]:
         "stats": dict(result.stats),
         "misalignment_max": result.misalignment_max,
         "events": [asdict(event) for event in result.events],
+        **({"measures": _measures(result)} if result.measures else {}),
         **({} if result.accuracy is None else {"accuracy": _accuracy(result, result.accuracy)}),
     }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal, TypeAlias, TypedDict
+from typing import Any, Literal, TypeAlias, TypedDict
 
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec.run_spec import RunSpec
@@ -33,6 +33,7 @@ class Sections(TypedDict, total=False):
     time: Section
     output: Section
     events: Mapping[str, Section]
+    measures: Mapping[str, str | Mapping[str, Any]]
     limits: Section
     check: bool
     accuracy: float | None

@@ -22,6 +22,7 @@ from mbdkit.spec.sections import LARGEST_COUNT, Event, Limits, Output, Time, nam
 from mbdkit.spec.stabilization_section import UNSTABILIZED, stabilization_of
 from mbdkit.spec.stabilization_section import Choice as StabilizationChoice
 from mbdkit.spec.strict_spec import StrictSpec
+from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
 from mbdkit.text import listed
 
 if TYPE_CHECKING:
@@ -46,7 +47,15 @@ class RunSpec(StrictSpec):
 
     model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
     EXPRESSIONS_IN: ClassVar[str] = "model"
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("parameters", "events", "check", "accuracy", "choose", "impacts")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        "parameters",
+        "events",
+        "measures",
+        "check",
+        "accuracy",
+        "choose",
+        "impacts",
+    )
     """Keys that the canonical form omits by default, so that specs written before they existed keep hash and run id."""
 
     mbdkit: Literal[1]
@@ -71,6 +80,8 @@ class RunSpec(StrictSpec):
     """Recorded quantities and the recording interval."""
     events: Annotated[dict[str, Event], AfterValidator(named_events)] = Field(default_factory=dict)
     """Events by name: zero crossings of expressions in the state of the run, which are recorded or stop the run."""
+    measures: RunMeasures = Field(default_factory=dict)
+    """Measures by name: numbers that expressions, such as `max(abs(joints.B.force))`, or plugins take from the run."""
     limits: Limits = Limits()
     """Limits that stop the run early."""
     check: bool = False
@@ -259,6 +270,10 @@ class RunSpec(StrictSpec):
         self.mechanism()
         watched: dict[str, RunExpression] = self._watched
         return watched
+
+    def defined_measures(self) -> tuple[DefinedMeasure, ...]:
+        """Return the measures of the run."""
+        return tuple(defined(self.measures))
 
     def _parsed(self, mechanism: Mechanism) -> dict[str, RunExpression]:
         if not self.events:

@@ -1,4 +1,4 @@
-"""The key `measures` of a study: names of measures, and definitions by an expression or by a measure of a plugin."""
+"""The key `measures` of runs and studies: definitions by expressions or measures of plugins; of studies, also names."""
 
 from __future__ import annotations
 
@@ -190,7 +190,14 @@ def _check(given: Any) -> Any:
     return given
 
 
-_DEFINITIONS = {
+def _check_definitions(given: Any) -> Any:
+    """Check the value of `measures` of a run and return it unchanged."""
+    if not isinstance(given, Mapping):
+        raise SpecError(f"should be a mapping of names and expressions, not {found(given)}")
+    return _check(given)
+
+
+_DEFINITIONS: dict[str, Any] = {
     "type": "object",
     "propertyNames": {"pattern": f"^{_NAME.pattern}$"},
     "additionalProperties": {
@@ -210,6 +217,9 @@ _DEFINITIONS = {
         ],
     },
 }
+
+RunMeasures = Annotated[dict[str, Any], BeforeValidator(_check_definitions), WithJsonSchema(_DEFINITIONS)]
+"""The value of `measures` of a run spec: plain data that has been checked."""
 
 Measures = Annotated[
     Any,

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.reader import load
 from mbdkit.errors import ResourceError, SpecError
+from mbdkit.measures.take import Description, take
 from mbdkit.spec.study_measures import ERRORS, DefinedMeasure
 from mbdkit.spec.study_spec import StudySpec
-from mbdkit.studies.defined_measures import Description, take
 from mbdkit.studies.known_runs import KnownRuns
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, worst_joint
 from mbdkit.studies.planned_points import PlannedPoint

@@ -14,13 +14,13 @@ from mbdkit.archive.run import Run
 from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.html_view import HtmlView
 from mbdkit.logs import logger_of
+from mbdkit.measures.take import Description
 from mbdkit.progress_bars import count_bar, in_notebook
 from mbdkit.spec import RunSpec
 from mbdkit.spec.run_source import StudySource
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
-from mbdkit.studies.defined_measures import Description
 from mbdkit.studies.execute import Execution, Progress, Shard
 from mbdkit.studies.planned_points import Label, PlannedPoint, plan_points, point_label
 from mbdkit.studies.study_folder import StudyFolder

@@ -19,7 +19,7 @@ from mbdkit.archive.part_file import LIBVER
 from mbdkit.archive.stranger_file import open_hdf5
 from mbdkit.errors import SpecError
 from mbdkit.files import replacing
-from mbdkit.studies.defined_measures import Description
+from mbdkit.measures.take import Description
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND
 from mbdkit.studies.planned_points import Label
 

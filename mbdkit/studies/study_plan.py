@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from mbdkit.measures.take import Description
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.column_names import check_column_names
-from mbdkit.studies.defined_measures import Description, describe_measures
+from mbdkit.studies.defined_measures import describe_measures
 from mbdkit.studies.planned_points import PlannedPoint, distinct_runs, plan_points
 from mbdkit.studies.verdict_lookup import check_verdict
 

@@ -13,10 +13,10 @@ from pydantic import BaseModel
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit.measures.take import take
 from mbdkit.registry.catalogue import Origin, Registered, Registry
 from mbdkit.registry.item_options import named_options
 from mbdkit.spec.study_measures import DefinedMeasure
-from mbdkit.studies.defined_measures import take
 from mbdkit.testing import verify
 from tests.installing import install_module, python
 

@@ -12,8 +12,8 @@ import pytest
 
 import mbdkit
 from mbdkit import Mechanism, Run, RunSpec, SpecError
+from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.spec import load_spec
-from mbdkit.studies.measure_expression import MeasureExpression
 
 G, MASS, END, STEP = 9.81, 2.0, 1.0, 0.01
 

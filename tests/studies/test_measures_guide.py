@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 import mbdkit
+from mbdkit.measures.measured_quantities import ATTRIBUTES
 from mbdkit.spec.reading import read_text
 from mbdkit.spec.study_loading import load_study_spec
-from mbdkit.studies.measured_quantities import ATTRIBUTES
 from mbdkit.studies.study_plan import plan_study
 
 GUIDE = (Path(mbdkit.__file__).parent / "guide" / "measures.md").read_text(encoding="utf-8")
@@ -26,8 +26,10 @@ def test_the_study_is_valid_and_has_the_units_that_it_says() -> None:
 
 
 def test_the_python_blocks_run(capsys: pytest.CaptureFixture[str]) -> None:
-    example, plugin = (text for language, text in BLOCKS if language == "python")
-    exec(compile(example, "guide", "exec"), {})
+    of_run, of_study, plugin = (text for language, text in BLOCKS if language == "python")
+    exec(compile(of_run, "guide", "exec"), {})
+    assert re.fullmatch(r"\d+\.\d+ N\n", capsys.readouterr().out)
+    exec(compile(of_study, "guide", "exec"), {})
     assert "{'pull': 'N', 'turn': 'deg'}" in capsys.readouterr().out
     found: dict[str, Any] = {}
     exec(compile(plugin, "guide", "exec"), found)

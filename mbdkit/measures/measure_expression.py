@@ -20,10 +20,10 @@ import numpy as np
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.errors import SpecError
 from mbdkit.events.event_expression import Code, Quantity, RunCompiler
+from mbdkit.measures.measured_quantities import ATTRIBUTES, is_over_time, is_vector, recorded, unit_of
 from mbdkit.mechanism.time_expression import FUNCTIONS, Program
 from mbdkit.spec import RunSpec
 from mbdkit.spec.sections import QUANTITIES
-from mbdkit.studies.measured_quantities import ATTRIBUTES, is_over_time, is_vector, recorded, unit_of
 from mbdkit.text import did_you_mean, listed
 from mbdkit.units import Unit, read_unit
 

@@ -1,0 +1,1 @@
+"""Measures: numbers that expressions or plugins take from a run."""

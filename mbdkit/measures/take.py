@@ -1,0 +1,90 @@
+"""Takes measures from runs, after checking them against the spec."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from mbdkit.archive.measured_values import MeasuredValues
+from mbdkit.errors import PluginError, SpecError, blaming
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.plain_data import path_text
+from mbdkit.registry.items import MeasurePlugin
+from mbdkit.spec import RunSpec
+from mbdkit.spec.study_measures import DefinedMeasure
+from mbdkit.text import message_of
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+
+@dataclass(frozen=True)
+class Description:
+    """Unit and description of a measure."""
+
+    units: str
+    long_name: str
+
+
+def describe(measure: DefinedMeasure, spec: RunSpec) -> Description:
+    """Check a measure for the runs of a spec, and return its unit and description.
+
+    Raises
+    ------
+    SpecError
+        If its expression is not valid for the spec.
+    """
+    if measure.item is None:
+        parsed = MeasureExpression.parse(measure.expression, spec, measure.unit)
+        return Description(parsed.unit.text, measure.expression)
+    plugin = measure.item.plugin
+    assert isinstance(plugin, MeasurePlugin)
+    return Description(plugin.units, plugin.summary)
+
+
+def check_measures(spec: RunSpec) -> None:
+    """Raise SpecError, with the key below ``measures``, if an expression of a run spec is not valid."""
+    for measure in spec.defined_measures():
+        try:
+            describe(measure, spec)
+        except SpecError as error:
+            raise spec.placed(error.located(prefix=path_text(("measures", *measure.place)))) from None
+
+
+def take(measure: DefinedMeasure, run: Run, spec: RunSpec) -> float:
+    """Return the value of a measure for a run.
+
+    Parameters
+    ----------
+    spec
+        The spec of the run.
+
+    Raises
+    ------
+    PluginError
+        If the measure of a plugin fails.
+    """
+    if measure.item is None:
+        return MeasureExpression.parse(measure.expression, spec, measure.unit).of(run)
+    plugin = measure.item.plugin
+    assert isinstance(plugin, MeasurePlugin)
+    with blaming(f"measure {measure.item.id} failed for run {run.run_id}"):
+        value: Any = plugin.take(run, measure.options)
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            what = type(value).__name__
+            raise PluginError(f"measure {measure.item.id} returned an object of type {what}, not a number") from None
+
+
+def take_all(run: Run, spec: RunSpec) -> MeasuredValues:
+    """Return the values of the measures of a run spec; nan, with the reason, where the measure of a plugin fails."""
+    values, units, reasons = {}, {}, {}
+    for measure in spec.defined_measures():
+        units[measure.name] = describe(measure, spec).units
+        try:
+            values[measure.name] = take(measure, run, spec)
+        except PluginError as error:
+            values[measure.name], reasons[measure.name] = math.nan, message_of(error)
+    return MeasuredValues(values, units, reasons)
