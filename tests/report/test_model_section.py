@@ -77,9 +77,9 @@ def test_the_arrow_of_a_load_points_where_the_force_does():
 def test_a_motor_is_drawn_at_its_own_joint_where_ends_of_other_bars_meet():
     m = mbdkit.Mechanism()
     crank = m.body("crank", mass=1.0, inertia=1.0, position=(0.5, 0.0))
-    foot = m.body("foot", mass=1.0, inertia=1.0, position=(2.0, -2.0))
-    m.distance("ground bar", m.ground, foot, from_=(3.0, 0.0), to=(2.0, -1.0))
-    m.distance("crank bar", crank, foot, from_=(1.0, 0.0), to=(2.0, -1.0))
+    foot = m.body("foot", mass=1.0, inertia=1.0, position=(-2.0, -2.0))
+    m.distance("ground bar", m.ground, foot, from_=(-3.0, 0.0), to=(-2.0, -1.0))
+    m.distance("crank bar", crank, foot, from_=(1.0, 0.0), to=(-2.0, -1.0))
     m.revolute("axle", m.ground, crank, at=(0.0, 0.0))
     m.driver("motor", m.ground, crank, coordinate="angle", motion="t")
     svg = mechanism_svg(start(m), WIDE)

@@ -215,8 +215,8 @@ def test_a_key_at_the_wrong_level_is_told_where_it_belongs(small):
 
 def test_the_name_of_a_mechanism_is_the_title_of_its_runs():
     times = {"integrator": {"name": "gauss"}, "time": {"end": 0.1, "step": 0.05}}
-    for name, title in (("Jansen leg", "Jansen leg"), ("mechanism", None)):
-        mechanism = Mechanism(name=name)
+    for name, title in (("Jansen leg", "Jansen leg"), ("mechanism", "")):
+        mechanism = mbdkit.Mechanism(name=name)
         mechanism.body("ball", mass=1.0)
         assert load_spec(mechanism, **times).title == title
         assert load_spec(mechanism, **times, title="Drop").title == "Drop"
