@@ -48,7 +48,7 @@ class Mechanism(HtmlView):
     gravity
         Gravitational acceleration (x, y) [m/s^2].
     name
-        Name of the model.
+        Name of the mechanism, the title of its runs.
 
     Attributes
     ----------

@@ -17,6 +17,11 @@ if TYPE_CHECKING:
 
 _NUMBERS = 150_000
 """Pose values in the output of a cell, about one megabyte."""
+_IN_DARK_THEMES = (
+    ".mbdkit-player { color-scheme: light; } "
+    ':is([data-jp-theme-light="false"], .vscode-dark) .mbdkit-player { color-scheme: dark; }'
+)
+"""Style by which the page in the frame prefers the colours of the notebook."""
 _HEIGHT = 640
 """Height of the frame [px]."""
 
@@ -45,10 +50,11 @@ class Animation:
 
     def _repr_html_(self) -> str:
         frame = (
-            '<iframe srcdoc="{}" sandbox="allow-scripts" title="Animation of the run" loading="lazy" '
-            'style="width: 100%; max-width: 60rem; height: {}px; border: 0; resize: vertical"></iframe>'
+            "<style>{}</style>"
+            '<iframe class="mbdkit-player" srcdoc="{}" sandbox="allow-scripts" title="Animation of the run" '
+            'loading="lazy" style="width: 100%; max-width: 60rem; height: {}px; border: 0; resize: vertical"></iframe>'
         )
-        return str(Markup(frame).format(self._page, _HEIGHT))
+        return str(Markup(frame).format(Markup(_IN_DARK_THEMES), self._page, _HEIGHT))
 
     def __repr__(self) -> str:
         return f"<Animation of run {self._run.run_id}>"

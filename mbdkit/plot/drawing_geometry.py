@@ -27,10 +27,11 @@ GROUND = -1
 
 @dataclass(frozen=True)
 class Trace:
-    """A point whose path is drawn: its label and its index in the table of the drawing."""
+    """A point whose path is drawn: its label, its index in the table of the drawing, and whether it is a marker."""
 
     label: str
     point: int
+    is_marker: bool = False
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Drawing:
     welds
         Points drawn as rigid connections.
     traces
-        Points whose paths can be drawn: free ends first, then moving joints.
+        Points whose paths can be drawn: markers first, then free ends and moving joints.
     """
 
     bodies: tuple[str, ...]
@@ -72,6 +73,11 @@ class Drawing:
     sliders: tuple[int, ...] = ()
     welds: tuple[int, ...] = ()
     traces: tuple[Trace, ...] = ()
+
+    @property
+    def main_traces(self) -> tuple[Trace, ...]:
+        """The traces that are drawn unless points are named: the markers or, without any, all traces."""
+        return tuple(trace for trace in self.traces if trace.is_marker) or self.traces
 
     def world(self, poses: Array, points: Sequence[int] | None = None) -> Array:
         """Return the points of the drawing in the global frame.
@@ -165,6 +171,8 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
         pathway = getattr(force, "pathway", None)
         if pathway is not None and pathway.is_line:
             sketch.springs.append((ends[0], ends[1]))
+    for name, marker in mechanism.markers.items():
+        sketch.marker(name, marker.body, marker.held)
     return sketch.finish()
 
 
@@ -197,6 +205,7 @@ class _Sketch:
         self.sliders: list[int] = []
         self.welds: list[int] = []
         self.grounds: list[int] = []
+        self.marked: list[Trace] = []
         self.moving: list[Trace] = []
         self.traced: set[int] = set()  # bodies that have a traced point
 
@@ -239,6 +248,15 @@ class _Sketch:
                 self.moving.append(Trace(name, place))
                 self.traced.update(self.owner[index] for index in moving)
 
+    def marker(self, name: str, body: str, local: tuple[float, float]) -> None:
+        """Add a marker: a point of its body with a path. A marker on the ground has no path."""
+        owner = self.index[body]
+        if owner == GROUND:
+            return
+        index = self.point(owner, local)
+        self.touched[owner].append(index)
+        self.marked.append(Trace(name, index, is_marker=True))
+
     def guide(self, joint: SlidingJoint, travel: tuple[float, float]) -> None:
         """Add the line of a sliding joint between two distances along its axis [m]."""
         (x, y), (dx, dy) = joint.ends[0], joint.direction
@@ -274,17 +292,23 @@ class _Sketch:
             guides=tuple(self.guides),
             sliders=tuple(self.sliders),
             welds=tuple(self.welds),
-            traces=tuple(free + self.moving),
+            traces=tuple(self.marked + free + self.moving),
         )
 
     def _free_end(self, body: int) -> tuple[float, float] | None:
-        """Return the joints of a body mirrored at its centre of mass, if they all lie on one side of it."""
+        """Return the joints of a body mirrored at its centre of mass, if they all lie on one side of it.
+
+        A body with a marker farther out than half of this length, such as the head of a trunk, ends at the marker.
+        """
         held = np.array([self.local[index] for index in dict.fromkeys(self.held[body])]).reshape(-1, 2)
         if not len(held):
             return None
         middle = held.mean(axis=0)
         spread = float(np.max(np.hypot(*(held - middle).T)))
         if float(np.hypot(*middle)) <= spread + 1e-12:
+            return None
+        own = [self.local[trace.point] for trace in self.marked if self.owner[trace.point] == body]
+        if any(-float(np.dot(point, middle)) > 0.5 * float(np.dot(middle, middle)) for point in own):
             return None
         return -float(middle[0]), -float(middle[1])
 
@@ -295,11 +319,12 @@ class _Sketch:
 
 
 def choose_traces(drawing: Drawing) -> tuple[Trace, ...]:
-    """Return up to six traces: all of them, or four evenly spread if there are more."""
-    count = len(drawing.traces)
+    """Return up to six of the main traces: all of them, or four evenly spread if there are more."""
+    traces = drawing.main_traces
+    count = len(traces)
     if count <= 6:
-        return drawing.traces
-    return tuple(drawing.traces[index] for index in (0, count // 4, count // 2, 3 * count // 4))
+        return traces
+    return tuple(traces[index] for index in (0, count // 4, count // 2, 3 * count // 4))
 
 
 def trace_points(drawing: Drawing, traces: Sequence[Trace]) -> tuple[Drawing, list[int]]:

@@ -65,7 +65,8 @@ def chart(run: Run, *, points: Names = None, most: int = 6) -> Figure:
     x, y = paths[..., 0], paths[..., 1]
     outside = (x < left) | (x > right) | (y < low) | (y > high)
     paths = np.where(outside[..., None], np.nan, paths)
-    caption = "Paths of points in the plane."
+    of_markers = all(name in run.markers for name in names)
+    caption = f"Paths of {'markers' if of_markers else 'points'} in the plane."
     if run.accuracy is not None:
         caption += " Bands show estimated errors; those narrower than a line are hidden by it."
     lines = [line for k, name in enumerate(names) for line in _lines(name, paths[:, k], found[k][1])]
@@ -89,7 +90,8 @@ def _points(
     traces = {name: Trace(name, centre) for name, centre in zip(drawing.bodies, drawing.centres, strict=True)}
     traces |= {trace.label: trace for trace in drawing.traces}
     if wanted is None:
-        names = list(markers or (trace.label for trace in choose_traces(drawing)))[:most]
+        moving = [name for name in markers if run.markers[name].body in run.bodies]
+        names = list(moving or (trace.label for trace in choose_traces(drawing)))[:most]
     else:
         names = [wanted] if isinstance(wanted, str) else list(dict.fromkeys(wanted))
     found = []
@@ -179,7 +181,7 @@ def _draw(
         axes.plot(*path[0], marker="o", markersize=4.5, color=color, markerfacecolor="white", zorder=8)
         axes.plot(*path[-1], marker="o", markersize=4.5, color=color, zorder=8)
         handles.append(Line2D([], [], color=line.get_color(), linewidth=1.1))
-    hidden = len(drawing.traces) - len(traces)
+    hidden = len(drawing.main_traces) - len(traces)
     labels = [trace.label for trace in traces]
     if hidden:
         handles.append(Line2D([], [], linestyle=""))

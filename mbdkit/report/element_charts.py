@@ -1,4 +1,4 @@
-"""Charts of a run's report that no kind of plot has: components in the frames of bodies, powers, angles, markers."""
+"""Charts of a run's report that no kind of plot has: components in the frames of bodies, powers, angles."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from mbdkit.analysis.verdict import Axis, Figure, Line
 from mbdkit.archive.run_summary import ROUND_OFF
 from mbdkit.mechanism.bodies import GROUND
-from mbdkit.plot.downsampling import bands, evenly
+from mbdkit.plot.downsampling import bands
 from mbdkit.plot.drawing_geometry import draw_spec
 from mbdkit.plot.pose import body_colors
 from mbdkit.plot.style import INK, PALETTE
@@ -23,7 +23,6 @@ LINES = len(PALETTE)
 COMPONENTS = 4
 """Largest number of joints whose components are shown, those with the largest forces."""
 _POINTS = 1_000
-_PATH_ROWS = 2_000
 _TIME = Axis("time", "s")
 _SIDES = (("first", "joints/reaction_force_first"), ("second", "joints/reaction_force_second"))
 
@@ -80,23 +79,6 @@ def angle_charts(run: Run) -> list[Figure]:
             caption = "Of the second body of each joint relative to the first."
             found.append(Figure(name, title, caption, _TIME, Axis(axis, unit), lines))
     return found
-
-
-def marker_charts(run: Run) -> list[Figure]:
-    """Return the chart of the paths of the markers."""
-    if not run.records("markers/position"):
-        return []
-    rows = evenly(len(run.time), _PATH_ROWS)
-    lines = []
-    for marker in list(run.markers.values())[:LINES]:
-        x, y = np.where(np.isfinite(marker.position[rows]), marker.position[rows], np.nan).T
-        lines.append(Line(marker.name, x, y))
-    if not lines:
-        return []
-    caption = "Paths of the markers in the plane."
-    return [
-        Figure("markers", "Paths of the markers", caption, Axis("x", "m"), Axis("y", "m"), tuple(lines), equal=True)
-    ]
 
 
 def _lines(run: Run, path: str, names: Any, chosen: Any) -> tuple[Line, ...]:

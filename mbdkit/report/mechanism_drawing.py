@@ -200,10 +200,17 @@ def _joint_point(shown: NamedPose, mechanism: Mechanism, joint: Any) -> Array:
 
 
 def _common_point(shown: NamedPose, mechanism: Mechanism, bodies: tuple[str, str]) -> Array:
-    """Return the global point [m] where joints of two bodies are closest, or the centre of mass of the second one."""
+    """Return the global point [m] at which an angle between two bodies is drawn.
+
+    It is at a joint between them; without one, where joints on the one and on the other are closest; without any, at
+    the centre of mass of the second body.
+    """
+    for joint in mechanism.joints.values():
+        if set(joint.bodies) == set(bodies) and joint.mark in ("pin", "slide", "weld"):
+            return _joint_point(shown, mechanism, joint)
     of_first, of_second = (
         [shown.place(name, point) for joint in mechanism.joints.values() for _, name, point in joint.attachments()
-         if body in joint.bodies]
+         if name == body]
         for body in bodies
     )  # fmt: skip
     pairs = [(float(np.hypot(*(a - b))), tuple((a + b) / 2)) for a in of_first for b in of_second]

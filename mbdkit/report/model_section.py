@@ -115,9 +115,17 @@ def _joints(shown: NamedPose) -> Table:
         rows.append((name, joint.type, _between(joint.bodies), *place, _joint_details(joint)))
     columns = [Column("joint"), Column("type"), Column("between"), Column("x", "m")]
     columns += [Column("y", "m"), Column("data")]
-    if not any(row[-1] for row in rows):
-        rows, columns = [row[:-1] for row in rows], columns[:-1]
+    rows, columns = _without_empty_data(rows, columns)
     return _limited("model-joints", "Joints and drivers", columns, rows)
+
+
+def _without_empty_data(
+    rows: list[tuple[Cell, ...]], columns: list[Column]
+) -> tuple[list[tuple[Cell, ...]], list[Column]]:
+    """Return rows and columns without the last column if none of its cells has a text."""
+    if any(row[-1] for row in rows):
+        return rows, columns
+    return [row[:-1] for row in rows], columns[:-1]
 
 
 def _forces(shown: NamedPose) -> Table:
@@ -129,7 +137,8 @@ def _forces(shown: NamedPose) -> Table:
         between = _between(force.pathway.bodies if load is None else (load.reaction_body, load.body))
         kind = f"{force.type}: {force.law}" if force.type == "law" else force.type
         rows.append((name, kind, between, _force_details(force, shown)))
-    columns = (Column("force element"), Column("type"), Column("between"), Column("data"))
+    columns = [Column("force element"), Column("type"), Column("between"), Column("data")]
+    rows, columns = _without_empty_data(rows, columns)
     return _limited("model-forces", "Springs, dampers and loads", columns, rows)
 
 
@@ -159,6 +168,11 @@ def _between(bodies: tuple[str, str]) -> str:
 
 
 def _joint_details(joint: Any) -> str:
+    if joint.is_driver and isinstance(joint.motion, TimeTable):
+        (start, *_, end), (first, *_, last) = joint.motion.table
+        unit = joint.coordinate_unit
+        values = f"{joint.coordinate} from {first:.4g} {unit} at {start:.4g} s to {last:.4g} {unit} at {end:.4g} s"
+        return f"{values}, {_motion(joint.motion)}"
     if joint.is_driver:
         return f"{joint.coordinate} = {_motion(joint.motion)} {joint.coordinate_unit}"
     told = []

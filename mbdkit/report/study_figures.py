@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _DECADE = 8.0
 """Ratio of largest to smallest value from which an axis is logarithmic."""
-_ONCE = "Each run was timed once, beside other work; `repeats: 5` in the study shows how far times spread."
+_ONCE = 'Each run was timed once, beside other work; "repeats: 5" in a study shows how far times spread.'
 _SPREAD = "Wall time is the median of the timings; bands show the range between their quartiles."
 OPERATIONS = ("rhs_evaluations", "jacobian_evaluations", "factorizations")
 """Counters whose sum is the cost of a run in operations."""

@@ -64,14 +64,14 @@ def study_report(study: Study) -> ReportPage:
     return ReportPage(
         title=" ".join((study.spec.title or study.folder.resolve().name).split()),
         settings=settings(study),
-        alarm=f"{count(missing, 'run')} missing: `mbdkit study` computes them" if missing else "",
+        alarm=f'{count(missing, "run")} missing: the command "mbdkit study" computes them' if missing else "",
         verdict=_verdict(study),
         films=tuple(_films(study)),
         failures=_failures(study),
         methods=methods(_specs(study), find_verdict(study.spec)[0].plugin.references if study.spec.verdict else ()),
         environment=_environment(study),
         reproduce="Save the spec below as study.yaml. The study's folder contains an archive of every run, "
-        "with its spec; `mbdkit rerun` repeats a run.",
+        'with its spec; the command "mbdkit rerun" repeats a run.',
         commands="mbdkit study study.yaml -o again\nmbdkit report again",
         spec=(study.folder / "study.yaml").read_text(encoding="utf-8"),
         spec_file="study.yaml",

@@ -98,7 +98,9 @@ def read_source(source: Any) -> Document:
     if isinstance(source, str | FilePath):
         return _named(source)
     if hasattr(source, "to_spec"):
-        return Document({"mbdkit": VERSION, "model": source.to_spec()})
+        model = source.to_spec()
+        title = {"title": source.name} if source.name != model["name"] else {}
+        return Document({"mbdkit": VERSION, **title, "model": model})
     raise SpecError(
         f"a spec is a file, the name of an example, a dict, a Mechanism or a RunSpec, not {type(source).__name__}"
     )

@@ -156,8 +156,8 @@ def test_a_closed_run_is_shown_as_text_with_the_reason() -> None:
 def test_an_animation_is_a_frame_without_access_to_the_notebook(knee: mbdkit.Run, tmp_path: Path) -> None:
     film = knee.animate()
     found = Elements(film._repr_html_())
-    ((tag, attributes),) = found.tags
-    assert tag == "iframe"
+    (style, _), (tag, attributes) = found.tags
+    assert (style, tag) == ("style", "iframe")
     assert attributes["sandbox"] == "allow-scripts"
     assert (attributes["srcdoc"] or "").startswith("<!DOCTYPE html>")
     assert "default-src 'none'" in (attributes["srcdoc"] or "")

@@ -81,6 +81,22 @@ def test_joints_close_together_and_far_from_the_centre_of_mass_give_a_body_with_
     assert [trace.label for trace in draw_mechanism(mechanism).traces] == ["shank end"]
 
 
+@pytest.mark.parametrize(("marker", "end"), [((0.4, 0), 0.9), ((0.1, 0), 1.0), ((-0.4, 0), 1.0)])
+def test_a_rod_ends_at_a_marker_that_is_far_out(marker, end):
+    mechanism = rods(1)
+    mechanism.marker("head", "rod1", point=marker)
+    assert outline(mechanism, 0) == [[0.0, 0.0], [end, 0.0]]
+
+
+def test_paths_are_those_of_the_markers_if_there_are_any():
+    mechanism = rods(2)
+    mechanism.marker("tip", "rod2", point=(0.5, 0))
+    mechanism.marker("nail", mechanism.ground, at=(3, 3))
+    drawing = draw_mechanism(mechanism)
+    assert [trace.label for trace in choose_traces(drawing)] == ["tip"]
+    assert drawing.world(initial_poses(mechanism), [drawing.traces[0].point]).tolist() == [[2.0, 0.0]]
+
+
 def test_a_free_body_is_a_disc_whose_centre_leaves_a_path():
     mechanism = Mechanism()
     mechanism.body("ball", mass=1, position=(3, 4))

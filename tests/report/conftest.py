@@ -1,4 +1,4 @@
-"""Fixtures of the reports' tests: synthetic runs, a study folder, and the command line in this process."""
+"""Fixtures of the reports' tests: synthetic runs, a study folder, a browser with pages, and the command line."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+import mbdkit
 from mbdkit.cli import app
+from mbdkit.report.report import report
 from mbdkit.studies.study import study as run_study
+from tests.report.browser import executable, launched
 from tests.synthetic_runs import make_run as make_run
 
 STUDY = {
@@ -38,3 +41,29 @@ def study_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def mbdkit_command() -> Callable[..., Any]:
     """Run a command in this process; the result has exit_code, stdout and stderr."""
     return lambda *arguments: CliRunner().invoke(app, list(arguments), prog_name="mbdkit")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    path = executable()
+    if path is None:
+        pytest.skip("there is no Chromium to open the report in: install chromium, or name one in MBDKIT_TEST_BROWSER")
+    with launched(path) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def page_path(tmp_path_factory):
+    """The report of a double pendulum under a coarse step: its joints come apart by millimetres."""
+    folder = tmp_path_factory.mktemp("report")
+    archive = folder / "swing.h5"
+    mbdkit.run("double-pendulum", integrator={"name": "rk4"}, archive=archive).close()
+    return report(archive)
+
+
+@pytest.fixture(scope="module", params=["run", "study"])
+def any_path(request, page_path, study_folder):
+    """The report of a run, and that of a study."""
+    return (
+        page_path if request.param == "run" else report(study_folder, page_path.with_name("study.html"), overwrite=True)
+    )

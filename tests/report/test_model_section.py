@@ -74,6 +74,45 @@ def test_the_arrow_of_a_load_points_where_the_force_does():
     assert ((x1 - x0) / length, (y0 - y1) / length) == pytest.approx((0.6, 0.8), abs=0.01)
 
 
+def test_a_motor_is_drawn_at_its_own_joint_where_ends_of_other_bars_meet():
+    m = mbdkit.Mechanism()
+    crank = m.body("crank", mass=1.0, inertia=1.0, position=(0.5, 0.0))
+    foot = m.body("foot", mass=1.0, inertia=1.0, position=(-2.0, -2.0))
+    m.distance("ground bar", m.ground, foot, from_=(-3.0, 0.0), to=(-2.0, -1.0))
+    m.distance("crank bar", crank, foot, from_=(1.0, 0.0), to=(-2.0, -1.0))
+    m.revolute("axle", m.ground, crank, at=(0.0, 0.0))
+    m.driver("motor", m.ground, crank, coordinate="angle", motion="t")
+    svg = mechanism_svg(start(m), WIDE)
+    axle = [float(number) for number in re.search(r'<circle class="joint" cx="([\d.]+)" cy="([\d.]+)"', svg).groups()]
+    turn = re.search(r'class="load" d="M([\d.]+) ([\d.]+)', svg).groups()
+    assert math.dist(axle, [float(number) for number in turn]) == pytest.approx(15.0, abs=0.2)  # px, its radius
+
+
+def test_a_table_of_a_motor_is_told_by_its_first_and_last_point():
+    spec = {
+        "mbdkit": 1,
+        "model": {
+            "name": "mechanism",
+            "bodies": {"arm": {"mass": 1.0, "inertia": 0.1, "position": [0.5, 0.0]}},
+            "joints": {
+                "pin": {"type": "revolute", "bodies": ["ground", "arm"], "at": [0, 0]},
+                "motor": {
+                    "type": "driver", "bodies": ["ground", "arm"], "coordinate": "angle",
+                    "motion": {"table": [[0, 1, 2], [0, 0.25, 1.5]], "ends": "clamped"},
+                },
+            },
+            "markers": {"tip": {"body": "arm", "point": [0.5, 1e-17]}},
+        },
+        "integrator": {"name": "gauss"},
+        "time": {"end": 0.1, "step": 0.05},
+    }  # fmt: skip
+    with mbdkit.run(spec) as run:
+        tables = {table.name: table for table in run_report(run).sections[0].tables}
+    told = tables["model-joints"].rows[1][-1]
+    assert told == "angle from 0 rad at 0 s to 1.5 rad at 2 s, table of 3 points (cubic)"
+    assert tables["markers"].rows[0][2:4] == (0.5, 0.0)  # a rounding error is no coordinate
+
+
 def test_the_tables_say_what_the_spec_says():
     m = driven_wheel()
     m.marker("rim", "wheel", point=(5.551e-17, 0.5))  # as a difference of global coordinates leaves

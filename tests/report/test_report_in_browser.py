@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import shutil
-import subprocess
 from itertools import pairwise
 from pathlib import Path
 
@@ -23,39 +20,12 @@ from mbdkit.report.run_report import run_report
 from mbdkit.report.templating import inline, render
 from mbdkit.spec import example_names, load_spec
 from mbdkit.spec.yaml_reader import read_yaml
-from mbdkit.text import csv_cell
-from tests.report.browser import executable, launched, opened, until
+from tests.report.browser import opened, until
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""
 
 # Contrast and structure that a reader depends on; everything that axe knows of WCAG 2.1 A and AA.
 RULES = {"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]}}
-
-
-@pytest.fixture(scope="module")
-def browser():
-    path = executable()
-    if path is None:
-        pytest.skip("there is no Chromium to open the report in: install chromium, or name one in MBDKIT_TEST_BROWSER")
-    with launched(path) as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
-def page_path(tmp_path_factory):
-    """The report of a double pendulum under a coarse step: its joints come apart by millimetres."""
-    folder = tmp_path_factory.mktemp("report")
-    archive = folder / "swing.h5"
-    mbdkit.run("double-pendulum", integrator={"name": "rk4"}, archive=archive).close()
-    return report(archive)
-
-
-@pytest.fixture(scope="module", params=["run", "study"])
-def any_path(request, page_path, study_folder):
-    """The report of a run, and that of a study."""
-    return (
-        page_path if request.param == "run" else report(study_folder, page_path.with_name("study.html"), overwrite=True)
-    )
 
 
 @pytest.fixture
@@ -260,15 +230,6 @@ def test_axe_finds_nothing_to_mend(browser, any_path, scheme):
     watched.page.context.close()
 
 
-@pytest.mark.parametrize("width", [390, 1400])
-def test_nothing_sticks_out_to_the_side(browser, any_path, width):
-    watched = opened(browser, any_path, width=width)
-    watched.page.wait_for_timeout(300)
-    wide, window = watched.page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
-    assert wide <= window == width
-    watched.page.context.close()
-
-
 def test_in_the_dark_page_and_figures_are_dark_and_follow_a_change(browser, page_path):
     watched = opened(browser, page_path, color_scheme="dark")
     tab = watched.page
@@ -279,6 +240,19 @@ def test_in_the_dark_page_and_figures_are_dark_and_follow_a_change(browser, page
     tab.emulate_media(color_scheme="light")
     until(tab, f"{paper} === 'rgb(255, 255, 255)'")
     assert tab.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    tab.context.close()
+
+
+@pytest.mark.parametrize(("light", "paper"), [("true", "#ffffff"), ("false", "#16181b")])
+def test_the_player_in_a_notebook_is_as_dark_as_its_theme(browser, make_run, tmp_path, light, paper):
+    path = tmp_path / "notebook.html"
+    cell = make_run().animate()._repr_html_()
+    path.write_text(f'<!DOCTYPE html><body data-jp-theme-light="{light}">{cell}</body>', encoding="utf-8")
+    tab = opened(browser, path, color_scheme="null").page  # no emulation, which frames would follow
+    until(tab, "frames.length === 1")
+    tab.wait_for_timeout(300)
+    shown = tab.frames[1].evaluate("getComputedStyle(document.documentElement).getPropertyValue('--paper').trim()")
+    assert shown == paper
     tab.context.close()
 
 
@@ -371,40 +345,6 @@ def test_the_policy_of_the_page_stops_what_a_script_might_try(page):
     assert page.outside == []
 
 
-def test_a_table_is_sorted_by_the_button_in_its_heading(page):
-    tab = page.page
-    table = tab.locator('table[data-file="joints"]')
-    head = table.locator("th[scope=col]").nth(2)
-    values = "table => [...table.tBodies[0].rows].map(row => Number(row.cells[2].dataset.value))"
-    first = table.evaluate(values)
-    head.get_by_role("button").focus()
-    for order, wanted in (("descending", sorted(first)[::-1]), ("ascending", sorted(first)), (None, first)):
-        tab.keyboard.press("Enter")
-        assert head.get_attribute("aria-sort") == order
-        assert table.evaluate(values) == wanted
-
-
-def test_a_table_is_saved_as_csv_with_all_digits_and_without_formulas(browser, tmp_path):
-    m = mbdkit.Mechanism()
-    names = ["=1+1", "+a", "@b", 'plain, "quoted"', "-c"]
-    for number, name in enumerate(names):
-        m.body(name, mass=1.0 / (3 + number), inertia=1.0)
-    with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.05}) as run:
-        path = tmp_path / "page.html"
-        path.write_text(run_report(run).html(), encoding="utf-8")
-    watched = opened(browser, path)
-    with watched.page.expect_download() as begun:
-        watched.page.get_by_role("button", name="Download CSV: Bodies").click()
-    assert begun.value.suggested_filename == "bodies.csv"
-    with open(begun.value.path(), encoding="utf-8", newline="") as file:
-        heading, *rows = csv.reader(file)
-    assert heading[:2] == ["body", "mass [kg]"]
-    assert [row[0] for row in rows] == [csv_cell(name) for name in names]
-    assert [float(row[1]) for row in rows] == [1.0 / (3 + number) for number in range(len(names))]
-    assert watched.outside == []
-    watched.page.context.close()
-
-
 def test_the_spec_can_be_saved_and_copied(page):
     tab = page.page
     with tab.expect_download() as begun:
@@ -416,52 +356,6 @@ def test_the_spec_can_be_saved_and_copied(page):
     tab.get_by_role("button", name="Copy: Spec").click()
     until(tab, "[...document.querySelectorAll('.tools button')].some(button => button.textContent === 'Copied')")
     assert tab.evaluate("navigator.clipboard.readText()") == saved
-
-
-def test_on_paper_everything_is_whole_light_and_without_controls(browser, any_path):
-    watched = opened(browser, any_path, width=703, color_scheme="dark")  # px: A4 without its margins
-    tab = watched.page
-    tab.emulate_media(media="print")
-    tab.evaluate("window.dispatchEvent(new Event('beforeprint'))")
-    tab.wait_for_timeout(300)
-    assert tab.evaluate("document.documentElement.scrollWidth") <= 703
-    assert tab.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
-    assert tab.locator(".main-svg").first.evaluate("svg => svg.style.background") == "rgb(255, 255, 255)"
-    for name in (".tools", ".player .controls", ".magnifier", ".modebar", "nav", "summary"):
-        assert not any(one.is_visible() for one in tab.locator(name).all()), name
-    cut = tab.evaluate(
-        """() => [...document.querySelectorAll("figure, table, pre")].filter(one => {
-            const box = one.getBoundingClientRect();
-            return box.right > 703.5 || one.scrollWidth > one.clientWidth + 1
-                || [...one.querySelectorAll(".main-svg")].some(svg => {
-                    const own = svg.getBoundingClientRect();
-                    return own.right > box.right + 0.5 || own.bottom > box.bottom + 0.5 || own.width < 600;
-                });
-        }).map(one => one.id || one.outerHTML.slice(0, 60))"""
-    )
-    assert cut == []
-    heights = tab.evaluate("[...document.querySelectorAll('figure')].map(one => one.offsetHeight)")
-    assert max(heights) < 1000  # px: a page has 1017
-    kept = tab.evaluate(
-        "[...document.querySelectorAll('figure')].every(f => getComputedStyle(f).breakInside === 'avoid')"
-    )
-    assert kept
-    tab.context.close()
-
-
-@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext (poppler-utils) is not installed")
-def test_the_printed_report_has_every_figure(browser, page_path, tmp_path):
-    watched = opened(browser, page_path)
-    watched.page.pdf(path=tmp_path / "page.pdf", format="A4")
-    titles = watched.page.locator("#figures ~ .figures h3, #verdict ~ .figures h3").all_inner_texts()
-    subprocess.run(["pdftotext", "-layout", tmp_path / "page.pdf", tmp_path / "page.txt"], check=True)
-    printed = (tmp_path / "page.txt").read_text(encoding="utf-8")
-    pages = [" ".join(sheet.split()) for sheet in printed.split("\f")]
-    captions = watched.page.locator(".figures figcaption").all_inner_texts()
-    for title, text in zip(titles, captions, strict=True):
-        assert any(title in sheet and text[:40] in sheet for sheet in pages), title  # on one page
-    assert "Download" not in printed
-    watched.page.context.close()
 
 
 def test_a_body_has_one_colour_in_drawing_player_and_chart(browser, tmp_path):

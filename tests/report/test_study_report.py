@@ -70,7 +70,7 @@ def test_the_film_is_of_the_run_that_comes_apart_the_most_and_still_holds(docume
 def test_runs_that_are_missing_are_said_on_top(tmp_path):
     folder = tmp_path / "half"
     document = study_report(run_study(STUDY, out=folder, shard=Shard.parse("1/2"), notify=lambda text: None))
-    assert document.alarm.endswith("missing: `mbdkit study` computes them")
+    assert document.alarm.endswith('missing: the command "mbdkit study" computes them')
     assert document.html()
 
 

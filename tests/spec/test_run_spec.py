@@ -211,3 +211,12 @@ def test_another_models_key_is_told_whose_it_is(small):
 def test_a_key_at_the_wrong_level_is_told_where_it_belongs(small):
     with pytest.raises(SpecError, match="'step' belongs under 'time'"):
         load_spec(small, step=0.1)
+
+
+def test_the_name_of_a_mechanism_is_the_title_of_its_runs():
+    times = {"integrator": {"name": "gauss"}, "time": {"end": 0.1, "step": 0.05}}
+    for name, title in (("Jansen leg", "Jansen leg"), ("mechanism", "")):
+        mechanism = mbdkit.Mechanism(name=name)
+        mechanism.body("ball", mass=1.0)
+        assert load_spec(mechanism, **times).title == title
+        assert load_spec(mechanism, **times, title="Drop").title == "Drop"

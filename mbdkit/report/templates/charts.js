@@ -47,9 +47,10 @@ function banded(figure) {
 
 function axis(one, color, more) {
   return {
-    title: { text: plain(one.title), standoff: 10, font: { size: 13 } }, type: one.log ? "log" : "linear",
+    title: { text: plain(one.title), standoff: 10, font: { size: paper() ? 11 : 13 } }, type: one.log ? "log" : "linear",
     exponentformat: "power", minexponent: 4, automargin: true, gridcolor: color("grid"), linecolor: color("edge"),
-    zeroline: false, ticks: "outside", tickcolor: color("edge"), tickfont: { size: 12 }, nticks: 8, ...more,
+    zeroline: false, ticks: "outside", tickcolor: color("edge"), tickfont: { size: paper() ? 10 : 12 },
+    nticks: one.log ? 4 : paper() ? 6 : 8, ...more,    // more on a logarithmic axis would be digits between the decades
   };
 }
 

@@ -2,12 +2,13 @@
 (() => {
 const films = JSON.parse(document.getElementById("films").textContent);
 const shortcuts = "shortcuts" in document.getElementById("player").dataset;
-const [canvas, scrub, play, back, next, choice, speed, whole, clock, magnify, gap, legend, shown] =
-  ["stage", "scrub", "play", "back", "next", "film", "speed", "whole", "clock", "magnify", "gap", "legend", "shown"]
+const [canvas, scrub, play, back, next, choice, speed, whole, clock, magnify, gap, legend, shown, printed] =
+  ["stage", "scrub", "play", "back", "next", "film", "speed", "whole", "clock", "magnify", "gap", "legend", "shown", "printed"]
     .map(id => document.getElementById(id));
 const stage = new Stage(canvas);
 const REST = 0.8;            // pause [s] on the last frame before the animation restarts
 const WIDEST = 0.12;         // share of the picture: the largest gap at the end of the slider
+const ON_PAPER = 6;          // number of frames that are printed
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 let run, frames, start, end, time, frame = 0, playing = false, rested = 0, before = 0, pending = 0, visible = true;
 
@@ -130,11 +131,14 @@ if (shortcuts) document.addEventListener("keydown", event => {
   else return;
   event.preventDefault();
 });
-for (const name of ["beforeprint", "afterprint"]) window.addEventListener(name, () => {
+window.addEventListener("beforeprint", () => {
+  go(false);
   stage.tint();
-  stage.fit();
-  draw();
+  const count = Math.min(ON_PAPER, frames);
+  const spacing = stage.strip(Array.from({ length: count }, (_, k) => Math.round(k / Math.max(1, count - 1) * (frames - 1))));
+  printed.textContent = `Grid lines are ${Number(spacing.toPrecision(3))} m apart.`;
 });
+window.addEventListener("afterprint", () => { stage.tint(); stage.fit(); draw(); });
 window.addEventListener("resize", () => { stage.fit(); draw(); });
 window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { stage.tint(); draw(); });
 new IntersectionObserver(([entry]) => { visible = entry.isIntersecting; roll(); }).observe(canvas);

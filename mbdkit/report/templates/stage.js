@@ -1,8 +1,9 @@
 "use strict";
-/* Draws a mechanism on a canvas: `new Stage(canvas)`, `show(film)`, `draw(frame, whole, magnification)`. */
+/* Draws a mechanism on a canvas: `new Stage(canvas)`, `show(film)`, and `draw(frame, whole, magnification)` or, for paper,
+   `strip(frames)`. */
 class Stage {
   static TAIL = 1.5;   // length of the visible paths, in seconds of the animation
-  static NAMES = ["paper", "ink", "faint", "grid", "spring", "alarm", "c0", "c1", "c2", "c3", "c4", "c5"];
+  static NAMES = ["paper", "ink", "faint", "edge", "grid", "spring", "alarm", "c0", "c1", "c2", "c3", "c4", "c5"];
 
   constructor(canvas) {
     this.canvas = canvas;
@@ -31,13 +32,26 @@ class Stage {
   }
 
   fit() {
-    const { canvas } = this, width = canvas.clientWidth, ratio = window.devicePixelRatio || 1;
-    const wanted = width * (this.top - this.bottom) / (this.right - this.left);
+    const width = this.canvas.clientWidth, wanted = width * (this.top - this.bottom) / (this.right - this.left);
     const room = Math.min(0.68 * window.innerHeight, window.innerHeight - 320); // a frame shows the controls, too
-    canvas.style.height = `${Math.round(Math.max(220, Math.min(wanted, room)))}px`;
-    canvas.width = Math.round(width * ratio);
+    this.resize(Math.max(220, Math.min(wanted, room)), window.devicePixelRatio || 1);
+    this.fill(width, this.canvas.clientHeight);
+  }
+
+  /* Give the canvas a height [px] and `ratio` dots per pixel. */
+  resize(height, ratio) {
+    const { canvas } = this;
+    canvas.style.height = `${Math.round(height)}px`;
+    canvas.width = Math.round(canvas.clientWidth * ratio);
     canvas.height = Math.round(canvas.clientHeight * ratio);
-    this.scale = Math.min(width / (this.right - this.left), canvas.clientHeight / (this.top - this.bottom));
+    this.ratio = ratio;
+    this.pen.lineCap = this.pen.lineJoin = "round";             // a new size resets the pen
+  }
+
+  /* Draw frames into a rectangle of this size [px]. */
+  fill(width, height) {
+    [this.width, this.height] = [width, height];
+    this.scale = Math.min(width / (this.right - this.left), height / (this.top - this.bottom));
   }
 
   // --- geometry: the points of one frame in the global frame [m] ---
@@ -92,8 +106,8 @@ class Stage {
   }
 
   // --- drawing ---
-  X(x) { return this.canvas.clientWidth / 2 + (x - this.centre[0]) * this.scale; }
-  Y(y) { return this.canvas.clientHeight / 2 - (y - this.centre[1]) * this.scale; }
+  X(x) { return this.width / 2 + (x - this.centre[0]) * this.scale; }
+  Y(y) { return this.height / 2 - (y - this.centre[1]) * this.scale; }
   at(index) { return [this.X(this.world[2 * index]), this.Y(this.world[2 * index + 1])]; }
 
   line(corners, closed) {
@@ -115,12 +129,37 @@ class Stage {
   }
 
   draw(frame, whole, magnification) {
-    const { pen, film, colors, canvas } = this, ratio = window.devicePixelRatio || 1;
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, canvas.clientWidth, canvas.clientHeight);
-    pen.lineCap = pen.lineJoin = "round";
+    this.pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    this.pen.clearRect(0, 0, this.width, this.height);
+    this.grid(true);
+    this.paint(frame, whole, magnification);
+  }
+
+  /* Draw frames side by side with their times, up to three in a row, or six if they are narrow; return the distance of
+     the grid lines [m]. */
+  strip(frames) {
+    const { pen, canvas, colors } = this, shape = (this.right - this.left) / (this.top - this.bottom);
+    const columns = Math.min(frames.length, shape < 0.8 ? 6 : 3), width = canvas.clientWidth / columns;
+    const height = Math.min(300, Math.max(90, width / shape));
+    this.resize(height * Math.ceil(frames.length / columns), 3);
+    this.fill(width, height);
+    frames.forEach((frame, k) => {
+      pen.save();
+      pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+      pen.translate(k % columns * width, Math.floor(k / columns) * height);
+      this.stroke(colors.edge, 1, () => pen.rect(0, 0, width, height));
+      pen.clip();
+      this.grid(false);
+      this.paint(frame, true, 1);
+      this.write([[`t = ${Number(this.film.time[frame].toPrecision(4))} s`, 6, 15]], colors.ink);
+      pen.restore();
+    });
+    return this.spacing();
+  }
+
+  paint(frame, whole, magnification) {
+    const { film, colors } = this;
     this.place(frame, magnification);
-    this.grid();
     const last = film.time.length - 1, duration = film.time[last] - film.time[0];
     if (whole) this.paths(0, last, 0.35);
     const shown = last > 0 ? Math.round(Stage.TAIL * film.speed / duration * last) : 0;
@@ -134,9 +173,12 @@ class Stage {
     film.gaps.ends.forEach((ends, joint) => this.apart(ends[1], this.gap(frame, joint), magnification));
   }
 
-  grid() {
-    const { pen, scale, centre, colors } = this, width = this.canvas.clientWidth, height = this.canvas.clientHeight;
-    const step = Stage.nice(Math.min(80, width / 6) / scale);
+  /* Distance of the grid lines [m]. */
+  spacing() { return Stage.nice(Math.min(80, this.width / 6) / this.scale); }
+
+  grid(labelled) {
+    const { scale, centre, colors, width, height } = this;
+    const step = this.spacing();
     const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9)), labels = [["m", width - 16, height - 6]];
     this.stroke(colors.grid, 1, () => {
       for (let k = Math.ceil((centre[0] - width / 2 / scale) / step); this.X(k * step) < width; k++) {
@@ -150,9 +192,15 @@ class Stage {
         if (y > 16 && y < height - 24) labels.push([(k * step).toFixed(digits), 5, y - 4]);
       }
     });
+    if (labelled) this.write(labels, colors.faint);
+  }
+
+  /* Write labels [text, x, y], with a rim in the colour of the background. */
+  write(labels, color) {
+    const { pen } = this;
     pen.font = "12px system-ui, sans-serif";
-    pen.fillStyle = colors.faint;
-    pen.strokeStyle = colors.paper;
+    pen.fillStyle = color;
+    pen.strokeStyle = this.colors.paper;
     pen.lineWidth = 4;
     for (const label of labels) { pen.strokeText(...label); pen.fillText(...label); }
   }
@@ -195,7 +243,7 @@ class Stage {
       pen.fill();
       return;
     }
-    const weight = this.crowd ? 1.6 : this.canvas.clientWidth < 600 ? 4 : 5.5;
+    const weight = this.crowd ? 1.6 : this.width < 300 ? 3 : this.width < 600 ? 4 : 5.5;
     this.stroke(color, weight, () => this.line(corners, corners.length > 2));
     if (corners.length > 2) { pen.globalAlpha = 0.25; pen.fillStyle = color; pen.fill(); pen.globalAlpha = 1; }
   }

@@ -43,6 +43,14 @@ function compare(a, b) {
 
 const blank = cell => cell.dataset.value === undefined && ["", "-"].includes(cell.textContent.trim());
 
+// On a telephone each row is a list of names and values.
+function stackable(table) {
+  const labels = [...table.tHead.rows[0].cells].map(head => head.textContent.trim());
+  if (labels.length < 4) return;
+  table.classList.add("stack");
+  for (const row of table.tBodies[0].rows) [...row.cells].forEach((cell, k) => { cell.dataset.label = labels[k]; });
+}
+
 function sortable(table) {
   const body = table.tBodies[0], heads = [...table.tHead.rows[0].cells], rows = [...body.rows];
   if (rows.length < 2) return;
@@ -69,6 +77,7 @@ for (const table of document.querySelectorAll("table[data-file]")) {
   const title = table.caption.textContent;
   tools(table.parentElement, button("Download CSV", title, () =>
     download(csv([...table.rows]), "text/csv;charset=utf-8", `${table.dataset.file}.csv`)));
+  stackable(table);
   sortable(table);
 }
 
