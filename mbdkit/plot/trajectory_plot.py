@@ -65,7 +65,7 @@ def chart(run: Run, *, points: Names = None, most: int = 6) -> Figure:
     x, y = paths[..., 0], paths[..., 1]
     outside = (x < left) | (x > right) | (y < low) | (y > high)
     paths = np.where(outside[..., None], np.nan, paths)
-    of_markers = all(name in run.markers for name in names)
+    of_markers = run.records("markers/position") and all(name in run.markers for name in names)
     caption = f"Paths of {'markers' if of_markers else 'points'} in the plane."
     if run.accuracy is not None:
         caption += " Bands show estimated errors; those narrower than a line are hidden by it."

@@ -11,8 +11,8 @@ import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Column, Figure, Line
 from mbdkit.report.slope_guides import with_slope_guides
-from mbdkit.spec.key_words import key_unit, key_words
-from mbdkit.studies.axis_words import value_words
+from mbdkit.spec.key_words import key_words
+from mbdkit.studies.axis_words import axis_unit, value_words
 from mbdkit.studies.point_selection import METHOD, STEP, value
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def _against_axis(quantity: _Quantity, key: str, points: Sequence[StudyPoint], f
         return []
     values = np.array(labels, dtype=float)
     log = bool(np.all(values > 0) and values.max() / values.min() >= (2.0 if key == STEP else _DECADE))
-    axis = Axis(key_words(key), key_unit(key, (point.spec for point in points)), log)
+    axis = Axis(key_words(key), axis_unit(key, points), log)
     lines = []
     for label, group, chosen in _lines(points, key):
         x, bounds = np.array([float(point.axes[key]) for point in chosen]), quantity.bounds(chosen)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
+from mbdkit.errors import MbdkitError
+from mbdkit.spec import RunSpec
 from mbdkit.spec.key_words import key_unit, key_words
 
 if TYPE_CHECKING:
@@ -20,4 +24,15 @@ def value_words(key: str, point: StudyPoint) -> str:
     label = point.axes[key]
     if isinstance(label, str):
         return label
-    return " ".join(filter(None, (key_words(key), f"{label:.6g}", key_unit(key, [point.spec]))))
+    return " ".join(filter(None, (key_words(key), f"{label:.6g}", axis_unit(key, [point]))))
+
+
+def axis_unit(key: str, points: Iterable[StudyPoint]) -> str:
+    """Return the unit of an axis; empty if it has none, or if no spec of the points is valid here."""
+    return key_unit(key, _valid_specs(points))
+
+
+def _valid_specs(points: Iterable[StudyPoint]) -> Iterator[RunSpec]:
+    for point in points:
+        with suppress(MbdkitError):  # its plugin is not installed
+            yield point.spec
