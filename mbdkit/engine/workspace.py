@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -59,16 +60,14 @@ class Workspace:
     """The mechanism with Baumgarte's terms if so stabilized; recorded accelerations are computed without them."""
     scratch: Scratch = field(init=False)
     solver: Solver = field(init=False)
-    terms: MatrixTerms = field(init=False)
+    _offsets: dict[str, int] = field(init=False, repr=False)
     pivotings: int = field(init=False, default=0)
     """Number of times that pivots were chosen."""
 
     def __post_init__(self) -> None:
-        self.scratch, offsets = new_scratch(self.mechanism)
+        self.scratch, self._offsets = new_scratch(self.mechanism)
         top = self.mechanism.topology
         self.stepping_topology = top._replace(baumgarte=self.stabilization.coefficients)
-        stabilized = bool(np.any(self.stepping_topology.baumgarte))
-        self.terms = matrix_terms(self.mechanism, offsets, stabilized=stabilized)
         pairs = [(int(a), int(b)) for a, b in top.pairs[:, 1:3]]
         on_body = np.bincount(top.pairs[:, 1:3].ravel(), minlength=len(top.mass))[:-1]
         crowded = int(np.sum(on_body**2)) > MOST_COUPLINGS * max(len(pairs), 1)
@@ -86,6 +85,12 @@ class Workspace:
         )
         self._engine = PinnedBundle(Engine(top, self.scratch, self.solver))
         self._stepping_engine = PinnedBundle(Engine(self.stepping_topology, self.scratch, self.solver))
+
+    @cached_property
+    def terms(self) -> MatrixTerms:
+        """Terms of the stage matrix; explicit methods and the Schur complement do not need them."""
+        stabilized = bool(np.any(self.stepping_topology.baumgarte))
+        return matrix_terms(self.mechanism, self._offsets, stabilized=stabilized)
 
     @property
     def engine(self) -> int:
