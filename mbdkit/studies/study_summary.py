@@ -21,10 +21,10 @@ FAILURES_SHOWN = 20
 
 def summary(study: Study) -> str:
     """Return a plain text summary of a study: counts of runs, failures with their reasons, and folder."""
-    counts = Counter(point.status for point in study.points)
+    counts = Counter(study.statuses())
     runs = ", ".join(f"{counts[status]} {status.replace('-', ' ')}" for status in STATUSES if counts[status])
     beside = f"; reference runs: {len(study.references)}" if study.references else ""
-    levels = Counter(point.verdict for point in study.points)
+    levels = Counter(study.verdicts())
     verdicts = ", ".join(f"{levels[level]} {level}" for level in LEVELS if levels[level])
     lines = [
         ("study", " ".join(study.spec.title.split())),
@@ -34,7 +34,7 @@ def summary(study: Study) -> str:
         ("folder", str(study.folder)),
     ]
     text = [f"{label:<10} {shown(value)}" for label, value in lines if value]
-    absent = Counter(point.reason for point in study.points if point.status == "left-out")
+    absent = Counter(point.reason for point in study.points if point.status == "left-out") if counts["left-out"] else {}
     text += [f"left out   {count} of {len(study.points)}: {shown(reason)}" for reason, count in absent.items()]
     text += [shown(f"failed     {_named(point)}: {point.reason}") for point in study.failures[:FAILURES_SHOWN]]
     if len(study.failures) > FAILURES_SHOWN:
@@ -87,8 +87,7 @@ def _named(point: StudyPoint) -> str:
 
 def outcome(study: Study) -> dict[str, Any]:
     """Return the results of a study run as values for JSON."""
-    counts = Counter(point.status for point in study.points)
-    levels = Counter(point.verdict for point in study.points)
+    counts, levels = Counter(study.statuses()), Counter(study.verdicts())
     return {
         "path": str(study.folder),
         "title": study.spec.title,

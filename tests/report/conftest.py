@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mbdkit.cli import app
-from mbdkit.studies.study import study as run_study
+from mbdkit.studies.carry_out import study as run_study
 from tests.synthetic_runs import make_run as make_run
 
 STUDY = {
