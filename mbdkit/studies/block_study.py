@@ -16,17 +16,24 @@ from mbdkit.studies.defined_measures import Description
 from mbdkit.studies.planned_points import PlannedPoints
 from mbdkit.studies.study import Study, StudyPoint
 from mbdkit.studies.study_blocks import StudyBlocks
-from mbdkit.studies.study_index import Row
+from mbdkit.studies.study_index import Row, describe_column
 
 
 class BlockPoints(Sequence[StudyPoint]):
-    """The points of a study in blocks, each made when it is asked for."""
+    """Points of a study in blocks, each made when it is asked for.
 
-    def __init__(self, planned: PlannedPoints, table: BlockIndex):
+    Parameters
+    ----------
+    places
+        Places of the points among those of the study; all by default.
+    """
+
+    def __init__(self, planned: PlannedPoints, table: BlockIndex, places: Sequence[int] | None = None):
         self.planned, self.table = planned, table
+        self.places = range(len(planned)) if places is None else places
 
     def __len__(self) -> int:
-        return len(self.planned)
+        return len(self.places)
 
     @overload
     def __getitem__(self, place: int) -> StudyPoint: ...
@@ -37,7 +44,7 @@ class BlockPoints(Sequence[StudyPoint]):
     def __getitem__(self, place: int | slice) -> StudyPoint | tuple[StudyPoint, ...]:
         if isinstance(place, slice):
             return tuple(self[one] for one in range(*place.indices(len(self))))
-        place = range(len(self))[place]
+        place = self.places[place]
         point, columns = self.planned[place], self.table.columns
         row = Row(
             str(columns["run_id"][place]),
@@ -63,13 +70,14 @@ class BlockStudy(Study):
         planned = PlannedPoints(self.spec)
         if len(planned) != len(self._table_of_runs.columns["status"]):
             raise SpecError("the index does not match study.yaml; run `mbdkit study` to renew it", file=self.folder)
+        self._planned = planned
         self.points = BlockPoints(planned, self._table_of_runs)
         self.references = ()
         self._blocks = StudyBlocks.of(self.spec, planned)
 
     def described(self, name: str) -> tuple[str, str]:
         """Return the units and the description of a numeric column of the index, such as a measure."""
-        found = self._table_of_runs.described[name]
+        found = self._table_of_runs.described.get(name) or describe_column(name)
         return found.units, found.long_name
 
     @property
@@ -86,10 +94,10 @@ class BlockStudy(Study):
         return list(self._table_of_runs.columns["verdict"])
 
     @property
-    def failures(self) -> tuple[StudyPoint, ...]:
+    def failures(self) -> Sequence[StudyPoint]:
         """The points whose runs failed."""
         failed = np.flatnonzero(self._table_of_runs.columns["status"] == "failed")
-        return tuple(self.points[int(place)] for place in failed)
+        return BlockPoints(self._planned, self._table_of_runs, failed.tolist())
 
     def run(self, point: StudyPoint | int) -> Run | None:
         """Return the run of a point with the arrays that the study keeps, or None if it has no results."""
@@ -108,7 +116,7 @@ class BlockStudy(Study):
 
     def _columns(self, points: Sequence[StudyPoint]) -> dict[str, Any]:
         """Return the columns of the index without those of the axes."""
-        axes = {"family", *self.points.planned.labels()} if isinstance(self.points, BlockPoints) else set()
+        axes = {"family", *self._planned.labels()}
         chosen = slice(None) if points is self.points else [point.number - 1 for point in points]
         return {name: column[chosen] for name, column in self._table_of_runs.columns.items() if name not in axes}
 

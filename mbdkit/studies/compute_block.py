@@ -153,8 +153,8 @@ def compute_block(
     files = StudyFolder(Path(folder))
     plan = _plan(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
     skip = skip or {}
-    members = [_member(plan.points[place], skip) for place in plan.blocks.places(block)]
     with _Mark(files, block) as mark:
+        members = [_member(plan.points[place], skip, mark) for place in plan.blocks.places(block)]
         runs = [_stored(plan, member, result) for member, result in _results(members, mark, notify)]
         heading = BlockHeading(
             plan.spec.sha256(), stored(plan.spec), surroundings(), plan.described, plan.spec.compress
@@ -172,13 +172,14 @@ def _plan(study: str, changed: int) -> BlockStudyPlan:
     return BlockStudyPlan(spec)
 
 
-def _member(point: PlannedPoint, skip: Mapping[int, str]) -> _Member:
+def _member(point: PlannedPoint, skip: Mapping[int, str], mark: _Mark) -> _Member:
     base, values = point.grid.base_json, {path_text(one.path): one.value for one in point.settings}
     if point.lacking:
         reason = f"not-installed: the distribution {point.lacking} is not installed."
         return _Member(point, base, values, Refused("left-out", reason))
     if point.number in skip:
         return _Member(point, base, values, Refused("failed", skip[point.number]))
+    mark.note(point.number)  # a model of a plugin may end the process
     data = json.loads(base)
     try:
         for one in point.settings:
@@ -254,7 +255,8 @@ class _Mark:
 
     def note(self, number: int) -> None:
         """Write the number of the run that is computed next."""
-        os.pwrite(self.handle, f"{number:8d}".encode(), 0)
+        os.lseek(self.handle, 0, os.SEEK_SET)
+        os.write(self.handle, f"{number:8d}".encode())
 
     def __exit__(self, *_: object) -> None:
         os.close(self.handle)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -197,7 +198,7 @@ class Study(HtmlView):
         return [point.verdict for point in self.points]
 
     @property
-    def failures(self) -> tuple[StudyPoint, ...]:
+    def failures(self) -> Sequence[StudyPoint]:
         """The points and references whose runs failed."""
         return tuple(point for point in (*self.points, *self.references) if point.status == "failed")
 
@@ -265,7 +266,7 @@ class Study(HtmlView):
         return run
 
     def _point(self, point: StudyPoint | int) -> StudyPoint:
-        return self.points[point] if isinstance(point, int) else point
+        return point if isinstance(point, StudyPoint) else self.points[operator.index(point)]
 
     def _written_by(self, point: StudyPoint) -> str:
         """Return the version of mbdkit that computed the run of a point."""
@@ -390,6 +391,8 @@ class Study(HtmlView):
 
         points = self._one_family(family)
         axes = points[0].planned.grid.axes
+        if points[0].planned.grid.table:
+            raise MbdkitError("the runs of this study are no grid but a table of members; to_frame returns them")
         dims = [axis[0][0] for axis in axes]
         shape = [len(axis[0][1]) for axis in axes]
         coordinates = {

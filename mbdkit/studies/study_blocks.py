@@ -41,8 +41,14 @@ def settled_store(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = Fal
         except MbdkitError:
             return spec  # reported when the folder is checked
         return spec.stored_as(there.store) if there.stored_as(None).sha256() == spec.sha256() else spec
-    is_large = number_of_points(spec) > MOST_FILES and not spec.needs_files
-    return spec.stored_as("all") if spec.members is not None or is_large else spec
+    return spec.stored_as("all") if is_for_blocks(spec) else spec
+
+
+def is_for_blocks(spec: StudySpec) -> bool:
+    """Return whether a study is stored in blocks, because it asks for them or is large."""
+    if spec.store is not None:
+        return spec.in_blocks
+    return spec.members is not None or (number_of_points(spec) > MOST_FILES and not spec.needs_files)
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from mbdkit.studies import member_table
 #: Beginning of the name of study.yaml while it is written.
 _BEGUN = ".study.yaml-"
 
-#: Names of archives of runs, see `RunSpec.run_id`, and of blocks, also of unfinished ones.
-_ARCHIVE = re.compile(r"([0-9a-f]{16}|block-[0-9]{6,})\.h5(\.part)?")
+#: Names of archives of runs, see `RunSpec.run_id`, of blocks, also of unfinished ones, and their marks.
+_ARCHIVE = re.compile(r"([0-9a-f]{16}|block-[0-9]{6,})\.h5(\.part)?|\.block-[0-9]{6,}\.at")
 
 #: What every page of mbdkit contains near its beginning.
 _GENERATOR = b'<meta name="generator" content="mbdkit '
@@ -129,7 +129,7 @@ class StudyFolder:
             try:
                 self.index.unlink(missing_ok=True)
                 (self.path / member_table.FILE).unlink(missing_ok=True)
-                for path in self.runs.glob("*.h5*"):
+                for path in [*self.runs.iterdir()] if self.runs.is_dir() else ():
                     if _ARCHIVE.fullmatch(path.name) and not path.is_dir():
                         path.unlink()
                 if _is_report(self.report):
