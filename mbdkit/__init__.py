@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
     from mbdkit.simulation import run
     from mbdkit.spec import RunSpec, StudySpec
-    from mbdkit.studies.study import Study, load_study, study
+    from mbdkit.studies.carry_out import ensemble, load_study, study
+    from mbdkit.studies.study import Study
 
     __version__: str
 
@@ -64,6 +65,7 @@ __all__ = [
     "StudyPlugin",
     "StudySpec",
     "__version__",
+    "ensemble",
     "equilibrium",
     "hookimpl",
     "kinematics",
@@ -111,10 +113,11 @@ _HOME = {
     "kinematics": "mbdkit.mechanics.kinematics",
     "linearize": "mbdkit.mechanics.modes",
     "load": "mbdkit.archive.reader",
-    "load_study": "mbdkit.studies.study",
+    "ensemble": "mbdkit.studies.carry_out",
+    "load_study": "mbdkit.studies.carry_out",
     "modes": "mbdkit.mechanics.modes",
     "run": "mbdkit.simulation",
-    "study": "mbdkit.studies.study",
+    "study": "mbdkit.studies.carry_out",
 }
 
 

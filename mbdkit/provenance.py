@@ -20,7 +20,12 @@ def _versions() -> dict[str, str]:
 
 def provenance(spec: RunSpec) -> dict[str, str | int | float]:
     """Return the versions, platform, command and plugins of a run."""
-    found: dict[str, str | int | float] = {
+    return {**surroundings(), **plugins_of(spec)}
+
+
+def surroundings() -> dict[str, str | int | float]:
+    """Return the versions, platform and command, which all runs of a process have in common."""
+    return {
         "mbdkit": version("mbdkit"),
         "python": platform.python_version(),
         **_versions(),
@@ -29,6 +34,11 @@ def provenance(spec: RunSpec) -> dict[str, str | int | float]:
         "cpu_count": os.cpu_count() or 0,
         "command": shlex.join(sys.argv),
     }
+
+
+def plugins_of(spec: RunSpec) -> dict[str, str]:
+    """Return the plugins of a run and their versions."""
+    found: dict[str, str] = {}
     for kind, item in (("model", spec.model_item), ("integrator", spec.integrator_item)):
         found[kind] = item.id
         found[f"{kind}_distribution"] = item.origin.distribution

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.writer import ArchiveNames, ArchiveWriter, SharedForces
+from mbdkit.archive.run_writer import ArchiveNames, RunWriter, SharedForces
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.kernels.observe import Observed
@@ -73,7 +73,7 @@ class Recorder:
     workspace
         The mechanism at its start. The recorder uses a copy with its own pivots.
     writer
-        The archive being written.
+        Takes the rows.
     guards
         Limits of the misalignment of a recorded state.
 
@@ -89,7 +89,7 @@ class Recorder:
         If a list, recorded rows are also appended to it.
     """
 
-    def __init__(self, workspace: Workspace, writer: ArchiveWriter, guards: Guards = NO_GUARDS):
+    def __init__(self, workspace: Workspace, writer: RunWriter, guards: Guards = NO_GUARDS):
         # The number of steps between two calls depends on wall time. If pivots were shared with the stepper, the last
         # bits of both results would depend on it.
         self.workspace, self.writer, self.guards = workspace.with_own_pivots(), writer, guards

@@ -88,21 +88,25 @@ def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | N
     The check is skipped if the number of rows is not known in advance: if an adaptive method records its steps, or if
     wall time is limited.
     """
-    time, output = spec.time, spec.output
-    if spec.limits.wall_time is not None:
-        return
-    if output.interval is not None:
-        rows = math.ceil((time.final - time.start) / output.interval) + 1
-    elif time.count is not None and not spec.claims.adaptive:
-        rows = math.ceil(min(time.count, spec.limits.max_steps) / (output.every or 1)) + 1
-    else:
+    rows = rows_expected(spec)
+    if rows is None or spec.limits.wall_time is not None:
         return
     names = archive_names(mechanism)
-    row = row_bytes(names.sizes, names.present(output.recorded))
+    row = row_bytes(names.sizes, names.present(spec.output.recorded))
     try:
-        check_room(path, rows, row, output.every)
+        check_room(path, rows, row, spec.output.every)
     except SpecError as error:
         raise spec.placed(error) from None
+
+
+def rows_expected(spec: RunSpec) -> int | None:
+    """Return the number of rows that a run records; None if step control decides."""
+    time, output = spec.time, spec.output
+    if output.interval is not None:
+        return math.ceil((time.final - time.start) / output.interval) + 1
+    if time.count is not None and not spec.claims.adaptive:
+        return math.ceil(min(time.count, spec.limits.max_steps) / (output.every or 1)) + 1
+    return None
 
 
 def make_method(spec: RunSpec) -> Method:

@@ -6,12 +6,13 @@ import logging
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
+import h5py
 import numpy as np
 
 from mbdkit.accuracy.asked_accuracy_result import missed_because, with_asked
@@ -21,10 +22,13 @@ from mbdkit.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method, 
 from mbdkit.accuracy.position_measure import PositionMeasure
 from mbdkit.accuracy.recorded_pilot import Replay
 from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
+from mbdkit.archive.run_writer import RunWriter
 from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
@@ -59,9 +63,9 @@ from mbdkit.text import one_line, shown
 from mbdkit.trust.criteria import judge
 
 if TYPE_CHECKING:
-    import h5py
-
     from mbdkit.events.watch import Watch
+
+_Start = tuple[Workspace, AssembledState]
 
 Progress = Callable[[float, float], None]
 """Called with the time reached and the end time [s]; see `run`."""
@@ -150,19 +154,46 @@ def simulate(
     begin = time.perf_counter()
     if path is not None:
         check_target(path, overwrite=overwrite)
+    begun = partial(_begun_archive, path=path, overwrite=overwrite)
+    return _ended(spec, partial(_prepared, begun=begun, path=path, notify=notify, begin=begin), notify, progress).run()
+
+
+def simulate_arrays(spec: RunSpec, *, notify: Callable[[str], None] = to_stderr) -> FinishedRun:
+    """Run a validated spec without writing an archive, and return its arrays with the hash that the archive would have.
+
+    Parameters
+    ----------
+    notify
+        As for `simulate`.
+    """
+    prepare = partial(_prepared, begun=_begun_arrays, path=None, notify=notify, begin=time.perf_counter())
+    simulation = _ended(spec, prepare, notify, None)
+    assert isinstance(simulation.writer, ArrayWriter)
+    assert simulation.writer.finished is not None
+    return replace(simulation.writer.finished, cause=simulation.cause)
+
+
+def _ended(
+    spec: RunSpec,
+    prepare: Callable[..., _Simulation],
+    notify: Callable[[str], None],
+    progress: Progress | None,
+) -> _Simulation:
+    """Carry out a spec to its end, and return the simulation, whose writer is finished."""
     method = "a method to be chosen" if spec.choose == "method" else spec.integrator_item.id
-    _LOG.info("run %s begins: %s with %s", spec.run_id(), spec.model_item.id, method)
-    prepare = partial(_prepared, path=path, overwrite=overwrite, notify=notify, begin=begin)
+    if _LOG.isEnabledFor(logging.INFO):
+        _LOG.info("run %s begins: %s with %s", spec.run_id(), spec.model_item.id, method)
     if spec.is_to_be_chosen:
         return _with_accuracy(spec, prepare, notify, progress)
     with _finished_or_abandoned(prepare(spec)) as simulation:
         simulation.integrate(progress)
-        return simulation.finish()
+        simulation.finish()
+        return simulation
 
 
 def _with_accuracy(
     spec: RunSpec, prepare: Callable[..., _Simulation], notify: Callable[[str], None], progress: Progress | None
-) -> Run:
+) -> _Simulation:
     """Choose method and step for the accuracy of a spec, and run it; again with smaller steps while it is missed.
 
     If no attempt reaches the accuracy, the best one is returned, and its verdict says so.
@@ -179,14 +210,16 @@ def _with_accuracy(
             following = None if simulation.is_settled else _following(spec, workspace, simulation, len(tried))
             simulation.tried = [one for _, one in tried]
             if simulation.is_settled or (following is None and best is choice):
-                return simulation.finish()
+                simulation.finish()
+                return simulation
         prepare = partial(prepare, notify=_silent)  # the warnings would be the same
         if following is None:
             # repeated, because only one archive is written at a time; the same settings give the same numbers
             with _finished_or_abandoned(prepare(best.settle(spec), choice=best)) as simulation:
                 simulation.integrate(progress)
                 simulation.tried = [one for _, one in tried]
-                return simulation.finish()
+                simulation.finish()
+                return simulation
         choice = following
 
 
@@ -204,16 +237,45 @@ def _silent(message: str) -> None:
     """Discard a message."""
 
 
+def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path | None, overwrite: bool) -> RunWriter:
+    """Begin the archive of a run."""
+    workspace, assembled = start
+    return ArchiveWriter(
+        path,
+        archive_names(workspace.mechanism),
+        spec.canonical_json(),
+        spec.sha256(),
+        spec.run_id(),
+        {**provenance(spec), "assembly": assembled.describe()},
+        quantities=spec.output.recorded,
+        extra_datasets=optional_arrays(spec, method, workspace.mechanism),
+        overwrite=overwrite,
+        shared=shared_forces(workspace.mechanism),
+    )
+
+
+def _begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
+    """Return what keeps the rows of a run in memory."""
+    workspace, assembled = start
+    return ArrayWriter(
+        archive_names(workspace.mechanism),
+        quantities=spec.output.recorded,
+        extra_datasets=optional_arrays(spec, method, workspace.mechanism),
+        shared=shared_forces(workspace.mechanism),
+        assembly=assembled.describe(),
+    )
+
+
 def _prepared(
     spec: RunSpec,
     *,
+    begun: Callable[[RunSpec, Method, _Start], RunWriter],
     path: Path | None,
-    overwrite: bool,
     notify: Callable[[str], None],
     begin: float,
     choice: Choice | None = None,
 ) -> _Simulation:
-    """Return a simulation whose archive is begun; see `simulate`."""
+    """Return a simulation whose writer is begun by `begun`; see `simulate`."""
     method = make_method(spec)
     check_jumps(spec)
     cautions = caution(spec, method)
@@ -221,22 +283,13 @@ def _prepared(
     workspace, start = build(spec, notify)
     moves = start_warnings(spec, start)
     _warn(moves, notify)
-    _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
+    if _LOG.isEnabledFor(logging.DEBUG):
+        _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
     check_disk_space(spec, workspace.mechanism, path)
     noted: list[bool] = []
-    with interrupts_noted(lambda: noted.append(True)):  # an archive that nobody knows of could not be removed
-        writer = ArchiveWriter(
-            path,
-            archive_names(workspace.mechanism),
-            spec.canonical_json(),
-            spec.sha256(),
-            spec.run_id(),
-            {**provenance(spec), "assembly": start.describe()},
-            quantities=spec.output.recorded,
-            extra_datasets=optional_arrays(spec, method, workspace.mechanism),
-            overwrite=overwrite,
-            shared=shared_forces(workspace.mechanism),
-        )
+    noting = interrupts_noted if begun is not _begun_arrays else _not_noted
+    with noting(lambda: noted.append(True)):  # an archive that nobody knows of could not be removed
+        writer = begun(spec, method, (workspace, start))
         try:
             simulation = _Simulation(spec, workspace, method, writer, begin, (*cautions, *moves), choice)
         except BaseException:
@@ -253,11 +306,17 @@ def _warn(warnings: Iterable[str], notify: Callable[[str], None]) -> None:
         _LOG.warning("%s", shown(warning))
 
 
+def _not_noted(note: Callable[[], None]) -> AbstractContextManager[None]:
+    """Let Ctrl-C raise KeyboardInterrupt: there is no archive that keeps the rows of an interrupted run."""
+    return nullcontext()
+
+
 @contextmanager
 def _finished_or_abandoned(simulation: _Simulation) -> Iterator[_Simulation]:
     """Remove the archive of a simulation that is not finished; handle Ctrl-C by ending the run."""
     try:
-        with interrupts_noted(simulation.interrupt):
+        noting = _not_noted if isinstance(simulation.writer, ArrayWriter) else interrupts_noted
+        with noting(simulation.interrupt):
             yield simulation
     except BaseException as error:
         _LOG.warning("run %s is abandoned: %s", simulation.spec.run_id(), one_line(error))
@@ -305,7 +364,7 @@ class _Simulation:
         spec: RunSpec,
         workspace: Workspace,
         method: Method,
-        writer: ArchiveWriter,
+        writer: RunWriter,
         begin: float,
         warnings: tuple[str, ...],
         choice: Choice | None,
@@ -314,6 +373,7 @@ class _Simulation:
         self.warnings, self.choice = warnings, choice
         self.tried = [] if choice is None else [choice]
         self.timings: dict[str, float] = {}
+        self.file: h5py.File | None = None
         self.size = size_at_start(spec, workspace)
         self.guards = guards(spec, self.size)
         self.recorder = Recorder(workspace, writer, self.guards)
@@ -450,8 +510,8 @@ class _Simulation:
             _LOG.warning("measure %s: %s", name, reason)
         return found.to_json()
 
-    def finish(self) -> Run:
-        """Finish the archive with the final status, and return the run."""
+    def finish(self) -> None:
+        """Finish the archive with the final status."""
         stepper = self.stepper
         counters = asdict(stepper.counters) if stepper is not None else asdict(Counters())
         counters["factorizations"] += self.workspace.pivotings + self.recorder.workspace.pivotings
@@ -475,12 +535,11 @@ class _Simulation:
             errors = estimated_errors(self.recorder, self.accuracy, position, missed)
         judgement = judge(evidence, errors)
         told = f"{status}: {reason.removeprefix('interrupted: ')}" if reason else status
-        _LOG.log(
-            logging.WARNING if status == "failed" else logging.INFO,
-            "run %s ends: %s, verdict %s", self.spec.run_id(), told, judgement.level,
-        )  # fmt: skip
+        level = logging.WARNING if status == "failed" else logging.INFO
+        if _LOG.isEnabledFor(level):
+            _LOG.log(level, "run %s ends: %s, verdict %s", self.spec.run_id(), told, judgement.level)
         _LOG.debug("counters: %s; timings: %s", counters, self.timings)
-        file = self.writer.finish(
+        self.file = self.writer.finish(
             status,
             reason,
             {**counters, **self.timings},
@@ -490,8 +549,11 @@ class _Simulation:
             warnings=self.warnings,
             measured=self.measured if self.spec.measures else None,
         )
-        if file is not None:
-            run = Run(file)
+
+    def run(self) -> Run:
+        """Return the run, once its archive is finished."""
+        if self.file is not None:
+            run = Run(self.file)
         else:
             assert self.writer.path is not None
             run = load(self.writer.path)

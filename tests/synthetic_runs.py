@@ -12,7 +12,8 @@ import pytest
 
 from mbdkit.archive.layout import QUANTITIES
 from mbdkit.archive.run import Run
-from mbdkit.archive.writer import ArchiveNames, ArchiveWriter
+from mbdkit.archive.run_writer import ArchiveNames
+from mbdkit.archive.writer import ArchiveWriter
 
 MakeRun = Callable[..., Run]
 

@@ -19,6 +19,7 @@ MODULES = (
     "plot.comparison",
     "plot.run_plots",
     "simulation",
+    "studies.carry_out",
     "studies.study",
 )
 

@@ -13,6 +13,7 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
+from mbdkit.archive.blocks import Block
 from mbdkit.archive.fingerprint import attributes_sha256, blocks, data_sha256, datasets, is_text, spec_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE, cause
 from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, Array
@@ -52,16 +53,28 @@ def check(path: str | Path) -> list[str]:
 
 
 def examine(path: str | Path) -> Checked:
-    """Check a run archive as `check` does, and tell what its hashes cover."""
+    """Check a run archive as `check` does, or a block of runs, and tell what its hashes cover."""
     path = Path(path)
     try:
         file = open_archive(path)
     except SpecError as error:
-        return Checked([shown(error.message)])
+        return _examined_block(path) or Checked([shown(error.message)])
     with contextlib.closing(file):
         problems = _Checker(file).problems()
         covered = layout.ATTRIBUTES_HASH in file.attrs
     return Checked(problems or _unreadable(path), covered)
+
+
+def _examined_block(path: Path) -> Checked | None:
+    """Return the result for a block of runs; None if the file is none that can be read."""
+    try:
+        with Block(path) as block:
+            sound = block.is_sound()
+    except SpecError:
+        return None
+    return Checked(
+        [] if sound else ["its arrays or attributes do not have the hashes that were written with them"], True
+    )
 
 
 @contextlib.contextmanager

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
 from mbdkit.archive.group_table import group_names, group_table
 from mbdkit.archive.run import Run
-from mbdkit.archive.table_formats import FORMATS
+from mbdkit.archive.table_formats import FORMATS, ExportedTable
 from mbdkit.errors import SpecError, file_error
 from mbdkit.files import check_folder, check_output, replacing
 from mbdkit.text import did_you_mean, listed
@@ -38,26 +39,59 @@ def export(run: Run, folder: Path, to: str, *, overwrite: bool = False) -> list[
     MbdkitError
         If the format needs a package that is not installed.
     """
-    if to not in FORMATS:
-        raise SpecError(f"there is no format {to!r}{did_you_mean(to, FORMATS)}; the formats are {listed(FORMATS)}")
+    check_format(to)
     if not len(run.time):
         raise SpecError("this run recorded no rows, so there is nothing to export", file=run.path)
-    tables = {
+    tables: dict[Path, ExportedTable] = {
         folder / f"{group}.{to}": group_table(run, group)
         for group in group_names(run)
         if not (to == "sto" and group == "events")
     }
+    write_tables(tables, folder, to, overwrite=overwrite, source=run.path)
+    return list(tables)
+
+
+def check_format(to: str) -> None:
+    """Raise SpecError if there is no format of this name."""
+    if to not in FORMATS:
+        raise SpecError(f"there is no format {to!r}{did_you_mean(to, FORMATS)}; the formats are {listed(FORMATS)}")
+
+
+def write_tables(
+    tables: Mapping[Path, ExportedTable], folder: Path, to: str, *, overwrite: bool, source: Path | None
+) -> None:
+    """Write tables to files in a folder: all of them or, if one cannot be written, none.
+
+    Parameters
+    ----------
+    folder
+        It is created if its parent exists.
+    to
+        Name of the format.
+    overwrite
+        Whether existing files may be replaced.
+    source
+        The file with the data, which is never replaced.
+
+    Raises
+    ------
+    SpecError
+        If a file exists or cannot be written.
+    ResourceError
+        If the disk is full or writing is not permitted.
+    MbdkitError
+        If the format needs a package that is not installed.
+    """
     is_new = _prepare(folder, list(tables), overwrite)
     try:
         with ExitStack() as stack:
             for path, table in tables.items():
-                temporary = stack.enter_context(replacing(path, overwrite=overwrite, source=run.path))
+                temporary = stack.enter_context(replacing(path, overwrite=overwrite, source=source))
                 FORMATS[to](table, temporary)
     except BaseException:
         if is_new:
             folder.rmdir()
         raise
-    return list(tables)
 
 
 def _prepare(folder: Path, files: list[Path], overwrite: bool) -> bool:

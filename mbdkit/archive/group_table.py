@@ -85,6 +85,11 @@ class GroupTable:
     columns: tuple[TableColumn, ...]
 
     @property
+    def first(self) -> TableColumn:
+        """The column of the times."""
+        return TableColumn("time", "s", Array(f"{self.group}/time", ("time",), "s", "time"), ())
+
+    @property
     def time(self) -> np.ndarray:
         """Times of the rows, (T,), s."""
         return self.run.array(f"{self.group}/time")

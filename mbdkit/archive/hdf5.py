@@ -29,7 +29,15 @@ def set_texts(target: h5py.Group, name: str, values: Sequence[str]) -> None:
     target.attrs.create(name, np.array(values, dtype=object), shape=(len(values),), dtype=h5py.string_dtype())
 
 
-def create(file: h5py.File, array: Array, values: np.ndarray, *, chunks: tuple[int, ...] | None = None) -> h5py.Dataset:
+def create(
+    file: h5py.File,
+    array: Array,
+    values: np.ndarray,
+    *,
+    chunks: tuple[int, ...] | None = None,
+    plan: h5p.PropDCID | None = None,
+    under: str = "",
+) -> h5py.Dataset:
     """Create an array of the layout with its values and attributes.
 
     Unless the array is a dimension scale itself, the dimension scales of its axes must exist.
@@ -42,8 +50,11 @@ def create(file: h5py.File, array: Array, values: np.ndarray, *, chunks: tuple[i
         Contiguous array of the type in the layout; strings have the dtype object.
     chunks
         Shape of a chunk for an array whose first axis grows; None for an array of fixed size.
+    plan
+        Compression of an array of fixed size; None for none.
+    under
+        Path of the group that has the place of the root, with a slash at the end.
     """
-    plan = None
     limits = None
     if chunks is not None:
         plan = h5p.create(h5p.DATASET_CREATE)
@@ -51,7 +62,9 @@ def create(file: h5py.File, array: Array, values: np.ndarray, *, chunks: tuple[i
         # HDF5 rejects chunks longer than a fixed axis, and therefore any chunk along a fixed axis of length zero.
         limits = (h5s.UNLIMITED, *(size or h5s.UNLIMITED for size in values.shape[1:]))
     kind, of_values = (_STRING, _STR) if array.dtype == TEXT else 2 * (h5t.py_create(np.dtype(array.dtype)),)
-    identifier = h5d.create(file.id, array.path.encode(), kind, h5s.create_simple(values.shape, limits), plan)
+    identifier = h5d.create(
+        file.id, f"{under}{array.path}".encode(), kind, h5s.create_simple(values.shape, limits), plan
+    )
     if values.size:
         identifier.write(h5s.ALL, h5s.ALL, values, mtype=of_values)
     dataset = h5py.Dataset(identifier)
@@ -59,7 +72,7 @@ def create(file: h5py.File, array: Array, values: np.ndarray, *, chunks: tuple[i
         h5ds.set_scale(identifier, array.name.encode())
     else:
         for axis, dim in enumerate(array.dims):
-            h5ds.attach_scale(identifier, h5d.open(file.id, f"{array.group}/{dim}".encode()), axis)
+            h5ds.attach_scale(identifier, h5d.open(file.id, f"{under}{array.group}/{dim}".encode()), axis)
     set_text(dataset, "units", array.units)
     set_text(dataset, "long_name", array.long_name)
     if array.row_units:

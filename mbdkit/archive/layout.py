@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 FORMAT = "mbdkit-run"
 FORMAT_VERSION = "1.1"
@@ -449,6 +450,7 @@ def _minor(version: str) -> float:
     return int(text) if text.isdecimal() else math.inf
 
 
+@lru_cache(maxsize=64)
 def recorded(
     quantities: frozenset[str], extra: frozenset[str] = frozenset(), version: str = FORMAT_VERSION
 ) -> tuple[Array, ...]:

@@ -219,3 +219,25 @@ class Target:
         """Close and remove the .part."""
         self.close()
         self.part.unlink(missing_ok=True)
+
+
+def write_image(path: Path, image: bytes, *, overwrite: bool = False) -> None:
+    """Write the bytes of an HDF5 file that was made in memory.
+
+    Raises
+    ------
+    SpecError
+        If no archive may be written at `path`.
+    ResourceError
+        If the disk is full.
+    """
+    target = Target(path, overwrite=overwrite)
+    try:
+        target.replace_content(image)
+    except OSError as error:
+        target.drop()
+        raise ResourceError(f"{path} cannot be written: {cause(error)}") from error
+    try:
+        target.publish()
+    finally:
+        target.close()

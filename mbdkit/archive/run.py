@@ -14,7 +14,7 @@ import numpy as np
 from mbdkit.archive import layout, run_header
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import is_text
-from mbdkit.archive.hdf5_errors import cause, reading
+from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.history import (
     BodyHistories,
     BodyHistory,
@@ -34,10 +34,11 @@ from mbdkit.archive.history import (
 )
 from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.open_archive import open_archive
-from mbdkit.archive.part_file import Target
+from mbdkit.archive.part_file import write_image
 from mbdkit.archive.read_only_dict import ReadOnlyDict
-from mbdkit.errors import MbdkitError, ResourceError, RunError, SpecError
+from mbdkit.errors import MbdkitError, RunError, SpecError
 from mbdkit.html_view import HtmlView
+from mbdkit.spec import RunSpec
 from mbdkit.trust.criteria import LEVELS, Level
 
 if TYPE_CHECKING:
@@ -217,6 +218,17 @@ class Run(HtmlView):
         """The spec of the run, including defaults, as plain values."""
         with reading("its spec", self.path):
             return run_header.spec_of(self.spec_json)
+
+    @cached_property
+    def run_spec(self) -> RunSpec:
+        """The spec of the run as a validated object.
+
+        Raises
+        ------
+        SpecError
+            If a plugin that it names is not installed.
+        """
+        return RunSpec(**self.spec)
 
     @cached_property
     def stats(self) -> Mapping[str, int | float]:
@@ -676,17 +688,7 @@ class Run(HtmlView):
         >>> mbdkit.load("kept.h5").data_sha256 == run.data_sha256
         True
         """
-        image = self.file.id.get_file_image()
-        target = Target(Path(path), overwrite=overwrite)
-        try:
-            target.replace_content(image)
-        except OSError as error:
-            target.drop()
-            raise ResourceError(f"{path} cannot be written: {cause(error)}") from error
-        try:
-            target.publish()
-        finally:
-            target.close()
+        write_image(Path(path), self.file.id.get_file_image(), overwrite=overwrite)
 
     def close(self) -> None:
         """Close the archive; arrays read before remain valid."""

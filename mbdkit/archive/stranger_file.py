@@ -57,7 +57,7 @@ def check_regular(path: Path) -> None:
         raise SpecError("this is not a regular file but a pipe, a socket or a device; it is not read", file=path)
 
 
-def open_hdf5(path: Path, what: str, *, hint: str = "") -> h5py.File:
+def open_hdf5(path: Path, what: str, *, hint: str = "", objects: int = OBJECTS) -> h5py.File:
     """Open an HDF5 file for reading, after checking that reading it does no harm.
 
     Parameters
@@ -68,6 +68,8 @@ def open_hdf5(path: Path, what: str, *, hint: str = "") -> h5py.File:
         What the file should be, for messages, such as ``run archive``.
     hint
         What to do with a damaged file, appended to messages.
+    objects
+        Largest number of groups and arrays.
 
     Raises
     ------
@@ -96,7 +98,7 @@ def open_hdf5(path: Path, what: str, *, hint: str = "") -> h5py.File:
         raise SpecError("; ".join(filter(None, (why, hint))), file=path) from error
     try:
         with reading("its structure", path, hint=hint or "it cannot be used"):
-            _Inspection(file, path).inspect()
+            _Inspection(file, path, objects).inspect()
     except BaseException:
         file.close()
         raise
@@ -106,8 +108,8 @@ def open_hdf5(path: Path, what: str, *, hint: str = "") -> h5py.File:
 class _Inspection:
     """Visits every object of a file by its low-level identifier, without reading values."""
 
-    def __init__(self, file: h5py.File, path: Path):
-        self.path = path
+    def __init__(self, file: h5py.File, path: Path, objects: int):
+        self.path, self.objects = path, objects
         self.file = file
         status = os.stat(path)
         self.size = status.st_size
@@ -145,8 +147,8 @@ class _Inspection:
         """Return names and kinds of the members of a group; refuse every link but the only one to an object."""
         found: list[tuple[bytes, int]] = []
         words = {h5l.TYPE_SOFT: "a soft link", h5l.TYPE_EXTERNAL: "a link to another file"}
-        if len(self.seen) + group.get_num_objs() > OBJECTS:
-            raise self.refused(f"it has more than {OBJECTS:,} groups and arrays")
+        if len(self.seen) + group.get_num_objs() > self.objects:
+            raise self.refused(f"it has more than {self.objects:,} groups and arrays")
         others: list[str] = []
 
         def visit(name: bytes, link: h5l.LinkInfo) -> int | None:

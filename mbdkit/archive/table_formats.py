@@ -1,4 +1,4 @@
-"""Writes a group of a run as CSV, Parquet, MATLAB file, OpenSim storage or JSON.
+"""Writes a table, such as a group of a run, as CSV, Parquet, MATLAB file, OpenSim storage or JSON.
 
 To add a format, write its function and add it to `FORMATS`.
 """
@@ -9,11 +9,11 @@ import csv
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from mbdkit.archive.group_table import GroupTable
+from mbdkit.archive.group_table import TableColumn
 from mbdkit.archive.layout import TEXT
 from mbdkit.errors import MbdkitError
 from mbdkit.plain_data import json_text
@@ -23,7 +23,33 @@ MATLAB_LENGTH = 63
 """Longest name of a variable in MATLAB (``namelengthmax``)."""
 
 
-def write_csv(table: GroupTable, path: Path) -> None:
+class ExportedTable(Protocol):
+    """Interface of a table that is written."""
+
+    @property
+    def group(self) -> str:
+        """Name of the table."""
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+
+    @property
+    def first(self) -> TableColumn:
+        """The first column: times, or numbers of rows."""
+
+    @property
+    def columns(self) -> tuple[TableColumn, ...]:
+        """The other columns."""
+
+    def blocks(self) -> Iterator[tuple[np.ndarray, list[np.ndarray]]]:
+        """Yield the values of the first column and of the others in blocks of rows."""
+
+    def without_text(self) -> ExportedTable:
+        """Return the table without its columns of text."""
+
+
+def write_csv(table: ExportedTable, path: Path) -> None:
     """Write comma-separated values in UTF-8: one line with names and units, such as ``knee.force_x [N]``, then rows.
 
     Numbers have all their digits, so that reading returns the same values; ``nan`` and ``inf`` are not finite. Cells of
@@ -36,14 +62,13 @@ def write_csv(table: GroupTable, path: Path) -> None:
             writer.writerow([csv_cell(cell) if isinstance(cell, str) else repr(cell) for cell in row])
 
 
-def write_json(table: GroupTable, path: Path) -> None:
+def write_json(table: ExportedTable, path: Path) -> None:
     """Write one JSON object with the name of the group, columns with units and descriptions, and rows.
 
     Numbers that are not finite are null.
     """
-    columns = [{"name": "time", "units": "s", "description": "time"}]
-    columns += [
-        {"name": column.name, "units": column.units, "description": column.array.long_name} for column in table.columns
+    columns = [
+        {"name": column.name, "units": column.units, "description": column.array.long_name} for column in _all(table)
     ]
     with path.open("w", encoding="utf-8") as file:
         file.write(f'{{"group": {json_text(table.group)},\n "columns": {json_text(columns)},\n "rows": [')
@@ -52,7 +77,7 @@ def write_json(table: GroupTable, path: Path) -> None:
         file.write("\n ]}\n")
 
 
-def write_sto(table: GroupTable, path: Path) -> None:
+def write_sto(table: ExportedTable, path: Path) -> None:
     """Write a storage file of OpenSim: a header, and numbers separated by tabulators with the time first.
 
     Angles are in radians. White space and other characters that OpenSim would take for separators become ``_`` in the
@@ -75,7 +100,7 @@ def write_sto(table: GroupTable, path: Path) -> None:
             file.write("\t".join(map(repr, row)) + "\n")
 
 
-def write_mat(table: GroupTable, path: Path) -> None:
+def write_mat(table: ExportedTable, path: Path) -> None:
     """Write a MATLAB file, version 5: ``time`` and a column vector for each column, such as ``knee_force_x``.
 
     The structures ``units`` and ``names`` map the variables to their units and to the names in the archive.
@@ -84,7 +109,8 @@ def write_mat(table: GroupTable, path: Path) -> None:
 
     pairs = list(_names_and_units(table))
     variables = _matlab_names([name for name, _ in pairs])
-    values: list[np.ndarray] = [table.time, *table.read(slice(None))]
+    blocks = [[first, *others] for first, others in table.blocks()]
+    values = [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
     named: dict[str, Any] = dict(zip(variables, values, strict=True))
     named["units"] = {variable: units for variable, (_, units) in zip(variables, pairs, strict=True)}
     named["names"] = {variable: name for variable, (name, _) in zip(variables, pairs, strict=True)}
@@ -92,7 +118,7 @@ def write_mat(table: GroupTable, path: Path) -> None:
         savemat(file, named, long_field_names=True, oned_as="column", do_compression=True)
 
 
-def write_parquet(table: GroupTable, path: Path) -> None:
+def write_parquet(table: ExportedTable, path: Path) -> None:
     """Write a Parquet file, whose columns have units and descriptions as metadata of their fields.
 
     Raises
@@ -106,14 +132,13 @@ def write_parquet(table: GroupTable, path: Path) -> None:
     except ImportError as error:
         raise MbdkitError("Parquet files need the package pyarrow: pip install pyarrow") from error
     kinds = {TEXT: pyarrow.string(), "<i8": pyarrow.int64()}
-    fields = [pyarrow.field("time", pyarrow.float64(), metadata={"units": "s", "description": "time"})]
-    fields += [
+    fields = [
         pyarrow.field(
             column.name,
             kinds.get(column.array.dtype, pyarrow.float64()),
             metadata={"units": column.units, "description": column.array.long_name},
         )
-        for column in table.columns
+        for column in _all(table)
     ]
     schema = pyarrow.schema(fields, metadata={"group": table.group})
     with parquet.ParquetWriter(path, schema) as writer:
@@ -121,7 +146,7 @@ def write_parquet(table: GroupTable, path: Path) -> None:
             writer.write_table(pyarrow.table([time, *values], schema=schema))
 
 
-FORMATS: Mapping[str, Callable[[GroupTable, Path], None]] = {
+FORMATS: Mapping[str, Callable[[ExportedTable, Path], None]] = {
     "csv": write_csv,
     "parquet": write_parquet,
     "mat": write_mat,
@@ -131,17 +156,20 @@ FORMATS: Mapping[str, Callable[[GroupTable, Path], None]] = {
 """Functions that write a table to a file, by the name of the format, which is also the suffix of the file."""
 
 
-def _names_and_units(table: GroupTable) -> Iterator[tuple[str, str]]:
-    yield "time", "s"
-    for column in table.columns:
+def _names_and_units(table: ExportedTable) -> Iterator[tuple[str, str]]:
+    for column in _all(table):
         yield column.name, column.units
+
+
+def _all(table: ExportedTable) -> tuple[TableColumn, ...]:
+    return table.first, *table.columns
 
 
 def _heading(name: str, units: str) -> str:
     return name if units == "1" else f"{name} [{units}]"
 
 
-def _rows(table: GroupTable) -> Iterator[list[Any]]:
+def _rows(table: ExportedTable) -> Iterator[list[Any]]:
     """Yield the rows of a table as lists of Python numbers and texts, the time first."""
     for time, values in table.blocks():
         yield from map(list, zip(time.tolist(), *(column.tolist() for column in values), strict=True))

@@ -94,19 +94,25 @@ def archive_export(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Export a run, each group to a file GROUP.FORMAT.
+    """Export a run, each group to a file GROUP.FORMAT; of a study, the table of its runs.
 
     Groups are trajectory, joints, forces, markers, constraints, energy, steps, events
     and accuracy, as far as the run has them. Columns are named as in expressions of
-    events, such as knee.force_x. Prints the names of the files.
+    events, such as knee.force_x. The folder of a study gives one file, runs.FORMAT,
+    with one row for each run. Prints the names of the files.
     """
     from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.archive.export import export
     from mbdkit.archive.reader import load
+    from mbdkit.studies.carry_out import load_study
+    from mbdkit.studies.runs_table import export_runs
 
-    with blaming_damage(archive), load(archive) as loaded:
-        folder = output if output is not None else archive.with_name(f"{archive.stem}-{to}")
-        files = export(loaded, folder, to, overwrite=overwrite)
+    folder = output if output is not None else archive.with_name(f"{archive.stem}-{to}")
+    if archive.is_dir() and (archive / "study.yaml").is_file():
+        files = export_runs(load_study(archive), folder, to, overwrite=overwrite)
+    else:
+        with blaming_damage(archive), load(archive) as loaded:
+            files = export(loaded, folder, to, overwrite=overwrite)
     if not quiet:
         for file in files:
             show(file)

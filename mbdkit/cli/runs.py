@@ -92,19 +92,25 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
     """Check a run spec or a study spec without running it.
 
     The mechanism is built and its start made consistent; changes of the start are
-    printed. Of a study, the specs of all runs are checked, and so are the
-    expressions of its measures; --set changes the base of every run.
+    printed. Of a study, the specs of all runs are checked, or of a few if it is
+    stored in blocks, and so are the expressions of its measures; --set changes the
+    base of every run.
     """
     from mbdkit.spec import load_spec
     from mbdkit.spec.study_loading import load_study_spec, recognized
 
     source, is_study = recognized(spec)
     if is_study:
+        from mbdkit.studies.compute_block import BlockStudyPlan
+        from mbdkit.studies.study_blocks import is_for_blocks
         from mbdkit.studies.study_plan import plan_study
-        from mbdkit.studies.study_summary import plan_summary
+        from mbdkit.studies.study_summary import block_plan_summary, plan_summary
 
         study = load_study_spec(source, assignments or ())
-        told = plan_summary(study, plan_study(study))
+        if is_for_blocks(study):
+            told = block_plan_summary(BlockStudyPlan(study.stored_as(study.store or "all")))
+        else:
+            told = plan_summary(study, plan_study(study))
         show(f"{spec}: this study is valid\n{told}")
         return
     checked = load_spec(source, assignments or ())

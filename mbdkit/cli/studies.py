@@ -38,11 +38,20 @@ def study(
         typer.Option("--workers", min=1, metavar="N", help="Number of processes; by default one per core."),
     ] = None,
     shard: Annotated[
-        str | None, typer.Option("--shard", metavar="i/N", help="Compute only part i of N of the runs.")
+        str | None,
+        typer.Option("--shard", metavar="i/N", help="Compute only part i of N of the runs, or of the blocks."),
     ] = None,
     executor: Annotated[
         Literal["local"], typer.Option("--executor", help="Where the processes run: on this machine.")
     ] = "local",
+    store: Annotated[
+        Literal["files", "all", "histories", "summary", "hashes"] | None,
+        typer.Option(
+            "--store",
+            help="What is stored of each run: an archive of its own (files), or a part of a block of runs with all "
+            "arrays, positions and reactions over time, a summary, or hashes. By default files for up to 500 runs.",
+        ),
+    ] = None,
     assignments: BaseSet = None,
     overwrite: Annotated[
         bool,
@@ -63,8 +72,8 @@ def study(
 ) -> None:
     """Run a study: a family of runs.
 
-    Writes an archive for each run, and index.h5 with a row for each run. A second
-    call computes only missing runs; failed runs are not repeated.
+    Writes an archive for each run, or blocks of many runs, and index.h5 with a row for
+    each run. A second call computes only missing runs; failed runs are not repeated.
 
     --set changes the base of every run, as the overrides of the study do; what an
     axis varies cannot be set.
@@ -72,8 +81,8 @@ def study(
     Exit status 3 if runs are missing because the disk is full, a process died or the
     like: a second call tries again.
     """
+    from mbdkit.studies.carry_out import study as carry_out
     from mbdkit.studies.execute import Shard
-    from mbdkit.studies.study import study as carry_out
     from mbdkit.studies.study_summary import outcome, summary
 
     part = None if shard is None else Shard.parse(shard)
@@ -89,6 +98,7 @@ def study(
             notify=notify,
             assignments=assignments or (),
             overwrite=overwrite,
+            store=store,
         )
     page, told, values = None, "", {}
     if with_report:

@@ -11,6 +11,7 @@ With ``h mu = 0`` this is the matrix of the index-1 system.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -67,8 +68,35 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
     stabilized
         Whether Baumgarte's terms are part of gamma, whose derivatives then have at least the pattern of the Jacobian.
     """
-    top, row_index = mechanism.topology, mechanism.row_index
-    n3 = 3 * len(mechanism.bodies)
+    top = mechanism.topology
+    tables = (top.pairs, top.rows, top.spare, top.springs, top.loads, mechanism.row_index)
+    return _terms(len(mechanism.bodies), tuple(map(_Table.of, tables)), tuple(offsets.items()), stabilized)
+
+
+@dataclass(frozen=True)
+class _Table:
+    """An array of integers that can be compared and hashed."""
+
+    values: bytes
+    shape: tuple[int, ...]
+
+    @classmethod
+    def of(cls, array: np.ndarray) -> _Table:
+        return cls(array.astype(np.int64).tobytes(), array.shape)
+
+    @property
+    def array(self) -> np.ndarray:
+        return np.frombuffer(self.values, np.int64).reshape(self.shape)
+
+
+@lru_cache(maxsize=4)
+def _terms(
+    count: int, tables: tuple[_Table, ...], places: tuple[tuple[str, int], ...], stabilized: bool
+) -> MatrixTerms:
+    """Return the terms of all mechanisms with these integers: the runs of a study usually have the same."""
+    of_pairs, of_rows, spare, springs, loads, row_index = (table.array for table in tables)
+    offsets = dict(places)
+    n3 = 3 * count
     parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, int]] = []
 
     def add(source: np.ndarray, row: np.ndarray, column: np.ndarray, factor: int) -> None:
@@ -86,13 +114,13 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
     diagonal = np.arange(n3)
     add(diagonal, diagonal, diagonal, CONSTANT)
     for kind, code in KINDS.items():
-        members = np.flatnonzero(top.pairs[:, 0] == code)
-        bodies = top.pairs[members, 1:3]
-        reduced = np.isin(members, top.spare[:, 0])
+        members = np.flatnonzero(of_pairs[:, 0] == code)
+        bodies = of_pairs[members, 1:3]
+        reduced = np.isin(members, spare[:, 0])
         for entry in range(12):
             # If one of two rows is redundant, the other is a combination of both and has no structural zeros. A pair
             # without rows has no multiplier.
-            taken = np.where(reduced, (entry < 6) & (top.rows[members] == 1), entry in e.JACOBIAN_ENTRIES[kind])
+            taken = np.where(reduced, (entry < 6) & (of_rows[members] == 1), entry in e.JACOBIAN_ENTRIES[kind])
             some, ends = members[taken], bodies[taken]
             row, column = multiplier(some, entry // 6), coordinate(ends, entry % 6)
             add(offsets["jac"] + 12 * some + entry, row, column, CONSTANT)
@@ -115,7 +143,7 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
                 held = row_index[members, entry // 6] >= 0
                 if stabilized:  # the entries of the Jacobian are listed above
                     listed = entry in e.JACOBIAN_ENTRIES[kind]
-                    held &= ~np.where(reduced, (entry < 6) & (top.rows[members] == 1), listed)
+                    held &= ~np.where(reduced, (entry < 6) & (of_rows[members] == 1), listed)
                 add(
                     offsets[name] + 12 * members[held] + entry,
                     multiplier(members[held], entry // 6),
@@ -123,8 +151,8 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
                     factor,
                 )
     for path, code in PATHWAYS.items():
-        members = np.flatnonzero(top.springs[:, 0] == code)
-        bodies = top.springs[members, 1:3]
+        members = np.flatnonzero(springs[:, 0] == code)
+        bodies = springs[members, 1:3]
         for i in e.GRADIENT_ENTRIES[path]:
             for j in e.GRADIENT_ENTRIES[path]:
                 entry = 6 * i + j
@@ -135,9 +163,9 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
                     RATE_SQUARED,
                 )
                 add(offsets["spring_damp"] + 36 * members + entry, coordinate(bodies, i), coordinate(bodies, j), RATE)
-    for load, entries in ((POINT_FORCE, (2,)), (BODY_FORCE, (0, 1))):
-        members = np.flatnonzero(top.loads[:, 0] == load)
-        first = 3 * top.loads[members, 1]
+    for kind_of_load, entries in ((POINT_FORCE, (2,)), (BODY_FORCE, (0, 1))):
+        members = np.flatnonzero(loads[:, 0] == kind_of_load)
+        first = 3 * loads[members, 1]
         for entry in entries:
             add(offsets["load_stiff"] + 3 * members + entry, first + entry, first + 2, RATE_SQUARED)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -59,16 +60,15 @@ class Workspace:
     """The mechanism with Baumgarte's terms if so stabilized; recorded accelerations are computed without them."""
     scratch: Scratch = field(init=False)
     solver: Solver = field(init=False)
-    terms: MatrixTerms = field(init=False)
+    _offsets: dict[str, int] = field(init=False, repr=False)
     pivotings: int = field(init=False, default=0)
     """Number of times that pivots were chosen."""
 
     def __post_init__(self) -> None:
-        self.scratch, offsets = new_scratch(self.mechanism)
+        self.scratch, self._offsets = new_scratch(self.mechanism)
         top = self.mechanism.topology
-        self.stepping_topology = top._replace(baumgarte=self.stabilization.coefficients)
-        stabilized = bool(np.any(self.stepping_topology.baumgarte))
-        self.terms = matrix_terms(self.mechanism, offsets, stabilized=stabilized)
+        stabilized = bool(np.any(self.stabilization.coefficients))
+        self.stepping_topology = top._replace(baumgarte=self.stabilization.coefficients) if stabilized else top
         pairs = [(int(a), int(b)) for a, b in top.pairs[:, 1:3]]
         on_body = np.bincount(top.pairs[:, 1:3].ravel(), minlength=len(top.mass))[:-1]
         crowded = int(np.sum(on_body**2)) > MOST_COUPLINGS * max(len(pairs), 1)
@@ -85,7 +85,16 @@ class Workspace:
             failed=np.array([-1]),
         )
         self._engine = PinnedBundle(Engine(top, self.scratch, self.solver))
-        self._stepping_engine = PinnedBundle(Engine(self.stepping_topology, self.scratch, self.solver))
+        # bundles take most of the time of a small workspace, so there is only one if both engines are the same
+        self._stepping_engine = (
+            PinnedBundle(Engine(self.stepping_topology, self.scratch, self.solver)) if stabilized else self._engine
+        )
+
+    @cached_property
+    def terms(self) -> MatrixTerms:
+        """Terms of the stage matrix; explicit methods and the Schur complement do not need them."""
+        stabilized = bool(np.any(self.stepping_topology.baumgarte))
+        return matrix_terms(self.mechanism, self._offsets, stabilized=stabilized)
 
     @property
     def engine(self) -> int:
@@ -212,7 +221,7 @@ class Workspace:
         pattern, factors, scatter = self.choose_pivots()
         self.solver.pivoted[0] = 1
         self.solver = self.solver._replace(pattern=pattern, factors=factors, scatter=scatter)
-        for pinned in (self._engine, self._stepping_engine):
+        for pinned in dict.fromkeys((self._engine, self._stepping_engine)):
             pinned.replace(pinned.bundle._replace(solver=self.solver))
 
     def for_another_run(self, formulation: str, stabilization: Stabilization) -> Workspace:
@@ -236,7 +245,8 @@ class Workspace:
         other.solver = self.solver._replace(pivoted=self.solver.pivoted.copy())
         own = {"w": other.scratch, "solver": other.solver}
         other._engine = PinnedBundle(self._engine.bundle._replace(**own))
-        other._stepping_engine = PinnedBundle(self._stepping_engine.bundle._replace(**own))
+        is_one = self._stepping_engine is self._engine
+        other._stepping_engine = other._engine if is_one else PinnedBundle(self._stepping_engine.bundle._replace(**own))
         return other
 
     @property

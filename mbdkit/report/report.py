@@ -85,7 +85,7 @@ def write_report(
 def _document(source: Path, is_study: bool) -> Iterator[ReportPage]:
     if is_study:
         from mbdkit.report.study_report import study_report
-        from mbdkit.studies.study import load_study
+        from mbdkit.studies.carry_out import load_study
 
         yield study_report(load_study(source))
     else:

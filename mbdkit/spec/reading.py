@@ -241,6 +241,8 @@ def put(data: dict[str, Any], path: Path, value: Any) -> None:
     for index, part in enumerate(path):
         here = path_text(path[:index]) or "the spec"
         last = index == len(path) - 1
+        if isinstance(place, list) and isinstance(part, str) and re.fullmatch(r"\d{1,9}", part):
+            part = int(part)  # as in `model.angles.0`
         if isinstance(place, list) and isinstance(part, int):
             if part >= len(place):
                 raise SpecError(f"{here} has {len(place)} items, counted from 0", key=path_text(path))

@@ -99,6 +99,7 @@ class RunSpec(StrictSpec):
     there by the smallest impulse that satisfies the constraints, whose work is recorded."""
 
     _mechanism: Any = PrivateAttr(default=None)
+    _run_id: str = PrivateAttr(default="")
     _watched: Any = PrivateAttr(default=None)
 
     def __init__(self, **data: Any):
@@ -312,6 +313,11 @@ class RunSpec(StrictSpec):
 
     def run_id(self) -> str:
         """Return 16 hexadecimal digits that identify this spec and the versions of the plugins it uses."""
+        if not self._run_id:
+            self._run_id = self._identifier()
+        return self._run_id
+
+    def _identifier(self) -> str:
         items = [self.model_item, self.integrator_item, *self.force_law_items]
         used = [f"{item.id}=={item.origin.version}" for item in items]
         return hashlib.sha256("\n".join([self.canonical_json(), *used]).encode()).hexdigest()[:16]

@@ -33,6 +33,7 @@ class StrictSpec(Section):
     _document: Document | None = PrivateAttr(default=None)
     _numbers: dict[str, float] = PrivateAttr(default_factory=dict)
     _written: Written = PrivateAttr(default_factory=dict)
+    _canonical: str = PrivateAttr(default="")
 
     @without_collection()
     def __init__(self, **data: Any):
@@ -85,9 +86,11 @@ class StrictSpec(Section):
         Expressions in place of numbers are kept as written.
         Names given by the user (bodies, joints, forces) keep their order, which is the order of the archive's arrays.
         """
-        return json.dumps(
-            insert(canonical(self), self._written), separators=(",", ":"), ensure_ascii=False, allow_nan=False
-        )
+        if not self._canonical:  # of a frozen model
+            self._canonical = json.dumps(
+                insert(canonical(self), self._written), separators=(",", ":"), ensure_ascii=False, allow_nan=False
+            )
+        return self._canonical
 
     def sha256(self) -> str:
         """Return the SHA-256 digest of the canonical JSON in UTF-8, in hexadecimal."""

@@ -43,6 +43,7 @@ def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
         If the spec is not valid, with the file, line and key path if known.
     """
     assignments = tuple(assignments)
+    given = source if isinstance(source, StudySpec) else None
     if isinstance(source, StudySpec):
         if source._document is not None and not assignments:
             return source
@@ -61,6 +62,9 @@ def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
         raise document.place(error) from None
     spec._document = document
     spec._bases = bases
+    spec._folder = folder
+    if given is not None:
+        spec._folder, spec._columns = given._folder, given._columns
     return spec
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from pathlib import Path as FilePath
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
@@ -88,6 +89,10 @@ Axes = Annotated[
 Base = str | dict[str, Any]
 Reference = Literal["none"] | Overrides
 Repeats = Annotated[int, Field(ge=1, le=1000)]
+Storing = Literal["files", "all", "histories", "summary", "hashes"]
+
+LARGEST_TABLE = 1_000_000
+"""Maximum number of runs in a study that is stored in blocks."""
 
 
 class Family(Section):
@@ -108,6 +113,17 @@ class Family(Section):
     """Number of timings of each run; if more than one, timing is serial, after all runs."""
 
 
+class Members(Section):
+    """A table of values in an HDF5 file beside study.yaml, with a column for each key that varies."""
+
+    file: Literal["members.h5"] = "members.h5"
+    """Name of the file in the folder of the study spec."""
+    runs: Annotated[int, Field(ge=1, le=LARGEST_TABLE)]
+    """Number of rows."""
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    """Hash of the columns."""
+
+
 class StudySpec(StrictSpec):
     """The complete input of a study: a base run spec, the parameters that vary, and the measures to take.
 
@@ -118,6 +134,8 @@ class StudySpec(StrictSpec):
     """
 
     model_config = ConfigDict(title="mbdkit study spec", defer_build=True)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("store", "block", "compress", "members")
+    """Keys that the canonical form omits by default, so that studies written before they existed keep their hash."""
 
     mbdkit_study: Literal[1]
     """Version of the spec format."""
@@ -144,13 +162,29 @@ class StudySpec(StrictSpec):
     verdict: str = ""
     """Name of the function that evaluates the results in the report; empty for none."""
 
+    store: Storing | None = None
+    """What is stored of each run: `files` writes an archive for each; the others write blocks of many runs, which hold
+    `all` arrays, the `histories` (time, positions, velocities, reactions and misalignments), a `summary` (counters,
+    times, misalignment by joint, warnings), or `hashes` only. Each of them keeps spec, status, verdict, largest
+    misalignment, measures and hash. By default `files` for up to 500 runs, otherwise `all`."""
+    block: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    """Number of runs in a block; by default 1000, or fewer if the arrays of a block would exceed 64 MiB."""
+    compress: bool = False
+    """Whether the arrays of blocks are compressed."""
+    members: Members | None = None
+    """A table of values, one row for each run, instead of `axes`; `mbdkit.ensemble` writes it."""
+
     _bases: dict[Path, Document] = PrivateAttr(default_factory=dict)
+    _folder: FilePath = PrivateAttr(default_factory=FilePath)
+    _columns: Any = PrivateAttr(default=None)  # of the table of members, once it is read
 
     @model_validator(mode="after")
     def _consistent(self) -> StudySpec:
         if self.axes and self.families:
             raise SpecError("cannot be combined with `families`; give each family its own axes", key="axes")
-        if not self.axes and not self.families:
+        if self.members is not None and (self.axes or self.families):
+            raise SpecError("cannot be combined with `axes` and `families`", key="members")
+        if not self.axes and not self.families and self.members is None:
             raise PydanticCustomError(
                 "mbdkit", "needs `axes` (parameters that vary) or `families` (several grids of runs)"
             )
@@ -171,7 +205,39 @@ class StudySpec(StrictSpec):
             for index, measure in enumerate(self.measures):
                 if measure in ERRORS:
                     raise SpecError(f"'{measure}' needs a `reference` to compare with", key=f"measures[{index}]")
+        if self.members is not None and self.store == "files":
+            raise SpecError("a study with a table of members is stored in blocks, not in files", key="store")
+        if (self.in_blocks or self.members is not None) and self.needs_files:
+            raise SpecError(
+                f"blocks cannot be combined with {self.needs_files}, which needs `store: files`", key="store"
+            )
         return self
+
+    @property
+    def in_blocks(self) -> bool:
+        """Whether the study asks for blocks instead of a file for each run."""
+        return self.store not in (None, "files")
+
+    @property
+    def needs_files(self) -> str:
+        """What of the study is only possible with a file for each run, as text; empty if nothing is."""
+        families = self.families.values()
+        if any(reference not in ("none", None) for reference in (self.reference, *(one.reference for one in families))):
+            return "`reference`"
+        if any((repeats or 1) > 1 for repeats in (self.repeats, *(one.repeats for one in families))):
+            return "`repeats`"
+        return f"the measure {self.second_run_measures[0]}" if self.second_run_measures else ""
+
+    def stored_as(self, store: Storing | None) -> StudySpec:
+        """Return this spec with another `store`."""
+        if store == self.store:
+            return self
+        sections = self.sections() | {"store": store}
+        given = (self.model_fields_set | {"store"}) - ({"store"} if store is None else set())
+        spec = type(self)(**{name: value for name, value in sections.items() if name in given})
+        spec._document, spec._bases, spec._folder = self._document, self._bases, self._folder
+        spec._columns = self._columns
+        return spec
 
     @property
     def built_in_measures(self) -> tuple[str, ...] | None:

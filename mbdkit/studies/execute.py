@@ -55,6 +55,14 @@ class Shard:
         return place % self.count == self.number - 1
 
 
+def check_shard(shard: Shard | None, *, overwrite: bool) -> None:
+    """Raise SpecError if a part of a study is to overwrite the folder that it shares with other parts."""
+    if overwrite and shard is not None:
+        raise SpecError(
+            "--overwrite cannot be combined with --shard: it would remove what the calls for other parts computed"
+        )
+
+
 class Execution:
     """One execution of a study in a folder.
 
@@ -86,10 +94,7 @@ class Execution:
         notify: Callable[[str], None],
         overwrite: bool = False,
     ):
-        if overwrite and shard is not None:
-            raise SpecError(
-                "--overwrite cannot be combined with --shard: it would remove what the calls for other parts computed"
-            )
+        check_shard(shard, overwrite=overwrite)
         self.spec, self.folder, self.shard, self.overwrite = spec, folder, shard, overwrite
         self.progress, self.notify = progress, notify
         plan = plan_study(spec)
@@ -101,6 +106,11 @@ class Execution:
         self.unfinished: list[str] = []  # reasons outside the study why a run or a timing was not finished
         self.timings: dict[str, tuple[float, ...]] = {}
         self.second: dict[str, Outcome] = {}
+
+    @property
+    def count(self) -> int:
+        """Number of different runs of the study."""
+        return len(self.runs)
 
     def run(self, workers: int) -> None:
         """Compute missing runs, make the timings, and write the index; after Ctrl-C, index the results so far.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,6 @@ from mbdkit.analysis.reference import EVERY_ROW, LAST_ROW, carries_multipliers, 
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_size
-from mbdkit.spec import RunSpec
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -120,6 +120,12 @@ def _own_multipliers(run: Run, reference: Run | None) -> float:
     return float(carries_multipliers(run)) if run.records("constraints/multiplier") else math.nan
 
 
+@lru_cache(maxsize=1)
+def _trend_of(run: Run) -> Trend:
+    """Return the trend of the energy balance of a run, once for the measures that are based on it."""
+    return energy_trend(run)
+
+
 def _trend(value: Callable[[Trend], float]) -> Callable[[Run, Run | None], float]:
     """Return a measure based on the trend of the energy balance; nan if the run failed or has too few rows."""
 
@@ -127,7 +133,7 @@ def _trend(value: Callable[[Trend], float]) -> Callable[[Run, Run | None], float
         if run.status != "complete" or not run.records("energy/balance"):
             return math.nan
         try:
-            return value(energy_trend(run))
+            return value(_trend_of(run))
         except ValueError:
             return math.nan
 
@@ -142,7 +148,7 @@ def _size(run: Run, reference: Run | None) -> float:
     if not len(run.time):
         return math.nan
     try:
-        return mechanism_size(RunSpec(**run.spec).mechanism(), run.array("trajectory/position")[0])
+        return mechanism_size(run.run_spec.mechanism(), run.array("trajectory/position")[0])
     except MbdkitError:  # the plugin of its model is not installed here
         return math.nan
 

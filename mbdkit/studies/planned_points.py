@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import bisect
 import copy
-import itertools
+import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, overload
+
+import numpy as np
 
 from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path, parse_path, path_text
+from mbdkit.plain_data import Path, parse_path, path_text, plain
 from mbdkit.registry.manager import registry
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
-from mbdkit.spec.study_spec import Family, StudySpec
+from mbdkit.spec.study_spec import LARGEST_TABLE, Family, StudySpec
 from mbdkit.spec.value_sets import Value, expand, size
+from mbdkit.studies.member_table import read_members
 from mbdkit.text import listed, shortened
 
-#: Maximum number of runs in a study.
+#: Maximum number of runs in a study that writes a file for each.
 LARGEST_STUDY = 10_000
 
 #: Maximum number of values that the axes of a study set, over all runs.
@@ -51,25 +55,60 @@ class Grid:
     reference_place: Path
     repeats: int
 
-    def points(self) -> Iterator[tuple[dict[str, Label], list[Setting], str]]:
-        """Yield labels, settings and missing distribution of each point; the last axis varies fastest."""
-        for choice in itertools.product(*(range(len(axis[0][1])) for axis in self.axes)):
-            labels: dict[str, Label] = {}
-            settings: list[Setting] = []
-            lacking = ""
-            for number, (axis, index) in enumerate(zip(self.axes, choice, strict=True)):
-                for key, values in axis:
-                    value = values[index]
-                    labels[key] = value.label
-                    place = (*self.axes_place, number, key, *value.place)
-                    settings += (
-                        _settings(value.value, place)
-                        if value.together
-                        else [Setting(parse_key(key), value.value, place)]
-                    )
-                    if value.if_installed and not registry().has_distribution(value.if_installed):
-                        lacking = lacking or value.if_installed
-            yield labels, settings, lacking
+    table: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    @cached_property
+    def base_json(self) -> str:
+        """The spec of all points before the values of each are set, as JSON."""
+        data = {"mbdkit": 1, **copy.deepcopy(dict(self.base))}
+        for one in self.overrides:
+            put(data, one.path, copy.deepcopy(one.value))
+        return json.dumps(plain(data), separators=(",", ":"), ensure_ascii=False)
+
+    @property
+    def count(self) -> int:
+        """Number of points."""
+        if self.table:
+            return len(next(iter(self.table.values())))
+        return math.prod(self.shape)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values on each axis."""
+        return tuple(len(axis[0][1]) for axis in self.axes)
+
+    def point(self, index: int) -> tuple[dict[str, Label], list[Setting], str]:
+        """Return labels, settings and missing distribution of a point, counted from 0; the last axis varies fastest."""
+        labels: dict[str, Label] = {}
+        settings: list[Setting] = []
+        lacking = ""
+        for key, column in self.table.items():
+            labels[key] = column[index] if column.dtype == object else column[index].item()
+            settings.append(Setting(parse_key(key), labels[key], ("members",)))
+        choices = np.unravel_index(index, self.shape) if self.axes else ()
+        for number, (axis, choice) in enumerate(zip(self.axes, choices, strict=True)):
+            for key, values in axis:
+                value = values[choice]
+                labels[key] = value.label
+                place = (*self.axes_place, number, key, *value.place)
+                settings += (
+                    _settings(value.value, place) if value.together else [Setting(parse_key(key), value.value, place)]
+                )
+                if value.if_installed and not registry().has_distribution(value.if_installed):
+                    lacking = lacking or value.if_installed
+        return labels, settings, lacking
+
+    def labels(self) -> dict[str, np.ndarray]:
+        """Return the labels of all points on each axis, by dotted key: numbers, or an object array."""
+        found = dict(self.table)
+        places = np.unravel_index(np.arange(self.count), self.shape) if self.axes else ()
+        for axis, choices in zip(self.axes, places, strict=True):
+            for key, values in axis:
+                labels = [value.label for value in values]
+                is_text = any(isinstance(label, str) for label in labels)
+                column = np.array(list(map(str, labels)), object) if is_text else np.array(labels, float)
+                found[key] = column[choices]
+        return found
 
 
 def grids(spec: StudySpec) -> tuple[Grid, ...]:
@@ -83,28 +122,32 @@ def grids(spec: StudySpec) -> tuple[Grid, ...]:
     Raises
     ------
     SpecError
-        If there are more than `LARGEST_STUDY` points, or if their axes set more than `MOST_SETTINGS` values.
+        If there are too many points.
     """
     _check_size(spec)
+    if spec.members is not None:
+        return (replace(_grid(spec, "", Family(), ()), table=read_members(spec)),)
     if not spec.families:
         return (_grid(spec, "", Family(axes=spec.axes), ()),)
     return tuple(_grid(spec, name, family, ("families", name)) for name, family in spec.families.items())
 
 
+def number_of_points(spec: StudySpec) -> int:
+    """Return the number of points of a study, of which none is made for that."""
+    if spec.members is not None:
+        return spec.members.runs
+    grids_of_axes = [family.axes for family in spec.families.values()] or [spec.axes]
+    return sum(math.prod(size(next(iter(axis.values()))) for axis in axes) for axes in grids_of_axes)
+
+
 def _check_size(spec: StudySpec) -> None:
     """Check the number of points before any of them exists."""
-    runs = settings = 0
-    for axes in [family.axes for family in spec.families.values()] or [spec.axes]:
-        points = math.prod(size(next(iter(axis.values()))) for axis in axes)
-        runs += points
-        settings += points * sum(map(len, axes))
+    runs = number_of_points(spec)
     key = "families" if spec.families else "axes"
-    if runs > LARGEST_STUDY:
+    if runs > LARGEST_TABLE or (runs > LARGEST_STUDY and (spec.store == "files" or spec.needs_files)):
         told = runs if runs < 10**12 else "too many"
-        raise spec.placed(SpecError(f"makes {told} runs; a study has at most {LARGEST_STUDY}", key=key))
-    if settings > MOST_SETTINGS:
-        message = f"sets {settings} values in {runs} runs; a study sets at most {MOST_SETTINGS}"
-        raise spec.placed(SpecError(message, key=key))
+        most = f"{LARGEST_STUDY} with a file for each" if runs <= LARGEST_TABLE else f"{LARGEST_TABLE}"
+        raise spec.placed(SpecError(f"makes {told} runs; a study has at most {most}", key=key))
 
 
 def _grid(spec: StudySpec, name: str, family: Family, place: Path) -> Grid:
@@ -244,6 +287,63 @@ def _origin(path: Path, settings: tuple[Setting, ...], grid: Grid) -> tuple[Path
     return (*grid.base_place, *path), True
 
 
+class PlannedPoints(Sequence[PlannedPoint]):
+    """All points of a study, each made when it is asked for.
+
+    Parameters
+    ----------
+    spec
+        The study spec with its bases resolved.
+
+    Raises
+    ------
+    SpecError
+        If there are too many points.
+    """
+
+    def __init__(self, spec: StudySpec):
+        self.study = spec
+        self.grids = grids(spec)
+        self._ends = np.cumsum([grid.count for grid in self.grids]).tolist()
+
+    def __len__(self) -> int:
+        return int(self._ends[-1])
+
+    @overload
+    def __getitem__(self, index: int) -> PlannedPoint: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[PlannedPoint, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> PlannedPoint | tuple[PlannedPoint, ...]:
+        if isinstance(index, slice):
+            return tuple(self[place] for place in range(*index.indices(len(self))))
+        place = range(len(self))[index]
+        number = bisect.bisect_right(self._ends, place)
+        grid = self.grids[number]
+        labels, settings, lacking = grid.point(place - (self._ends[number] - grid.count))
+        return PlannedPoint(place + 1, labels, self.study, grid, tuple(settings), lacking)
+
+    def labels(self) -> dict[str, np.ndarray]:
+        """Return the labels of all points on each axis by dotted key, (N,); nan or None for points without the axis."""
+        parts = [grid.labels() for grid in self.grids]
+        found = {}
+        for key in dict.fromkeys(key for part in parts for key in part):
+            columns = [part.get(key) for part in parts]
+            is_text = any(column is not None and column.dtype == object for column in columns)
+            dtype = object if is_text else np.result_type(*(float if one is None else one.dtype for one in columns))
+            filled = [
+                np.full(grid.count, None if is_text else np.nan, dtype) if column is None else column.astype(dtype)
+                for grid, column in zip(self.grids, columns, strict=True)
+            ]
+            found[key] = np.concatenate(filled)
+        return found
+
+    def families(self) -> np.ndarray:
+        """Return the name of the family of each point, (N,) objects."""
+        return np.repeat(np.array([grid.name for grid in self.grids], object), [grid.count for grid in self.grids])
+
+
 def plan_points(spec: StudySpec) -> tuple[PlannedPoint, ...]:
     """Return all points of a study; their run specs are built on first access.
 
@@ -257,11 +357,15 @@ def plan_points(spec: StudySpec) -> tuple[PlannedPoint, ...]:
     SpecError
         If there are more than `LARGEST_STUDY` points, or if their axes set more than `MOST_SETTINGS` values.
     """
-    chosen = [(grid, *point) for grid in grids(spec) for point in grid.points()]
-    return tuple(
-        PlannedPoint(number, labels, spec, grid, tuple(settings), lacking)
-        for number, (grid, labels, settings, lacking) in enumerate(chosen, start=1)
-    )
+    points = PlannedPoints(spec)
+    settings = sum(grid.count * sum(map(len, grid.axes)) for grid in points.grids)
+    if len(points) > LARGEST_STUDY or settings > MOST_SETTINGS:
+        message = (
+            f"makes {len(points)} runs and sets {settings} values in them; a study with a file for each run has at "
+            f"most {LARGEST_STUDY} runs and {MOST_SETTINGS} values"
+        )
+        raise spec.placed(SpecError(message, key="families" if spec.families else "axes"))
+    return tuple(points)
 
 
 def distinct_runs(points: Iterable[PlannedPoint]) -> Iterator[tuple[str, RunSpec]]:

@@ -14,13 +14,14 @@ import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from mbdkit.errors import ResourceError
 from mbdkit.spec import RunSpec
+from mbdkit.studies.study_folder import StudyFolder
 
 #: Thread counts of the linear algebra libraries: several threads do not pay for small matrices, and the workers would
 #: compete for the cores.
@@ -41,12 +42,63 @@ class Task:
         If not 0, no archive is written, and the run is timed this many times in memory after one warm-up run.
     second
         If not empty, no archive is written, and these measures are taken from a second run in memory.
+    tried
+        Whether the first process that tried it died.
     """
 
     spec: RunSpec
     path: Path
     repeats: int = 0
     second: tuple[str, ...] = ()
+    tried: bool = False
+
+    def message(self) -> dict[str, Any]:
+        """Return what a worker needs to carry out the task."""
+        spec = json.loads(self.spec.canonical_json())
+        return {"spec": spec, "path": str(self.path.absolute()), "repeats": self.repeats, "second": self.second}
+
+    def after_death(self, how: str) -> Task | None:
+        """Return the task to try after a process died of this one, as `how` says; None if it is given up."""
+        return None if self.tried else replace(self, tried=True)
+
+
+@dataclass(frozen=True)
+class BlockTask:
+    """A task for a worker: a block of a study.
+
+    Parameters
+    ----------
+    deaths
+        Numbers of processes that died at a run, by its number; 0 for those that died between runs.
+    skip
+        Reasons for which runs are recorded as failed without being computed, by their number.
+    """
+
+    folder: StudyFolder
+    block: int
+    deaths: Mapping[int, int] = field(default_factory=dict)
+    skip: Mapping[int, str] = field(default_factory=dict)
+
+    @property
+    def path(self) -> Path:
+        """File of the block."""
+        return self.folder.block(self.block)
+
+    def message(self) -> dict[str, Any]:
+        """Return what a worker needs to carry out the task."""
+        place, skip = str(self.folder.path.absolute()), {str(run): reason for run, reason in self.skip.items()}
+        return {"folder": place, "block": self.block, "skip": skip, "path": str(self.path.absolute())}
+
+    def after_death(self, how: str) -> BlockTask | None:
+        """Return the task to try after a process died of this one; the second time, the run at work is left out."""
+        run = self.folder.run_at_work(self.block) or 0
+        deaths = {**self.deaths, run: self.deaths.get(run, 0) + 1}
+        if sum(deaths.values()) > MOST_DEATHS or deaths.get(0, 0) > 1:
+            return None
+        skip = dict(self.skip)
+        if run and deaths[run] > 1:
+            skip[run] = died(how)
+        return replace(self, deaths=deaths, skip=skip)
 
 
 @dataclass(frozen=True)
@@ -64,7 +116,18 @@ class Outcome:
         return self.reason.startswith(PASSING)
 
 
-class Pool:
+Work = TypeVar("Work", Task, BlockTask)
+
+MOST_DEATHS = 20
+"""Processes that may die in one block before it is given up."""
+
+
+def died(how: str) -> str:
+    """Return the reason of failure of a run of which two processes died, the second one as `how` says."""
+    return f"worker-died: two processes that computed it died; the second one {how}."
+
+
+class Pool(Generic[Work]):
     """Worker processes with one linear algebra thread each, for use in a `with` block, which ends them.
 
     Parameters
@@ -78,10 +141,10 @@ class Pool:
     def __init__(self, size: int, notify: Callable[[str], None]):
         self.size = size
         self.notify = notify
-        self._workers: list[_Worker] = []
+        self._workers: list[_Worker[Work]] = []
         self._said: set[str] = set()
 
-    def work(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Outcome]]:
+    def work(self, tasks: Sequence[Work]) -> Iterator[tuple[Work, Outcome]]:
         """Start the tasks in order, and yield each with its outcome when it is finished.
 
         Raises
@@ -90,8 +153,7 @@ class Pool:
             If the system refuses all processes.
         """
         waiting = deque(tasks)
-        lines: queue.SimpleQueue[tuple[_Worker, str]] = queue.SimpleQueue()
-        again: set[Path] = set()  # archives of tasks whose first process died
+        lines: queue.SimpleQueue[tuple[_Worker[Work], str]] = queue.SimpleQueue()
         while waiting and len(self._workers) < min(self.size, len(tasks)) and (added := self._started(lines)):
             added.give(waiting.popleft())
         while any(worker.task for worker in self._workers):
@@ -115,23 +177,22 @@ class Pool:
                 how = worker.death()
                 self._workers.remove(worker)
                 worker.end()
-                is_first = task.path not in again
-                if is_first:
-                    again.add(task.path)
-                    waiting.appendleft(task)
+                following = task.after_death(how)
+                if following is not None:
+                    waiting.appendleft(following)
                 if waiting and (added := self._started(lines)):
                     added.give(waiting.popleft())
-                if is_first:
+                if following is not None:
                     continue
-                outcome = Outcome("failed", f"worker-died: two processes that computed it died; the second one {how}.")
+                outcome = Outcome("failed", died(how))
             if waiting and worker in self._workers:
                 worker.give(waiting.popleft())
             yield task, outcome
 
-    def _started(self, lines: queue.SimpleQueue[tuple[_Worker, str]]) -> _Worker | None:
+    def _started(self, lines: queue.SimpleQueue[tuple[_Worker[Work], str]]) -> _Worker[Work] | None:
         """Start another process; return None if the system refuses it, but others are running."""
         try:
-            worker = _Worker(lines)
+            worker: _Worker[Work] = _Worker(lines)
         except OSError as error:
             message = f"a process of the study cannot be started: {error.strerror or error}"
             if not self._workers:
@@ -146,7 +207,7 @@ class Pool:
             self._said.add(text)
             self.notify(text)
 
-    def __enter__(self) -> Pool:
+    def __enter__(self) -> Pool[Work]:
         return self
 
     def __exit__(
@@ -156,11 +217,11 @@ class Pool:
             worker.end()
 
 
-class _Worker:
+class _Worker(Generic[Work]):
     """One process, its task, and a thread that forwards its output."""
 
-    def __init__(self, lines: queue.SimpleQueue[tuple[_Worker, str]]):
-        self.task: Task | None = None
+    def __init__(self, lines: queue.SimpleQueue[tuple[_Worker[Work], str]]):
+        self.task: Work | None = None
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115
         environment = os.environ | dict.fromkeys(ONE_THREAD, "1")
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
@@ -181,22 +242,19 @@ class _Worker:
             raise
         threading.Thread(target=self._listen, args=(lines,), daemon=True).start()
 
-    def _listen(self, lines: queue.SimpleQueue[tuple[_Worker, str]]) -> None:
+    def _listen(self, lines: queue.SimpleQueue[tuple[_Worker[Work], str]]) -> None:
         assert self.process.stdout is not None
         with self.process.stdout as output:  # closed here: closing it in another thread would wait for this one
             for line in output:
                 lines.put((self, line))
         lines.put((self, ""))
 
-    def give(self, task: Task) -> None:
+    def give(self, task: Work) -> None:
         """Send a task to the process; if the process is dead, the end of its output reports that."""
         self.task = task
-        spec = json.loads(task.spec.canonical_json())
-        place = str(task.path.absolute())
-        text = json.dumps({"spec": spec, "path": place, "repeats": task.repeats, "second": task.second})
         assert self.process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
-            self.process.stdin.write(text + "\n")
+            self.process.stdin.write(json.dumps(task.message()) + "\n")
             self.process.stdin.flush()
 
     def death(self) -> str:

@@ -2,37 +2,33 @@
 
 from __future__ import annotations
 
+import operator
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.archive.missing_plugins import advised
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.html_view import HtmlView
-from mbdkit.logs import logger_of
 from mbdkit.measures.take import Description
-from mbdkit.progress_bars import count_bar, in_notebook
+from mbdkit.simulation import simulate
 from mbdkit.spec import RunSpec
-from mbdkit.spec.run_source import StudySource
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
-from mbdkit.studies.execute import Execution, Progress, Shard
 from mbdkit.studies.planned_points import Label, PlannedPoint, plan_points, point_label
+from mbdkit.studies.selection import select_rows
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Row
-from mbdkit.terminal import say
-from mbdkit.text import counted, did_you_mean, listed, shown
+from mbdkit.text import did_you_mean, listed
 
 if TYPE_CHECKING:
     import pandas
     import xarray
-
-_LOG = logger_of(__name__)
 
 
 @dataclass(frozen=True)
@@ -146,12 +142,16 @@ class Study(HtmlView):
         if not self._files.spec.is_file():
             raise SpecError("this folder contains no study: there is no study.yaml", file=folder)
         self.spec: StudySpec = load_study_spec(self._files.spec)
+        self._open()
+
+    def _open(self) -> None:
+        """Read the index."""
         index = study_index.read(self._files.index)
         planned = plan_points(self.spec)
         if index.study_sha256 != self.spec.sha256() or len(index.runs) != len(planned):
-            raise SpecError("the index does not match study.yaml; run `mbdkit study` to renew it", file=folder)
+            raise SpecError("the index does not match study.yaml; run `mbdkit study` to renew it", file=self.folder)
         self._index = index
-        self.points: tuple[StudyPoint, ...] = tuple(
+        self.points: Sequence[StudyPoint] = tuple(
             StudyPoint(point.number, row, point, self._archive(row), point.axes)
             for point, row in zip(planned, index.runs, strict=True)
         )
@@ -187,11 +187,18 @@ class Study(HtmlView):
 
         Runs that are left out because a distribution is not installed do not count as missing.
         """
-        rows = (*self.points, *self.references)
-        return "partial" if any(point.status == "missing" for point in rows) else "complete"
+        return "partial" if "missing" in (*self.statuses(), *(one.status for one in self.references)) else "complete"
+
+    def statuses(self) -> Sequence[str]:
+        """Return the status of each point."""
+        return [point.status for point in self.points]
+
+    def verdicts(self) -> Sequence[str]:
+        """Return the verdict on the run of each point; empty where there is none."""
+        return [point.verdict for point in self.points]
 
     @property
-    def failures(self) -> tuple[StudyPoint, ...]:
+    def failures(self) -> Sequence[StudyPoint]:
         """The points and references whose runs failed."""
         return tuple(point for point in (*self.points, *self.references) if point.status == "failed")
 
@@ -224,9 +231,73 @@ class Study(HtmlView):
         grid = self._one_family(family)[0].planned.grid
         return {key: [value.label for value in values] for axis in grid.axes for key, values in axis}
 
-    def run(self, point: StudyPoint) -> Run | None:
-        """Open the archive of a point, or return None if it has none. Close the run, or use it in a `with` block."""
-        return None if point.path is None else load(point.path)
+    def run(self, point: StudyPoint | int) -> Run | None:
+        """Return the run of a point, or None if it has no results. Close the run, or use it in a `with` block.
+
+        Parameters
+        ----------
+        point
+            A point, or its place among the points, counted from 0 as in `points` and in the table of `to_frame`.
+        """
+        path = self._point(point).path
+        return None if path is None else load(path)
+
+    def remake(self, point: StudyPoint | int) -> Run:
+        """Integrate the run of a point again, and return it with all of its arrays, in memory.
+
+        Parameters
+        ----------
+        point
+            As for `run`.
+
+        Raises
+        ------
+        MbdkitError
+            If the run has no results, or if its data are not those that were stored, to the bit: `data_sha256` differs.
+        """
+        chosen = self._point(point)
+        if not chosen.row.data_sha256:
+            raise MbdkitError(f"run {chosen.number} has no results, so it cannot be made again: {chosen.status}")
+        run = simulate(chosen.spec)
+        if run.data_sha256 != chosen.row.data_sha256:
+            written, now = self._written_by(chosen), version("mbdkit")
+            why = f"; mbdkit {written} wrote it, this is {now}" if written != now else ""
+            raise MbdkitError(f"run {chosen.number} computed again has other data than those stored{why}")
+        return run
+
+    def _point(self, point: StudyPoint | int) -> StudyPoint:
+        return point if isinstance(point, StudyPoint) else self.points[operator.index(point)]
+
+    def _written_by(self, point: StudyPoint) -> str:
+        """Return the version of mbdkit that computed the run of a point."""
+        run = self.run(point)
+        if run is None:
+            return "unknown"
+        with run:
+            return str(run.provenance.get("mbdkit", "unknown"))
+
+    def select(self, condition: str) -> pandas.DataFrame:
+        """Return the rows of `to_frame` that satisfy a condition on its columns.
+
+        Parameters
+        ----------
+        condition
+            Comparisons of columns, numbers and quoted text, such as ``misalignment_max < 1e-6 and status == 'failed'``;
+            with ``and``, ``or``, ``not``, ``in [...]``, ``+ - * / **``, abs, sqrt, log10 and isnan. It is not
+            evaluated as Python.
+
+        Raises
+        ------
+        SpecError
+            If the condition cannot be parsed, or refers to an unknown column.
+        MbdkitError
+            If pandas is not installed.
+        """
+        frame = self.to_frame()
+        rows = select_rows(condition, {str(name): frame[name].to_numpy() for name in frame.columns})
+        selected = frame[rows]
+        selected.attrs = frame.attrs
+        return selected
 
     def reference(self, point: StudyPoint) -> Run | None:
         """Open the archive of the reference run of a point, or return None if it has none."""
@@ -284,12 +355,20 @@ class Study(HtmlView):
         except ImportError as error:
             raise MbdkitError("to_frame needs the package pandas: pip install pandas") from error
         points = self.points if family is None else self.family(family)
+        frame = pandas.DataFrame(self._table(points))
+        frame.attrs["units"] = self._units()
+        return frame
+
+    def _table(self, points: Sequence[StudyPoint]) -> dict[str, Any]:
+        """Return the columns of a table of some points."""
         keys = dict.fromkeys(key for point in points for key in point.axes)
         axes = {key: [point.axes.get(key) for point in points] for key in keys}
         place = {"number": [point.number for point in points], "family": [point.family for point in points]}
-        frame = pandas.DataFrame({**place, **axes, **self._columns(points)})
-        frame.attrs["units"] = {name: self._index.described(name).units for name in points[0].values}
-        return frame
+        return {**place, **axes, **self._columns(points)}
+
+    def _units(self) -> dict[str, str]:
+        """Return the unit of each numeric column."""
+        return {name: self._index.described(name).units for name in self.points[0].values}
 
     def to_xarray(self, family: str | None = None) -> xarray.Dataset:
         """Return the grid of one family as a dataset with one dimension per axis.
@@ -312,6 +391,8 @@ class Study(HtmlView):
 
         points = self._one_family(family)
         axes = points[0].planned.grid.axes
+        if points[0].planned.grid.table:
+            raise MbdkitError("the runs of this study are no grid but a table of members; to_frame returns them")
         dims = [axis[0][0] for axis in axes]
         shape = [len(axis[0][1]) for axis in axes]
         coordinates = {
@@ -331,113 +412,3 @@ class Study(HtmlView):
 
     def __repr__(self) -> str:
         return f"<Study of {len(self.points)} runs, {self.status}, {self.folder}>"
-
-
-def load_study(folder: str | Path) -> Study:
-    """Open the folder of a study without computing anything.
-
-    Parameters
-    ----------
-    folder
-        Folder that was written by `study` or ``mbdkit study``.
-
-    Raises
-    ------
-    SpecError
-        If the folder contains no study with an index.
-
-    Examples
-    --------
-    >>> import mbdkit
-    >>> study = mbdkit.study(
-    ...     {"mbdkit_study": 1, "base": "pendulum", "axes": [{"time.step": [0.02, 0.01]}]}, out="steps"
-    ... )
-    >>> len(mbdkit.load_study("steps").points)
-    2
-    """
-    return Study(folder)
-
-
-def study(
-    source: StudySource,
-    *,
-    out: str | Path | None = None,
-    workers: int = 1,
-    shard: Shard | None = None,
-    progress: Progress | None = None,
-    notify: Callable[[str], None] = say,
-    assignments: Sequence[str] = (),
-    overwrite: bool = False,
-) -> Study:
-    """Run a study: compute the runs that are missing in its folder.
-
-    Parameters
-    ----------
-    source
-        Name of a packaged study, path of a file, mapping, or `StudySpec`.
-    out
-        Folder of the study; by default a temporary one that is deleted with the returned study.
-    workers
-        Number of processes that compute in parallel.
-    shard
-        Part of the study to compute; by default all of it.
-    progress
-        Called with (tasks done, tasks in all, failed runs) after each task. By default, notebooks show a progress
-        bar.
-    notify
-        Called with a message before an operation that takes long.
-    assignments
-        Assignments such as ``"time.end=5"`` that are set in the base of every run.
-    overwrite
-        Whether to start the folder anew: its study.yaml, index, archives of runs and report are removed first, once the
-        new study has proved valid. Other files in it are kept.
-
-    Returns
-    -------
-    Study
-        The study with its index. Failed runs do not raise an error; they are part of the results. A run for which a
-        resource is lacking, such as disk space, is missing; `Study.unfinished` has the reasons.
-
-    Raises
-    ------
-    SpecError
-        If the study or one of its runs is invalid, or the folder belongs to another study. Nothing is written in this
-        case.
-    ResourceError
-        If the folder cannot be written to, is in use by another call, or no process can be started.
-
-    Examples
-    --------
-    >>> import mbdkit
-    >>> study = mbdkit.study(
-    ...     {
-    ...         "mbdkit_study": 1,
-    ...         "base": "pendulum",
-    ...         "overrides": {"time": {"end": 1.0, "step": 0.01}},
-    ...         "axes": [{"integrator": [{"name": "rk4"}, {"name": "gauss"}]}, {"time.step": [0.02, 0.01]}],
-    ...     },
-    ...     out="methods",
-    ... )
-    >>> [point.status for point in study.points]
-    ['complete', 'complete', 'complete', 'complete']
-    """
-    spec = load_study_spec(source, assignments)
-    keep = None
-    if out is None:
-        keep = tempfile.TemporaryDirectory(prefix="mbdkit-study-")
-        out = keep.name
-    folder = StudyFolder(Path(out))
-    try:
-        is_shown = progress is None and in_notebook()
-        with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:
-            execution = Execution(
-                spec, folder, shard=shard, progress=progress or bar, notify=notify, overwrite=overwrite
-            )
-            _LOG.info("study in %s begins: %s", shown(folder.path), counted(len(execution.runs), "run"))
-            execution.run(workers)
-            _LOG.info(
-                "study in %s ends: %d computed, %d failed", shown(folder.path), execution.computed, execution.failed
-            )
-    except SpecError as error:
-        raise advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
-    return Study(folder.path, computed=execution.computed, unfinished=execution.unfinished, keep=keep)

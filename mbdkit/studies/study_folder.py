@@ -16,12 +16,13 @@ from mbdkit.spec.reading import read_file
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.spec.yaml_reader import write_yaml
+from mbdkit.studies import member_table
 
 #: Beginning of the name of study.yaml while it is written.
 _BEGUN = ".study.yaml-"
 
-#: Names of archives of runs, also of unfinished ones; see `RunSpec.run_id`.
-_ARCHIVE = re.compile(r"[0-9a-f]{16}\.h5(\.part)?")
+#: Names of archives of runs, see `RunSpec.run_id`, of blocks, also of unfinished ones, and their marks.
+_ARCHIVE = re.compile(r"([0-9a-f]{16}|block-[0-9]{6,})\.h5(\.part)?|\.block-[0-9]{6,}\.at")
 
 #: What every page of mbdkit contains near its beginning.
 _GENERATOR = b'<meta name="generator" content="mbdkit '
@@ -44,6 +45,21 @@ class StudyFolder:
     def archive(self, run_id: str) -> Path:
         """Return the path of the archive of a run, whether it exists or not."""
         return self.runs / f"{run_id}.h5"
+
+    def block(self, number: int) -> Path:
+        """Return the path of a block of runs, counted from 0, whether it exists or not."""
+        return self.runs / f"block-{number:06d}.h5"
+
+    def mark(self, number: int) -> Path:
+        """Return the path of the file that names the run at work in a block."""
+        return self.runs / f".block-{number:06d}.at"
+
+    def run_at_work(self, number: int) -> int | None:
+        """Return the number of the run that a process was computing when it died in a block; None if there is none."""
+        try:
+            return int(self.mark(number).read_bytes()[:8])
+        except (OSError, ValueError):
+            return None
 
     def check(self, spec: StudySpec, *, overwrite: bool = False) -> None:
         """Check that the folder can be used for this study, without changing anything.
@@ -116,7 +132,8 @@ class StudyFolder:
         with self.locked():
             try:
                 self.index.unlink(missing_ok=True)
-                for path in self.runs.glob("*.h5*"):
+                (self.path / member_table.FILE).unlink(missing_ok=True)
+                for path in [*self.runs.iterdir()] if self.runs.is_dir() else ():
                     if _ARCHIVE.fullmatch(path.name) and not path.is_dir():
                         path.unlink()
                 self._clear_report()
@@ -163,6 +180,8 @@ class StudyFolder:
                 finally:
                     begun.unlink(missing_ok=True)
             self._check_same(spec)  # it may have appeared since `check`
+            if spec.members is not None and not (self.path / member_table.FILE).exists():
+                member_table.write_members(spec, self.path)
             self.runs.mkdir(exist_ok=True)
         except OSError as error:
             raise file_error(error.errno, f"cannot be created: {error.strerror or error}", file=self.path) from error

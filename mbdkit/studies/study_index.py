@@ -127,7 +127,7 @@ class Index:
         KeyError
             If there is no such column.
         """
-        return self.defined[name] if name in self.defined else _described(name)
+        return self.defined[name] if name in self.defined else describe_column(name)
 
 
 def axis_column(key: str) -> str:
@@ -216,7 +216,8 @@ def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row], inde
         add("wall_repeats_s", padded, FLOAT, "s", "wall time of each serial timing", (dim, "repeat"))
 
 
-def _described(name: str) -> Description:
+def describe_column(name: str) -> Description:
+    """Return what describes a numeric column that any study may have; raises KeyError if there is no such column."""
     if name in MEASURES:
         return Description(MEASURES[name].units, MEASURES[name].long_name)
     if name in OF_CHECKED_RUNS:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.studies.study_index import STATUSES
@@ -11,7 +11,10 @@ from mbdkit.text import counted, shown
 from mbdkit.trust.criteria import LEVELS
 
 if TYPE_CHECKING:
+    from mbdkit.measures.take import Description
     from mbdkit.spec.study_spec import StudySpec
+    from mbdkit.studies.compute_block import BlockStudyPlan
+    from mbdkit.studies.planned_points import Grid
     from mbdkit.studies.study import Study, StudyPoint
     from mbdkit.studies.study_plan import StudyPlan
 
@@ -21,10 +24,10 @@ FAILURES_SHOWN = 20
 
 def summary(study: Study) -> str:
     """Return a plain text summary of a study: counts of runs, failures with their reasons, and folder."""
-    counts = Counter(point.status for point in study.points)
+    counts = Counter(study.statuses())
     runs = ", ".join(f"{counts[status]} {status.replace('-', ' ')}" for status in STATUSES if counts[status])
     beside = f"; reference runs: {len(study.references)}" if study.references else ""
-    levels = Counter(point.verdict for point in study.points)
+    levels = Counter(study.verdicts())
     verdicts = ", ".join(f"{levels[level]} {level}" for level in LEVELS if levels[level])
     lines = [
         ("study", " ".join(study.spec.title.split())),
@@ -34,7 +37,7 @@ def summary(study: Study) -> str:
         ("folder", str(study.folder)),
     ]
     text = [f"{label:<10} {shown(value)}" for label, value in lines if value]
-    absent = Counter(point.reason for point in study.points if point.status == "left-out")
+    absent = Counter(point.reason for point in study.points if point.status == "left-out") if counts["left-out"] else {}
     text += [f"left out   {count} of {len(study.points)}: {shown(reason)}" for reason, count in absent.items()]
     text += [shown(f"failed     {_named(point)}: {point.reason}") for point in study.failures[:FAILURES_SHOWN]]
     if len(study.failures) > FAILURES_SHOWN:
@@ -62,14 +65,48 @@ def plan_summary(spec: StudySpec, plan: StudyPlan) -> str:
         *(("left out", f"{count}: the distribution {name} is not installed") for name, count in absent.items()),
     ]
     grids = {point.grid.name: point.grid for point in plan.points}
-    for grid in grids.values():
+    return _plan_text([*lines, *_grid_lines(grids.values()), *_measure_lines(plan.defined)])
+
+
+def block_plan_summary(plan: BlockStudyPlan) -> str:
+    """Return a plain text summary of a study in blocks before it runs.
+
+    Specs that are not among the samples of the plan are validated when they are computed.
+
+    Raises
+    ------
+    SpecError
+        If the spec of a sample is invalid.
+    """
+    checked = [point for point in plan.samples if not point.lacking and point.spec]
+    lines = [
+        ("study", " ".join(plan.spec.title.split())),
+        (
+            "runs",
+            f"{len(plan.points)}, in {counted(plan.blocks.count, 'block')}; the specs of {len(checked)} are valid",
+        ),
+        ("store", str(plan.spec.store)),
+    ]
+    return _plan_text([*lines, *_grid_lines(plan.points.grids), *_measure_lines(plan.defined)])
+
+
+def _grid_lines(grids: Iterable[Grid]) -> Iterator[tuple[str, str]]:
+    for grid in grids:
         if grid.name:
-            lines.append(("family", grid.name))
+            yield "family", grid.name
+        for key in grid.table:
+            yield "values", f"{key}: {_few(grid.table[key].tolist())}"
         for axis in grid.axes:
             keys = " with ".join(key for key, _ in axis)
-            lines.append(("axis", f"{keys}: {_few([value.label for value in axis[0][1]])}"))
-    for name, column in plan.defined.items():
-        lines.append(("measure", f"{name} [{column.units}]: {column.long_name}"))
+            yield "axis", f"{keys}: {_few([value.label for value in axis[0][1]])}"
+
+
+def _measure_lines(defined: Mapping[str, Description]) -> Iterator[tuple[str, str]]:
+    for name, column in defined.items():
+        yield "measure", f"{name} [{column.units}]: {column.long_name}"
+
+
+def _plan_text(lines: Iterable[tuple[str, str]]) -> str:
     return "\n".join(f"{label:<10} {shown(value)}" for label, value in lines if value)
 
 
@@ -87,8 +124,7 @@ def _named(point: StudyPoint) -> str:
 
 def outcome(study: Study) -> dict[str, Any]:
     """Return the results of a study run as values for JSON."""
-    counts = Counter(point.status for point in study.points)
-    levels = Counter(point.verdict for point in study.points)
+    counts, levels = Counter(study.statuses()), Counter(study.verdicts())
     return {
         "path": str(study.folder),
         "title": study.spec.title,

@@ -12,11 +12,12 @@ import os
 import queue
 import sys
 import threading
+from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any
 
-from mbdkit.errors import MbdkitError, PluginError, ResourceError, SpecError
-from mbdkit.text import one_line
+from mbdkit.batch import refusal
+from mbdkit.errors import SpecError
 
 
 def main() -> None:
@@ -49,23 +50,21 @@ def _outcome(task: dict[str, Any], notify: Any) -> dict[str, Any]:
     except SpecError as error:
         if error.file == task["path"]:  # the folder of the study was changed, and the spec is not to blame
             return {"status": "missing", "reason": f"no-resources: {error}"}
-        return {"status": "failed", "reason": f"wrong-input: {error}"}
-    except (ResourceError, OSError) as error:
-        return {"status": "missing", "reason": f"no-resources: {error}"}
-    except MemoryError:
-        return {"status": "missing", "reason": "no-resources: there is not enough memory."}
-    except PluginError as error:
-        return {"status": "failed", "reason": f"plugin-error: {error}"}
-    except MbdkitError as error:
-        return {"status": "failed", "reason": f"error: {error}"}
+        return asdict(refusal(error))
     except (Exception, SystemExit) as error:
-        return {"status": "failed", "reason": f"error: {one_line(error)}"}
+        return asdict(refusal(error))
 
 
 def _work(task: dict[str, Any], notify: Any) -> dict[str, Any]:
     from mbdkit.simulation import simulate
     from mbdkit.spec import RunSpec
 
+    if "block" in task:
+        from mbdkit.studies.compute_block import compute_block
+
+        skip = {int(run): reason for run, reason in task["skip"].items()}
+        failed = compute_block(task["folder"], task["block"], skip=skip, notify=notify)
+        return {"status": "complete", "reason": "", "values": {"failed": failed}}
     spec = RunSpec(**task["spec"])
     if task["second"]:
         from mbdkit.studies.second_run_measures import second_run

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.writer import ArchiveNames, ArchiveWriter
+from mbdkit.archive.run_writer import ArchiveNames
+from mbdkit.archive.writer import ArchiveWriter
 
 SPEC = {
     "mbdkit": 1,

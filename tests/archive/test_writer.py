@@ -134,7 +134,7 @@ def test_run_killed_in_the_middle_of_a_flush_has_whole_rows_of_the_flush_before(
     fill(into, 30)
     into._write_more()
     into.append(rows(10, names(), 30))
-    table, file = into._rows, into._file
+    table, file = into._tables["time"], into._file
     for series in table.series[:written]:  # as if the process were killed before the others
         series.extend(table._buffers[series.array.key][: table.waiting], table.written)
     file.flush()

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit.cli import app
 from mbdkit.report.report import report
-from mbdkit.studies.study import study as run_study
+from mbdkit.studies.carry_out import study as run_study
 from tests.report.browser import executable, launched
 from tests.synthetic_runs import make_run as make_run
 

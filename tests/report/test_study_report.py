@@ -13,9 +13,9 @@ from mbdkit.report.slope_guides import with_slope_guides
 from mbdkit.report.study_report import study_report
 from mbdkit.spec.key_words import key_words
 from mbdkit.studies.axis_words import point_words
+from mbdkit.studies.carry_out import load_study
+from mbdkit.studies.carry_out import study as run_study
 from mbdkit.studies.execute import Shard
-from mbdkit.studies.study import load_study
-from mbdkit.studies.study import study as run_study
 from tests.report.conftest import STUDY
 
 

@@ -70,7 +70,8 @@ def test_a_stopped_run_reports_no_misalignment_from_beyond_its_last_row(every: i
     writer = ArchiveWriter(None, names, given.canonical_json(), given.sha256(), "a-run", {})
     simulation = _Simulation(given, workspace, Exploding(), writer, 0.0, (), None)
     simulation.integrate(None)
-    with simulation.finish() as run:
+    simulation.finish()
+    with simulation.run() as run:
         assert run.status_reason.startswith("fell-apart: ")
         assert run.misalignment_max == run.array("joints/misalignment").max() <= 1.5
         assert run.verdict == "bad"

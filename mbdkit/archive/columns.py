@@ -1,0 +1,109 @@
+"""Columns of tables with one row per run: numbers, texts and hashes, written and read as whole arrays.
+
+A column of texts is stored as numbers and the different texts they stand for, because in tables of runs few texts
+differ; the attribute `texts` of the numbers names the array of texts. A column of hashes is an array of bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import h5py
+import numpy as np
+from h5py import h5p
+
+from mbdkit.archive.hdf5 import create, set_text
+from mbdkit.archive.layout import TEXT, Array
+
+_LEVEL = 4
+"""Of deflate; higher ones take longer, and make results smaller by a few per cent only."""
+
+SMALL = 4096
+"""Arrays with fewer bytes are not compressed."""
+
+CHUNK = 1 << 18
+"""Size of a compressed chunk [bytes]; a chunk has whole runs, so that reading one run unpacks few others."""
+
+
+def write_column(
+    file: h5py.File,
+    array: Array,
+    values: np.ndarray | Sequence[str],
+    *,
+    compress: bool = False,
+    under: str = "",
+) -> h5py.Dataset:
+    """Write a column, or an array whose first axis is that of the runs.
+
+    Parameters
+    ----------
+    array
+        Path, axes, units and description. The group and the dimension scales must exist.
+    values
+        Numbers, or strings if ``array.dtype`` is `TEXT`.
+    compress
+        Whether numbers are compressed.
+    under
+        As for `create`.
+    """
+    if array.dtype != TEXT:
+        plan = _plan(values, array) if compress else None
+        return create(file, array, np.ascontiguousarray(values, array.dtype), plan=plan, under=under)
+    texts, codes = _coded(values)
+    scale = Array(f"{array.path}_texts", (f"{array.name}_texts",), "1", f"texts of {array.name}", TEXT)
+    create(file, scale, texts, under=under)
+    dtype = np.min_scalar_type(max(1, len(texts) - 1)).newbyteorder("<")
+    numbers = Array(array.path, array.dims, array.units, array.long_name, dtype.str)
+    dataset = write_column(file, numbers, codes, compress=compress, under=under)
+    set_text(dataset, "texts", scale.name)
+    return dataset
+
+
+def write_hashes(file: h5py.File, array: Array, hashes: Sequence[str], *, compress: bool = False) -> None:
+    """Write a column of hexadecimal hashes as bytes; an empty hash is all zero. All have the length of the longest."""
+    width = max((len(one) // 2 for one in hashes), default=0) or 1
+    values = np.frombuffer(b"".join(bytes.fromhex(one or "00" * width) for one in hashes), np.uint8)
+    scale = Array(f"{array.path}_byte", (f"{array.name}_byte",), "1", f"number of the byte of {array.name}", "<i8")
+    create(file, scale, np.arange(1, width + 1))
+    bytes_ = Array(array.path, (*array.dims, scale.name), "1", array.long_name, "|u1")
+    dataset = write_column(file, bytes_, values.reshape(-1, width), compress=compress)
+    set_text(dataset, "hash", "sha256")
+
+
+def read_column(dataset: h5py.Dataset) -> np.ndarray:
+    """Return a column: numbers, or an object array of strings for texts and hashes."""
+    if "texts" in dataset.attrs:
+        texts = np.array(dataset.parent[str(dataset.attrs["texts"])].asstr()[:], object)
+        return np.asarray(texts[dataset[:]], object)
+    if "hash" in dataset.attrs:
+        return _hexadecimal(dataset[:])
+    return np.asarray(dataset[:])
+
+
+def _hexadecimal(values: np.ndarray) -> np.ndarray:
+    width = 2 * values.shape[1]
+    text = values.tobytes().hex()
+    empty = ~values.any(axis=1)
+    found = np.array([text[k : k + width] for k in range(0, len(text), width)], object)
+    found[empty] = ""
+    return found
+
+
+def _coded(values: Sequence[str] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the different texts in order of appearance, and the number of the text of each row."""
+    numbers: dict[str, int] = {}
+    codes = np.fromiter((numbers.setdefault(str(value), len(numbers)) for value in values), np.int64, len(values))
+    return np.array(list(numbers) or [""], object), codes
+
+
+def _plan(values: np.ndarray | Sequence[str], array: Array) -> h5p.PropDCID | None:
+    """Return the compression of an array; None if it is empty or so small that compression would not pay."""
+    shape, size = np.shape(values), np.dtype(array.dtype).itemsize
+    if not np.prod(shape) or np.prod(shape) * size < SMALL:
+        return None
+    row = max(1, int(np.prod(shape[1:])) * size)
+    plan = h5p.create(h5p.DATASET_CREATE)
+    plan.set_chunk((max(1, min(shape[0], CHUNK // row)), *shape[1:]))
+    plan.set_shuffle()
+    plan.set_deflate(_LEVEL)
+    return plan

@@ -1,0 +1,215 @@
+"""A finished run in memory, without HDF5: what its archive would contain, and the hash that it would have."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from hashlib import sha256
+
+import h5py
+import numpy as np
+
+from mbdkit.archive import layout
+from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.fingerprint import digest_lines, line, text_bytes
+from mbdkit.archive.layout import Array
+from mbdkit.archive.run_writer import (
+    UNJUDGED,
+    ArchiveNames,
+    RunWriter,
+    SharedForces,
+    check_ended,
+    name_line,
+    name_texts,
+)
+from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.trust.criteria import Judgement
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedRun:
+    """A finished run.
+
+    Parameters
+    ----------
+    names
+        Names of its bodies, joints and other elements.
+    layout
+        The arrays of the archive's layout that it recorded, those of names included.
+    arrays
+        Values of the arrays with rows, by `layout.Array.key`: ``time`` (T,), ``trajectory/position`` (T, B, 3), ...
+    shared
+        Description of the reactions of redundant joints; None without them.
+    status, reason
+        ``complete``, ``failed`` or ``interrupted``, and why.
+    stats
+        Counters and times [s].
+    misalignment_max
+        (J,) largest misalignment of each joint over all steps [m].
+    judgement, warnings
+        Verdict, its reasons, and warnings.
+    data_sha256
+        Hash of the arrays, equal to that of the archive of this run.
+    assembly
+        Sentence on how the start was made consistent.
+    accuracy
+        Estimated errors, if the run was checked.
+    cause
+        The exception of a plugin that ended the run.
+    """
+
+    names: ArchiveNames
+    layout: tuple[Array, ...]
+    arrays: Mapping[str, np.ndarray]
+    shared: SharedForces | None
+    status: str
+    reason: str
+    stats: Mapping[str, int | float]
+    misalignment_max: np.ndarray
+    judgement: Judgement
+    warnings: tuple[str, ...]
+    data_sha256: str
+    assembly: str = ""
+    accuracy: Accuracy | None = None
+    cause: BaseException | None = None
+
+    def rows(self, dim: str) -> int:
+        """Return the number of rows along a growing axis of the layout; 0 if there is no such array."""
+        return next((len(self.arrays[one.key]) for one in self.layout if one.dims[0] == dim and one.grows), 0)
+
+    def write(self, writer: ArchiveWriter) -> None:
+        """Write the arrays into an archive that was begun for them, without finishing it."""
+        for dim in layout.GROWING:
+            growing = {one.key: self.arrays[one.key] for one in self.layout if one.grows and one.dims[0] == dim}
+            if growing:
+                writer.take(dim, growing)
+
+
+class ArrayWriter(RunWriter):
+    """Keeps the rows of a run in memory.
+
+    Parameters
+    ----------
+    names, quantities, extra_datasets
+        See `RunWriter`.
+    shared
+        As for `ArchiveWriter`.
+    assembly
+        Sentence on how the start was made consistent.
+
+    Attributes
+    ----------
+    finished
+        The run, once it is finished.
+    """
+
+    def __init__(
+        self,
+        names: ArchiveNames,
+        *,
+        quantities: frozenset[str] = layout.QUANTITIES,
+        extra_datasets: Iterable[str] = (),
+        shared: SharedForces | None = None,
+        assembly: str = "",
+    ):
+        super().__init__(names, quantities, extra_datasets)
+        self._shared, self._assembly = shared, assembly
+        self._keys = {
+            dim: tuple(dict.fromkeys(one.key for one in self.arrays if one.grows and one.dims[0] == dim))
+            for dim in layout.GROWING
+        }
+        self._parts: dict[str, list[np.ndarray]] = {key: [] for keys in self._keys.values() for key in keys}
+        self._rows = dict.fromkeys(layout.GROWING, 0)
+        self.finished: FinishedRun | None = None
+
+    @property
+    def row_keys(self) -> frozenset[str]:
+        """Keys that `append` requires."""
+        return frozenset(self._keys["time"])
+
+    def rows(self, dim: str) -> int:
+        """Return the number of rows."""
+        return self._rows[dim]
+
+    def take(self, dim: str, rows: Mapping[str, np.ndarray]) -> None:
+        """Append rows of the arrays that grow along `dim`, by key; the values are copied."""
+        count = 0
+        for key in self._keys[dim]:
+            part = np.array(rows[key])
+            self._parts[key].append(part)
+            count = len(part)
+        self._rows[dim] += count
+
+    def flush_if_due(self) -> None:
+        """Do nothing: there is no file."""
+
+    def abandon(self) -> None:
+        """Discard the rows."""
+        self._parts = {}
+
+    def finish(
+        self,
+        status: str,
+        reason: str,
+        stats: Mapping[str, int | float],
+        misalignment_max: np.ndarray,
+        *,
+        judgement: Judgement = UNJUDGED,
+        warnings: Sequence[str] = (),
+        accuracy: Accuracy | None = None,
+        measured: Callable[[h5py.File], str] | None = None,
+    ) -> None:
+        """Join the rows and compute their hash; the result is `finished`."""
+        started = time.perf_counter()
+        check_ended(status)
+        sizes = self.names.sizes
+        arrays = {}
+        for one in self.arrays:
+            if one.grows and one.key not in arrays:
+                dtype = np.dtype(object if one.dtype == layout.TEXT else one.dtype)
+                parts = self._parts[one.key]
+                shape = (0, *(sizes[dim] for dim in one.dims[1:]))
+                joined = np.concatenate(parts) if parts else np.zeros(shape, dtype)
+                arrays[one.key] = np.ascontiguousarray(joined, dtype)
+        made = FinishedRun(
+            self.names,
+            self.arrays,
+            arrays,
+            self._shared,
+            status,
+            reason,
+            stats,
+            np.asarray(misalignment_max, layout.FLOAT),
+            judgement,
+            tuple(warnings),
+            hash_of_arrays(self.names, self.arrays, arrays),
+            self._assembly,
+            accuracy,
+        )
+        self.finished = replace(made, stats={**stats, "finish_s": time.perf_counter() - started})
+
+
+def hash_of_arrays(names: ArchiveNames, recorded: Sequence[Array], arrays: Mapping[str, np.ndarray]) -> str:
+    """Return the `data_sha256` of the archive of a run with these arrays.
+
+    Parameters
+    ----------
+    recorded
+        Arrays of the layout that the run records, those of names included.
+    arrays
+        Values by `layout.Array.key`; contiguous.
+    """
+    texts = name_texts(names)
+    digests: dict[str, str] = {}
+    lines = []
+    for one in recorded:
+        if not one.grows:
+            lines.append(name_line(one.path, tuple(texts[one.path])))
+        elif layout.is_hashed(one.path):
+            values = arrays[one.key]
+            if one.key not in digests:
+                bytes_ = text_bytes(values) if one.dtype == layout.TEXT else values.data
+                digests[one.key] = sha256(bytes_).hexdigest()
+            lines.append(line(one.path, one.dtype, values.shape, digests[one.key]))
+    return digest_lines(lines)

@@ -1,0 +1,113 @@
+"""Execution of a study in blocks: compute the blocks that are missing, and write the index."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from mbdkit.interrupts import interrupts_delayed
+from mbdkit.spec.study_spec import StudySpec
+from mbdkit.studies import block_index
+from mbdkit.studies.column_names import check_column_names
+from mbdkit.studies.compute_block import BlockStudyPlan
+from mbdkit.studies.execute import Progress, Shard, check_shard
+from mbdkit.studies.pool import BlockTask, Outcome, Pool
+from mbdkit.studies.study_folder import StudyFolder
+from mbdkit.studies.verdict_lookup import check_verdict
+
+
+class BlockExecution:
+    """One execution of a study in blocks.
+
+    Parameters
+    ----------
+    folder
+        Folder of the study; it may contain blocks of earlier executions.
+    shard
+        Part of the study to compute, or None for all of it. Blocks are assigned to parts in turn.
+    notify
+        Called with a message before an operation that takes long.
+    overwrite
+        Whether to remove the study that the folder contains; not with a shard.
+
+    Raises
+    ------
+    SpecError
+        If the study is invalid, as far as a few of its runs show, or the folder belongs to another study. Nothing is
+        written in this case.
+    """
+
+    def __init__(
+        self,
+        spec: StudySpec,
+        folder: StudyFolder,
+        *,
+        shard: Shard | None,
+        progress: Progress | None,
+        notify: Callable[[str], None],
+        overwrite: bool = False,
+    ):
+        check_shard(shard, overwrite=overwrite)
+        self.spec, self.folder, self.shard, self.overwrite = spec, folder, shard, overwrite
+        self.progress, self.notify = progress, notify
+        check_verdict(spec)
+        check_column_names(spec)
+        self.plan = BlockStudyPlan(spec)
+        self.plan.check()
+        folder.check(spec, overwrite=overwrite)
+        self.computed = self.failed = 0
+        self.unfinished: list[str] = []  # reasons outside the study why blocks were not computed
+        self.reasons: dict[int, str] = {}
+
+    @property
+    def count(self) -> int:
+        """Number of runs of the study."""
+        return len(self.plan.points)
+
+    def run(self, workers: int) -> None:
+        """Compute the missing blocks and write the index; after Ctrl-C, index the results so far.
+
+        Parameters
+        ----------
+        workers
+            Number of processes that compute in parallel.
+        """
+        if self.overwrite:
+            self.folder.clear()
+        self.folder.prepare(self.spec)
+        with self.folder.locked(shared=self.shard is not None):
+            tasks = [
+                BlockTask(self.folder, block)
+                for block in range(self.plan.blocks.count)
+                if (self.shard is None or self.shard.has(block))
+                and not self.plan.blocks.is_whole(self.folder, self.spec, block)
+            ]
+            try:
+                self.compute(tasks, workers)
+            finally:
+                with interrupts_delayed(), self.folder.indexing():
+                    self.index()
+
+    def compute(self, tasks: list[BlockTask], workers: int) -> None:
+        """Compute blocks in parallel."""
+        blocks = self.plan.blocks
+        total = sum(len(blocks.places(task.block)) for task in tasks)
+        with Pool[BlockTask](workers, self.notify) as pool:
+            for task, outcome in pool.work(tasks):
+                self.computed += len(blocks.places(task.block))
+                self.note(task, outcome)
+                if self.progress is not None:
+                    self.progress(self.computed, total, self.failed)
+
+    def note(self, task: BlockTask, outcome: Outcome) -> None:
+        """Keep the outcome of a block."""
+        self.failed += int(outcome.values.get("failed", 0))
+        self.unfinished += task.skip.values()
+        if outcome.status != "complete":
+            self.reasons[task.block] = outcome.reason
+            self.unfinished.append(outcome.reason)
+
+    def index(self) -> None:
+        """Write the index of the blocks that are there."""
+        plan = self.plan
+        found = block_index.collect(self.spec, plan.points, plan.blocks, self.folder, reasons=self.reasons)
+        block_index.write(self.folder.index, self.spec, found, plan.points.labels())

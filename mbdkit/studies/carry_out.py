@@ -1,0 +1,286 @@
+"""The functions `study`, `ensemble` and `load_study`: they carry out studies and open their folders."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbdkit.archive.blocks import Store
+from mbdkit.archive.missing_plugins import advised
+from mbdkit.errors import SpecError
+from mbdkit.logs import logger_of
+from mbdkit.plain_data import found, plain
+from mbdkit.progress_bars import count_bar, in_notebook
+from mbdkit.spec.loading import load_spec, read_source
+from mbdkit.spec.reading import parse_key
+from mbdkit.spec.run_source import RunSource, StudySource
+from mbdkit.spec.study_loading import load_study_spec
+from mbdkit.spec.study_spec import Storing, StudySpec
+from mbdkit.studies import member_table
+from mbdkit.studies.block_execution import BlockExecution
+from mbdkit.studies.block_study import BlockStudy
+from mbdkit.studies.execute import Execution, Progress, Shard
+from mbdkit.studies.study import Study
+from mbdkit.studies.study_blocks import settled_store
+from mbdkit.studies.study_folder import StudyFolder
+from mbdkit.terminal import say
+from mbdkit.text import counted, shown
+
+_LOG = logger_of(__name__)
+
+
+def load_study(folder: str | Path) -> Study:
+    """Open the folder of a study without computing anything.
+
+    Parameters
+    ----------
+    folder
+        Folder that was written by `study` or ``mbdkit study``.
+
+    Raises
+    ------
+    SpecError
+        If the folder contains no study with an index.
+
+    Examples
+    --------
+    >>> import mbdkit
+    >>> study = mbdkit.study(
+    ...     {"mbdkit_study": 1, "base": "pendulum", "axes": [{"time.step": [0.02, 0.01]}]}, out="steps"
+    ... )
+    >>> len(mbdkit.load_study("steps").points)
+    2
+    """
+    return _opened(Path(folder))
+
+
+def _opened(
+    folder: Path,
+    *,
+    computed: int = 0,
+    unfinished: Sequence[str] = (),
+    keep: tempfile.TemporaryDirectory[str] | None = None,
+) -> Study:
+    """Open the folder of a study, whose study.yaml says how its runs are stored."""
+    path = StudyFolder(folder).spec
+    in_blocks = path.is_file() and load_study_spec(path).in_blocks
+    return (BlockStudy if in_blocks else Study)(folder, computed=computed, unfinished=unfinished, keep=keep)
+
+
+def study(
+    source: StudySource,
+    *,
+    out: str | Path | None = None,
+    workers: int = 1,
+    shard: Shard | None = None,
+    progress: Progress | None = None,
+    notify: Callable[[str], None] = say,
+    assignments: Sequence[str] = (),
+    overwrite: bool = False,
+    store: Storing | None = None,
+) -> Study:
+    """Run a study: compute the runs that are missing in its folder.
+
+    Parameters
+    ----------
+    source
+        Name of a packaged study, path of a file, mapping, or `StudySpec`.
+    out
+        Folder of the study; by default a temporary one that is deleted with the returned study.
+    workers
+        Number of processes that compute in parallel.
+    shard
+        Part of the study to compute; by default all of it.
+    progress
+        Called with (tasks done, tasks in all, failed runs) after each task. By default, notebooks show a progress
+        bar.
+    notify
+        Called with a message before an operation that takes long.
+    assignments
+        Assignments such as ``"time.end=5"`` that are set in the base of every run.
+    overwrite
+        Whether to start the folder anew: its study.yaml, index, archives of runs and report are removed first, once the
+        new study has proved valid. Other files in it are kept.
+    store
+        What is stored of each run, instead of `store` of the study spec: ``files``, ``all``, ``histories``,
+        ``summary`` or ``hashes``.
+
+    Returns
+    -------
+    Study
+        The study with its index. Failed runs do not raise an error; they are part of the results. A run for which a
+        resource is lacking, such as disk space, is missing; `Study.unfinished` has the reasons.
+
+    Raises
+    ------
+    SpecError
+        If the study or one of its runs is invalid, or the folder belongs to another study. Nothing is written in this
+        case.
+    ResourceError
+        If the folder cannot be written to, is in use by another call, or no process can be started.
+
+    Examples
+    --------
+    >>> import mbdkit
+    >>> study = mbdkit.study(
+    ...     {
+    ...         "mbdkit_study": 1,
+    ...         "base": "pendulum",
+    ...         "overrides": {"time": {"end": 1.0, "step": 0.01}},
+    ...         "axes": [{"integrator": [{"name": "rk4"}, {"name": "gauss"}]}, {"time.step": [0.02, 0.01]}],
+    ...     },
+    ...     out="methods",
+    ... )
+    >>> [point.status for point in study.points]
+    ['complete', 'complete', 'complete', 'complete']
+    """
+    spec = load_study_spec(source, assignments)
+    spec = spec if store is None else spec.stored_as(store)
+    keep = None
+    if out is None:
+        keep = tempfile.TemporaryDirectory(prefix="mbdkit-study-")
+        out = keep.name
+    folder = StudyFolder(Path(out))
+    spec = settled_store(spec, folder, overwrite=overwrite)
+    try:
+        is_shown = progress is None and in_notebook()
+        with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:
+            kind = BlockExecution if spec.in_blocks else Execution
+            execution = kind(spec, folder, shard=shard, progress=progress or bar, notify=notify, overwrite=overwrite)
+            _LOG.info("study in %s begins: %s", shown(folder.path), counted(execution.count, "run"))
+            execution.run(workers)
+            _LOG.info(
+                "study in %s ends: %d computed, %d failed", shown(folder.path), execution.computed, execution.failed
+            )
+    except SpecError as error:
+        raise advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
+    return _opened(folder.path, computed=execution.computed, unfinished=execution.unfinished, keep=keep)
+
+
+def ensemble(
+    source: RunSource,
+    variables: Mapping[str, Any],
+    *,
+    store: Store = "summary",
+    out: str | Path | None = None,
+    workers: int = 1,
+    measures: Any = "all",
+    block: int | None = None,
+    compress: bool = False,
+    progress: Progress | None = None,
+    notify: Callable[[str], None] = say,
+    overwrite: bool = False,
+) -> Study:
+    """Run one spec with many values of some of its keys, and store the results in blocks.
+
+    Parameters
+    ----------
+    source
+        The spec: a file name, the name of a packaged example, a mapping, a RunSpec, or a Mechanism.
+    variables
+        (N,) values by key of the spec, such as ``model.angles.0``: numbers or texts. Run i has the values at place i.
+    store
+        What is stored of each run: ``all`` arrays, ``histories``, a ``summary`` or ``hashes``. With each of them,
+        `Study.remake` makes any run again and proves that it is the same.
+    out
+        Folder of the study; by default a temporary one that is deleted with the returned study. A second call with the
+        same arguments computes only what is missing in it.
+    workers
+        Number of processes that compute in parallel.
+    measures
+        Measures to take, as in a study spec.
+    block
+        Number of runs in a block; by default 1000, or fewer if their arrays are large.
+    compress
+        Whether arrays are compressed.
+    progress, notify, overwrite
+        As for `study`.
+
+    Returns
+    -------
+    Study
+        The study, whose points are the runs in the order of the values. Runs that fail, or whose spec is not valid with
+        their values, do not raise an error; they are part of the results.
+
+    Raises
+    ------
+    SpecError
+        If the spec, a key or the values are invalid, or the folder belongs to another study. Nothing is written in this
+        case.
+    ResourceError
+        If the folder cannot be written to, is in use by another call, or no process can be started.
+
+    Examples
+    --------
+    >>> import mbdkit
+    >>> import numpy as np
+    >>> pendulum = {
+    ...     "mbdkit": 1,
+    ...     "model": {"name": "double-pendulum"},
+    ...     "integrator": {"name": "rk4"},
+    ...     "time": {"end": 0.5, "step": 0.01},
+    ... }
+    >>> study = mbdkit.ensemble(pendulum, {"model.angles.0": np.linspace(-1.0, 1.0, 5)}, store="hashes")
+    >>> study.to_frame()["status"].tolist()
+    ['complete', 'complete', 'complete', 'complete', 'complete']
+    >>> float(study.remake(4).bodies["rod1"].angle[0])
+    1.0
+    """
+    columns = _columns_of(variables)
+    document = read_source(source)
+    base = plain(document.data)
+    whole = json.loads(load_spec(document).canonical_json())
+    for key in columns:
+        _complete(base, whole, key)
+    count = len(next(iter(columns.values())))
+    _, digest = member_table.image(columns)
+    keys = {"block": block, "compress": compress or None, "measures": None if measures == "all" else measures}
+    spec = StudySpec(
+        mbdkit_study=1,
+        base=base,
+        store=store,
+        members={"runs": count, "sha256": digest},
+        **{name: value for name, value in keys.items() if value is not None},
+    )
+    spec._columns = columns
+    return study(spec, out=out, workers=workers, progress=progress, notify=notify, overwrite=overwrite)
+
+
+def _complete(base: dict[str, Any], whole: Mapping[str, Any], key: str) -> None:
+    """Add the mapping or list that contains a key to a spec, with its defaults, if the spec does not contain it."""
+    there: Any = base
+    default: Any = whole
+    for part in parse_key(key)[:-1]:
+        if not isinstance(there, dict) or not isinstance(default, Mapping) or part not in default:
+            return  # refused when the value is set
+        if there.get(str(part)) is None:
+            there[str(part)] = default[part]
+        there, default = there[str(part)], default[part]
+
+
+def _columns_of(variables: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Return the values of variables as columns of floats, integers or texts."""
+    columns = {}
+    for key, values in variables.items():
+        column = np.asarray(values)
+        if column.dtype.kind in "US":
+            column = column.astype(str).astype(object)
+        elif column.dtype.kind in "iu":
+            column = column.astype(np.int64)
+        elif column.dtype.kind == "f":
+            column = column.astype(np.float64)
+        else:
+            raise SpecError(f"needs an array of numbers or of texts, not {found(values)}", key=f"variables: {key}")
+        if column.ndim != 1 or not len(column):
+            raise SpecError(f"needs an array (N,), not one of the shape {column.shape}", key=f"variables: {key}")
+        columns[str(key)] = column
+    lengths = {key: len(column) for key, column in columns.items()}
+    if len(set(lengths.values())) != 1:
+        told = ", ".join(f"{key} has {length}" for key, length in lengths.items()) or "there are none"
+        raise SpecError(f"the variables need the same number of values, one for each run; {told}")
+    return columns

@@ -1,0 +1,264 @@
+"""Computes one block of a study: a function of its folder and the number of the block, for any worker process."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+from mbdkit.archive.blocks import BlockHeading, BlockRun, kept, write_block
+from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.archive.stored_run import Heading, StoredRun
+from mbdkit.batch import Refused, refusal, simulate_batch
+from mbdkit.errors import SpecError
+from mbdkit.measures.take import Description, take
+from mbdkit.plain_data import path_text
+from mbdkit.provenance import plugins_of, surroundings
+from mbdkit.spec import RunSpec
+from mbdkit.spec.reading import put
+from mbdkit.spec.study_loading import load_study_spec
+from mbdkit.spec.study_measures import ERRORS
+from mbdkit.spec.study_spec import StudySpec
+from mbdkit.studies.defined_measures import describe_measures
+from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS
+from mbdkit.studies.planned_points import PlannedPoint, PlannedPoints
+from mbdkit.studies.study_blocks import StudyBlocks, stored
+from mbdkit.studies.study_folder import StudyFolder
+from mbdkit.terminal import say
+
+SAMPLES = 8
+"""Runs of a study whose specs are validated before the first run; those of all others when they are computed."""
+
+
+class BlockStudyPlan:
+    """What a study in blocks computes.
+
+    Parameters
+    ----------
+    spec
+        The study spec, with its `store`.
+    """
+
+    def __init__(self, spec: StudySpec):
+        self.spec = spec
+        self.points = PlannedPoints(spec)
+        self.blocks = StudyBlocks.of(spec, self.points)
+
+    @cached_property
+    def samples(self) -> list[PlannedPoint]:
+        """Some points from the first to the last."""
+        last = len(self.points) - 1
+        places = dict.fromkeys(last * number // max(1, SAMPLES - 1) for number in range(SAMPLES))
+        return [self.points[place] for place in places]
+
+    @cached_property
+    def defined(self) -> dict[str, Description]:
+        """Units and descriptions of the measures that the study defines.
+
+        Raises
+        ------
+        SpecError
+            If a measure is not valid for one of the samples, or none of these has a valid spec.
+        """
+        valid, errors = [], []
+        for point in self.samples:
+            if point.lacking:
+                continue
+            try:
+                valid.append((f"run {point.number}", point.spec))
+            except SpecError as error:
+                errors.append(error)
+        if errors and not valid:
+            raise errors[0]
+        return describe_measures(self.spec, valid)
+
+    def check(self) -> None:
+        """Raise SpecError if the specs of all samples are invalid, or a measure of the study is."""
+        assert self.described is not None
+
+    @property
+    def built_in(self) -> list[str]:
+        """Names of the built-in measures to take."""
+        wanted = tuple(MEASURES) if self.spec.built_in_measures is None else self.spec.built_in_measures
+        return [name for name in wanted if name in MEASURES and name not in ERRORS]
+
+    @cached_property
+    def described(self) -> dict[str, tuple[str, str]]:
+        """Unit and description of each measure."""
+        built_in = {name: (MEASURES[name].units, MEASURES[name].long_name) for name in self.built_in}
+        built_in.pop("misalignment_max", None)  # it has a column of its own
+        defined = {name: (one.units, one.long_name) for name, one in self.defined.items()}
+        checked = {name: (one.units, one.long_name) for name, one in OF_CHECKED_RUNS.items()}
+        return built_in | defined | (checked if self.is_checked else {})
+
+    @property
+    def is_checked(self) -> bool:
+        """Whether errors of runs are estimated."""
+        return any(point.spec.estimates_errors for point in self.samples[:1] if not point.lacking)
+
+    def measured(self, spec: RunSpec, finished: FinishedRun) -> dict[str, float]:
+        """Return the measures of a run."""
+        run = StoredRun(finished, Heading(spec, ""))
+        taken = {name: MEASURES[name].take(run, None) for name in self.built_in if name != "misalignment_max"}
+        taken |= {measure.name: take(measure, run, spec) for measure in self.spec.defined_measures()}
+        if finished.accuracy is not None:
+            taken |= {name: measure.take(run, None) for name, measure in OF_CHECKED_RUNS.items()}
+        return taken
+
+
+@dataclass(frozen=True)
+class _Member:
+    """A run of a block: its point, base and values, and its spec, or the reason why it has none."""
+
+    point: PlannedPoint
+    base: str
+    values: Mapping[str, Any]
+    spec: RunSpec | Refused
+
+
+def compute_block(
+    folder: str | Path, block: int, *, skip: Mapping[int, str] | None = None, notify: Callable[[str], None] = say
+) -> int:
+    """Compute the runs of a block and write its file.
+
+    Everything else is read from the folder, so that any process that sees it can do this. While the block is computed,
+    a file beside it contains the number of the run at work, see `StudyFolder.run_at_work`.
+
+    Parameters
+    ----------
+    folder
+        Folder of the study, with its study.yaml.
+    block
+        Number of the block, from 0.
+    skip
+        Reasons for which runs are recorded as failed without being computed, by their number.
+    notify
+        Called with a message before long operations.
+
+    Returns
+    -------
+    int
+        Number of failed runs.
+
+    Raises
+    ------
+    SpecError
+        If the folder contains no study in blocks.
+    ResourceError
+        If the block cannot be written.
+    """
+    files = StudyFolder(Path(folder))
+    plan = _plan(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
+    skip = skip or {}
+    with _Mark(files, block) as mark:
+        members = [_member(plan.points[place], skip, mark) for place in plan.blocks.places(block)]
+        runs = [_stored(plan, member, result) for member, result in _results(members, mark, notify)]
+        heading = BlockHeading(
+            plan.spec.sha256(), stored(plan.spec), surroundings(), plan.described, plan.spec.compress
+        )
+        write_block(files.block(block), heading, runs)
+    return sum(run.status == "failed" for run in runs)
+
+
+@lru_cache(maxsize=4)
+def _plan(study: str, changed: int) -> BlockStudyPlan:
+    """Return the plan of a study, once for all blocks that a process computes."""
+    spec = load_study_spec(study)
+    if not spec.in_blocks:
+        raise SpecError("this study is not stored in blocks", file=study)
+    return BlockStudyPlan(spec)
+
+
+def _member(point: PlannedPoint, skip: Mapping[int, str], mark: _Mark) -> _Member:
+    base, values = point.grid.base_json, {path_text(one.path): one.value for one in point.settings}
+    if point.lacking:
+        reason = f"not-installed: the distribution {point.lacking} is not installed."
+        return _Member(point, base, values, Refused("left-out", reason))
+    if point.number in skip:
+        return _Member(point, base, values, Refused("failed", skip[point.number]))
+    mark.note(point.number)  # a model of a plugin may end the process
+    data = json.loads(base)
+    try:
+        for one in point.settings:
+            put(data, one.path, one.value)
+        spec = RunSpec(**data)
+        spec.mechanism()
+    except SpecError:
+        try:
+            return _Member(point, base, values, point.spec)  # for the place of the error in the study
+        except SpecError as error:  # without the file, which depends on the folder
+            told = f"{error.key}: {error.message}" if error.key else error.message
+            return _Member(point, base, values, Refused("failed", f"wrong-input: {told}"))
+    except Exception as error:
+        return _Member(point, base, values, refusal(error))
+    return _Member(point, base, values, spec)
+
+
+def _results(
+    members: Sequence[_Member], mark: _Mark, notify: Callable[[str], None]
+) -> Iterator[tuple[_Member, FinishedRun | Refused]]:
+    """Yield each member with its result, in order."""
+    computed = [member for member in members if isinstance(member.spec, RunSpec)]
+
+    def specs() -> Iterator[RunSpec]:
+        for member in computed:
+            mark.note(member.point.number)
+            assert isinstance(member.spec, RunSpec)
+            yield member.spec
+
+    results = simulate_batch(specs(), notify=notify)
+    for member in members:
+        yield member, (member.spec if isinstance(member.spec, Refused) else next(results))
+
+
+def _stored(plan: BlockStudyPlan, member: _Member, result: FinishedRun | Refused) -> BlockRun:
+    """Return what the block keeps of a run."""
+    point, spec = member.point, member.spec
+    if not isinstance(spec, RunSpec):
+        assert isinstance(result, Refused)
+        return BlockRun(point.number, member.base, member.values, result.status, result.reason)
+    hashes = spec.sha256(), spec.run_id()
+    if isinstance(result, Refused):
+        return BlockRun(point.number, member.base, member.values, result.status, result.reason, *hashes)
+    status, reason = result.status, result.reason
+    measures: dict[str, float] | None = None
+    try:
+        measures = plan.measured(spec, result)
+    except Exception as error:
+        refused = refusal(error)
+        status, reason = refused.status, refused.reason
+    return BlockRun(
+        point.number,
+        member.base,
+        member.values,
+        status,
+        reason,
+        *hashes,
+        plugins=json.dumps(plugins_of(spec), separators=(",", ":")),
+        result=kept(result, stored(plan.spec)),
+        measures=measures,
+    )
+
+
+class _Mark:
+    """The file that contains the number of the run at work in a block; it is removed at the end."""
+
+    def __init__(self, folder: StudyFolder, block: int):
+        self.path = folder.mark(block)
+
+    def __enter__(self) -> _Mark:
+        self.handle = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        return self
+
+    def note(self, number: int) -> None:
+        """Write the number of the run that is computed next."""
+        os.lseek(self.handle, 0, os.SEEK_SET)
+        os.write(self.handle, f"{number:8d}".encode())
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self.handle)
+        self.path.unlink(missing_ok=True)

@@ -1,0 +1,143 @@
+"""The blocks of a study: which runs belong to which, and whether the file of one is whole."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from mbdkit.archive import layout
+from mbdkit.archive.blocks import HISTORIES, Block, Store
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.errors import MbdkitError, ResourceError, SpecError
+from mbdkit.recorder import archive_names
+from mbdkit.run_preparation import rows_expected
+from mbdkit.spec import RunSpec
+from mbdkit.spec.study_loading import load_study_spec
+from mbdkit.spec.study_spec import LARGEST_TABLE, StudySpec
+from mbdkit.studies.known_runs import TRIED_AGAIN
+from mbdkit.studies.planned_points import PlannedPoints, number_of_points
+from mbdkit.studies.study_folder import StudyFolder
+
+MOST_FILES = 500
+"""Studies with more runs are stored in blocks unless they ask for files."""
+
+RUNS = 1000
+"""Runs of a block."""
+
+BYTES = 1 << 26
+"""Size of the arrays of a block, which is held in memory, above which it has fewer runs [bytes]."""
+
+ROWS = 1000
+"""Rows that a run is assumed to record if their number depends on step control."""
+
+
+def settled_store(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
+    """Return a study with the `store` that applies if it has none: that of its folder, or the one for its size."""
+    if spec.store is not None:
+        return spec
+    if folder.spec.is_file() and not overwrite:
+        try:
+            there = load_study_spec(folder.spec)
+        except MbdkitError:
+            return spec  # reported when the folder is checked
+        return spec.stored_as(there.store) if there.stored_as(None).sha256() == spec.sha256() else spec
+    return spec.stored_as("all") if is_for_blocks(spec) else spec
+
+
+def is_for_blocks(spec: StudySpec) -> bool:
+    """Return whether a study is stored in blocks, because it asks for them or is large."""
+    if spec.store is not None:
+        return spec.in_blocks
+    return spec.members is not None or (number_of_points(spec) > MOST_FILES and not spec.needs_files)
+
+
+@dataclass(frozen=True)
+class StudyBlocks:
+    """The division of the runs of a study into blocks.
+
+    Parameters
+    ----------
+    runs
+        Number of runs of the study.
+    size
+        Number of runs in each block but the last.
+    """
+
+    runs: int
+    size: int
+
+    @classmethod
+    def of(cls, spec: StudySpec, points: PlannedPoints) -> StudyBlocks:
+        """Return the blocks of a study.
+
+        Their size depends on the first run whose spec is valid, so that all processes that work on the study agree.
+        """
+        if spec.block is not None:
+            return cls(len(points), min(spec.block, LARGEST_TABLE))
+        for point in points[:10]:
+            if point.lacking:
+                continue
+            try:
+                row = _bytes(point.spec, stored(spec))
+            except MbdkitError:
+                continue
+            return cls(len(points), max(1, min(RUNS, BYTES // max(1, row))))
+        return cls(len(points), RUNS)
+
+    @property
+    def count(self) -> int:
+        """Number of blocks."""
+        return math.ceil(self.runs / self.size)
+
+    def places(self, block: int) -> range:
+        """Return the places, from 0, of the runs of a block, whose number counts from 0."""
+        return range(block * self.size, min(self.runs, (block + 1) * self.size))
+
+    def block_of(self, place: int) -> int:
+        """Return the block of a run by its place."""
+        return place // self.size
+
+    def is_whole(self, folder: StudyFolder, spec: StudySpec, block: int) -> bool:
+        """Return whether the file of a block is sound, and no run in it failed for a reason outside the study.
+
+        Raises
+        ------
+        SpecError
+            If the file is a block of another study.
+        """
+        path = folder.block(block)
+        if not path.exists():
+            return False
+        try:
+            with Block(path) as found:
+                if found.study_sha256 == spec.sha256():
+                    whole = found.numbers.tolist() == [place + 1 for place in self.places(block)]
+                    return whole and found.is_sound() and not _is_passing(found)
+        except (SpecError, ResourceError):
+            return False
+        raise SpecError("this is a block of another study; move it to another folder", file=path)
+
+
+def _is_passing(found: Block) -> bool:
+    """Return whether a run of a block failed for a reason outside the study, so that a second attempt may succeed."""
+    reasons = {str(reason) for reason in found.runs["status_reason"]}
+    return "missing" in found.runs["status"] or any(reason.startswith(TRIED_AGAIN) for reason in reasons)
+
+
+def stored(spec: StudySpec) -> Store:
+    """Return what the blocks of a study keep of each run."""
+    assert spec.store is not None
+    assert spec.store != "files"
+    return spec.store
+
+
+def _bytes(spec: RunSpec, store: Store) -> int:
+    """Return the size of the arrays of a run that are kept, estimated [bytes]."""
+    if store in ("hashes", "summary"):
+        return 0
+    names = archive_names(compile_mechanism(spec.mechanism()))
+    sizes = names.sizes
+    arrays = [array for array in layout.recorded(names.present(spec.output.recorded)) if array.grows]
+    kept = arrays if store == "all" else [array for array in arrays if array.path in HISTORIES]
+    row = sum(8 * math.prod(sizes[dim] for dim in array.dims[1:]) for array in kept)
+    return row * (rows_expected(spec) or ROWS)
