@@ -123,13 +123,12 @@ class _Assembly:
         search, tolerance = self.search, self.mechanism.assembly.tolerance
         q, v = self.given_q.ravel().copy(), self.given_v.ravel().copy()
         q_tolerance = max(tolerance, ROUND_OFF * _largest(q))
-        phi, _, _ = search.evaluate(q)
+        phi, jacobian, phi_t = search.evaluate(q)
         if not _largest(phi) <= q_tolerance:
             q = search.positions(q, q_tolerance)
-            phi, _, _ = search.evaluate(q)
+            phi, jacobian, phi_t = search.evaluate(q)
             if not _largest(phi) <= q_tolerance:
                 raise self.failure(phi, q_tolerance, "be assembled")
-        _, jacobian, phi_t = search.evaluate(q)
         rate = search.rates(jacobian, v, phi_t)
         v_tolerance = max(tolerance, ROUND_OFF * _largest(v) * search.reach)
         if not _largest(rate) <= v_tolerance:
@@ -142,6 +141,8 @@ class _Assembly:
     def check_motions(self) -> None:
         """Raise SpecError for the first driver or load whose motion is not finite at the start."""
         top, scratch = self.compiled.topology, self.search.scratch
+        if not self.compiled.motions:
+            return
         self.search.evaluate(self.given_q.ravel())
         if finite_motions(top, scratch.u):
             return

@@ -32,6 +32,10 @@ WELL_SCALED = 1e6
 """Largest ratio of masses, and of inertias over squared lever arms, for which the Schur complement is accurate."""
 
 
+MOST_DISTANCES = 1 << 16
+"""Number of distances between points of a body that are computed at once."""
+
+
 class _Motions:
     """Collects the programs of all motions of a mechanism in flat lists; equal motions share one number."""
 
@@ -269,8 +273,12 @@ def _length(mechanism: Mechanism) -> float:
     longest = 0.0
     for held in points.values():
         if len(held) > 1:
-            places = np.array(sorted(held))
-            longest = max(longest, *(float(np.max(np.hypot(*(places - place).T))) for place in places))
+            x, y = np.array(sorted(held)).T
+            rows = max(1, MOST_DISTANCES // len(x))
+            for first in range(0, len(x), rows):
+                some = slice(first, first + rows)
+                distances = np.hypot(x[some, None] - x, y[some, None] - y)
+                longest = max(longest, float(np.max(distances)))
     return longest or 1.0
 
 

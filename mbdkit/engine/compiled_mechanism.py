@@ -12,6 +12,10 @@ from mbdkit.engine.kernels.system import Topology
 from mbdkit.mechanism.values import Motion
 from mbdkit.text import counted, listed
 
+MOST_COUPLINGS = 60
+"""Sum of the squared numbers of joints per body, relative to the number of pairs of rows, above which the Schur
+complement is denser than the whole system, so that the pivoted solver is used."""
+
 
 def with_ground(x: np.ndarray) -> np.ndarray:
     """Return coordinates or velocities, (3 B,) or (B, 3), as a vector (3 (B + 1),) that ends with zeros for ground."""
@@ -149,6 +153,25 @@ class CompiledMechanism:
     def size(self) -> int:
         """Length of a state vector, 3 (B + 1)."""
         return 3 * (len(self.bodies) + 1)
+
+    @property
+    def names(self) -> tuple[object, ...]:
+        """Everything by which the elements are called in an archive."""
+        return self.bodies, self.joints, self.joint_bodies, self.rows, self.joint_units, self.forces, self.markers
+
+    @property
+    def has_power(self) -> bool:
+        """Whether loads, drivers, dampers or force laws are present, so that work and dissipated energy can change."""
+        top = self.topology
+        return bool(len(top.loads) or np.any(top.pairs[:, 3] >= 0) or np.any(top.linear[:, 1]) or len(top.laws))
+
+    @property
+    def needs_pivots(self) -> bool:
+        """Whether the Schur complement would be inaccurate, or denser than the whole system."""
+        top = self.topology
+        on_body = np.bincount(top.pairs[:, 1:3].ravel(), minlength=len(top.mass))[:-1]
+        crowded = int(np.sum(on_body**2)) > MOST_COUPLINGS * max(len(top.pairs), 1)
+        return crowded or not self.well_scaled
 
     @property
     def unknowns(self) -> int:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 
 from mbdkit.engine.assembly import AssembledState, assemble
 from mbdkit.engine.compile_mechanism import compile_mechanism
-from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
 from mbdkit.engine.redundancy import without_redundancy
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
@@ -70,6 +71,39 @@ def workspace_at_start(
         If the constraints cannot be satisfied, the two ends of a spring coincide, redundant joints contradict each
         other, or the initial position is singular.
     """
+    start = mechanism_at_start(mechanism, t0, end)
+    workspace = Workspace(start.mechanism, t0, start.q0, start.v0, formulation=formulation, stabilization=stabilization)
+    return workspace, start.assembled
+
+
+@dataclass(frozen=True)
+class MechanismAtStart:
+    """A compiled mechanism with independent constraint rows, and its consistent initial state.
+
+    Attributes
+    ----------
+    q0, v0
+        (3 (B + 1),) positions and velocities, ground last.
+    assembled
+        The same state, with the changes made by assembly.
+    """
+
+    mechanism: CompiledMechanism
+    q0: np.ndarray
+    v0: np.ndarray
+    assembled: AssembledState
+
+
+def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0, end: float | None = None) -> MechanismAtStart:
+    """Compile a mechanism and make its initial state consistent.
+
+    Parameters and errors are those of `workspace_at_start`.
+
+    Returns
+    -------
+    MechanismAtStart
+        The mechanism and its start, without working arrays.
+    """
     with within_double_precision():
         compiled = compile_mechanism(mechanism)
         start = assemble(mechanism, t0, compiled)
@@ -81,5 +115,4 @@ def workspace_at_start(
 
         check_springs(mechanism.forces, placed)
         compiled = without_redundancy(compiled, t0, start.q.ravel(), start.v.ravel(), t0 if end is None else end)
-    q0, v0 = with_ground(start.q), with_ground(start.v)
-    return Workspace(compiled, t0, q0, v0, formulation=formulation, stabilization=stabilization), start
+    return MechanismAtStart(compiled, with_ground(start.q), with_ground(start.v), start)

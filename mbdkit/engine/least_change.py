@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 
@@ -49,13 +50,17 @@ class LeastChange:
         w, top = self.scratch, self.compiled.topology
         constraints_at(top, w, self.t0, with_ground(q), with_ground(np.zeros(self.n)))
         pair, place = self.rows[:, 0], self.rows[:, 1]
-        blocks = w.jac.reshape(-1, 2, 6)[pair, place]
-        columns = np.concatenate(
-            [3 * top.pairs[pair, 1:2] + np.arange(3), 3 * top.pairs[pair, 2:3] + np.arange(3)], axis=1
-        )
-        row = np.repeat(np.arange(len(self.rows)), 6)
-        keep = (columns.ravel() < self.n) & (blocks.ravel() != 0)
-        return w.phi[pair, place], (row[keep], columns.ravel()[keep], blocks.ravel()[keep]), w.phi_t[pair, place]
+        values = w.jac.reshape(-1, 2, 6)[pair, place].ravel()
+        row, column = self._places
+        keep = (column < self.n) & (values != 0)
+        return w.phi[pair, place], (row[keep], column[keep], values[keep]), w.phi_t[pair, place]
+
+    @cached_property
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+        """(6 m,) row and column of the entries of the Jacobian, those of ground included."""
+        bodies = self.compiled.topology.pairs[self.rows[:, 0], 1:3]
+        columns = (3 * bodies[:, :, None] + np.arange(3)).ravel()
+        return np.repeat(np.arange(len(self.rows)), 6), columns
 
     def rates(self, jacobian: Entries, v: np.ndarray, phi_t: np.ndarray) -> np.ndarray:
         """Return ``Phi_q v + Phi_t`` (m,)."""

@@ -49,7 +49,7 @@ class StateObserver:
         mechanism = workspace.mechanism
         self._pairs = len(mechanism.topology.pairs)
         self._directions = len(mechanism.topology.spare)
-        self._near = new_vectors(workspace)
+        self._near = new_vectors(mechanism)
         self._stress = SelfStress.zeros(0, self._directions, self._pairs)
         self.gaps, self.gap_uncertainty = np.zeros((2, 0, self._directions))
 

@@ -29,9 +29,9 @@ NEAR = 0.05
 """Distance below which a failure is attributed to a singular position."""
 
 
-def new_vectors(workspace: Workspace) -> np.ndarray:
+def new_vectors(mechanism: CompiledMechanism) -> np.ndarray:
     """Return (P, 11) zeros: the initial data that `singularity_distance` keeps between the rows of a run."""
-    return np.zeros((len(workspace.mechanism.topology.pairs), COLUMNS))
+    return np.zeros((len(mechanism.topology.pairs), COLUMNS))
 
 
 def nearest_singularity(workspace: Workspace, t: float, q: np.ndarray) -> tuple[float, str]:
@@ -60,7 +60,7 @@ def nearest_singularity(workspace: Workspace, t: float, q: np.ndarray) -> tuple[
         return 1.0, ""
     full = np.zeros(mechanism.size)
     full[: min(len(q), len(full))] = q[: len(full)]
-    near = new_vectors(workspace)
+    near = new_vectors(mechanism)
     independent_jacobian(workspace.engine, float(t), full, np.zeros_like(full), near)
     pair, place = np.array([row.pair for row in rows]), np.array([row.place for row in rows])
     blocks = w.jac.reshape(-1, 2, 2, 3) * np.sqrt(top.weight[top.pairs[:, 1:3]])[:, None]

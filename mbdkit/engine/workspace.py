@@ -27,10 +27,6 @@ from mbdkit.engine.kernels.system import NOT_FINITE, OK, Engine, Scatter, Scratc
 from mbdkit.engine.matrix_terms import MatrixTerms, matrix_terms
 from mbdkit.engine.stabilization import NONE, Stabilization
 
-MOST_COUPLINGS = 60
-"""Sum of the squared numbers of joints per body, relative to the number of pairs of rows, above which the Schur
-complement is denser than the whole system, so that the pivoted solver is used."""
-
 
 @dataclass
 class Workspace:
@@ -70,9 +66,7 @@ class Workspace:
         stabilized = bool(np.any(self.stabilization.coefficients))
         self.stepping_topology = top._replace(baumgarte=self.stabilization.coefficients) if stabilized else top
         pairs = [(int(a), int(b)) for a, b in top.pairs[:, 1:3]]
-        on_body = np.bincount(top.pairs[:, 1:3].ravel(), minlength=len(top.mass))[:-1]
-        crowded = int(np.sum(on_body**2)) > MOST_COUPLINGS * max(len(pairs), 1)
-        pivoted = crowded or not self.mechanism.well_scaled
+        pivoted = self.mechanism.needs_pivots
         ground = len(self.mechanism.bodies)
         below = [set(later) for later in self.mechanism.below]
         self.solver = Solver(
@@ -105,12 +99,6 @@ class Workspace:
     def stepping_engine(self) -> int:
         """Address of the bundle of the stepped mechanism, with the same arrays and solver."""
         return self._stepping_engine.address
-
-    @property
-    def has_power(self) -> bool:
-        """Whether loads, drivers, dampers or force laws are present, so that work and dissipated energy can change."""
-        top = self.mechanism.topology
-        return bool(len(top.loads) or np.any(top.pairs[:, 3] >= 0) or np.any(top.linear[:, 1]) or len(top.laws))
 
     @property
     def unknowns(self) -> int:

@@ -194,7 +194,7 @@ class ButcherTableau:
         rounded = any(isinstance(x, float) for row in (*self.a, self.b, self.c) for x in row)
         return _ROUNDED if rounded else _EXACT
 
-    @property
+    @cached_property
     def is_explicit(self) -> bool:
         """Whether each stage depends on earlier stages only."""
         a, _, _ = self._numbers

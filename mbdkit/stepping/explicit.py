@@ -12,7 +12,7 @@ import numpy as np
 from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.jit.decorators import entry, subkernel
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
-from mbdkit.engine.kernels.vectors import copy, stays_finite
+from mbdkit.engine.kernels.vectors import copy, fill, stays_finite
 from mbdkit.stepping.compiled_method import CompiledMethod
 from mbdkit.stepping.run_state import AT_END_OF_LAST, FACTORIZATIONS, MODIFIED, RHS, load_run_state
 from mbdkit.stepping.stage_polynomials import dense_gains, weights_at
@@ -86,7 +86,7 @@ load_explicit = bundle_loader(_example)
 @subkernel
 def _stage_state(base, h, weights, slopes, i, out):
     """Write ``base + h sum_{j < i} weights[i, j] slopes[j]`` into `out`."""
-    out[:] = 0.0
+    fill(out, 0.0)
     for j in range(i):
         w = weights[i, j]
         if w != 0.0:
@@ -100,19 +100,17 @@ def _stage_state(base, h, weights, slopes, i, out):
 @subkernel
 def _increment(h, weights, slopes, out):
     """Write ``h sum_j weights[j] slopes[j]`` into `out`."""
-    out[:] = 0.0
+    fill(out, 0.0)
     for j in range(len(weights)):
-        w = h * weights[j]
-        if w != 0.0:
-            k = slopes[j]
+        if weights[j] != 0.0:
+            w, k = h * weights[j], slopes[j]
             for d in range(len(out)):
                 out[d] += w * k[d]
 
 
 @subkernel
-def evaluate_stages(run, method, t, h, first, last):
-    """Evaluate stages `first` to `last - 1`; return a status."""
-    c, m = load_run_state(run), load_explicit(method)
+def evaluate_stages(c, m, t, h, first, last):
+    """Evaluate stages `first` to `last - 1` of the method `m` from the base state of the run `c`; return a status."""
     for i in range(first, last):
         if i == 0:
             copy(c.from_v, m.rates[0])
@@ -131,6 +129,18 @@ def evaluate_stages(run, method, t, h, first, last):
     return OK
 
 
+@subkernel
+def add_up_stages(c, m, h):
+    """Write the increments of the state by a step into ``c.dq`` and ``c.dv``, and those of the energies."""
+    _increment(h, m.b, m.rates, c.dq)
+    _increment(h, m.b, m.accelerations, c.dv)
+    if c.has_power[0] != 0:
+        for k in range(2):
+            c.gain[k] = 0.0
+            for i in range(len(m.b)):
+                c.gain[k] += h * m.b[i] * m.power[i, k]
+
+
 @entry
 def attempt(run, method, t, h, want_error):
     """Compute a step from the base state; see `mbdkit.stepping.driver`."""
@@ -147,19 +157,13 @@ def attempt(run, method, t, h, want_error):
         else:
             first = 1
     m.status[1] = 0
-    status = evaluate_stages(run, method, t, h, first, stages)
+    status = evaluate_stages(c, m, t, h, first, stages)
     if status != OK:
         return status
     m.status[1] = stages
-    _increment(h, m.b, m.rates, c.dq)
-    _increment(h, m.b, m.accelerations, c.dv)
+    add_up_stages(c, m, h)
     if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv)):
         return NOT_FINITE
-    if c.has_power[0] != 0:
-        for k in range(2):
-            c.gain[k] = 0.0
-            for i in range(stages):
-                c.gain[k] += h * m.b[i] * m.power[i, k]
     if want_error != 0.0:
         _increment(h, m.error[0], m.rates, c.est_q)
         _increment(h, m.error[0], m.accelerations, c.est_v)
@@ -175,7 +179,7 @@ def dense(run, method, t, h, theta):
     c, m = load_run_state(run), load_explicit(method)
     stages = len(m.c)
     if m.status[1] < stages:
-        status = evaluate_stages(run, method, t, h, len(m.b), stages)
+        status = evaluate_stages(c, m, t, h, len(m.b), stages)
         if status != OK:
             return status
         m.status[1] = stages

@@ -100,7 +100,7 @@ class PythonStepper:
         self.last_step: StepTaken | None = None
         self.raised: Exception | None = None
         self.worst_pairs = np.zeros(len(workspace.mechanism.topology.pairs))
-        self.has_power = workspace.has_power
+        self.has_power = workspace.mechanism.has_power
         workspace.clamp_motions(*timetable.sides(0))
         self.equations = EquationsOfMotion(workspace)
         self.equations.counters = self.counters

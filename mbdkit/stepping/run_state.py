@@ -207,7 +207,7 @@ def new_run_state(workspace: Workspace, rows: int, *, own_multipliers: bool = Fa
     q, v = workspace.q0.copy(), workspace.v0.copy()
     return RunState(
         top=top, still=still, w=workspace.scratch, solver=workspace.solver,
-        has_power=np.array([int(workspace.has_power)]),
+        has_power=np.array([int(workspace.mechanism.has_power)]),
         q=q, q_low=vector(), v=v, v_low=vector(), energy=np.zeros(2), energy_low=np.zeros(2),
         from_q=q.copy(), from_v=v.copy(), base_state=np.array([MODIFIED]),
         dq=vector(), dv=vector(), gain=np.zeros(2), own_lam=by_pair(),
@@ -217,7 +217,7 @@ def new_run_state(workspace: Workspace, rows: int, *, own_multipliers: bool = Fa
         mu=by_pair(), nu=by_pair(), rest=vector(), x=vector(), lam=by_pair(), miss=by_pair(),
         before_q=q.copy(), before_v=v.copy(),
         worst=np.zeros(pairs), counts=np.zeros(5, dtype=np.int64), report=np.zeros(3),
-        progress=new_progress(), interval=new_interval(), guards=new_guard_state(workspace),
+        progress=new_progress(), interval=new_interval(), guards=new_guard_state(workspace.mechanism),
         row_time=np.zeros(rows), row_q=np.zeros((rows, size)), row_v=np.zeros((rows, size)),
         row_energy=np.zeros((rows, 2)), row_interval=np.zeros((rows, len(INTERVAL_FIELDS))),
         row_lam=np.zeros((rows if own_multipliers else 0, pairs, 2)),

@@ -59,7 +59,7 @@ class SciPyStepper:
         self.time = timetable.start
         pairs = len(workspace.mechanism.topology.pairs)
         self.worst_pairs = np.zeros(pairs)
-        self.has_power = workspace.has_power
+        self.has_power = workspace.mechanism.has_power
         self.n3 = 3 * len(workspace.mechanism.bodies)
         self._acc = np.zeros((3, workspace.mechanism.size))
         self._lam = np.zeros((pairs, 2))

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.lane_types import where
 from mbdkit.engine.kernels.applied_forces import evaluate_tension, path_rate, pathway_lengths, potential_energy
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.system import OK, prepare
@@ -32,7 +33,6 @@ from mbdkit.trust.criteria import BRANCH_ANGLE, BRANCH_RATIO
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.engine.workspace import Workspace
 
 FELL_APART, ENERGY_JUMP = 6, 7
 """Status of a step: a limit of the guards was exceeded, see `mbdkit.stepping.run_plan.GuardLimits`."""
@@ -134,9 +134,8 @@ def _has_loops(mechanism: CompiledMechanism) -> bool:
     return False
 
 
-def new_guard_state(workspace: Workspace) -> GuardState:
+def new_guard_state(mechanism: CompiledMechanism) -> GuardState:
     """Return what the guards know at the start of a run."""
-    mechanism = workspace.mechanism
     mass = float(np.sum(mechanism.topology.mass[:-1, 0]))
 
     def one(x: float = 0.0) -> np.ndarray:
@@ -146,7 +145,7 @@ def new_guard_state(workspace: Workspace) -> GuardState:
     return GuardState(
         energy=one(np.nan), kinetic=one(), jump=one(), jump_time=one(), exceeded=one(), jumped=one(),
         per_square=one(1.0 / (mass * mechanism.length**2)), has_loops=one(float(_has_loops(mechanism))),
-        path=one(), distance=one(1.0), vectors=new_vectors(workspace), farthest=one(), nearest=one(np.inf),
+        path=one(), distance=one(1.0), vectors=new_vectors(mechanism), farthest=one(), nearest=one(np.inf),
         samples=next(counts), sample_path=np.zeros(SAMPLES), sample_v=np.zeros((SAMPLES, mechanism.size)),
         armed=one(1.0), dip_path=one(np.nan), dip_distance=one(), dip_time=one(), dip_v=np.zeros(mechanism.size),
         dip_begin=one(),
@@ -204,11 +203,14 @@ def note_jump(guards, t, jump, total, kinetic, rounding, share):
     The limit is `share` of the largest kinetic energy so far, and the rounding error.
     """
     size = abs(jump)
-    if not size <= max(guards.jump[0], rounding) and not np.isnan(guards.energy[0]):
-        guards.jump[0], guards.jump_time[0] = size, t
+    is_larger = (not size <= max(guards.jump[0], rounding)) & (guards.energy[0] == guards.energy[0])
+    guards.jump[0], guards.jump_time[0] = (
+        where(is_larger, size, guards.jump[0]),
+        where(is_larger, t, guards.jump_time[0]),
+    )
     guards.energy[0] = total
     guards.kinetic[0] = max(guards.kinetic[0], kinetic)
-    guards.exceeded[0] = size > share * guards.kinetic[0] + rounding
+    guards.exceeded[0] = where(size > share * guards.kinetic[0] + rounding, 1.0, 0.0)
 
 
 @subkernel
@@ -229,7 +231,13 @@ def distance_to_singularity(h, vectors):
     """
     if h.solver.pivoted[0] != 0:
         return singularity_distance(h.top, h.w, h.solver, vectors)
-    diagonal, whole = h.solver.schur.diagonal, h.solver.schur.whole
+    return distance_by_pivots(h.solver.schur)
+
+
+@subkernel
+def distance_by_pivots(schur):
+    """Return the square root of the largest reduction of a pivot block by elimination."""
+    diagonal, whole = schur.diagonal, schur.whole
     largest = 1.0
     for k in range(len(diagonal)):
         inverse = diagonal[k, 0] * diagonal[k, 2] - diagonal[k, 1] * diagonal[k, 1]

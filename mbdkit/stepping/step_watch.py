@@ -63,7 +63,7 @@ def _new_step(workspace: Workspace, guards: Guards, worst: np.ndarray) -> Watche
     booked = kind.kind == "none" or (kind.kind == "projection" and not kind.symmetric)
     from_q, from_v, made_q, made_v, q, v, dq, acc = np.zeros((8, size))
     return WatchedStep(
-        guards=new_guard_state(workspace), limits=guard_limits(workspace.mechanism, guards), worst=worst,
+        guards=new_guard_state(workspace.mechanism), limits=guard_limits(workspace.mechanism, guards), worst=worst,
         booked=np.array([int(booked)]), from_q=from_q, from_v=from_v, made_q=made_q, made_v=made_v, q=q, v=v,
         gain=np.zeros(2), dq=dq, acc=acc, lam=np.zeros((len(worst), 2)),
     )  # fmt: skip

@@ -25,7 +25,8 @@ from numba import config, typeof, types
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 
-_JIT_DISABLED = vars(config)["DISABLE_JIT"]
+JIT_DISABLED: bool = bool(vars(config)["DISABLE_JIT"])
+"""Whether Numba is switched off (``NUMBA_DISABLE_JIT=1``), so that kernels run as Python functions."""
 _PYTHON_BUNDLES: dict[int, Any] = {}
 """Bundles by the address of their block; used only with NUMBA_DISABLE_JIT=1."""
 
@@ -86,7 +87,7 @@ def bundle_loader(example: Callable[[], tuple[Any, ...]]) -> Any:
     example
         Returns a bundle of the same type; called only during compilation.
     """
-    if _JIT_DISABLED:
+    if JIT_DISABLED:
         return _PYTHON_BUNDLES.__getitem__
 
     @intrinsic
@@ -150,5 +151,5 @@ class PinnedBundle:
             self._block = np.zeros(len(words), dtype=np.int64)
         self._block[:] = words
         self.address: int = self._block.ctypes.data
-        if _JIT_DISABLED:
+        if JIT_DISABLED:
             _PYTHON_BUNDLES[self.address] = bundle

@@ -36,6 +36,7 @@ from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 from numba.extending import is_jitted
 
+from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.jit.numba_version import INSTALLED, PLAIN
 from mbdkit.errors import MbdkitError
 from mbdkit.files import replacing
@@ -53,13 +54,14 @@ def kernel_sources() -> list[Path]:
 
 
 def fingerprint() -> str:
-    """Return 16 hex digits that depend on all kernel sources, Numba, Python, the compile path and the processor."""
+    """Return 16 hex digits that depend on all kernel sources, Numba, Python, compile path, processor and lanes."""
     digest = hashlib.sha256()
     for path in kernel_sources():
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     features = llvm.get_host_cpu_features().flatten()
     path_name = "plain" if PLAIN else "fast"
     digest.update(f"{INSTALLED} {path_name} {sys.version_info[:2]} {llvm.get_host_cpu_name()} {features}".encode())
+    digest.update(f" {WIDTH} lanes".encode())
     return digest.hexdigest()[:16]
 
 

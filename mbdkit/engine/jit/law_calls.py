@@ -16,7 +16,11 @@ from typing import Any
 
 from llvmlite import ir
 from numba import njit, types
+from numba.core import cgutils
 from numba.extending import intrinsic, is_jitted
+
+from mbdkit.engine.jit.lane_types import REAL, LaneArray, store_lanes
+from mbdkit.engine.jit.lane_width import WIDTH
 
 HAS_POTENTIAL, PASSIVE = 1, 2
 """Bits of the claims of a law. HAS_POTENTIAL: the force at zero rate is the derivative of the potential by length.
@@ -42,16 +46,26 @@ def _read_only(typing, array):
 read_only: Any = intrinsic(_read_only)
 
 
+def _law_type() -> ir.FunctionType:
+    """Return the type of a law in LLVM."""
+    double, pointer = ir.DoubleType(), ir.DoubleType().as_pointer()
+    return ir.FunctionType(ir.VoidType(), [double, double, double, pointer, pointer])
+
+
 def _call_law(typing, address, length, rate, time, parameters, begin, out, row):
-    """Call the law at `address` with `parameters` (N,) from index `begin` on; it writes row `row` of `out` (K, 4)."""
+    """Call the law at `address` with `parameters` (N,) from index `begin` on; it writes row `row` of `out` (K, 4).
+
+    In lanes, `parameters` are (WIDTH, N), and the law is called for one lane after the other.
+    """
+    if isinstance(out, LaneArray):
+        return _call_in_lanes()
     number, real = types.int64, types.float64
     vector, matrix = types.Array(real, 1, "C"), types.Array(real, 2, "C")
     signature = types.void(number, real, real, real, vector, number, matrix, number)
 
     def generate(context, builder, signature, arguments):
         address, length, rate, time, parameters, begin, out, row = arguments
-        double, pointer = ir.DoubleType(), ir.DoubleType().as_pointer()
-        function = ir.FunctionType(ir.VoidType(), [double, double, double, pointer, pointer])
+        function = _law_type()
         block = context.make_array(signature.args[4])(context, builder, parameters).data
         results = context.make_array(signature.args[6])(context, builder, out).data
         four = ir.Constant(row.type, 4)
@@ -59,6 +73,33 @@ def _call_law(typing, address, length, rate, time, parameters, begin, out, row):
             builder.inttoptr(address, function.as_pointer()),
             [length, rate, time, builder.gep(block, [begin]), builder.gep(results, [builder.mul(row, four)])],
         )
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+def _call_in_lanes():
+    """Return signature and code of `call_law` for lanes; `parameters` are an array (WIDTH, N) of numbers."""
+    number, matrix, lanes = types.int64, types.Array(types.float64, 2, "C"), LaneArray(2)
+    signature = types.void(number, REAL, REAL, REAL, matrix, number, lanes, number)
+
+    def generate(context, builder, signature, arguments):
+        address, *state, parameters, begin, out, row = arguments
+        word = ir.IntType(32)
+        function = builder.inttoptr(address, _law_type().as_pointer())
+        given = context.make_array(signature.args[4])(context, builder, parameters)
+        size = cgutils.unpack_tuple(builder, given.shape)[1]
+        results = cgutils.alloca_once(builder, ir.DoubleType(), 4)
+        columns = [ir.Constant(context.get_value_type(REAL), ir.Undefined)] * 4
+        for lane in range(WIDTH):
+            numbers = [builder.extract_element(value, word(lane)) for value in state]
+            block = builder.gep(given.data, [builder.add(builder.mul(size, size.type(lane)), begin)])
+            builder.call(function, [*numbers, block, results])
+            for i in range(4):
+                one = builder.load(builder.gep(results, [word(i)]))
+                columns[i] = builder.insert_element(columns[i], one, word(lane))
+        for i in range(4):
+            store_lanes(context, builder, lanes, out, [row, row.type(i)], columns[i])
         return context.get_dummy_value()
 
     return signature, generate

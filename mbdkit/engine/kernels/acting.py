@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-
 from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.lane_types import hypot_of_each, where
 from mbdkit.engine.jit.law_calls import HAS_POTENTIAL
 from mbdkit.engine.kernels.applied_forces import PATHWAYS, TORQUE, path_rate, point_force
 
@@ -44,10 +43,10 @@ def force_values(top, w, q, v, out):
         else:
             fx, fy, px, py = point_force(top, w, k)
             spin = v[3 * body + 2]
-            size = math.hypot(fx, fy)
+            size = hypot_of_each(fx, fy)
             power = fx * (v[3 * body] - spin * py) + fy * (v[3 * body + 1] + spin * px)
             out[row, 0] = 0.0
-            out[row, 1] = power / size if size > 0.0 else 0.0
+            out[row, 1] = where(size > 0.0, power / size, 0.0)
             out[row, 2] = size
             out[row, 3] = power
 

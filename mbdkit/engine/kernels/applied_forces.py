@@ -10,8 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.lane_types import is_refused, where
 from mbdkit.engine.jit.law_calls import HAS_POTENTIAL, PASSIVE, call_law
 from mbdkit.engine.kernels import element_kernels as e
+from mbdkit.engine.kernels.vectors import fill
 
 PATHWAYS = {name: code for code, name in enumerate(e.PATHWAY_KINDS)}
 _TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y = range(len(PATHWAYS))
@@ -35,9 +37,8 @@ def pathway_lengths(top, w, q):
         a, b = springs[k, 1], springs[k, 2]
         if springs[k, 0] == _TWO_POINTS:
             two_points_gradient(k, a, b, q, cs, points, s, grad)
-            if s[k, 0] == 0.0:  # coincident points define no direction (0/0): the spring then exerts no force
-                for i in range(6):
-                    grad[k, i] = 0.0
+            for i in range(6):  # coincident points define no direction (0/0): the spring then exerts no force
+                grad[k, i] = where(s[k, 0] == 0.0, 0.0, grad[k, i])
         elif springs[k, 0] == _RELATIVE_ANGLE:
             relative_angle_gradient(k, a, b, q, cs, points, s, grad)
         elif springs[k, 0] == _COORDINATE_X:
@@ -72,7 +73,8 @@ def evaluate_tension(top, w, k, rate):
         tension[k, 3] = 0.5 * stiffness * stretch * stretch
     else:
         call_law(top.laws[law, 0], length, rate, w.time[0], top.law_parameters, top.laws[law, 1], tension, k)
-        if not abs(tension[k, 0]) < np.inf and abs(length) < np.inf and abs(rate) < np.inf:
+        is_law_at_fault = (abs(length) < np.inf) & (abs(rate) < np.inf) & (not abs(tension[k, 0]) < np.inf)
+        if is_refused(not is_law_at_fault):
             w.faulty[0] = law
 
 
@@ -84,7 +86,7 @@ def applied_forces(top, w, q, v):
     on ground are accumulated in its three entries, which no solver reads.
     """
     springs, loads, grad, force, u = top.springs, top.loads, w.grad, w.force, w.u
-    force[:] = 0.0
+    fill(force, 0.0)
     pathway_lengths(top, w, q)
     for k in range(len(springs)):
         a, b = springs[k, 1], springs[k, 2]

@@ -7,9 +7,8 @@ solver needs no code for other block sizes.
 
 from __future__ import annotations
 
-from math import cos, sin
-
 from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.kernels.angles import cosine_and_sine
 from mbdkit.engine.kernels.element_kernels import (
     CONSTRAINT_KINDS,
     constraint_accelerations,
@@ -30,6 +29,4 @@ def turn_bodies(q, cs):
     They are computed once per position, because every element on a body needs them.
     """
     for b in range(len(cs) - 1):
-        theta = q[3 * b + 2]
-        cs[b, 0] = cos(theta)
-        cs[b, 1] = sin(theta)
+        cs[b, 0], cs[b, 1] = cosine_and_sine(q[3 * b + 2])

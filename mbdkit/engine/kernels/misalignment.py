@@ -7,6 +7,7 @@ adds the squares of the pairs of a joint and takes the root at the end of a run.
 from __future__ import annotations
 
 from mbdkit.engine.jit.decorators import inlined, subkernel
+from mbdkit.engine.jit.lane_types import where
 from mbdkit.engine.kernels.system import evaluate_positions, prepare
 
 
@@ -25,5 +26,4 @@ def raise_misalignments(top, w, t, q, worst):
     evaluate_positions(top, w, q)
     for k in range(len(worst)):
         square = _squared(w.phi[k, 0], w.phi[k, 1])
-        if square > worst[k]:
-            worst[k] = square
+        worst[k] = where(square > worst[k], square, worst[k])

@@ -10,7 +10,11 @@ from __future__ import annotations
 
 from math import acos, asin, atan, atan2, cos, exp, log, sin, sqrt, tan, tanh
 
+from numba.extending import overload
+
 from mbdkit.engine.jit.decorators import kernel, subkernel
+from mbdkit.engine.jit.lane_types import LaneReal, number_in, put_in
+from mbdkit.engine.jit.lane_width import WIDTH
 
 _NAMES = (
     "const", "t", "add", "sub", "mul", "div", "neg", "pow", "powi", "sin", "cos", "tan", "asin", "acos", "atan",
@@ -188,6 +192,28 @@ def evaluate_motions(t, ptr, ops, values, stack, u):
                 # chain rule: (f(a))' = f' a' and (f(a))'' = f'' a'^2 + f' a''
                 a[0], a[1], a[2] = f, d1 * a[1], d2 * a[1] * a[1] + d1 * a[2]
         u[i, 0], u[i, 1], u[i, 2] = stack[0, 0], stack[0, 1], stack[0, 2]
+
+
+@subkernel
+def _motions_in_lanes(t, ptr, ops, values, stack, u):
+    """Evaluate every motion for one lane after another; `values` are (WIDTH, N), `stack` (MAX_DEPTH + motions, 3)."""
+    results = stack[MAX_DEPTH:]
+    for lane in range(WIDTH if len(ptr) > 1 else 0):
+        evaluate_motions(number_in(t, lane), ptr, ops, values[lane], stack, results)
+        for m in range(len(ptr) - 1):
+            for i in range(3):
+                u[m, i] = put_in(u[m, i], lane, results[m, i])
+
+
+def motions(t, ptr, ops, values, stack, u):
+    """Evaluate every motion at time `t`, see `evaluate_motions`; also in lanes."""
+    evaluate_motions(t, ptr, ops, values, stack, u)
+
+
+@overload(motions)
+def _motions(t, ptr, ops, values, stack, u):
+    evaluate = _motions_in_lanes if isinstance(t, LaneReal) else evaluate_motions
+    return lambda t, ptr, ops, values, stack, u: evaluate(t, ptr, ops, values, stack, u)
 
 
 @kernel

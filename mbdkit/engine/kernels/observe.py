@@ -42,6 +42,30 @@ def reactions_of(top, w, lam, out):
         out[k, 2] -= arm_x * out[k, 1] - arm_y * out[k, 0]
 
 
+@subkernel
+def residuals_of(top, w, q, v, phi, rate):
+    """Write Phi and its rate of every row of the joints into `phi` and `rate` (P, 2); requires ``w.jac``."""
+    constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
+    for k in range(len(top.pairs)):
+        a, b = top.pairs[k, 1], top.pairs[k, 2]
+        for i in range(2):
+            change = w.phi_t[k, i]
+            for d in range(3):
+                change += w.jac[k, 6 * i + d] * v[3 * a + d] + w.jac[k, 6 * i + 3 + d] * v[3 * b + d]
+            phi[k, i] = w.phi[k, i]
+            rate[k, i] = change
+
+
+@subkernel
+def kinetic_energy(top, v):
+    """Return the kinetic energy [J]."""
+    energy = 0.0
+    for b in range(len(top.mass) - 1):
+        for d in range(3):
+            energy += 0.5 * top.mass[b, d] * v[3 * b + d] * v[3 * b + d]
+    return energy
+
+
 class Observed(NamedTuple):
     """Quantities computed from T states; P is the number of pairs of constraint rows, F of force elements."""
 
@@ -137,7 +161,6 @@ def observe(engine, times, q, v, out, stress, near):
     """
     h = load_engine(engine)
     top, w, solver = h.top, h.w, h.solver
-    bodies = len(top.mass) - 1
     for r in range(len(times)):
         prepare(top, w, times[r], q[r])
         lam = out.lam[r]
@@ -159,25 +182,13 @@ def observe(engine, times, q, v, out, stress, near):
             stress.lam[r, i, top.spare[i, 0], 1] += dy
         if len(top.spare) > 0:  # restore the rows that the solution combined
             constraint_rows(top, w, q[r], v[r])
-        constraint_positions(top.pairs, top.pair_parameters, q[r], w.cs, w.u, w.phi, w.phi_t)
-        for k in range(len(top.pairs)):
-            a, b = top.pairs[k, 1], top.pairs[k, 2]
-            for i in range(2):
-                rate = w.phi_t[k, i]
-                for d in range(3):
-                    rate += w.jac[k, 6 * i + d] * v[r, 3 * a + d] + w.jac[k, 6 * i + 3 + d] * v[r, 3 * b + d]
-                out.phi[r, k, i] = w.phi[k, i]
-                out.phi_rate[r, k, i] = rate
+        residuals_of(top, w, q[r], v[r], out.phi[r], out.phi_rate[r])
         reactions_of(top, w, lam, out.reactions[r])
         if len(top.spare) == 0:  # redundant reactions are shared afterwards, and `observe_joints` evaluates the joints
             joint_values(top, w, q[r], lam, out.reactions[r], out.joints[r])
         for i in range(len(top.spare)):
             reactions_of(top, w, stress.lam[r, i], stress.reactions[r, i])
-        energy = 0.0
-        for b in range(bodies):
-            for d in range(3):
-                energy += 0.5 * top.mass[b, d] * v[r, 3 * b + d] * v[r, 3 * b + d]
-        out.kinetic[r] = energy
+        out.kinetic[r] = kinetic_energy(top, v[r])
         out.potential[r], _ = potential_energy(top, w, q[r])
     return OK, len(times)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from mbdkit.engine.jit.decorators import inlined, subkernel
+from mbdkit.engine.jit.lane_types import is_refused, usable
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix
 
 TOO_SMALL = 1e-10
@@ -89,9 +90,10 @@ def factor(top, jac, schur):
     for k in range(n):
         d00, d01, d11 = diagonal[k, 0], diagonal[k, 1], diagonal[k, 2]
         det = d00 * d11 - d01 * d01
-        if not (d00 > TOO_SMALL * whole[k, 0] and det > TOO_SMALL * whole[k, 0] * whole[k, 1]):  # also true for NaN
+        sound = (d00 > TOO_SMALL * whole[k, 0]) & (det > TOO_SMALL * whole[k, 0] * whole[k, 1])  # not if they are NaN
+        if is_refused(sound):
             return k
-        inverse = 1.0 / det
+        inverse = 1.0 / usable(det, sound)
         p00, p01, p11 = d11 * inverse, -d01 * inverse, d00 * inverse  # inverse of the symmetric 2 x 2 pivot block
         diagonal[k, 0], diagonal[k, 1], diagonal[k, 2] = p00, p01, p11
         for e in range(start[k], start[k + 1]):

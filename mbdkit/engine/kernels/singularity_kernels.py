@@ -12,11 +12,13 @@ second vector makes the iteration converge when the two smallest eigenvalues are
 
 from __future__ import annotations
 
-from math import hypot, sqrt
+from math import sqrt
 
 import numpy as np
+from numba.extending import overload
 
 from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
+from mbdkit.engine.jit.lane_types import any_of, where
 from mbdkit.engine.kernels.lu import substitute
 from mbdkit.engine.kernels.schur import diagonal_block
 from mbdkit.engine.kernels.system import load_engine, prepare, solved_rows
@@ -86,8 +88,7 @@ def _disturb(rows, near):
         known += near[k, X] * near[k, X] + near[k, X + 1] * near[k, X + 1]
     for k in range(len(rows)):
         for r in range(rows[k]):
-            if known == 0.0:
-                near[k, X + r] = _noise(2 * k + r, 0.7548776662466927)
+            near[k, X + r] = where(known == 0.0, _noise(2 * k + r, 0.7548776662466927), near[k, X + r])
             near[k, Y + r] += NOISE * _noise(2 * k + r, 0.6180339887498949)
     return known > 0.0
 
@@ -139,7 +140,7 @@ def _solve_both(schur, near):
         near[k, X_IMAGE], near[k, X_IMAGE + 1], near[k, Y_IMAGE], near[k, Y_IMAGE + 1] = x0, x1, y0, y1
 
 
-@inlined
+@subkernel
 def _solve_pivoted(top, w, solver, near):
     """Solve with the pivoted system for both right-hand sides in place.
 
@@ -188,8 +189,8 @@ def _products(rows, near):
 
 
 @subkernel
-def _turn(near, along, size0, size1, z0, z1):
-    """Orthonormalize the images, rotate them by (z0, z1) and store them as the next vectors.
+def _turn(near, along, size0, size1, z0, z1, turning):
+    """Orthonormalize the images, rotate them by (z0, z1) and store them as the next vectors, where `turning` holds.
 
     The first vector is then the Ritz vector of the smaller Ritz value.
     """
@@ -197,9 +198,62 @@ def _turn(near, along, size0, size1, z0, z1):
         for r in range(2):
             e0 = near[k, X_IMAGE + r]
             e1 = (near[k, Y_IMAGE + r] - along * e0) * size1
-            e0 *= size0
-            near[k, X + r] = z0 * e0 + z1 * e1
-            near[k, Y + r] = z0 * e1 - z1 * e0
+            e0 = e0 * size0
+            near[k, X + r] = where(turning, z0 * e0 + z1 * e1, near[k, X + r])
+            near[k, Y + r] = where(turning, z0 * e1 - z1 * e0, near[k, Y + r])
+
+
+def solve_images(top, w, solver, near):
+    """Solve for both right-hand sides in place, with the pivots of `solver` or with its Schur complement."""
+    if solver.pivoted[0] != 0:
+        _solve_pivoted(top, w, solver, near)
+    else:
+        _solve_both(solver.schur, near)
+
+
+@overload(solve_images)
+def _solve_images(top, w, solver, near):
+    if "pivoted" not in solver.bundle.fields:  # lanes
+        return lambda top, w, solver, near: _solve_both(solver.schur, near)
+    return solve_images
+
+
+@subkernel
+def _ritz(rows, near):
+    """Return the data of the smaller Ritz value: (value, squared residual, z0, z1, along, size0, size1).
+
+    The inverse operator B maps the vectors (x, y) to the images (Bx, By). The Ritz values of the operator on the
+    subspace of the images follow from Gram matrices alone, because the operator maps the images back to the vectors.
+    The value is 0 or NaN if an image is not finite or zero.
+    """
+    x00, x01, x11, y00, y01, y11, h00, h01, h11 = _products(rows, near)
+    is_sound = (y00 > 0.0) & (y00 < np.inf) & (y11 >= 0.0) & (y11 < np.inf)
+    # Gram-Schmidt: orthogonalize the second image against the first, and combine the vectors likewise
+    along = y01 / y00
+    rest = y11 - along * y01
+    size0 = 1.0 / sqrt(y00)
+    has_second = rest > INDEPENDENT * y11
+    size1 = where(has_second, 1.0 / sqrt(where(has_second, rest, 1.0)), 0.0)
+    g00 = h00 * size0 * size0
+    g01 = (h01 - along * h00) * size0 * size1
+    g11 = (h11 - 2.0 * along * h01 + along * along * h00) * size1 * size1
+    # determinant over larger eigenvalue: the difference of mean and root would cancel
+    half = 0.5 * (g00 - g11)
+    smaller = (g00 * g11 - g01 * g01) / (0.5 * (g00 + g11) + sqrt(half * half + g01 * g01))
+    e00, e11 = abs(g00 - smaller), abs(g11 - smaller)
+    larger = max(e00, e11)
+    length = sqrt(larger * larger + g01 * g01)
+    turns = has_second & (length > 0.0)
+    is_first = e11 >= e00
+    inverse = 1.0 / where(turns, length, 1.0)
+    z0 = where(turns, where(is_first, e11, -g01) * inverse, 1.0)
+    z1 = where(turns, where(is_first, -g01, e00) * inverse, 0.0)
+    smallest = where(is_sound, where(has_second, smaller, g00), 0.0)
+    c0 = z0 * size0 - along * z1 * size1
+    c1 = z1 * size1
+    # ||A z - theta z||^2 / theta^2 = ||A z||^2 / theta^2 - 1 for the unit Ritz vector z, theta = z^T A z
+    off = (c0 * c0 * x00 + 2.0 * c0 * c1 * x01 + c1 * c1 * x11) / (smallest * smallest) - 1.0
+    return smallest, off, z0, z1, along, size0, size1
 
 
 @inlined
@@ -207,51 +261,27 @@ def singularity_distance(top, w, solver, near):
     """Return the distance to singularity at the position of the last `solve_accelerations`.
 
     It is 1 with fewer than two pairs and 0 if an image or a Ritz value is not finite or not positive. `near` (P, 11)
-    carries the vectors from one recorded row to the next. Overwrites ``w.right`` and ``w.solution``.
-
-    The inverse operator B maps the vectors (x, y) to the images (Bx, By). The Ritz values of the operator on the
-    subspace of the images follow from Gram matrices alone, because the operator maps the images back to the vectors.
+    carries the vectors from one recorded row to the next. Overwrites ``w.right`` and ``w.solution``. Lanes that have
+    converged keep their values while others go on.
     """
     distance = 1.0
     if _pair_factors(top, w.jac, near) > 1:
-        fewest = 1 if _disturb(top.rows, near) else FEWEST_AT_FIRST
+        fewest = where(_disturb(top.rows, near), 1.0, FEWEST_AT_FIRST)
+        is_active = True
         for iteration in range(MOST_ITERATIONS):
             _scale(near)
-            if solver.pivoted[0] != 0:
-                _solve_pivoted(top, w, solver, near)
-            else:
-                _solve_both(solver.schur, near)
-            x00, x01, x11, y00, y01, y11, h00, h01, h11 = _products(top.rows, near)
-            smallest = off = along = size0 = size1 = z0 = z1 = 0.0
-            if 0.0 < y00 < np.inf and 0.0 <= y11 < np.inf:
-                # Gram-Schmidt: orthogonalize the second image against the first, and combine the vectors likewise
-                along = y01 / y00
-                rest = y11 - along * y01
-                size0 = 1.0 / sqrt(y00)
-                if rest > INDEPENDENT * y11:
-                    size1 = 1.0 / sqrt(rest)
-                g00 = h00 * size0 * size0
-                g01 = (h01 - along * h00) * size0 * size1
-                g11 = (h11 - 2.0 * along * h01 + along * along * h00) * size1 * size1
-                z0, z1, smallest = 1.0, 0.0, g00
-                if size1 > 0.0:
-                    # determinant over larger eigenvalue: the difference of mean and root would cancel
-                    smallest = (g00 * g11 - g01 * g01) / (0.5 * (g00 + g11) + hypot(0.5 * (g00 - g11), g01))
-                    e00, e11 = abs(g00 - smallest), abs(g11 - smallest)
-                    length = hypot(max(e00, e11), g01)
-                    if length > 0.0:
-                        z0, z1 = (e11 / length, -g01 / length) if e11 >= e00 else (-g01 / length, e00 / length)
-                c0 = z0 * size0 - along * z1 * size1
-                c1 = z1 * size1
-                # ||A z - theta z||^2 / theta^2 = ||A z||^2 / theta^2 - 1 for the unit Ritz vector z, theta = z^T A z
-                off = (c0 * c0 * x00 + 2.0 * c0 * c1 * x01 + c1 * c1 * x11) / (smallest * smallest) - 1.0
-            if not 0.0 < smallest < np.inf:  # also true for NaN
-                near[:, :L_XX] = 0.0
-                distance = 0.0
-                break
-            _turn(near, along, size0, size1, z0, z1)
-            distance = min(sqrt(smallest), 1.0)
-            if iteration + 1 >= fewest and off <= CLOSE * CLOSE:
+            solve_images(top, w, solver, near)
+            smallest, off, z0, z1, along, size0, size1 = _ritz(top.rows, near)
+            is_fine = (smallest > 0.0) & (smallest < np.inf)
+            is_lost, is_turning = is_active & (not is_fine), is_active & is_fine
+            _turn(near, along, size0, size1, z0, z1, is_turning)
+            if any_of(is_lost):
+                for k in range(len(near)):
+                    for c in range(L_XX):
+                        near[k, c] = where(is_lost, 0.0, near[k, c])
+            distance = where(is_turning, min(sqrt(where(is_fine, smallest, 1.0)), 1.0), where(is_lost, 0.0, distance))
+            is_active = is_turning & (not ((iteration + 1.0 >= fewest) & (off <= CLOSE * CLOSE)))
+            if not any_of(is_active):
                 break
     return distance
 

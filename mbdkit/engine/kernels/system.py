@@ -18,6 +18,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from numba.extending import overload
+
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import inlined, subkernel
 from mbdkit.engine.kernels.applied_forces import applied_forces, force_tangents, powers
@@ -29,7 +31,7 @@ from mbdkit.engine.kernels.constraints import (
     turn_bodies,
 )
 from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, solve_refined
-from mbdkit.engine.kernels.motions import evaluate_motions
+from mbdkit.engine.kernels.motions import motions
 from mbdkit.engine.kernels.schur import Schur
 from mbdkit.engine.kernels.schur import factor as schur_factor
 from mbdkit.engine.kernels.schur import solve as schur_solve
@@ -200,6 +202,12 @@ class Solver(NamedTuple):
     """(1,) pair or pivot position at which the last factorization failed."""
 
 
+class LaneSolver(NamedTuple):
+    """Solver for accelerations in lanes, where every run uses the Schur complement."""
+
+    schur: Schur
+
+
 class Engine(NamedTuple):
     """Mechanism, working arrays and solver; kernels called from Python take the address of a pinned engine."""
 
@@ -216,7 +224,7 @@ def prepare(top, w, t, q):
     """Evaluate the quantities that all elements share at a time and position: motions, cosines and sines."""
     w.time[0] = t
     at = min(max(t, w.sides[0]), w.sides[1])
-    evaluate_motions(at, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
+    motions(at, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
     turn_bodies(q, w.cs)
 
 
@@ -480,7 +488,24 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
 
 
 @inlined
-def solve_system(top, w, solver, has_forces, acc, lam, refine):
+def schur_accelerations(top, w, schur, has_forces, acc, lam, refine):
+    """Solve the index-1 system by the Schur complement; return the pair that `mbdkit.engine.kernels.schur.factor` does.
+
+    ``a = a_free - M^-1 Phi_q^T lambda``, and so ``S lambda = Phi_q a_free - gamma``.
+    """
+    free_accelerations(top, has_forces, w.force, acc)
+    joint_right_side(top, w, acc, lam)
+    failed = schur_factor(top, w.jac, schur)
+    if failed < 0:
+        schur_solve(schur, lam)
+        apply_multipliers(top, w, lam, acc)
+        if refine:
+            refine_multipliers(top, w, schur, acc, lam)
+    return failed
+
+
+@inlined
+def _by_pivots_or_schur(top, w, solver, has_forces, acc, lam, refine):
     """Solve the index-1 system with ``w.force``, ``w.jac`` and ``w.gamma`` of the independent rows; return a status.
 
     The pivoted solver refines in any case; `refine` applies to the Schur complement only.
@@ -490,19 +515,33 @@ def solve_system(top, w, solver, has_forces, acc, lam, refine):
     if solver.pivoted[0] != 0:
         status = pivoted_accelerations(top, w, solver, has_forces, acc, lam)
     else:
-        # a = a_free - M^-1 Phi_q^T lambda, and so S lambda = Phi_q a_free - gamma
-        free_accelerations(top, has_forces, w.force, acc)
-        joint_right_side(top, w, acc, lam)
-        solver.failed[0] = schur_factor(top, w.jac, solver.schur)
-        status = OK
-        if solver.failed[0] >= 0:
-            status = REPIVOT
-        else:
-            schur_solve(solver.schur, lam)
-            apply_multipliers(top, w, lam, acc)
-            if refine:
-                refine_multipliers(top, w, solver.schur, acc, lam)
+        solver.failed[0] = schur_accelerations(top, w, solver.schur, has_forces, acc, lam, refine)
+        status = OK if solver.failed[0] < 0 else REPIVOT
     return status
+
+
+@inlined
+def _by_schur(top, w, solver, has_forces, acc, lam, refine):
+    """Solve the index-1 system by the Schur complement; a lane in which it loses accuracy becomes NaN; return OK."""
+    for i in range(3):
+        acc[len(acc) - 3 + i] = 0.0
+    schur_accelerations(top, w, solver.schur, has_forces, acc, lam, refine)
+    return OK
+
+
+def solve_system(top, w, solver, has_forces, acc, lam, refine):
+    """Solve the index-1 system with ``w.force``, ``w.jac`` and ``w.gamma`` of the independent rows; return a status.
+
+    The pivoted solver refines in any case; `refine` applies to the Schur complement only. In lanes, there is no pivoted
+    solver: accelerations become NaN in a lane that would need it.
+    """
+    return _by_pivots_or_schur(top, w, solver, has_forces, acc, lam, refine)
+
+
+@overload(solve_system)
+def _solve_system(top, w, solver, has_forces, acc, lam, refine):
+    solve = _by_pivots_or_schur if "pivoted" in solver.bundle.fields else _by_schur
+    return lambda top, w, solver, has_forces, acc, lam, refine: solve(top, w, solver, has_forces, acc, lam, refine)
 
 
 @inlined

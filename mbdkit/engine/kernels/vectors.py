@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.decorators import inlined, subkernel
 
 
 @subkernel
@@ -10,6 +10,13 @@ def copy(x, out):
     """Copy the vector `x` into the beginning of `out`."""
     for d in range(len(x)):
         out[d] = x[d]
+
+
+@inlined
+def fill(out, value):
+    """Set all elements of the vector `out`."""
+    for d in range(len(out)):
+        out[d] = value
 
 
 BEYOND = 1e75
@@ -21,7 +28,7 @@ def stays_finite(x, increment):
     """Return whether `x` plus `increment` stays below `BEYOND`."""
     finite = True
     for d in range(len(x)):
-        finite = finite and abs(x[d] + increment[d]) < BEYOND
+        finite = finite & (abs(x[d] + increment[d]) < BEYOND)
     return finite
 
 

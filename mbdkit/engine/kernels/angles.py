@@ -1,0 +1,57 @@
+"""Cosine and sine of an angle by one routine without branches, the same for a single run and for runs in lanes.
+
+The argument is reduced by multiples of pi/2 in two steps (Cody and Waite): pi/2 is split into two parts of 33 bits and
+a rest, so that the products with the number of quarter turns are exact. The result is a sum of two numbers. Sine and
+cosine of it follow from polynomials of degree 13 and 14 with the coefficients of fdlibm (Sun Microsystems, 1993), which
+are accurate to 2^-58. The error is below 1 ulp for ``|x| < FAR``. Beyond, the functions of the C library are used.
+
+A library function would be as accurate, but it has branches, so that LLVM cannot vectorize it, and other bits on other
+platforms.
+"""
+
+from __future__ import annotations
+
+from mbdkit.engine.jit.decorators import inlined
+from mbdkit.engine.jit.lane_types import any_of, below, cosine_of_each, nearest, sine_of_each, where
+
+FAR = 1e5
+"""Angle [rad] from which on the reduction is not exact."""
+
+_QUARTERS = 0.6366197723675814
+"""2 / pi."""
+_HALF_PI_1, _HALF_PI_2, _HALF_PI_3 = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21
+"""pi / 2 as a sum; the first two have 33 bits."""
+
+_S1, _S2, _S3 = -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04
+_S4, _S5, _S6 = 2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10
+_C1, _C2, _C3 = 4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05
+_C4, _C5, _C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11
+
+
+@inlined
+def cosine_and_sine(x):
+    """Return cosine and sine of `x` [rad]."""
+    quarters = nearest(x * _QUARTERS)
+    first = x - quarters * _HALF_PI_1
+    step = quarters * _HALF_PI_2
+    rest = first - step
+    low = quarters * _HALF_PI_3 - ((first - rest) - step)
+    y = rest - low  # the reduced angle is the sum of y and `tail`
+    tail = (rest - y) - low
+    z = y * y
+    cube = z * y
+    sine_terms = _S2 + z * (_S3 + z * (_S4 + z * (_S5 + z * _S6)))
+    sine = y - ((z * (0.5 * tail - cube * sine_terms) - tail) - cube * _S1)
+    cosine_terms = z * (_C1 + z * (_C2 + z * (_C3 + z * (_C4 + z * (_C5 + z * _C6)))))
+    half = 0.5 * z
+    near_one = 1.0 - half
+    cosine = near_one + (((1.0 - near_one) - half) + (z * cosine_terms - y * tail))
+    quadrant = quarters - 4.0 * below(0.25 * quarters)  # 0, 1, 2 or 3
+    is_odd = (quadrant == 1.0) | (quadrant == 3.0)
+    s, c = where(is_odd, cosine, sine), where(is_odd, sine, cosine)
+    s = where(quadrant >= 2.0, -s, s)
+    c = where((quadrant == 1.0) | (quadrant == 2.0), -c, c)
+    is_far = abs(x) >= FAR
+    if any_of(is_far):
+        s, c = where(is_far, sine_of_each(x), s), where(is_far, cosine_of_each(x), c)
+    return c, s

@@ -1,0 +1,136 @@
+"""Runs in lanes: the loop over fixed steps of an explicit method, and the values of the recorded states.
+
+Several runs of mechanisms with the same topology advance side by side (`mbdkit.engine.jit.lane_types`). Parameters,
+initial states, steps and loads may differ, the number of steps may not. The functions of a step are those of the driver
+of single runs, compiled for lanes; only the loop over steps is simpler, because nothing in it depends on a lane. A lane
+in which something unusual happens (a value that is not finite, a pivot too small, a guard) is *lost*: it stays in the
+loop, but its run is repeated alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.engine.jit.decorators import kernel, subkernel
+from mbdkit.engine.jit.lane_types import number_in, where
+from mbdkit.engine.jit.lane_width import WIDTH
+from mbdkit.engine.kernels.acting import force_values, joint_values, marker_values
+from mbdkit.engine.kernels.applied_forces import potential_energy
+from mbdkit.engine.kernels.misalignment import raise_misalignments
+from mbdkit.engine.kernels.observe import kinetic_energy, reactions_of, residuals_of
+from mbdkit.engine.kernels.singularity_kernels import singularity_distance
+from mbdkit.engine.kernels.system import prepare, solve_accelerations
+from mbdkit.engine.kernels.vectors import add_compensated, copy, stays_finite
+from mbdkit.stepping.explicit import add_up_stages, evaluate_stages
+from mbdkit.stepping.lane_run import load_guards, load_lane_run
+from mbdkit.stepping.step_guards import (
+    begin_energy,
+    distance_by_pivots,
+    energy_jump,
+    note_jump,
+    watch_branch,
+)
+
+
+@subkernel
+def _lose(c, condition):
+    """Mark the lanes in which a condition holds as lost."""
+    c.lost[0] = where(condition, 1.0, c.lost[0])
+
+
+@subkernel
+def _watch_branches(c, t):
+    """Follow the paths of all lanes by the step that ends at `t`; see `mbdkit.stepping.step_guards.watch_branch`."""
+    distance = distance_by_pivots(c.solver.schur)
+    watch = c.watch
+    for lane in range(WIDTH):
+        guards = load_guards(watch.guards[lane])
+        guards.distance[0] = number_in(distance, lane)
+        guards.kinetic[0] = number_in(c.guards.kinetic[0], lane)
+        for d in range(len(c.q)):
+            watch.dq[d] = number_in(c.dq[d], lane)
+            watch.v[d] = number_in(c.v[d], lane)
+        watch_branch(guards, watch.mass[lane], number_in(t, lane), watch.dq, watch.v)
+
+
+@subkernel
+def _write_row(c, row, t):
+    """Store the state as a recorded one."""
+    c.row_time[row] = t
+    copy(c.q, c.row_q[row])
+    copy(c.v, c.row_v[row])
+    for k in range(2):
+        c.row_energy[row, k] = c.energy[k]
+
+
+@subkernel
+def _advance(c):
+    """Add the increments of a step to the state by compensated sums."""
+    add_compensated(c.q, c.q_low, c.dq)
+    add_compensated(c.v, c.v_low, c.dv)
+    if c.has_power[0] != 0:
+        add_compensated(c.energy, c.energy_low, c.gain)
+
+
+@subkernel
+def _observe_row(c, r):
+    """Compute the values of a recorded state; see `mbdkit.engine.kernels.observe.observe`."""
+    top, w, out = c.top, c.w, c.observed
+    q, v, acc, lam = c.row_q[r], c.row_v[r], out.acc[r], out.lam[r]
+    prepare(top, w, c.row_time[r], q)
+    solve_accelerations(top, w, c.solver, q, v, acc, lam, True)
+    force_values(top, w, q, v, out.forces[r])
+    marker_values(top, w, q, v, out.markers[r])
+    out.singularity_distance[r] = singularity_distance(top, w, c.solver, c.near)
+    residuals_of(top, w, q, v, out.phi[r], out.phi_rate[r])
+    reactions_of(top, w, lam, out.reactions[r])
+    joint_values(top, w, q, lam, out.reactions[r], out.joints[r])
+    out.kinetic[r] = kinetic_energy(top, v)
+    out.potential[r], _ = potential_energy(top, w, q)
+    total = out.kinetic[r] + out.potential[r]
+    for d in range(len(acc)):
+        total += abs(acc[d])
+    for k in range(len(lam)):
+        total += abs(lam[k, 0]) + abs(lam[k, 1])
+    _lose(c, not abs(total) < np.inf)
+
+
+@kernel
+def drive_lanes(address):
+    """Take all steps of the runs in a `LaneRun`, and compute the values of the recorded states."""
+    c = load_lane_run(address)
+    m, times = c.method, c.times
+    start, step, steps, every = times.start[0], times.step[0], times.steps[0], times.every[0]
+    first_same_as_last = m.status[0] != 0
+    stages = len(m.b)
+    _write_row(c, 0, start)
+    rows = 1
+    begin_energy(c, c.guards, start, c.q, c.v)
+    for n in range(steps):
+        t = start + n * step
+        h = where(n < steps - 1, step, times.last_step[0])
+        first = 0
+        if n > 0 and first_same_as_last:
+            copy(m.rates[stages - 1], m.rates[0])
+            copy(m.accelerations[stages - 1], m.accelerations[0])
+            m.power[0, 0], m.power[0, 1] = m.power[stages - 1, 0], m.power[stages - 1, 1]
+            first = 1
+        evaluate_stages(c, m, t, h, first, stages)
+        add_up_stages(c, m, h)
+        _lose(c, not (stays_finite(c.q, c.dq) & stays_finite(c.v, c.dv)))
+        _advance(c)
+        t = where(n < steps - 1, start + (n + 1) * step, times.end[0])
+        if c.watch.has_loops[0] != 0:
+            _watch_branches(c, t)
+        raise_misalignments(c.top, c.w, t, c.q, c.worst)
+        jump, total, kinetic, rounding = energy_jump(c, c.guards, c.gain, c.q, c.v)
+        note_jump(c.guards, t, jump, total, kinetic, rounding, c.energy_share[0])
+        for k in range(len(c.worst)):
+            _lose(c, c.worst[k] > c.squared_misalignment[k])
+        _lose(c, c.guards.exceeded[0] != 0.0)
+        if (n + 1) % every == 0 or n == steps - 1:
+            _write_row(c, rows, t)
+            rows += 1
+    for r in range(rows):
+        _observe_row(c, r)
+    return rows

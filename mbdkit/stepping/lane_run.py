@@ -1,0 +1,153 @@
+"""Data of runs in lanes (`mbdkit.stepping.lane_driver`), as the compiled loop reads them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.example_workspace import example_workspace
+from mbdkit.engine.jit.bundle import bundle_loader
+from mbdkit.engine.jit.lane_types import new_lanes
+from mbdkit.engine.jit.lane_width import WIDTH
+from mbdkit.engine.kernels.motions import MAX_DEPTH
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.kernels.singularity_kernels import COLUMNS
+from mbdkit.engine.kernels.system import LaneSolver, Scratch, Topology
+from mbdkit.engine.workspace import Workspace
+from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.stepping.explicit import Explicit, new_explicit
+from mbdkit.stepping.step_guards import new_guard_state
+
+BY_LANE = ("motion_values", "law_parameters")
+"""Parameters that functions of numbers read, so that those of a lane are contiguous: (WIDTH, N)."""
+
+
+class LaneGuards(NamedTuple):
+    """What the energy guard knows of each run; see `mbdkit.stepping.step_guards.GuardState`. (1,) each."""
+
+    energy: np.ndarray
+    kinetic: np.ndarray
+    jump: np.ndarray
+    jump_time: np.ndarray
+    exceeded: np.ndarray
+
+
+class LaneWatch(NamedTuple):
+    """The watch for branches, which follows one lane after another; arrays of numbers."""
+
+    has_loops: np.ndarray
+    """(1,) whether joints close a loop."""
+    guards: np.ndarray
+    """(WIDTH,) addresses of the `GuardState` of each run."""
+    mass: np.ndarray
+    """(WIDTH, B + 1, 3) masses."""
+    dq: np.ndarray
+    """(3 (B + 1),) increment and velocity of one lane."""
+    v: np.ndarray
+
+
+class LaneTimes(NamedTuple):
+    """Times of the runs [s]; (1,) each."""
+
+    start: np.ndarray
+    end: np.ndarray
+    step: np.ndarray
+    last_step: np.ndarray
+    steps: np.ndarray
+    """Number of steps, and the number of steps between recorded states; the same for all lanes."""
+    every: np.ndarray
+
+
+class LaneRun(NamedTuple):
+    """Data of `WIDTH` runs; vectors are (3 (B + 1),), ground last. See `mbdkit.stepping.run_state.RunState`."""
+
+    top: Topology
+    w: Scratch
+    solver: LaneSolver
+    method: Explicit
+    has_power: np.ndarray
+    q: np.ndarray
+    q_low: np.ndarray
+    v: np.ndarray
+    v_low: np.ndarray
+    energy: np.ndarray
+    energy_low: np.ndarray
+    from_q: np.ndarray
+    """The same arrays as `q` and `v`: steps are neither rejected nor projected."""
+    from_v: np.ndarray
+    dq: np.ndarray
+    dv: np.ndarray
+    gain: np.ndarray
+    worst: np.ndarray
+    counts: np.ndarray
+    guards: LaneGuards
+    watch: LaneWatch
+    times: LaneTimes
+    squared_misalignment: np.ndarray
+    """(P,) and (1,) limits, see `mbdkit.stepping.run_plan.GuardLimits`."""
+    energy_share: np.ndarray
+    lost: np.ndarray
+    """(1,) 1 in lanes whose run must be repeated alone."""
+    near: np.ndarray
+    """(P, 11) vectors of the distance to singularity."""
+    row_time: np.ndarray
+    """(R,) times of the recorded states, the initial one first; (R, 3 (B + 1)) states; (R, 2) energies."""
+    row_q: np.ndarray
+    row_v: np.ndarray
+    row_energy: np.ndarray
+    observed: Observed
+    """Values of the recorded states."""
+
+
+def _widened(bundle: Any) -> Any:
+    """Return a bundle with arrays of lanes in place of the arrays of floating-point numbers."""
+    return type(bundle)(
+        *(_widened(x) if isinstance(x, tuple) else new_lanes(*x.shape) if x.dtype.kind == "f" else x for x in bundle)
+    )
+
+
+def new_lane_run(method: ExplicitRungeKutta, workspace: Workspace, rows: int) -> LaneRun:
+    """Return the bundle of `WIDTH` runs that record `rows` states; see `LaneStepper`."""
+    given = workspace.mechanism.topology
+    size, pairs, motions = workspace.mechanism.size, len(given.pairs), len(given.motion_start) - 1
+    by_lane = {name: np.zeros((WIDTH, len(getattr(given, name)))) for name in BY_LANE}
+    top: Topology = _widened(given)._replace(**by_lane, baumgarte=given.baumgarte)
+    scratch: Scratch = _widened(workspace.scratch)._replace(
+        sides=np.array([-np.inf, np.inf]), stack=np.zeros((MAX_DEPTH + motions, 3))
+    )
+    scratch.cs[-1, 0] = 1.0
+    tableau = new_explicit(method, size, pairs)
+    wide: Explicit = _widened(tableau)
+    stages: Explicit = tableau._replace(
+        rates=wide.rates, accelerations=wide.accelerations, q_stage=wide.q_stage, lam=wide.lam, power=wide.power
+    )
+    q, v = new_lanes(size), new_lanes(size)
+    one = [new_lanes(1) for _ in range(11)]
+    return LaneRun(
+        top=top, w=scratch, solver=LaneSolver(_widened(workspace.solver.schur)), method=stages,
+        has_power=np.zeros(1, dtype=np.int64),
+        q=q, q_low=new_lanes(size), v=v, v_low=new_lanes(size), energy=new_lanes(2), energy_low=new_lanes(2),
+        from_q=q, from_v=v, dq=new_lanes(size), dv=new_lanes(size), gain=new_lanes(2),
+        worst=new_lanes(pairs), counts=np.zeros(5, dtype=np.int64),
+        guards=LaneGuards(*one[:5]),
+        watch=LaneWatch(
+            np.zeros(1, dtype=np.int64), np.zeros(WIDTH, dtype=np.int64), np.zeros((WIDTH, *given.mass.shape)),
+            np.zeros(size), np.zeros(size),
+        ),
+        times=LaneTimes(one[5], one[6], one[7], one[8], *np.zeros((2, 1), dtype=np.int64)),
+        squared_misalignment=new_lanes(pairs), energy_share=one[9], lost=one[10], near=new_lanes(pairs, COLUMNS),
+        row_time=new_lanes(rows), row_q=new_lanes(rows, size), row_v=new_lanes(rows, size),
+        row_energy=new_lanes(rows, 2), observed=_widened(Observed.zeros(rows, given)),
+    )  # fmt: skip
+
+
+def _example() -> LaneRun:
+    """Return a bundle that provides the types of its arrays."""
+    from mbdkit.methods import rk4
+
+    return new_lane_run(ExplicitRungeKutta(rk4.tableau()), example_workspace(), 1)
+
+
+load_lane_run = bundle_loader(_example)
+load_guards = bundle_loader(lambda: new_guard_state(example_workspace().mechanism))

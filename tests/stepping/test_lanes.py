@@ -1,0 +1,162 @@
+"""Runs in lanes have the bits of single runs: states, recorded values, counters and what the guards saw."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mbdkit.engine.jit.lane_width import WIDTH
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.workspace import Workspace
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.methods import dop853, dopri5, rk4, rk_gill
+from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.stepping.interface import Guards, Timetable
+from mbdkit.stepping.lane_stepper import LaneResults, LaneStepper, suits_lanes, topology_of
+from mbdkit.stepping.start import start_method
+from tests.engine.random_mechanisms import chain, driven_frame, ladder, slides
+
+from .running import driven_chain, workspace_of
+
+METHODS = {
+    "rk4": ExplicitRungeKutta(rk4.tableau()),
+    "rk-gill": ExplicitRungeKutta(rk_gill.tableau()),
+    "dopri5": ExplicitRungeKutta(dopri5.tableau()),  # its last stage is the first of the next step
+    "dop853": ExplicitRungeKutta(dop853.tableau()),
+}
+
+
+def with_laws(rng: np.random.Generator) -> Mechanism:
+    """Return a chain with force laws, whose compiled functions are called for each lane, a table and markers."""
+    m = chain(rng, 3)
+    options = {"stiffness": float(rng.uniform(50, 100)), "damping": 1.0, "free_length": 0.5, "acts": "tension"}
+    m.law("stop", m.ground, "r2", points=((1.0, 1.0), (0.1, 0.0)), law="one-sided", **options)
+    m.torque("drive", "r1", value={"table": [[0.0, 0.1, 0.3], [0.0, float(rng.uniform(1, 3)), -1.0]]})
+    m.force("push", "r2", value=[1.0, "2*t"], point=(0.1, 0.2), frame="body")
+    m.marker("tip", "r2", point=(0.5, 0.1))
+    return m
+
+
+KINDS = {
+    "chain": chain,
+    "ladder": ladder,
+    "driven frame": driven_frame,
+    "slides": slides,
+    "laws": with_laws,
+    "springs": lambda rng: driven_chain(float(rng.uniform(10, 50)), float(rng.uniform(0.1, 1))),
+}
+
+
+def tables(count: int, steps: int = 40, every: int = 3, **guards: float) -> list[Timetable]:
+    """Return timetables with different starts and steps, and a shorter last step."""
+    return [
+        Timetable(
+            start=0.1 * i, end=0.1 * i + (steps - 0.5) * (0.001 + 1e-4 * i), step=0.001 + 1e-4 * i, steps=steps,
+            every=every, guards=Guards(**guards),
+        )
+        for i in range(count)
+    ]  # fmt: skip
+
+
+def workspaces_of(kind: str, planned: list[Timetable]) -> list[Workspace]:
+    """Return mechanisms of one kind with different numbers, at the starts of their timetables."""
+    return [workspace_of(KINDS[kind](np.random.default_rng(i)), table.start) for i, table in enumerate(planned)]
+
+
+def rows_of(table: Timetable) -> int:
+    """Return the number of recorded states, the initial one included."""
+    return 1 + math.ceil(table.steps / table.every)
+
+
+def advanced(method: str, workspaces: list[Workspace], planned: list[Timetable]) -> LaneResults:
+    return LaneStepper(METHODS[method], workspaces[0], rows_of(planned[0])).advance(workspaces, planned)
+
+
+def assert_same_bits(results: LaneResults, lane: int, method: str, workspace: Workspace, table: Timetable) -> None:
+    """Assert that a lane has the bits of a run by the driver of single runs."""
+    assert not results.lost[lane]
+    own = workspace.for_another_run(workspace.formulation, workspace.stabilization)
+    stepper = start_method(METHODS[method], own, table)
+    parts = []
+    while not stepper.finished:
+        parts.append(stepper.advance())
+        assert stepper.failure is None
+    for name in ("time", "q", "v"):
+        np.testing.assert_array_equal(
+            getattr(results, name)[lane, 1:], np.concatenate([getattr(x, name) for x in parts])
+        )
+    for k, name in enumerate(("work", "dissipated")):
+        np.testing.assert_array_equal(results.energy[lane, 1:, k], np.concatenate([getattr(x, name) for x in parts]))
+    np.testing.assert_array_equal(results.worst[lane], stepper.worst_pairs)
+    assert results.evidence[lane] == stepper.evidence
+    assert results.counters == stepper.counters
+    observer = StateObserver(workspace.with_own_pivots())
+    expected = observer.arrays(len(results.time[lane]))
+    assert observer.observe(results.time[lane], results.q[lane], results.v[lane], expected) is None
+    for name in expected._fields:
+        found = getattr(results.observed, name)[lane]
+        np.testing.assert_array_equal(found, getattr(expected, name), err_msg=name)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_lane_has_the_bits_of_the_single_run(kind: str, method: str) -> None:
+    # expected: the driver of single runs, compiled from the same source for numbers
+    planned = tables(WIDTH)
+    workspaces = workspaces_of(kind, planned)
+    assert all(suits_lanes(METHODS[method], one.mechanism, planned[0]) for one in workspaces)
+    assert len({topology_of(one.mechanism) for one in workspaces}) == 1
+    results = advanced(method, workspaces, planned)
+    for lane, (workspace, table) in enumerate(zip(workspaces, planned, strict=True)):
+        assert_same_bits(results, lane, method, workspace, table)
+
+
+def test_lanes_may_be_idle() -> None:
+    planned = tables(3)
+    workspaces = workspaces_of("chain", planned)
+    results = advanced("rk4", workspaces, planned)
+    assert len(results.lost) == 3
+    for lane, (workspace, table) in enumerate(zip(workspaces, planned, strict=True)):
+        assert_same_bits(results, lane, "rk4", workspace, table)
+
+
+def test_a_stepper_of_lanes_remembers_nothing_of_earlier_runs() -> None:
+    planned = tables(WIDTH)
+    workspaces = workspaces_of("springs", planned)
+    stepper = LaneStepper(METHODS["rk4"], workspaces[0], rows_of(planned[0]))
+    stepper.advance(workspaces, planned)
+    again = stepper.advance(workspaces[::-1], planned[::-1])
+    assert_same_bits(again, 0, "rk4", workspaces[-1], planned[-1])
+
+
+@pytest.mark.parametrize("limit", [{"misalignment": 1e-12, "angle_misalignment": 1e-12}, {"energy_jump": 1e-9}])
+def test_a_run_that_a_guard_would_stop_is_left_to_the_driver_of_single_runs(limit: dict[str, float]) -> None:
+    planned = tables(WIDTH, steps=200)
+    planned[1] = tables(2, steps=200, **limit)[1]
+    workspaces = workspaces_of("springs", planned)
+    workspaces[1] = workspace_of(driven_chain(1e4), planned[1].start)
+    results = advanced("rk4", workspaces, planned)
+    assert results.lost.tolist() == [i == 1 for i in range(WIDTH)]
+    assert_same_bits(results, 0, "rk4", workspaces[0], planned[0])
+
+
+def test_a_run_that_overflows_does_not_disturb_its_neighbours() -> None:
+    planned = tables(WIDTH, steps=400)
+    workspaces = workspaces_of("springs", planned)
+    workspaces[1] = workspace_of(driven_chain(1e9), planned[1].start)  # far too stiff for these steps
+    results = advanced("rk4", workspaces, planned)
+    assert results.lost.tolist() == [i == 1 for i in range(WIDTH)]
+    for i in (0, WIDTH - 1):
+        assert_same_bits(results, i, "rk4", workspaces[i], planned[i])
+
+
+def test_what_lanes_cannot_do_is_refused() -> None:
+    method, table = METHODS["rk4"], tables(1)[0]
+    mechanism = workspaces_of("springs", [table])[0].mechanism
+    assert suits_lanes(method, mechanism, table)
+    assert not suits_lanes(method, mechanism, Timetable(0.0, 1.0, step=0.1, steps=10, interval=0.05))
+    assert not suits_lanes(method, mechanism, Timetable(0.0, 1.0, step=0.1, steps=10, single=True))
+    assert not suits_lanes(method, mechanism, Timetable(0.0, 1.0, step=0.1, steps=10, max_steps=9))
+    assert topology_of(mechanism) != topology_of(workspace_of(chain(np.random.default_rng(1), 4)).mechanism)
