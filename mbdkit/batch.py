@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.errors import MbdkitError, PluginError, ResourceError, SpecError
+from mbdkit.lane_runs import LaneMember, LaneRuns, lane_member
 from mbdkit.simulation import simulate_arrays
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.warm_up import to_stderr
@@ -29,24 +32,46 @@ class Refused:
     reason: str
 
 
+CHUNK = 8 * WIDTH
+"""Number of runs that are prepared before they are advanced; those that suit each other become lanes of one loop."""
+
+
 def simulate_batch(
     specs: Iterable[RunSpec], *, notify: Callable[[str], None] = to_stderr
 ) -> Iterator[FinishedRun | Refused]:
     """Run validated specs, and yield the result of each, in the order of `specs`.
 
-    The numbers, and therefore `FinishedRun.data_sha256`, are those of `simulate` for the same spec.
+    The numbers, and therefore `FinishedRun.data_sha256`, are those of `simulate` for the same spec. Runs of explicit
+    methods with fixed steps are advanced in lanes (`mbdkit.lane_runs`), all others one after another.
 
     Parameters
     ----------
     notify
         Called with a message before long operations.
     """
-    for spec in specs:
-        try:
-            result: FinishedRun | Refused = simulate_arrays(spec, notify=notify)
-        except (Exception, SystemExit) as error:
-            result = refusal(error)
-        yield result
+    lanes, remaining = LaneRuns(), iter(specs)
+    while chunk := list(islice(remaining, CHUNK)):
+        prepared = [_member(spec, notify) for spec in chunk]
+        finished = iter(lanes.finished([member for member in prepared if member is not None]))
+        for spec, member in zip(chunk, prepared, strict=True):
+            run = None if member is None else next(finished)
+            yield _alone(spec, notify) if run is None else run
+
+
+def _member(spec: RunSpec, notify: Callable[[str], None]) -> LaneMember | None:
+    """Prepare a run for lanes; return None for a run that does not suit them, or that fails: it is then run alone."""
+    try:
+        return lane_member(spec, notify)
+    except (Exception, SystemExit):
+        return None
+
+
+def _alone(spec: RunSpec, notify: Callable[[str], None]) -> FinishedRun | Refused:
+    """Run one spec."""
+    try:
+        return simulate_arrays(spec, notify=notify)
+    except (Exception, SystemExit) as error:
+        return refusal(error)
 
 
 def refusal(error: BaseException) -> Refused:

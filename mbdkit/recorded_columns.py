@@ -70,7 +70,7 @@ class RecordedStates:
     elapsed
         (T,) wall time since the first step [s].
     start_energy
-        Total energy at the start of the run [J].
+        Total energy at the start of the run [J]; (T,) for states of several runs.
     rows, joints
         Constraint rows and joints of the mechanism, in the order of the archive.
     """
@@ -78,7 +78,7 @@ class RecordedStates:
     stretch: Stretch
     observed: Observed
     elapsed: np.ndarray
-    start_energy: float
+    start_energy: float | np.ndarray
     rows: ConstraintRows
     joints: JointSums
 

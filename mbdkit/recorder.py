@@ -103,6 +103,11 @@ class Recorder:
         self.last_time = workspace.t0
         self.kept: list[ObservedRows] | None = None
 
+    @property
+    def mechanism(self) -> CompiledMechanism:
+        """The compiled mechanism."""
+        return self.workspace.mechanism
+
     def record(self, stretch: Stretch, elapsed: tuple[float, float], *, start: bool = False) -> Failure | None:
         """Write the rows of a stretch.
 

@@ -4,19 +4,46 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.recorded_columns import ObservedRows
 from mbdkit.recorder import Recorder
-from mbdkit.stepping.interface import Advancing, StepEvidence
+from mbdkit.stepping.interface import StepEvidence
 from mbdkit.trust.criteria import EstimatedErrors, Evidence
+from mbdkit.trust.energy_record import EnergyRecord
+
+
+class Recorded(Protocol):
+    """What has been recorded of a run; a `Recorder` is one."""
+
+    @property
+    def mechanism(self) -> CompiledMechanism:
+        """The compiled mechanism."""
+        ...
+
+    @property
+    def largest_angle(self) -> np.ndarray:
+        """(J,) largest angle misalignment of the recorded states [rad]."""
+        ...
+
+    @property
+    def energies(self) -> EnergyRecord:
+        """Largest energies and energy errors of the recorded states."""
+        ...
+
+    @property
+    def last_time(self) -> float:
+        """Time of the last recorded state [s]."""
+        ...
 
 
 def evidence_of_run(
-    recorder: Recorder,
-    stepper: Advancing | None,
+    recorder: Recorded,
+    steps: StepEvidence | None,
     ending: tuple[str, str],
     misalignment_max: np.ndarray,
     size: float,
@@ -24,14 +51,12 @@ def evidence_of_run(
 ) -> Evidence:
     """Return the evidence of a run that has ended.
 
-    Steps are judged by what the stepper has observed, recorded or not.
-
     Parameters
     ----------
     recorder
         The recorder, with all rows written.
-    stepper
-        The stepper, or None if it could not be started.
+    steps
+        What has been observed over all steps, recorded or not; None if the method could not be started.
     ending
         Status and reason.
     misalignment_max
@@ -41,7 +66,7 @@ def evidence_of_run(
     warnings
         Warnings that question the result.
     """
-    steps = StepEvidence(0.0, 0.0, 0.0) if stepper is None else stepper.evidence
+    steps = steps or StepEvidence(0.0, 0.0, 0.0)
     energies, angles = recorder.energies, recorder.largest_angle
     return Evidence(
         status=ending[0],
@@ -90,6 +115,6 @@ def estimated_errors(
     )
 
 
-def _name_of_largest(recorder: Recorder, values: np.ndarray) -> str:
+def _name_of_largest(recorder: Recorded, values: np.ndarray) -> str:
     """Return the name of the joint with the largest of the values (J,); empty without joints."""
-    return recorder.workspace.mechanism.joints[int(np.argmax(values))] if len(values) else ""
+    return recorder.mechanism.joints[int(np.argmax(values))] if len(values) else ""

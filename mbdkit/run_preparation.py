@@ -10,7 +10,7 @@ from mbdkit.archive.disk_space import check_room, row_bytes
 from mbdkit.archive.layout import CORRECTIONS, EVENTS
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.consistent_start import within_double_precision, workspace_at_start
+from mbdkit.engine.consistent_start import MechanismAtStart, within_double_precision, workspace_at_start
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import PluginError, SpecError, blaming, with_place
@@ -143,10 +143,10 @@ def optional_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
     ]
 
 
-def size_at_start(spec: RunSpec, workspace: Workspace) -> float:
+def size_at_start(spec: RunSpec, start: Workspace | MechanismAtStart) -> float:
     """Return the size of the mechanism at its start [m]; its characteristic length if all points coincide."""
-    position = workspace.q0[:-3].reshape(-1, 3)
-    return mechanism_size(spec.mechanism(), position) or workspace.mechanism.length
+    position = start.q0[:-3].reshape(-1, 3)
+    return mechanism_size(spec.mechanism(), position) or start.mechanism.length
 
 
 def guards(spec: RunSpec, size: float) -> Guards:

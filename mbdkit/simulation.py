@@ -527,7 +527,8 @@ class _Simulation:
             stepper.worst_pairs if stepper is not None else np.zeros(pairs)
         )
         ending = status, reason
-        evidence = evidence_of_run(self.recorder, stepper, ending, misalignment_max, self.size, self.warnings)
+        steps = None if stepper is None else stepper.evidence
+        evidence = evidence_of_run(self.recorder, steps, ending, misalignment_max, self.size, self.warnings)
         errors = None
         if self.accuracy is not None:
             missed = missed_because(self.accuracy, self.tried, self.failure)

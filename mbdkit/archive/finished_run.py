@@ -183,33 +183,37 @@ class ArrayWriter(RunWriter):
             np.asarray(misalignment_max, layout.FLOAT),
             judgement,
             tuple(warnings),
-            hash_of_arrays(self.names, self.arrays, arrays),
+            ArrayHash(self.names, self.arrays).of(arrays),
             self._assembly,
             accuracy,
         )
         self.finished = replace(made, stats={**stats, "finish_s": time.perf_counter() - started})
 
 
-def hash_of_arrays(names: ArchiveNames, recorded: Sequence[Array], arrays: Mapping[str, np.ndarray]) -> str:
-    """Return the `data_sha256` of the archive of a run with these arrays.
+class ArrayHash:
+    """Computes `data_sha256` of runs that record the same arrays of mechanisms with the same names.
 
     Parameters
     ----------
+    names
+        Names of bodies, joints and other elements.
     recorded
-        Arrays of the layout that the run records, those of names included.
-    arrays
-        Values by `layout.Array.key`; contiguous.
+        Arrays of the layout that the runs record, those of names included.
     """
-    texts = name_texts(names)
-    digests: dict[str, str] = {}
-    lines = []
-    for one in recorded:
-        if not one.grows:
-            lines.append(name_line(one.path, tuple(texts[one.path])))
-        elif layout.is_hashed(one.path):
-            values = arrays[one.key]
-            if one.key not in digests:
-                bytes_ = text_bytes(values) if one.dtype == layout.TEXT else values.data
-                digests[one.key] = sha256(bytes_).hexdigest()
-            lines.append(line(one.path, one.dtype, values.shape, digests[one.key]))
-    return digest_lines(lines)
+
+    def __init__(self, names: ArchiveNames, recorded: Sequence[Array]):
+        texts = name_texts(names)
+        self._names = [name_line(one.path, tuple(texts[one.path])) for one in recorded if not one.grows]
+        hashed = [one for one in recorded if one.grows and layout.is_hashed(one.path)]
+        self._arrays = [(one.path, one.key, one.dtype) for one in hashed]
+
+    def of(self, arrays: Mapping[str, np.ndarray]) -> str:
+        """Return the hash of a run from its arrays by `layout.Array.key`; they are contiguous."""
+        digests: dict[str, str] = {}
+        lines = self._names.copy()
+        for path, key, dtype in self._arrays:
+            values = arrays[key]
+            if key not in digests:
+                digests[key] = sha256(text_bytes(values) if dtype == layout.TEXT else values.data).hexdigest()
+            lines.append(line(path, dtype, values.shape, digests[key]))
+        return digest_lines(lines)

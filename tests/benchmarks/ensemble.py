@@ -1,0 +1,261 @@
+"""Many double pendulums at once: mbdkit in lanes and one by one, C with lanes, MuJoCo's `rollout`, CasADi's `map`.
+
+The members are released from rest at different angles. Time is that of the stepping alone, per step and member; every
+contender uses as many threads as stated. "At equal error" repeats the comparison with the step that each contender
+needs for an end of rod 2 within 1e-6 m, released from the horizontal.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import math
+import re
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from mbdkit.engine.jit.lane_width import WIDTH
+from mbdkit.engine.workspace import Workspace
+from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.run_preparation import build, make_method
+from mbdkit.spec import RunSpec
+from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.lane_stepper import LaneStepper
+from mbdkit.stepping.start import start_method
+from tests.witness.double_pendulum import HORIZONTAL
+
+from .contenders import END, MUJOCO, G, end_of
+from .timing import take_turns
+
+STEPS = 2000
+REPEATS = 9
+MEMBERS = 64
+"""Members of an ensemble, for those who take many at once."""
+TARGET = 1e-6
+AT_TARGET = " at equal error"
+
+Outcome = tuple[float, float]
+"""Seconds per member, and the error of the member that is released from the horizontal [m]."""
+Contender = Callable[[int], Outcome]
+"""Takes this number of steps."""
+
+
+def spec(method: str, angles: tuple[float, float], **options: Any) -> RunSpec:
+    """Return the spec of a member."""
+    model = {"name": "double-pendulum", "angles": list(angles)}
+    return RunSpec(
+        mbdkit=1, model=model, integrator={"name": method, **options}, time={"end": END, "step": END / STEPS}
+    )
+
+
+def table_of(steps: int) -> Timetable:
+    """Return a timetable that records the start and the end only."""
+    return Timetable(0.0, END, step=END / steps, steps=steps, every=steps)
+
+
+@functools.cache
+def members(method: str) -> tuple[list[Workspace], ExplicitRungeKutta]:
+    """Return as many pendulums as there are lanes, at their starts; the first is horizontal."""
+    specs = [spec(method, (0.1 * i, -0.05 * i)) for i in range(WIDTH)]
+    chosen = make_method(specs[0])
+    assert isinstance(chosen, ExplicitRungeKutta)
+    return [build(one)[0] for one in specs], chosen
+
+
+def miss_of(angle1: float, angle2: float) -> float:
+    """Return the distance [m] of the end of rod 2 from the reference digits, released from the horizontal."""
+    x, y = end_of(angle1, angle2)
+    reference = HORIZONTAL.ends[HORIZONTAL.at(END), 1]
+    return float(np.hypot(x - reference[0], y - reference[1]))
+
+
+def by_lanes(method: str, steps: int) -> Outcome:
+    """Take the steps in lanes, in one thread."""
+    starts, chosen = members(method)
+    stepper = LaneStepper(chosen, starts[0], 2)
+    tables = [table_of(steps)] * WIDTH
+    begin = time.perf_counter()
+    results = stepper.advance(starts, tables)
+    taken = time.perf_counter() - begin
+    return taken / WIDTH, miss_of(float(results.q[0, -1, 2]), float(results.q[0, -1, 5]))
+
+
+def one_by_one(integrator: dict[str, Any], steps: int) -> Outcome:
+    """Take the steps of one run by the driver of single runs."""
+    alone = RunSpec(
+        mbdkit=1, model={"name": "double-pendulum"}, integrator=integrator, time={"end": END, "step": END / steps}
+    )
+    workspace, _ = build(alone)
+    stepper = start_method(make_method(alone), workspace, table_of(steps))
+    begin = time.perf_counter()
+    while not stepper.finished:
+        last = stepper.advance()
+        assert stepper.failure is None
+    taken = time.perf_counter() - begin
+    return taken, miss_of(float(last.q[-1, 2]), float(last.q[-1, 5]))
+
+
+def compiled(folder: Path, name: str) -> Path | None:
+    """Return a compiled C program of this folder; None where there is no gcc."""
+    compiler = shutil.which("gcc")
+    if compiler is None:
+        return None
+    flags = ["-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-D_GNU_SOURCE", f"-DW={WIDTH}"]
+    if WIDTH == 8:
+        flags.append("-mprefer-vector-width=512")
+    program = folder / name
+    source = Path(__file__).with_name(f"{name}.c")
+    subprocess.run([compiler, *flags, "-o", str(program), str(source), "-lm"], check=True)
+    return program
+
+
+def by_c(program: Path, steps: int) -> Outcome:
+    """Take the steps in C, whose error is that of mbdkit's RK-Gill."""
+    text = subprocess.run([program, "2", str(steps)], check=True, capture_output=True, text=True).stdout
+    if found := re.search(r"us/step/member ([\d.]+)", text):
+        return float(found[1]) * 1e-6 * steps, math.nan
+    found = re.search(r"([\d.]+) ms", text)
+    assert found is not None
+    return float(found[1]) * 1e-3, math.nan
+
+
+def by_mujoco(steps: int, threads: int) -> Outcome:
+    """Take the steps by MuJoCo's RK4 with `rollout`, which stores the states of all steps."""
+    import mujoco
+    from mujoco import rollout
+
+    model = mujoco.MjModel.from_xml_string(MUJOCO.format(step=END / steps, inertia=1.0 / 12.0))
+    data = [mujoco.MjData(model) for _ in range(threads)]
+    starts = np.zeros((MEMBERS, mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
+    first = np.zeros(starts.shape[1])
+    mujoco.mj_getState(model, data[0], first, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    starts[:] = first
+    starts[:, 1] = 0.05 * np.arange(MEMBERS)
+    begin = time.perf_counter()
+    states, _ = rollout.rollout(model, data, starts, nstep=steps)
+    taken = time.perf_counter() - begin
+    return taken / MEMBERS, miss_of(float(states[0, -1, 1]), float(states[0, -1, 1] + states[0, -1, 2]))
+
+
+def by_casadi(steps: int, threads: int) -> Outcome:
+    """Take the steps by RK4 on the two angles, as a CasADi function that is mapped over threads."""
+    run = casadi_rk4(steps).map(MEMBERS, "thread", threads) if threads > 1 else casadi_rk4(steps).map(MEMBERS)
+    starts = np.zeros((4, MEMBERS))
+    starts[0] = 0.05 * np.arange(MEMBERS)
+    begin = time.perf_counter()
+    ends = np.array(run(starts))
+    taken = time.perf_counter() - begin
+    return taken / MEMBERS, miss_of(float(ends[0, 0]), float(ends[1, 0]))
+
+
+@functools.cache
+def casadi_rk4(steps: int) -> Any:
+    """Return a CasADi function of the state (two angles, two rates) that takes all steps."""
+    import casadi
+
+    x = casadi.SX.sym("x", 4)
+    coupling, sine = 0.5 * casadi.cos(x[0] - x[1]), 0.5 * casadi.sin(x[0] - x[1])
+    first = -1.5 * G * casadi.cos(x[0]) - sine * x[3] ** 2
+    second = -0.5 * G * casadi.cos(x[1]) + sine * x[2] ** 2
+    determinant = 4.0 / 9.0 - coupling**2
+    push = casadi.vertcat(first / 3.0 - coupling * second, second * 4.0 / 3.0 - coupling * first) / determinant
+    rate = casadi.Function("rate", [x], [casadi.vertcat(x[2:], push)])
+    h = END / steps
+    k1 = rate(x)
+    k2 = rate(x + 0.5 * h * k1)
+    k3 = rate(x + 0.5 * h * k2)
+    k4 = rate(x + h * k3)
+    return casadi.Function("step", [x], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)]).fold(steps)
+
+
+def contenders(folder: Path) -> dict[str, Contender]:
+    """Return what is timed, by name."""
+    found: dict[str, Contender] = {}
+    for method in ("rk4", "rk-gill"):
+        found[f"mbdkit {method}, {WIDTH} lanes"] = functools.partial(by_lanes, method)
+        found[f"mbdkit {method}, one by one"] = functools.partial(one_by_one, {"name": method})
+    found["mbdkit gauss-2, one by one"] = functools.partial(one_by_one, {"name": "gauss", "stages": 2})
+    if lanes := compiled(folder, "chain_lanes"):
+        found[f"C rk-gill, {WIDTH} lanes"] = functools.partial(by_c, lanes)
+    if alone := compiled(folder, "chain_limit"):
+        found["C rk-gill, one by one"] = functools.partial(by_c, alone)
+    for threads in (1, 2):
+        if importlib.util.find_spec("mujoco"):
+            found[f"MuJoCo rk4, rollout, {threads} threads"] = functools.partial(by_mujoco, threads=threads)
+        if importlib.util.find_spec("casadi"):
+            found[f"CasADi rk4, map, {threads} threads"] = functools.partial(by_casadi, threads=threads)
+    return found
+
+
+def steps_for(contender: Contender, target: float) -> int:
+    """Return a number of steps for which the error is at most `target`, and hardly less; all are of order four."""
+    steps = STEPS
+    for _ in range(8):
+        miss = contender(steps)[1]
+        if miss <= target <= 1.2 * miss:
+            break
+        steps = max(10, math.ceil(steps * (1.1 * miss / target) ** 0.25))
+    return steps
+
+
+def ensemble(console: Console) -> None:
+    """Print the time per step and member of ensembles of double pendulums, and per member at equal error."""
+    with tempfile.TemporaryDirectory() as folder:
+        found = contenders(Path(folder))
+        needed = {name: steps_for(one, TARGET) for name, one in found.items() if not name.startswith("C ")}
+        for name in found:
+            needed.setdefault(name, needed["mbdkit rk-gill, one by one"])
+        misses = {name: one(needed[name])[1] for name, one in found.items()}
+        tasks: dict[str, Callable[[], float]] = {}
+        for name, one in found.items():
+            tasks[name] = functools.partial(_seconds, one, STEPS)
+            tasks[f"{name}{AT_TARGET}"] = functools.partial(_seconds, one, needed[name])
+        timings = take_turns(tasks, REPEATS)
+    table = Table(title=f"Ensembles of double pendulums, {END:g} s: medians of {REPEATS}, taking turns")
+    table.add_column("contender")
+    for heading in (
+        "us a step and member", "steps a second", "of rk4 lanes",
+        f"steps to {TARGET:.0e} m", "error [m]", "us a member", "of rk4 lanes",
+    ):  # fmt: skip
+        table.add_column(heading, justify="right")
+    best = f"mbdkit rk4, {WIDTH} lanes"
+    for name in sorted(found, key=lambda name: timings[name].median):
+        taken, equal = timings[name].median, timings[f"{name}{AT_TARGET}"].median
+        table.add_row(
+            name, f"{taken / STEPS * 1e6:.4f}", f"{STEPS / taken:.3g}", f"{taken / timings[best].median:.2f}",
+            str(needed[name]), f"{misses[name]:.1e}", f"{equal * 1e6:.1f}",
+            f"{equal / timings[f'{best}{AT_TARGET}'].median:.2f}",
+        )  # fmt: skip
+    console.print(table)
+    _two_threads(console)
+
+
+def _seconds(contender: Contender, steps: int) -> float:
+    return contender(steps)[0]
+
+
+def _two_threads(console: Console) -> None:
+    """Print the steps a second of rk4 in lanes in one thread and in two, each with its own lanes."""
+    rounds = 40
+
+    def work(_: int) -> None:
+        for _ in range(rounds):
+            by_lanes("rk4", STEPS)
+
+    for threads in (1, 2):
+        with ThreadPoolExecutor(threads) as pool:
+            begin = time.perf_counter()
+            list(pool.map(work, range(threads)))
+            taken = time.perf_counter() - begin
+        rate = threads * rounds * STEPS * WIDTH / taken
+        console.print(f"rk4 in {WIDTH} lanes, {threads} thread{'s' * (threads > 1)}: {rate:.3g} steps a second")
