@@ -14,6 +14,7 @@ from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.spec.loading import example_names, exists, read_source
 from mbdkit.spec.reading import parse_key, read_assignment, read_file, read_stdin, read_text
+from mbdkit.spec.sample_section import comparable
 from mbdkit.spec.source_document import Document
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.spec.value_sets import sets_together
@@ -73,6 +74,7 @@ def _override(document: Document, assignment: str) -> None:
     path, value = read_assignment(assignment)
     key = path_text(path)
     holders: dict[Path, dict[str, Any]] = {(): document.data}
+    _check_sample(document.data.get("sample"), path, assignment)
     families = document.data.get("families")
     for name, family in families.items() if isinstance(families, Mapping) else ():
         if isinstance(family, dict):  # validation reports others
@@ -84,6 +86,15 @@ def _override(document: Document, assignment: str) -> None:
             continue
         holder["overrides"] = {name: old for name, old in (given or {}).items() if name != key} | {key: value}
         document.overridden[parse_path(path_text((*place, "overrides", key)))] = assignment
+
+
+def _check_sample(sample: Any, path: Path, assignment: str) -> None:
+    """Raise SpecError if a sample sets the key of an assignment, which would have no effect."""
+    variables = sample.get("variables") if isinstance(sample, Mapping) else None
+    for key in variables if isinstance(variables, Mapping) else ():
+        if (drawn := comparable(parse_key(str(key)))) and comparable(path)[: len(drawn)] == drawn:
+            message = f"the sample of the study sets {key}, so this would have no effect"
+            raise SpecError(message, file=f"--set {assignment}")
 
 
 def _check_axes(axes: Any, path: Path, assignment: str) -> None:
@@ -113,7 +124,7 @@ def recognized(source: str) -> tuple[str | Document, bool]:
     if source != "-" and not os.path.isfile(source):
         return source, source not in example_names() and _packaged(source) is not None
     document = read_stdin() if source == "-" else read_file(FilePath(source))
-    has_grid = "model" not in document.data and bool({"axes", "families"} & document.data.keys())
+    has_grid = "model" not in document.data and bool({"axes", "families", "sample"} & document.data.keys())
     return document, "mbdkit" not in document.data and ("mbdkit_study" in document.data or has_grid)
 
 

@@ -11,6 +11,7 @@ from pydantic_core import PydanticCustomError
 from mbdkit.errors import SpecError
 from mbdkit.plain_data import Path, path_text
 from mbdkit.spec.reading import parse_key
+from mbdkit.spec.sample_section import Sample, comparable
 from mbdkit.spec.sections import Section
 from mbdkit.spec.source_document import Document
 from mbdkit.spec.strict_spec import StrictSpec
@@ -81,6 +82,18 @@ def _keys_set(name: str, values: Any) -> list[str]:
     return list(dict.fromkeys(key for _, keys in together for key in keys)) if together else [name]
 
 
+def check_axes_of_sample(sample: Sample, axes: tuple[dict[str, Any], ...], place: Path) -> None:
+    """Raise SpecError if an axis sets a variable of a sample, or a part of one."""
+    variables = {comparable(parse_key(key)): key for key in sample.variables}
+    for number, axis in enumerate(axes):
+        for key in [key for name, values in axis.items() for key in _keys_set(name, values)]:
+            path = comparable(parse_key(key))
+            drawn = [variables[path[:end]] for end in range(1, len(path) + 1) if path[:end] in variables]
+            if drawn:
+                message = f"sets '{key}', but '{drawn[0]}' is a variable of the sample; remove one of them"
+                raise SpecError(message, key=path_text((*place, number)))
+
+
 Overrides = Annotated[dict[str, Any], AfterValidator(_check_keys)]
 Axes = Annotated[
     tuple[Annotated[dict[str, ValueSet], AfterValidator(_check_axis)], ...],
@@ -134,7 +147,7 @@ class StudySpec(StrictSpec):
     """
 
     model_config = ConfigDict(title="mbdkit study spec", defer_build=True)
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("store", "block", "compress", "members")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("sample", "store", "block", "compress", "members")
     """Keys that the canonical form omits by default, so that studies written before they existed keep their hash."""
 
     mbdkit_study: Literal[1]
@@ -150,6 +163,9 @@ class StudySpec(StrictSpec):
     are all combinations of the axes."""
     families: dict[str, Family] = Field(default_factory=dict)
     """Several grids of runs by name, instead of `axes`."""
+    sample: Sample | None = None
+    """Keys whose values are drawn from distributions. A study may have axes or families as well: it then makes the runs
+    of the same sample for each combination of these."""
     reference: Reference = "none"
     """Dotted keys to set in the spec of a run to obtain its reference run; `none` for no reference."""
     repeats: Repeats = 1
@@ -172,7 +188,8 @@ class StudySpec(StrictSpec):
     compress: bool = False
     """Whether the arrays of blocks are compressed."""
     members: Members | None = None
-    """A table of values, one row for each run, instead of `axes`; `mbdkit.ensemble` writes it."""
+    """A table of values, one row for each run, instead of `axes`; `mbdkit.ensemble` writes it, and each study with a
+    `sample` writes that of its values into its folder."""
 
     _bases: dict[Path, Document] = PrivateAttr(default_factory=dict)
     _folder: FilePath = PrivateAttr(default_factory=FilePath)
@@ -182,12 +199,15 @@ class StudySpec(StrictSpec):
     def _consistent(self) -> StudySpec:
         if self.axes and self.families:
             raise SpecError("cannot be combined with `families`; give each family its own axes", key="axes")
-        if self.members is not None and (self.axes or self.families):
+        if self.members is not None and self.sample is None and (self.axes or self.families):
             raise SpecError("cannot be combined with `axes` and `families`", key="members")
-        if not self.axes and not self.families and self.members is None:
+        if not self.axes and not self.families and self.members is None and self.sample is None:
             raise PydanticCustomError(
-                "mbdkit", "needs `axes` (parameters that vary) or `families` (several grids of runs)"
+                "mbdkit",
+                "needs `axes` (parameters that vary), `families` (several grids of runs) or `sample` (values from "
+                "distributions)",
             )
+        self._check_sample()
         for name, family in self.families.items():
             if not name.strip() or "/" in name:
                 raise SpecError(
@@ -205,13 +225,32 @@ class StudySpec(StrictSpec):
             for index, measure in enumerate(self.measures):
                 if measure in ERRORS:
                     raise SpecError(f"'{measure}' needs a `reference` to compare with", key=f"measures[{index}]")
-        if self.members is not None and self.store == "files":
-            raise SpecError("a study with a table of members is stored in blocks, not in files", key="store")
+        if self.has_table and self.store == "files":
+            which = "a table of members" if self.sample is None else "a sample"
+            raise SpecError(f"a study with {which} is stored in blocks, not in files", key="store")
+        if self.sample is not None and self.needs_files:
+            raise SpecError(f"cannot be combined with {self.needs_files}", key="sample")
         if (self.in_blocks or self.members is not None) and self.needs_files:
             raise SpecError(
                 f"blocks cannot be combined with {self.needs_files}, which needs `store: files`", key="store"
             )
         return self
+
+    def _check_sample(self) -> None:
+        """Check that no axis sets a variable of the sample, or a part of it."""
+        if self.sample is None:
+            return
+        if self.members is not None and self.members.runs != self.sample.runs:
+            message = f"has {self.members.runs} rows, but the sample makes {self.sample.runs} runs"
+            raise SpecError(message, key="members.runs")
+        check_axes_of_sample(self.sample, self.axes, ("axes",))
+        for name, family in self.families.items():
+            check_axes_of_sample(self.sample, family.axes, ("families", name, "axes"))
+
+    @property
+    def has_table(self) -> bool:
+        """Whether a table has the values that distinguish the runs: that of `members`, or of a sample."""
+        return self.members is not None or self.sample is not None
 
     @property
     def in_blocks(self) -> bool:
@@ -230,11 +269,19 @@ class StudySpec(StrictSpec):
 
     def stored_as(self, store: Storing | None) -> StudySpec:
         """Return this spec with another `store`."""
-        if store == self.store:
-            return self
-        sections = self.sections() | {"store": store}
-        given = (self.model_fields_set | {"store"}) - ({"store"} if store is None else set())
-        spec = type(self)(**{name: value for name, value in sections.items() if name in given})
+        return self if store == self.store else self._changed("store", store)
+
+    def with_members(self, members: Members | None) -> StudySpec:
+        """Return this spec with another table of members, which is to be read from its folder."""
+        spec = self._changed("members", members)
+        spec._columns = None
+        return spec
+
+    def _changed(self, key: str, value: Any) -> StudySpec:
+        """Return this spec with another value of a key, which is left out if the value is None."""
+        sections = self.sections() | {key: value}
+        given = (self.model_fields_set | {key}) - ({key} if value is None else set())
+        spec = type(self)(**{name: section for name, section in sections.items() if name in given})
         spec._document, spec._bases, spec._folder = self._document, self._bases, self._folder
         spec._columns = self._columns
         return spec

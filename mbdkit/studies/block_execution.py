@@ -7,12 +7,10 @@ from collections.abc import Callable
 from mbdkit.interrupts import interrupts_delayed
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import block_index
-from mbdkit.studies.column_names import check_column_names
-from mbdkit.studies.compute_block import BlockStudyPlan
+from mbdkit.studies.compute_block import plan_blocks
 from mbdkit.studies.execute import Progress, Shard, check_shard
 from mbdkit.studies.pool import BlockTask, Outcome, Pool
 from mbdkit.studies.study_folder import StudyFolder
-from mbdkit.studies.verdict_lookup import check_verdict
 
 
 class BlockExecution:
@@ -49,10 +47,7 @@ class BlockExecution:
         check_shard(shard, overwrite=overwrite)
         self.spec, self.folder, self.shard, self.overwrite = spec, folder, shard, overwrite
         self.progress, self.notify = progress, notify
-        check_verdict(spec)
-        check_column_names(spec)
-        self.plan = BlockStudyPlan(spec)
-        self.plan.check()
+        self.plan = plan_blocks(spec)
         folder.check(spec, overwrite=overwrite)
         self.computed = self.failed = 0
         self.unfinished: list[str] = []  # reasons outside the study why blocks were not computed

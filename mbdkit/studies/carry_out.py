@@ -25,6 +25,7 @@ from mbdkit.studies import member_table
 from mbdkit.studies.block_execution import BlockExecution
 from mbdkit.studies.block_study import BlockStudy
 from mbdkit.studies.execute import Execution, Progress, Shard
+from mbdkit.studies.sampled_values import settled_sample
 from mbdkit.studies.study import Study
 from mbdkit.studies.study_blocks import settled_store
 from mbdkit.studies.study_folder import StudyFolder
@@ -146,7 +147,7 @@ def study(
         keep = tempfile.TemporaryDirectory(prefix="mbdkit-study-")
         out = keep.name
     folder = StudyFolder(Path(out))
-    spec = settled_store(spec, folder, overwrite=overwrite)
+    spec = settled_store(settled_sample(spec, folder, overwrite=overwrite), folder, overwrite=overwrite)
     try:
         is_shown = progress is None and in_notebook()
         with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:

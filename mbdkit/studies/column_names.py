@@ -49,6 +49,14 @@ def check_column_names(spec: StudySpec) -> None:
                     raise spec.placed(SpecError(message, key=path_text(measures[axis_column(key)])))
                 if why := _refusal(key, other):
                     raise spec.placed(SpecError(why, key=path_text(place)))
+        for key in grid.table:
+            place = (*grid.table_place, key)
+            _check_text(spec, key, place, _CONTROL)
+            if axis_column(key) in measures:
+                message = f"'{key}' is also a variable of this study; choose another name for the measure"
+                raise spec.placed(SpecError(message, key=path_text(measures[axis_column(key)])))
+            if why := _refusal(key, columns.setdefault(axis_column(key), key)):
+                raise spec.placed(SpecError(why, key=path_text(place)))
 
 
 def _refusal(key: str, other: str) -> str:

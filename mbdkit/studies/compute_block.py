@@ -23,11 +23,13 @@ from mbdkit.spec.reading import put
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_measures import ERRORS
 from mbdkit.spec.study_spec import StudySpec
+from mbdkit.studies.column_names import check_column_names
 from mbdkit.studies.defined_measures import describe_measures
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS
 from mbdkit.studies.planned_points import PlannedPoint, PlannedPoints
 from mbdkit.studies.study_blocks import StudyBlocks, stored
 from mbdkit.studies.study_folder import StudyFolder
+from mbdkit.studies.verdict_lookup import check_verdict
 from mbdkit.terminal import say
 
 SAMPLES = 8
@@ -46,7 +48,11 @@ class BlockStudyPlan:
     def __init__(self, spec: StudySpec):
         self.spec = spec
         self.points = PlannedPoints(spec)
-        self.blocks = StudyBlocks.of(spec, self.points)
+
+    @cached_property
+    def blocks(self) -> StudyBlocks:
+        """The division of the runs into blocks."""
+        return StudyBlocks.of(self.spec, self.points)
 
     @cached_property
     def samples(self) -> list[PlannedPoint]:
@@ -108,6 +114,21 @@ class BlockStudyPlan:
         if finished.accuracy is not None:
             taken |= {name: measure.take(run, None) for name, measure in OF_CHECKED_RUNS.items()}
         return taken
+
+
+def plan_blocks(spec: StudySpec) -> BlockStudyPlan:
+    """Return the plan of a study in blocks, with the specs of some runs validated.
+
+    Raises
+    ------
+    SpecError
+        If the study, all of these runs, or one of the measures is invalid.
+    """
+    check_verdict(spec)
+    check_column_names(spec)
+    plan = BlockStudyPlan(spec)
+    plan.check()
+    return plan
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.study_spec import LARGEST_TABLE, Family, StudySpec
 from mbdkit.spec.value_sets import Value, expand, size
-from mbdkit.studies.member_table import read_members
+from mbdkit.studies.sampled_values import rows_of, table_place, values_of
 from mbdkit.text import listed, shortened
 
 #: Maximum number of runs in a study that writes a file for each.
@@ -56,6 +56,7 @@ class Grid:
     repeats: int
 
     table: Mapping[str, np.ndarray] = field(default_factory=dict)
+    table_place: Path = ()
 
     @cached_property
     def base_json(self) -> str:
@@ -68,9 +69,12 @@ class Grid:
     @property
     def count(self) -> int:
         """Number of points."""
-        if self.table:
-            return len(next(iter(self.table.values())))
-        return math.prod(self.shape)
+        return self.rows * math.prod(self.shape)
+
+    @property
+    def rows(self) -> int:
+        """Number of points for each combination of the axes: rows of the table, or 1 without one."""
+        return len(next(iter(self.table.values()))) if self.table else 1
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -78,14 +82,15 @@ class Grid:
         return tuple(len(axis[0][1]) for axis in self.axes)
 
     def point(self, index: int) -> tuple[dict[str, Label], list[Setting], str]:
-        """Return labels, settings and missing distribution of a point, counted from 0; the last axis varies fastest."""
+        """Return labels, settings and missing distribution of a point, counted from 0.
+
+        The row of the table varies fastest, then the last axis.
+        """
         labels: dict[str, Label] = {}
         settings: list[Setting] = []
         lacking = ""
-        for key, column in self.table.items():
-            labels[key] = column[index] if column.dtype == object else column[index].item()
-            settings.append(Setting(parse_key(key), labels[key], ("members",)))
-        choices = np.unravel_index(index, self.shape) if self.axes else ()
+        combination, row = divmod(index, self.rows)
+        choices = np.unravel_index(combination, self.shape) if self.axes else ()
         for number, (axis, choice) in enumerate(zip(self.axes, choices, strict=True)):
             for key, values in axis:
                 value = values[choice]
@@ -96,19 +101,24 @@ class Grid:
                 )
                 if value.if_installed and not registry().has_distribution(value.if_installed):
                     lacking = lacking or value.if_installed
+        for key, column in self.table.items():
+            labels[key] = column[row] if column.dtype == object else column[row].item()
+            place = self.table_place if self.table_place == ("members",) else (*self.table_place, key)
+            settings.append(Setting(parse_key(key), labels[key], place))
         return labels, settings, lacking
 
     def labels(self) -> dict[str, np.ndarray]:
         """Return the labels of all points on each axis, by dotted key: numbers, or an object array."""
-        found = dict(self.table)
-        places = np.unravel_index(np.arange(self.count), self.shape) if self.axes else ()
+        found = {}
+        combinations = np.arange(self.count) // self.rows
+        places = np.unravel_index(combinations, self.shape) if self.axes else ()
         for axis, choices in zip(self.axes, places, strict=True):
             for key, values in axis:
                 labels = [value.label for value in values]
                 is_text = any(isinstance(label, str) for label in labels)
                 column = np.array(list(map(str, labels)), object) if is_text else np.array(labels, float)
                 found[key] = column[choices]
-        return found
+        return found | {key: np.tile(column, math.prod(self.shape)) for key, column in self.table.items()}
 
 
 def grids(spec: StudySpec) -> tuple[Grid, ...]:
@@ -125,25 +135,24 @@ def grids(spec: StudySpec) -> tuple[Grid, ...]:
         If there are too many points.
     """
     _check_size(spec)
-    if spec.members is not None:
-        return (replace(_grid(spec, "", Family(), ()), table=read_members(spec)),)
     if not spec.families:
-        return (_grid(spec, "", Family(axes=spec.axes), ()),)
-    return tuple(_grid(spec, name, family, ("families", name)) for name, family in spec.families.items())
+        made = (_grid(spec, "", Family(axes=spec.axes), ()),)
+    else:
+        made = tuple(_grid(spec, name, family, ("families", name)) for name, family in spec.families.items())
+    table = values_of(spec)
+    return tuple(replace(grid, table=table, table_place=table_place(spec)) for grid in made)
 
 
 def number_of_points(spec: StudySpec) -> int:
     """Return the number of points of a study, of which none is made for that."""
-    if spec.members is not None:
-        return spec.members.runs
     grids_of_axes = [family.axes for family in spec.families.values()] or [spec.axes]
-    return sum(math.prod(size(next(iter(axis.values()))) for axis in axes) for axes in grids_of_axes)
+    return rows_of(spec) * sum(math.prod(size(next(iter(axis.values()))) for axis in axes) for axes in grids_of_axes)
 
 
 def _check_size(spec: StudySpec) -> None:
     """Check the number of points before any of them exists."""
     runs = number_of_points(spec)
-    key = "families" if spec.families else "axes"
+    key = "sample" if spec.sample is not None else "families" if spec.families else "axes"
     if runs > LARGEST_TABLE or (runs > LARGEST_STUDY and (spec.store == "files" or spec.needs_files)):
         told = runs if runs < 10**12 else "too many"
         most = f"{LARGEST_STUDY} with a file for each" if runs <= LARGEST_TABLE else f"{LARGEST_TABLE}"

@@ -48,7 +48,7 @@ def is_for_blocks(spec: StudySpec) -> bool:
     """Return whether a study is stored in blocks, because it asks for them or is large."""
     if spec.store is not None:
         return spec.in_blocks
-    return spec.members is not None or (number_of_points(spec) > MOST_FILES and not spec.needs_files)
+    return spec.has_table or (number_of_points(spec) > MOST_FILES and not spec.needs_files)
 
 
 @dataclass(frozen=True)

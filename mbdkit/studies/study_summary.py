@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from mbdkit.plain_data import json_text
 from mbdkit.studies.study_index import STATUSES
 from mbdkit.text import counted, shown
 from mbdkit.trust.criteria import LEVELS
@@ -87,18 +88,28 @@ def block_plan_summary(plan: BlockStudyPlan) -> str:
         ),
         ("store", str(plan.spec.store)),
     ]
-    return _plan_text([*lines, *_grid_lines(plan.points.grids), *_measure_lines(plan.defined)])
+    grids = _grid_lines(plan.points.grids, is_drawn=plan.spec.sample is not None)
+    return _plan_text([*lines, *grids, *_sample_lines(plan.spec), *_measure_lines(plan.defined)])
 
 
-def _grid_lines(grids: Iterable[Grid]) -> Iterator[tuple[str, str]]:
+def _grid_lines(grids: Iterable[Grid], *, is_drawn: bool = False) -> Iterator[tuple[str, str]]:
     for grid in grids:
         if grid.name:
             yield "family", grid.name
-        for key in grid.table:
+        for key in grid.table if not is_drawn else ():
             yield "values", f"{key}: {_few(grid.table[key].tolist())}"
         for axis in grid.axes:
             keys = " with ".join(key for key, _ in axis)
             yield "axis", f"{keys}: {_few([value.label for value in axis[0][1]])}"
+
+
+def _sample_lines(spec: StudySpec) -> Iterator[tuple[str, str]]:
+    if spec.sample is not None:
+        sample = spec.sample
+        each = f", {sample.runs_of_member} runs each" if sample.runs_of_member > 1 else ""
+        yield "sample", f"{counted(sample.n, 'member')}{each}: {sample.method}, seed {sample.seed}"
+        for key, given in sample.variables.items():
+            yield "variable", f"{key}: {json_text(given)}"
 
 
 def _measure_lines(defined: Mapping[str, Description]) -> Iterator[tuple[str, str]]:

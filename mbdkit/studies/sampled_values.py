@@ -1,0 +1,132 @@
+"""The values of a sample: points of ``scipy.stats.qmc``, transformed by the quantile functions of the variables."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.plain_data import Path, path_text
+from mbdkit.spec.distributions import frozen
+from mbdkit.spec.sample_section import Sample
+from mbdkit.spec.study_loading import load_study_spec
+from mbdkit.spec.study_spec import Members, StudySpec
+from mbdkit.studies import member_table
+from mbdkit.studies.study_folder import StudyFolder
+
+_SMALLEST = 2.0**-54
+"""Smallest coordinate of a point, in place of 0, whose quantile is infinite for many distributions."""
+
+
+def sampled_values(sample: Sample) -> dict[str, np.ndarray]:
+    """Return the values of each variable, (N,) by dotted key, where N is the number of runs.
+
+    The runs of a member follow each other. In a Saltelli design with d variables these are: one run with a point of the
+    matrix A, one with a point of B, and d runs with the point of A in which one coordinate is that of B.
+
+    Raises
+    ------
+    SpecError
+        If a value is not finite, with the key below the section.
+    """
+    d = len(sample.variables)
+    if sample.design == "plain":
+        points = unit_points(sample, d)
+    else:
+        both = unit_points(sample, 2 * d)
+        first, second = both[:, :d], both[:, d:]
+        runs = np.repeat(first[:, None, :], d + 2, axis=1)
+        runs[:, 1] = second
+        place = np.arange(d)
+        runs[:, 2 + place, place] = second
+        points = runs.reshape(-1, d)
+    values = {}
+    for column, (key, distribution) in enumerate(sample.variables.items()):
+        with np.errstate(all="ignore"):
+            values[key] = np.asarray(frozen(distribution).ppf(points[:, column]), np.float64)
+        if not np.all(np.isfinite(values[key])):
+            told = "the distribution yields values that are too large for double precision"
+            raise SpecError(told, key=path_text(("variables", key)))
+    return values
+
+
+def unit_points(sample: Sample, dimensions: int) -> np.ndarray:
+    """Return the points of a sample in the unit cube, (n, dimensions), above 0 and below 1."""
+    from scipy.stats import qmc
+
+    random = np.random.default_rng(sample.seed)
+    match sample.method:
+        case "sobol":  # whole powers of 2, because scipy warns of others
+            points = qmc.Sobol(dimensions, seed=random).random_base2((sample.n - 1).bit_length())[: sample.n]
+        case "halton":
+            points = qmc.Halton(dimensions, seed=random).random(sample.n)
+        case "latin-hypercube":
+            points = qmc.LatinHypercube(dimensions, seed=random).random(sample.n)
+        case "random":
+            points = random.random((sample.n, dimensions))
+    return np.asarray(np.clip(points, _SMALLEST, 1.0 - 2.0**-53))
+
+
+def settled_sample(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
+    """Return a study with the table of the values of its sample; other studies are returned unchanged.
+
+    The table of the folder is used if it belongs to the same study, so that a study goes on with the same values under
+    another version of SciPy.
+    """
+    if spec.sample is None or spec.members is not None:
+        return spec
+    if not overwrite and (there := _study_in(folder)) is not None and there.members is not None:
+        untabled = there.with_members(None).stored_as(None)
+        if untabled.sha256() == spec.stored_as(None).sha256():
+            settled = spec.with_members(there.members)
+            settled._folder = folder.path
+            return settled
+    columns = values_of(spec)
+    _, digest = member_table.image(columns)
+    settled = spec.with_members(Members(runs=spec.sample.runs, sha256=digest))
+    settled._columns = columns
+    return settled
+
+
+def _study_in(folder: StudyFolder) -> StudySpec | None:
+    """Return the study in a folder; None if there is none that can be read, which is reported elsewhere."""
+    if not folder.spec.is_file():
+        return None
+    try:
+        return load_study_spec(folder.spec)
+    except MbdkitError:
+        return None
+
+
+def values_of(spec: StudySpec) -> dict[str, np.ndarray]:
+    """Return the values that distinguish the runs of a study, (N,) by dotted key; empty for a study with axes only.
+
+    Raises
+    ------
+    SpecError
+        If the table of members is missing or damaged, or a value of the sample is not finite.
+    """
+    if spec.members is not None:
+        return member_table.read_members(spec)
+    if spec.sample is None:
+        return {}
+    if spec._columns is None:
+        try:
+            spec._columns = sampled_values(spec.sample)
+        except SpecError as error:
+            raise spec.placed(error.located(prefix="sample")) from None
+    columns: dict[str, Any] = spec._columns
+    return columns
+
+
+def rows_of(spec: StudySpec) -> int:
+    """Return the number of rows of `values_of`; 1 for a study with axes only."""
+    if spec.members is not None:
+        return spec.members.runs
+    return 1 if spec.sample is None else spec.sample.runs
+
+
+def table_place(spec: StudySpec) -> Path:
+    """Return the place in the study spec of the keys of `values_of`."""
+    return ("members",) if spec.sample is None else ("sample", "variables")
