@@ -184,6 +184,33 @@ class MeasureExpression:
             stack.append(_UNARY[operation](stack.pop()))
 
 
+@dataclass(frozen=True)
+class SeriesExpression(MeasureExpression):
+    """An expression with one number per recorded row, such as ``abs(joints.B.force)``."""
+
+    @staticmethod
+    def parse(text: str, spec: RunSpec, unit: str = "") -> SeriesExpression:
+        """Parse an expression for the runs of a spec, without its parameters, whose values may differ between runs.
+
+        Raises
+        ------
+        SpecError
+            If the syntax is wrong, a quantity does not exist or is not recorded, units do not match, or the value is
+            not one number in each row.
+        """
+        compiler = _MeasureCompiler(text, spec, {})
+        program, value = compiler.series()
+        return SeriesExpression(text, program, tuple(compiler.quantities), value.unit or _PLAIN)
+
+    def rows(self, run: Run) -> np.ndarray:
+        """Return the values in the T recorded rows of a run, (T,), in `unit`; raise NotRecordedError if it has none."""
+        stack: list[np.ndarray] = []
+        with np.errstate(all="ignore"):
+            for operation, number in self.program:
+                self._execute(operation, number, stack, run)
+        return stack.pop() / self.unit.factor
+
+
 def _interpolated(at: float, time: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return values (..., T) at a time, interpolated linearly between the rows around it, (..., 1); nan outside."""
     if not time[0] <= at <= time[-1]:
@@ -230,9 +257,9 @@ class _MeasureCompiler(RunCompiler):
         "markers.NAME.position, events.NAME.time, energy.total"
     )
 
-    def __init__(self, text: str, spec: RunSpec):
+    def __init__(self, text: str, spec: RunSpec, parameters: Mapping[str, float] | None = None):
         self.spec = spec
-        super().__init__(text, spec.mechanism(), spec.numbers)
+        super().__init__(text, spec.mechanism(), spec.numbers if parameters is None else parameters)
         self.known["events"] = list(spec.events)
 
     def measure(self) -> tuple[Program, _Value]:
@@ -250,6 +277,19 @@ class _MeasureCompiler(RunCompiler):
             self.refuse("the expression is a vector, and a measure is one number; use abs of it, its norm", tree)
         if all(operation not in ("get", "t") for operation, _ in program):
             self.refuse("the expression contains no quantity of the run", tree)
+        return tuple(program), value
+
+    def series(self) -> tuple[Program, _Value]:
+        """Return the program and its value, which is one number in each recorded row; raise SpecError otherwise."""
+        tree = self.tree()
+        program = self.compile(tree, 0)
+        value = _known(program)
+        if any(operation.startswith(_REDUCE) for operation, _ in program):
+            self.refuse("the expression has functions that reduce values over time; write it without them", tree)
+        if value.is_vector:
+            self.refuse("the expression is a vector, which has no quantiles; use abs of it, its norm", tree)
+        if not value.is_series:
+            self.refuse("the expression does not change over time", tree)
         return tuple(program), value
 
     def compile(self, node: ast.expr, nesting: int) -> Code:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, overload
 
 import numpy as np
 
 from mbdkit.archive.blocks import Block
+from mbdkit.archive.joined_runs import KEEPING_TIMES, joined_runs
 from mbdkit.archive.run import Run
+from mbdkit.archive.stored_run import NotStoredError
 from mbdkit.errors import SpecError
 from mbdkit.measures.take import Description
 from mbdkit.studies import block_index
 from mbdkit.studies.block_index import BlockIndex
-from mbdkit.studies.planned_points import PlannedPoints
+from mbdkit.studies.planned_points import Grid, PlannedPoints
 from mbdkit.studies.study import Study, StudyPoint
 from mbdkit.studies.study_blocks import StudyBlocks
 from mbdkit.studies.study_index import Row, describe_column
@@ -67,10 +69,9 @@ class BlockStudy(Study):
     def _open(self) -> None:
         """Read the index, which has columns instead of rows."""
         self._table_of_runs = block_index.read(self._files.index, self.spec.sha256())
-        planned = PlannedPoints(self.spec)
+        planned = self._planned = PlannedPoints(self.spec)
         if len(planned) != len(self._table_of_runs.columns["status"]):
             raise SpecError("the index does not match study.yaml; run `mbdkit study` to renew it", file=self.folder)
-        self._planned = planned
         self.points = BlockPoints(planned, self._table_of_runs)
         self.references = ()
         self._blocks = StudyBlocks.of(self.spec, planned)
@@ -113,6 +114,22 @@ class BlockStudy(Study):
     def _written_by(self, point: StudyPoint) -> str:
         with self._block(point) as block:
             return block.version
+
+    def grid(self, family: str | None = None) -> Grid:
+        """Return the plan of a family: its axes and the values of its sample."""
+        grids = {grid.name: grid for grid in self._planned.grids}
+        return grids[family] if family in grids else super().grid(family)
+
+    def rows_of_runs(self) -> Iterator[tuple[Run, Sequence[int], np.ndarray]]:
+        """Yield runs in which the rows of all runs of a block with the same structure are joined; see `Study`."""
+        if self.spec.store not in KEEPING_TIMES:
+            raise NotStoredError("values over time", str(self.spec.store))
+        for number in range(self._blocks.count):
+            path = self._files.block(number)
+            if path.exists():
+                with Block(path) as block:
+                    for run in joined_runs(block):
+                        yield run, run.numbers.tolist(), run.counts
 
     def _columns(self, points: Sequence[StudyPoint]) -> dict[str, Any]:
         """Return the columns of the index without those of the axes."""

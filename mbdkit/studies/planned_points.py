@@ -135,10 +135,8 @@ def grids(spec: StudySpec) -> tuple[Grid, ...]:
         If there are too many points.
     """
     _check_size(spec)
-    if not spec.families:
-        made = (_grid(spec, "", Family(axes=spec.axes), ()),)
-    else:
-        made = tuple(_grid(spec, name, family, ("families", name)) for name, family in spec.families.items())
+    made = [_grid(spec, name, family, ("families", name)) for name, family in spec.families.items()]
+    made = made or [_grid(spec, "", Family(axes=spec.axes), ())]
     table = values_of(spec)
     return tuple(replace(grid, table=table, table_place=table_place(spec)) for grid in made)
 

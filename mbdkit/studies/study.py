@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mbdkit.analysis.sobol_indices import RESAMPLES
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.errors import MbdkitError, SpecError
@@ -20,13 +21,16 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
-from mbdkit.studies.planned_points import Label, PlannedPoint, plan_points, point_label
+from mbdkit.studies.planned_points import Grid, Label, PlannedPoint, plan_points, point_label
+from mbdkit.studies.quantile_bands import QUANTILES, QuantileBands, quantiles
 from mbdkit.studies.selection import select_rows
+from mbdkit.studies.sensitivity import Sensitivity, sensitivity
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Row
 from mbdkit.text import did_you_mean, listed
 
 if TYPE_CHECKING:
+    import numpy as np
     import pandas
     import xarray
 
@@ -228,8 +232,18 @@ class Study(HtmlView):
         family
             Name of the family; optional if the study has only one.
         """
-        grid = self._one_family(family)[0].planned.grid
+        grid = self.grid(family)
         return {key: [value.label for value in values] for axis in grid.axes for key, values in axis}
+
+    def grid(self, family: str | None = None) -> Grid:
+        """Return the plan of a family: its axes and the values of its sample.
+
+        Parameters
+        ----------
+        family
+            Name of the family; optional if the study has only one.
+        """
+        return self._one_family(family)[0].planned.grid
 
     def run(self, point: StudyPoint | int) -> Run | None:
         """Return the run of a point, or None if it has no results. Close the run, or use it in a `with` block.
@@ -358,6 +372,99 @@ class Study(HtmlView):
         frame = pandas.DataFrame(self._table(points))
         frame.attrs["units"] = self._units()
         return frame
+
+    def columns(self) -> dict[str, Any]:
+        """Return the columns of `to_frame` by name, each with one value for each point."""
+        return self._table(self.points)
+
+    def sensitivity(
+        self,
+        measure: str,
+        *,
+        where: Mapping[str, Label] | None = None,
+        confidence: float = 0.95,
+        members: int | None = None,
+        resamples: int = RESAMPLES,
+    ) -> Sensitivity:
+        """Return the Sobol indices of a measure with respect to the variables of the sample.
+
+        They are the estimates (b) and (f) in table 2 of [1]_, as in `scipy.stats.sobol_indices`, with quantiles of the
+        bootstrap over the members as confidence intervals. Members with a run that failed are left out.
+
+        Parameters
+        ----------
+        measure
+            Name of a numeric column, such as a measure or a counter.
+        where
+            Labels on the axes by dotted key, and the name of the family by ``family``, if the sample is repeated for
+            several of these.
+        confidence
+            Probability of the intervals.
+        members
+            Use only this number of members, from the first, to see how the indices converge; by default all.
+        resamples
+            Number of bootstrap samples.
+
+        Raises
+        ------
+        SpecError
+            If the study has no sample with ``design: saltelli``.
+        MbdkitError
+            If there is no such measure, or too few members have a value of it.
+
+        References
+        ----------
+        .. [1] A. Saltelli et al., Computer Physics Communications 181 (2010) 259-270.
+        """
+        return sensitivity(self, measure, where=where, confidence=confidence, members=members, resamples=resamples)
+
+    def quantiles(
+        self,
+        quantity: str,
+        q: float | Sequence[float] = QUANTILES,
+        *,
+        where: Mapping[str, Label] | None = None,
+        times: Sequence[float] | np.ndarray | None = None,
+    ) -> QuantileBands:
+        """Return quantiles of a quantity over the runs, at each time.
+
+        Parameters
+        ----------
+        quantity
+            Expression of quantities in the recorded rows, as in those of measures: ``rod.angle``,
+            ``abs(joints.B.force)``.
+        q
+            Probabilities.
+        where
+            Labels on the axes by dotted key, and the name of the family by ``family``, if the sample is repeated for
+            several of these.
+        times
+            (K,) times [s], between which rows are interpolated linearly. By default the recorded times if they are
+            the same in all runs, at most 501 of them, otherwise 201 equally spaced ones.
+
+        Returns
+        -------
+        QuantileBands
+            Quantiles of the runs that reach each time; runs that failed count until they end.
+
+        Raises
+        ------
+        SpecError
+            If the expression is not valid.
+        MbdkitError
+            If the study does not store the quantity.
+        """
+        return quantiles(self, quantity, q, where=where, times=times)
+
+    def rows_of_runs(self) -> Iterator[tuple[Run, Sequence[int], np.ndarray]]:
+        """Yield runs with all rows of one or more runs of the study, the numbers of these, and their numbers of rows.
+
+        A run in which the rows of several are joined has their histories, but the spec and name of the first.
+        """
+        for point, run in self.runs():
+            if run is not None:
+                with run:
+                    yield run, [point.number], np.array([len(run.time)])
 
     def _table(self, points: Sequence[StudyPoint]) -> dict[str, Any]:
         """Return the columns of a table of some points."""

@@ -1,0 +1,114 @@
+"""The parts of a study that repeat its sample, or its table of members: one for each combination of the axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.errors import MbdkitError
+from mbdkit.text import did_you_mean, listed
+
+if TYPE_CHECKING:
+    from mbdkit.studies.planned_points import Label
+    from mbdkit.studies.study import Study
+
+
+@dataclass(frozen=True)
+class SampleGroup:
+    """The runs of a sample for one combination of the axes of a study.
+
+    Parameters
+    ----------
+    family
+        Name of its family; empty in a study without families.
+    axes
+        Labels on the axes by dotted key, without those of the variables; empty in a study without axes.
+    places
+        Places of its runs among the points of the study, counted from 0.
+    """
+
+    family: str
+    axes: Mapping[str, Label]
+    places: range
+
+    @property
+    def words(self) -> str:
+        """Family and labels as one line; empty if the study has only one group."""
+        told = [f"{key} {label}" for key, label in self.axes.items()]
+        return ", ".join(filter(None, [self.family, *told]))
+
+
+def sample_groups(study: Study) -> list[SampleGroup]:
+    """Return the groups of a study in the order of its points; a study without axes has one."""
+    groups: list[SampleGroup] = []
+    start = 0
+    for grid in map(study.grid, study.families):
+        for combination in range(grid.count // grid.rows):
+            labels, _, _ = grid.point(combination * grid.rows)
+            axes = {key: label for key, label in labels.items() if key not in grid.table}
+            groups.append(SampleGroup(grid.name, axes, range(start, start + grid.rows)))
+            start += grid.rows
+    return groups
+
+
+def one_group(study: Study, where: Mapping[str, Any] | None) -> SampleGroup:
+    """Return the group with the given family and labels.
+
+    Parameters
+    ----------
+    where
+        Labels on axes by dotted key, and the name of the family by ``family``; optional if there is one group.
+
+    Raises
+    ------
+    MbdkitError
+        If there is no such group, or several.
+    """
+    groups = sample_groups(study)
+    wanted = dict(where or {})
+    if wanted and len(groups) == 1 and not groups[0].words:
+        raise MbdkitError("the study has only one sample, without axes and families; leave out `where`")
+    keys = list(dict.fromkeys(key for group in groups for key in ("family", *group.axes)))
+    for key in wanted:
+        if key not in keys:
+            raise MbdkitError(f"the study has no axis '{key}'{did_you_mean(key, keys) or f'; axes: {listed(keys)}'}")
+    found = [
+        group
+        for group in groups
+        if all((group.family if key == "family" else group.axes.get(key)) == label for key, label in wanted.items())
+    ]
+    if len(found) == 1:
+        return found[0]
+    told = "; ".join(group.words for group in groups[:6]) + ("; ..." if len(groups) > 6 else "")
+    if not found:
+        raise MbdkitError(f"the sample has no runs with these labels; there are: {told}")
+    raise MbdkitError(
+        f"the study has {len(found)} samples; choose one by `where`, such as {_example(found[0])}: {told}"
+    )
+
+
+def _example(group: SampleGroup) -> str:
+    labels = ({"family": group.family} if group.family else {}) | dict(group.axes)
+    return f"where={labels!r}"
+
+
+def measured(study: Study, name: str, places: range) -> np.ndarray:
+    """Return the values of a numeric column for some points; nan where a run is not complete.
+
+    Raises
+    ------
+    MbdkitError
+        If there is no such column, or it has no numbers.
+    """
+    columns = study.columns()
+    numbers = [key for key, one in columns.items() if key != "number" and np.asarray(one).dtype.kind in "fiu"]
+    if name not in numbers:
+        hint = did_you_mean(name, numbers) or f"; columns: {listed(numbers)}"
+        raise MbdkitError(f"the study has no measure '{name}'{hint}")
+    chosen = slice(places.start, places.stop)
+    values = np.array(columns[name][chosen], np.float64)
+    values[np.asarray(columns["status"][chosen], object) != "complete"] = np.nan
+    return values

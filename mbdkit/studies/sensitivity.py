@@ -1,0 +1,117 @@
+"""Sobol sensitivity indices of a measure with respect to the variables of a sample."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.analysis.sobol_indices import RESAMPLES, SobolIndices, sobol_indices
+from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.studies.sample_groups import measured, one_group
+
+if TYPE_CHECKING:
+    import pandas
+
+    from mbdkit.studies.study import Study
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Sobol indices of a measure.
+
+    Attributes
+    ----------
+    measure
+        Name of the measure.
+    variables
+        The d variables, as dotted keys of the run spec.
+    indices
+        Their indices with confidence intervals; `first`, `total` and so on are available here, too.
+    confidence
+        Probability of the intervals.
+    members
+        Number of members of the sample whose runs all have a value of the measure, and are used.
+    left_out
+        Number of members that are not used, because a run failed or has no value.
+    """
+
+    measure: str
+    variables: tuple[str, ...]
+    indices: SobolIndices
+    confidence: float
+    members: int
+    left_out: int
+
+    @property
+    def first(self) -> np.ndarray:
+        """(d,) first-order indices: shares of the variance that each variable explains alone."""
+        return self.indices.first
+
+    @property
+    def total(self) -> np.ndarray:
+        """(d,) total indices: shares of the variance that each variable explains alone or together with others."""
+        return self.indices.total
+
+    def to_frame(self) -> pandas.DataFrame:
+        """Return a table with a row for each variable.
+
+        Raises
+        ------
+        MbdkitError
+            If pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise MbdkitError("to_frame needs the package pandas: pip install pandas") from error
+        names = ("first", "first_low", "first_high", "total", "total_low", "total_high")
+        return pandas.DataFrame(
+            {name: getattr(self.indices, name) for name in names}, pandas.Index(self.variables, name="variable")
+        )
+
+    def __str__(self) -> str:
+        width = max(map(len, ("variable", *self.variables)))
+        one = self.indices
+        lines = [f"{'variable':<{width}}  {'first order':<26}  total"]
+        for place, name in enumerate(self.variables):
+            first, total = (
+                f"{value[place]:.3f} ({low[place]:.3f} to {high[place]:.3f})"
+                for value, low, high in (
+                    (one.first, one.first_low, one.first_high),
+                    (one.total, one.total_low, one.total_high),
+                )
+            )
+            lines.append(f"{name:<{width}}  {first:<26}  {total}")
+        return "\n".join(lines)
+
+
+def sensitivity(
+    study: Study,
+    measure: str,
+    *,
+    where: Mapping[str, Any] | None = None,
+    confidence: float = 0.95,
+    members: int | None = None,
+    resamples: int = RESAMPLES,
+) -> Sensitivity:
+    """Return the Sobol indices of a measure; see `Study.sensitivity`."""
+    sample = study.spec.sample
+    if sample is None or sample.design != "saltelli":
+        message = "Sobol indices need a sample with `design: saltelli`, which makes the runs from which they follow"
+        raise study.spec.placed(SpecError(message, key="sample" if sample is None else "sample.design"))
+    if not 0 < confidence < 1:
+        raise MbdkitError(f"the confidence should be a probability between 0 and 1, such as 0.95, not {confidence!r}")
+    if resamples < 1:
+        raise MbdkitError(f"the number of bootstrap samples should be positive, not {resamples!r}")
+    if members is not None and not 2 <= members <= sample.n:
+        raise MbdkitError(f"the sample has {sample.n} members; choose from 2 to {sample.n} of them, not {members!r}")
+    group = one_group(study, where)
+    values = measured(study, measure, group.places).reshape(-1, sample.runs_of_member)[:members]
+    known = values[np.all(np.isfinite(values), axis=1)]
+    if len(known) < 2:
+        raise MbdkitError(f"fewer than two members of the sample have a value of '{measure}' in all of their runs")
+    indices = sobol_indices(known, confidence=confidence, resamples=resamples, seed=sample.seed)
+    return Sensitivity(measure, tuple(sample.variables), indices, confidence, len(known), len(values) - len(known))
