@@ -149,6 +149,7 @@ def report(
     from mbdkit.report.report import report as write
 
     archives = sorted((path / "runs").glob("*.h5")) if path.is_dir() else [path]
+    archives = [archive for archive in archives if not archive.name.startswith("block-")]
     with blaming_damage(*archives):
         target = write(path, output, figures=figures, overwrite=overwrite)
     if not quiet:

@@ -27,7 +27,7 @@ OPERATIONS = ("rhs_evaluations", "jacobian_evaluations", "factorizations")
 
 
 @dataclass(frozen=True)
-class _Quantity:
+class Quantity:
     """A value of each run that is drawn, with its title, its axis, and columns of the bounds of its spread."""
 
     columns: tuple[str, ...]
@@ -53,7 +53,7 @@ class _Quantity:
         return low, high
 
 
-_WORK = _Quantity(
+_WORK = Quantity(
     OPERATIONS,
     "Operations",
     Axis("evaluations, Jacobians and factorizations", log=True),
@@ -70,10 +70,10 @@ def study_figures(study: Study) -> tuple[Figure, ...]:
     for name, title in study.families.items():
         points = study.family(name)
         costs = (_wall_time(points), _WORK)
-        for measure in _measures(study):
+        for measure in asked_measures(study):
             if not np.any(np.nan_to_num(measure.of(points))):
                 continue
-            measure = replace(measure, axis=replace(measure.axis, log=_is_wide(measure.of(points))))
+            measure = replace(measure, axis=replace(measure.axis, log=is_wide(measure.of(points))))
             for key in study.axes(name):
                 figures += _against_axis(measure, key, points, name, title)
             for cost in costs if measure.is_error else ():
@@ -86,19 +86,20 @@ def study_figures(study: Study) -> tuple[Figure, ...]:
 
 def measure_columns(study: Study) -> list[tuple[Column, str]]:
     """Return headings and names of the columns of the index with the measures that the study asks for."""
-    return [(Column(measure.axis.label, measure.axis.unit), measure.columns[0]) for measure in _measures(study)]
+    return [(Column(measure.axis.label, measure.axis.unit), measure.columns[0]) for measure in asked_measures(study)]
 
 
-def _measures(study: Study) -> Iterator[_Quantity]:
+def asked_measures(study: Study) -> Iterator[Quantity]:
     """Yield the measures that the study asks for; those of most interest if it asks for all."""
     asked: Any = study.spec.measures
-    entries = _USUAL if asked == "all" else asked if isinstance(asked, list | tuple) else [*_USUAL, asked]
+    usual = _USUAL[:1] if study.spec.in_blocks else _USUAL  # runs in blocks have no reference
+    entries = usual if asked == "all" else asked if isinstance(asked, list | tuple) else [*usual, asked]
     for name in [name for entry in entries for name in ([entry] if isinstance(entry, str) else entry)]:
         units, long_name = study.described(name)
         words = _measure_words(name)
         title = words.removeprefix("largest ").capitalize()
         unit = "" if units == "1" else units
-        yield _Quantity((name,), title, Axis(words, unit), caption=f"{long_name[:1].upper()}{long_name[1:]}.")
+        yield Quantity((name,), title, Axis(words, unit), caption=f"{long_name[:1].upper()}{long_name[1:]}.")
 
 
 def _measure_words(name: str) -> str:
@@ -110,20 +111,20 @@ def _measure_words(name: str) -> str:
     return f"{words.removeprefix('end ')} at the end" if words.startswith("end ") else words
 
 
-def _wall_time(points: Sequence[StudyPoint]) -> _Quantity:
+def _wall_time(points: Sequence[StudyPoint]) -> Quantity:
     axis = Axis("wall time", "s", log=True)
     if any(value(point, "wall_median_s") > 0 for point in points):
-        return _Quantity(("wall_median_s",), "Wall time", axis, ("wall_q1_s", "wall_q3_s"), _SPREAD)
-    return _Quantity(("wall_s",), "Wall time", axis, caption=_ONCE)
+        return Quantity(("wall_median_s",), "Wall time", axis, ("wall_q1_s", "wall_q3_s"), _SPREAD)
+    return Quantity(("wall_s",), "Wall time", axis, caption=_ONCE)
 
 
-def _is_wide(values: np.ndarray) -> bool:
+def is_wide(values: np.ndarray) -> bool:
     """Return whether values are shown on a logarithmic axis: not negative, and over a decade or tiny."""
     known = values[np.isfinite(values) & (values != 0)]
     return bool(len(known)) and bool(np.all(known > 0)) and float(known.max() / known.min()) >= _DECADE
 
 
-def _against_axis(quantity: _Quantity, key: str, points: Sequence[StudyPoint], family: str, title: str) -> list[Figure]:
+def _against_axis(quantity: Quantity, key: str, points: Sequence[StudyPoint], family: str, title: str) -> list[Figure]:
     """Return the chart of a quantity over an axis; none if its values are not numeric."""
     labels = [point.axes[key] for point in points]
     if not all(isinstance(label, int | float) for label in labels) or len(set(labels)) < 2:
@@ -149,7 +150,7 @@ def _against_axis(quantity: _Quantity, key: str, points: Sequence[StudyPoint], f
 
 
 def _against_cost(
-    measure: _Quantity, cost: _Quantity, points: Sequence[StudyPoint], family: str, title: str
+    measure: Quantity, cost: Quantity, points: Sequence[StudyPoint], family: str, title: str
 ) -> list[Figure]:
     """Return the chart of a measure over the cost; none if that is the same for all runs."""
     costs = cost.of(points)

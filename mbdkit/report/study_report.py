@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +19,7 @@ from mbdkit.report.player_data import film_data
 from mbdkit.report.report_page import NO_FAILURES, ReportPage
 from mbdkit.report.run_report import environment
 from mbdkit.report.run_verdict import mechanism_size
+from mbdkit.report.sample_figures import sample_figures, sample_tables
 from mbdkit.report.slope_guides import with_slope_guides
 from mbdkit.report.study_figures import OPERATIONS, measure_columns, study_figures
 from mbdkit.studies.axis_words import point_words
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study, StudyPoint
 
 _FILMS = 6
+_LISTED = 500
+"""Runs of a study with a sample that the page lists, and whose specs and provenance it reads."""
 _NUMBERS = 40_000  # pose values of each film
 _COLUMNS = (
     (Column("largest misalignment", "m"), "misalignment_max"),
@@ -59,7 +62,7 @@ def study_report(study: Study) -> ReportPage:
     SpecError
         The study names an unknown verdict.
     """
-    states = Counter(point.status for point in study.points)
+    states = Counter(study.statuses())
     missing = states["missing"] + sum(point.status == "missing" for point in study.references)
     return ReportPage(
         title=" ".join((study.spec.title or study.folder.resolve().name).split()),
@@ -80,12 +83,12 @@ def study_report(study: Study) -> ReportPage:
 
 def settings(study: Study) -> str:
     """Return the number of runs of a study, and how many ended in which way, as one line."""
-    states = Counter(point.status for point in study.points)
+    states = Counter(study.statuses())
     parts = [count(len(study.points), "run")]
     if len(study.families) > 1:
         parts.append(count(len(study.families), "family", "families"))
     told = [name for name in ("complete", "failed", "left-out") if states[name]]
-    levels = Counter(point.verdict for point in study.points)
+    levels = Counter(study.verdicts())
     verdicts = [f"{levels[level]} {level}" for level in ("doubtful", "bad") if levels[level]]
     return " \u00b7 ".join([*parts, *(f"{states[name]} {name.replace('-', ' ')}" for name in told), *verdicts])
 
@@ -93,28 +96,41 @@ def settings(study: Study) -> str:
 def _verdict(study: Study) -> Verdict:
     """Return the verdict of the study with general charts if it has none, and with the table of all runs."""
     verdict = judge(study)
-    figures = tuple(with_slope_guides(figure) for figure in verdict.figures) or study_figures(study)
-    return replace(verdict, figures=figures, tables=(*verdict.tables, runs_table(study)))
+    figures = tuple(with_slope_guides(figure) for figure in verdict.figures)
+    tables = verdict.tables
+    if study.spec.has_table:
+        figures, tables = (*figures, *sample_figures(study)), (*tables, *sample_tables(study))
+    else:
+        figures = figures or study_figures(study)
+    return replace(verdict, figures=figures, tables=(*tables, runs_table(study)))
+
+
+def _listed(study: Study) -> Sequence[StudyPoint]:
+    """Return the points that the page lists: the first ones of a study with a sample."""
+    return study.points[:_LISTED] if study.spec.has_table else study.points
 
 
 def runs_table(study: Study) -> Table:
     """Return the table of all runs of a study: values on the axes, status, verdict, measures and cost."""
-    is_timed = any(not math.isnan(value(point, "wall_median_s")) for point in study.points)
+    points = _listed(study)
+    is_timed = any(not math.isnan(value(point, "wall_median_s")) for point in points)
     usual = [*_COLUMNS, *(_TIMED if is_timed else _TIMED_ONCE)]
     asked = [one for one in measure_columns(study) if one[1] not in {name for _, name in usual}]
     shown = [
         (column, name)
         for column, name in (*asked, *usual)
-        if any(not math.isnan(value(point, name)) for point in study.points)
+        if any(not math.isnan(value(point, name)) for point in points)
     ]
     rows: list[tuple[Cell, ...]] = [
-        (*_named(point), point.status, point.verdict, *(_cell(point, name) for _, name in shown))
-        for point in study.points
+        (*_named(point), point.status, point.verdict, *(_cell(point, name) for _, name in shown)) for point in points
     ]
     named = (Column("run"), Column("family"), Column("values"), Column("status"), Column("verdict"))
     columns = (*named, *(column for column, _ in shown))
     if len(study.families) == 1:
         rows, columns = [(row[0], *row[2:]) for row in rows], (columns[0], *columns[2:])
+    if len(points) < len(study.points):
+        note = f"The index of the study has all {len(study.points)} runs; `mbdkit.load_study(...).to_frame()` shows it."
+        return Table("runs", f"The first {len(points)} runs", columns, tuple(rows), note)
     return Table("runs", "All runs", columns, tuple(rows))
 
 
@@ -139,6 +155,8 @@ def _failures(study: Study) -> Table:
 
 def _films(study: Study) -> Iterable[dict[str, Any]]:
     """Yield the animation of one run of each family: the largest misalignment that does not make it bad."""
+    if study.spec.has_table:
+        return
     for name in list(study.families)[:_FILMS]:
         ranked = [point for point in study.family(name) if value(point, "misalignment_max") >= 0 and point.path]
         ranked.sort(key=lambda point: -value(point, "misalignment_max"))
@@ -154,7 +172,7 @@ def _films(study: Study) -> Iterable[dict[str, Any]]:
 
 
 def _specs(study: Study) -> list[dict[str, Any]]:
-    return [_spec_of(point) for point in (*study.points, *study.references) if point.status != "left-out"]
+    return [_spec_of(point) for point in (*_listed(study), *study.references) if point.status != "left-out"]
 
 
 def _spec_of(point: StudyPoint) -> dict[str, Any]:
@@ -171,7 +189,7 @@ def _spec_of(point: StudyPoint) -> dict[str, Any]:
 def _environment(study: Study) -> Table:
     """Return the table of the provenance of all runs, with all distinct values."""
     said: dict[str, dict[str, None]] = {}
-    for point in (*study.points, *study.references):
+    for point in (*_listed(study), *study.references):
         run = study.run(point)
         if run is None:
             continue

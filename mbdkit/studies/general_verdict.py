@@ -12,6 +12,7 @@ from mbdkit.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.studies.axis_words import point_words, value_words
 from mbdkit.studies.point_selection import STEP, Points, value
+from mbdkit.studies.sample_groups import measured
 from mbdkit.trust.criteria import EPS, ROUND_OFF
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ _ROUNDINGS = 4.0
 
 def general_verdict(study: Study) -> Verdict:
     """Return the general verdict: extremes of misalignment, and observed orders if the step is varied."""
+    if study.spec.has_table:
+        return _verdict_of_sample(study)
     complete = [point for point in study.points if point.status == "complete"]
     failed = len(study.failures)
     sentences = [
@@ -31,6 +34,17 @@ def general_verdict(study: Study) -> Verdict:
     ]
     tables = tuple(table for table in (_orders(study),) if table.rows)
     return Verdict("general", study.spec.title or "Study", " ".join(filter(None, sentences)), tables=tables)
+
+
+def _verdict_of_sample(study: Study) -> Verdict:
+    """Return the general verdict on a study with many runs, of which no specs are read."""
+    complete = list(study.statuses()).count("complete")
+    failed = len(study.failures)
+    sentence = f"{complete} of {len(study.points)} runs are complete" + (f", {failed} failed." if failed else ".")
+    largest = measured(study, "misalignment_max", range(len(study.points)))
+    if np.any(np.isfinite(largest)):
+        sentence += f" The joint misalignment is at most {np.nanmax(largest):.1e} m."
+    return Verdict("general", study.spec.title or "Study", sentence)
 
 
 def _extremes(points: list[StudyPoint]) -> str:

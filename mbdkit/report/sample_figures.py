@@ -1,0 +1,255 @@
+"""Charts and tables of a study with a sample: distributions, sensitivities, and quantiles over time."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.analysis.sobol_indices import ROUND_OFF
+from mbdkit.analysis.verdict import Axis, Cell, Column, Figure, Line, Table
+from mbdkit.errors import MbdkitError
+from mbdkit.report.study_figures import Quantity, asked_measures, is_wide
+from mbdkit.studies.axis_words import key_unit, key_words
+from mbdkit.studies.measure_expression import REDUCTIONS
+from mbdkit.studies.sample_groups import SampleGroup, measured, sample_groups
+
+if TYPE_CHECKING:
+    from mbdkit.studies.sensitivity import Sensitivity
+    from mbdkit.studies.study import Study
+
+_FEWEST = 8
+"""Fewest values of which a distribution is shown."""
+_MOST_BINS = 60
+_MOST_DOTS = 2000
+_MOST_GROUPS = 4
+_MOST_VARIABLES = 6
+"""Variables against which a measure is drawn: those with the largest total indices or, without these, correlations."""
+_BANDS = (0.05, 0.25, 0.5, 0.75, 0.95)
+_RESAMPLES = 200
+"""Bootstrap samples for each number of members in charts of convergence; tables have more."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """A measure of the runs of one sample; `values` are nan where a run is not complete."""
+
+    study: Study
+    group: SampleGroup
+    quantity: Quantity
+    values: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """Name of its column."""
+        return self.quantity.columns[0]
+
+    @property
+    def axis(self) -> Axis:
+        """Its axis, logarithmic if the values cover more than a decade."""
+        return replace(self.quantity.axis, log=is_wide(self.values))
+
+    @property
+    def where(self) -> dict[str, int | float | str] | None:
+        """Labels that select its sample; None in a study with one sample."""
+        if not self.group.words:
+            return None
+        return ({"family": self.group.family} if self.group.family else {}) | dict(self.group.axes)
+
+    @property
+    def told(self) -> str:
+        """Sentence on the runs that the sample belongs to; empty in a study with one sample."""
+        return f" Runs with: {self.group.words}." if self.group.words else ""
+
+    def slug(self, *words: str) -> str:
+        """Return a name of a chart."""
+        return re.sub(r"[^a-z0-9]+", "-", "-".join([*words, self.name, self.group.words]).lower()).strip("-")
+
+    def sensitivity(self, members: int | None = None, **options: int) -> Sensitivity | None:
+        """Return the Sobol indices; None if the sample gives none."""
+        sample = self.study.spec.sample
+        if sample is None or sample.design != "saltelli":
+            return None
+        try:
+            return self.study.sensitivity(self.name, where=self.where, members=members, **options)
+        except MbdkitError:  # too few members have a value
+            return None
+
+
+def sample_figures(study: Study) -> tuple[Figure, ...]:
+    """Return the charts of a study with a sample: for each measure a histogram, charts over the variables, and how the
+    indices converge; and quantiles over time of what the measures reduce, if the study stores this.
+    """  # fmt: skip
+    figures: list[Figure] = []
+    for one in _measures(study):
+        figures += [_histogram(one), *_convergence(one), *_scatters(one)]
+    for group in sample_groups(study)[:_MOST_GROUPS]:
+        figures += _bands(study, group)
+    return tuple(figures)
+
+
+def sample_tables(study: Study) -> tuple[Table, ...]:
+    """Return the tables of Sobol indices, if the sample gives them, and of quantiles of the measures."""
+    several = len(sample_groups(study)) > 1
+    indices: list[tuple[Cell, ...]] = []
+    spreads: list[tuple[Cell, ...]] = []
+    note = ""
+    for one in _measures(study):
+        runs: tuple[Cell, ...] = (one.group.words,) if several else ()
+        known = one.values[np.isfinite(one.values)]
+        unit = one.quantity.axis.unit
+        found = (np.mean(known), np.std(known, ddof=1), *np.quantile(known, (0, 0.05, 0.5, 0.95, 1)))
+        spreads.append((*runs, one.quantity.axis.label, unit, len(known), *map(float, found)))
+        if (sobol := one.sensitivity()) is not None:
+            ends = sobol.indices
+            note = (
+                f"Estimates of Saltelli et al. (2010), table 2, (b) and (f), from {sobol.members} members, with "
+                f"{100 * sobol.confidence:g} % intervals by the bootstrap. First order: share of the variance that a "
+                "variable explains alone; total: also together with the others."
+            )
+            for place, key in enumerate(sobol.variables):
+                columns = (ends.first, ends.first_low, ends.first_high, ends.total, ends.total_low, ends.total_high)
+                numbers = [float(f"{column[place]:.4f}") for column in columns]
+                indices.append((*runs, one.quantity.axis.label, key_words(key), *numbers))
+    first = (Column("runs"),) if several else ()
+    tables = []
+    if indices:
+        shown = ("measure", "variable", "first order", "from", "to", "total", "from", "to")
+        tables.append(
+            Table("sobol", "Sobol indices", (*first, *map(Column, shown)), tuple(indices), note, headline=True)
+        )
+    if spreads:
+        headings = ("measure", "unit", "values", "mean", "standard deviation", "smallest", "5 %", "median", "95 %",
+                    "largest")  # fmt: skip
+        tables.append(
+            Table("spread", "Distributions of the measures", (*first, *map(Column, headings)), tuple(spreads))
+        )
+    return tuple(tables)
+
+
+def _measures(study: Study) -> Iterator[_Measured]:
+    """Yield the measures that differ between the runs of a sample."""
+    for group in sample_groups(study)[:_MOST_GROUPS]:
+        for quantity in asked_measures(study):
+            try:
+                values = measured(study, quantity.columns[0], group.places)
+            except MbdkitError:  # an error against a reference, which samples do not have
+                continue
+            known = values[np.isfinite(values)]
+            if len(known) >= _FEWEST and np.ptp(known) > ROUND_OFF * np.max(np.abs(known)):
+                yield _Measured(study, group, quantity, values)
+
+
+def _histogram(one: _Measured) -> Figure:
+    known = one.values[np.isfinite(one.values)]
+    axis = one.axis
+    bins = min(_MOST_BINS, max(5, round(len(known) ** 0.5)))
+    ends = float(known.min()), float(known.max())
+    edges = np.geomspace(*ends, bins + 1) if axis.log else np.linspace(*ends, bins + 1)
+    edges[[0, -1]] = ends  # rounded by geomspace
+    counts, _ = np.histogram(known, edges)
+    x, y = np.repeat(edges, 2), np.concatenate([[0], np.repeat(counts, 2), [0]]).astype(float)
+    line = Line("runs", x, y, "line", band=np.stack([x, y], axis=1))
+    caption = f"{one.quantity.caption} {len(known)} runs in {bins} classes of equal width.{one.told}"
+    if axis.log:
+        caption = caption.replace("equal width", "equal width on the logarithmic axis")
+    title = f"{one.quantity.title}: histogram of the runs"
+    return Figure(one.slug("histogram"), title, caption, axis, Axis("runs"), (line,))
+
+
+def _scatters(one: _Measured) -> Iterator[Figure]:
+    """Yield charts of a measure over the variables that matter most."""
+    table = one.study.grid(one.group.family).table
+    known = np.flatnonzero(np.isfinite(one.values))
+    keys = [key for key, column in table.items() if column.dtype.kind in "fi" and np.ptp(column[known]) > 0]
+    sobol = one.sensitivity(resamples=1)
+    if sobol is not None:
+        weight = dict(zip(sobol.variables, np.nan_to_num(sobol.total), strict=True))
+    else:
+        weight = {key: abs(float(np.corrcoef(table[key][known], one.values[known])[0, 1])) for key in keys}
+    chosen = sorted(keys, key=lambda key: -weight[key])[:_MOST_VARIABLES]
+    dots = known[np.linspace(0, len(known) - 1, min(len(known), _MOST_DOTS)).astype(int)]
+    some = f" {len(dots)} of {len(known)} runs." if len(dots) < len(known) else ""
+    for key in chosen:
+        axis = Axis(key_words(key), key_unit(key, one.study.points[:1]), is_wide(table[key]))
+        line = Line(one.quantity.axis.label, table[key][dots].astype(float), one.values[dots], "points")
+        title = f"{one.quantity.title} against {axis.label}"
+        caption = f"{one.quantity.caption}{some}{one.told}"
+        yield Figure(one.slug("over", key), title, caption, axis, one.axis, (line,))
+
+
+def _convergence(one: _Measured) -> list[Figure]:
+    """Return charts of the Sobol indices over the number of members."""
+    sample = one.study.spec.sample
+    whole = one.sensitivity(resamples=1)
+    if sample is None or whole is None or sample.n < 2 * _FEWEST:
+        return []
+    numbers = [count for count in 2 ** np.arange(4, 21) if count < sample.n] + [sample.n]
+    found = [(count, one.sensitivity(int(count), resamples=_RESAMPLES)) for count in numbers]
+    known = [(count, sobol.indices) for count, sobol in found if sobol is not None]
+    chosen = np.argsort(-np.nan_to_num(whole.total), kind="stable")[:_MOST_VARIABLES]
+    x = np.array([count for count, _ in known], float)
+    figures = []
+    for kind, words in (("first", "First-order indices"), ("total", "Total indices")):
+        lines = []
+        for place in chosen:
+            low, middle, high = (
+                np.array([getattr(indices, f"{kind}{end}")[place] for _, indices in known])
+                for end in ("_low", "", "_high")
+            )
+            band = np.concatenate([np.stack([x, low], axis=1), np.stack([x, high], axis=1)[::-1]])
+            lines.append(Line(key_words(whole.variables[place]), x, middle, "both", band=band))
+        title = f"{words} of {one.quantity.axis.label} against the members of the sample"
+        caption = f"Sobol indices from the first members of the sample, with 95 % intervals by the bootstrap.{one.told}"
+        members = Axis("members of the sample", log=True)
+        figures.append(
+            Figure(one.slug("sobol", kind), title, caption, members, Axis("share of the variance"), tuple(lines))
+        )
+    return figures
+
+
+def _bands(study: Study, group: SampleGroup) -> Iterator[Figure]:
+    """Yield charts of quantiles over time of the quantities that the measures reduce."""
+    one = _Measured(study, group, Quantity(("time",), "", Axis("")), np.empty(0))
+    for text in _quantities(study):
+        try:
+            bands = study.quantiles(text, _BANDS, where=one.where)
+        except MbdkitError:  # it is not stored, has parameters, or is a vector
+            continue
+        lowest, low, middle, high, highest = bands.values
+        x = bands.time
+        known = np.isfinite(middle)
+        edge = [np.stack([x, y], axis=1)[known] for y in (low, high)]
+        gap = [np.nan]
+        lines = (
+            Line("median, with the range from 25 % to 75 %", x, middle, band=np.concatenate([edge[0], edge[1][::-1]])),
+            Line("5 % and 95 %", np.concatenate([x, gap, x]), np.concatenate([lowest, gap, highest])),
+        )
+        unit = "" if bands.unit == "1" else bands.unit
+        caption = f"Quantiles of {int(bands.count.max())} runs at each time.{one.told}"
+        name = replace(one, quantity=Quantity((text,), "", Axis(""))).slug("quantiles")
+        yield Figure(name, f"{text} over time", caption, Axis("time", "s"), Axis(text, unit), lines)
+
+
+def _quantities(study: Study) -> list[str]:
+    """Return what the measures of a study reduce over time; the angle of the last body if they reduce nothing."""
+    found: dict[str, None] = {}
+    for measure in study.spec.defined_measures():
+        try:
+            tree = ast.parse(measure.expression, mode="eval")
+        except SyntaxError:  # names that are not those of Python
+            continue
+        for node in ast.walk(tree):
+            match node:
+                case ast.Call(func=ast.Name(id=name), args=[argument]) if name in REDUCTIONS:
+                    found[ast.get_source_segment(measure.expression, argument) or ""] = None
+    if not found:
+        try:
+            return [f"{list(study.points[0].spec.mechanism().bodies)[-1]}.angle"]
+        except (MbdkitError, IndexError):
+            return []
+    return list(found)
