@@ -132,9 +132,11 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
 
 
 def _measures(study: Study) -> Iterator[_Measured]:
-    """Yield the measures that differ between the runs of a sample."""
+    """Yield the measures that differ between the runs of a sample, those that the study defines first."""
+    defined = {measure.name for measure in study.spec.defined_measures()}
+    quantities = sorted(asked_measures(study), key=lambda one: one.columns[0] not in defined)
     for group in sample_groups(study)[:_MOST_GROUPS]:
-        for quantity in asked_measures(study):
+        for quantity in quantities:
             try:
                 values = measured(study, quantity.columns[0], group.places)
             except MbdkitError:  # an error against a reference, which samples do not have
@@ -176,7 +178,7 @@ def _scatters(one: _Measured) -> Iterator[Figure]:
     some = f" {len(dots)} of {len(known)} runs." if len(dots) < len(known) else ""
     for key in chosen:
         axis = Axis(key_words(key), key_unit(key, one.study.points[:1]), is_wide(table[key]))
-        line = Line(one.quantity.axis.label, table[key][dots].astype(float), one.values[dots], "points")
+        line = Line(one.quantity.title, table[key][dots].astype(float), one.values[dots], "points")
         title = f"{one.quantity.title} against {axis.label}"
         caption = f"{one.quantity.caption}{some}{one.told}"
         yield Figure(one.slug("over", key), title, caption, axis, one.axis, (line,))

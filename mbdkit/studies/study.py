@@ -478,7 +478,7 @@ class Study(HtmlView):
         return {name: self._index.described(name).units for name in self.points[0].values}
 
     def to_xarray(self, family: str | None = None) -> xarray.Dataset:
-        """Return the grid of one family as a dataset with one dimension per axis.
+        """Return the grid of one family as a dataset with one dimension per axis, and `row` for those of a sample.
 
         Parameters
         ----------
@@ -497,16 +497,18 @@ class Study(HtmlView):
         import numpy as np
 
         points = self._one_family(family)
-        axes = points[0].planned.grid.axes
-        if points[0].planned.grid.table:
-            raise MbdkitError("the runs of this study are no grid but a table of members; to_frame returns them")
+        grid = self.grid(family)
+        axes = grid.axes
         dims = [axis[0][0] for axis in axes]
         shape = [len(axis[0][1]) for axis in axes]
-        coordinates = {
+        coordinates: dict[str, tuple[str, Any]] = {
             key: (dim, [value.label for value in values])
             for dim, axis in zip(dims, axes, strict=True)
             for key, values in axis
         }
+        if grid.table:
+            dims, shape = [*dims, "row"], [*shape, grid.rows]
+            coordinates |= {key: ("row", column) for key, column in grid.table.items()}
         columns = {"number": [point.number for point in points], **self._columns(points)}
         variables = {}
         for name, values in columns.items():

@@ -1,0 +1,300 @@
+"""Studies with samples: reproducible members, values in specs and index, sensitivities and quantiles over time."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.stats
+
+import mbdkit
+from mbdkit import MbdkitError, SpecError
+from mbdkit.analysis.sobol_indices import sobol_indices
+from mbdkit.spec.sample_section import Sample
+from mbdkit.studies import sampled_values as module
+from mbdkit.studies.execute import Shard
+from mbdkit.studies.sampled_values import sampled_values
+from tests.analysis.test_sobol_indices import FIRST, TOTAL, ishigami
+
+BODY = {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0], "angle": 0.0}
+THROW: dict[str, Any] = {
+    "mbdkit_study": 1,
+    "base": {
+        "model": {"name": "mechanism", "gravity": [0.0, 0.0], "bodies": {"ball": BODY}, "joints": {}},
+        "integrator": {"name": "rk4"},
+        "time": {"end": 0.4, "step": 0.1},
+    },
+    "sample": {
+        "n": 16,
+        "seed": 3,
+        "variables": {
+            "model.bodies.ball.velocity.0": {"uniform": [1, 3]},
+            "model.bodies.ball.mass": {"lognorm": {"s": 0.2, "scale": 2.0}},
+        },
+    },
+    "measures": {"distance": "final(ball.x)", "work": "max(energy.kinetic)"},
+}
+THROW["base"]["model"]["bodies"]["ball"] = BODY | {"velocity": [0.0, 0.0]}
+SPEED, MASS = THROW["sample"]["variables"]
+
+
+@pytest.fixture
+def throw() -> dict[str, Any]:
+    """A study of 16 throws with random speed and mass, for a test to change."""
+    return copy.deepcopy(THROW)
+
+
+@pytest.fixture(scope="module")
+def thrown(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
+    """The study of throws, run; not to be changed."""
+    return mbdkit.study(THROW, out=tmp_path_factory.mktemp("samples") / "throws")
+
+
+def _sample(**keys: Any) -> Sample:
+    return Sample(**({"n": 64, "seed": 1, "variables": {"a": {"uniform": [0, 1]}, "b": {"norm": []}}} | keys))
+
+
+def _values(**keys: Any) -> np.ndarray:
+    return np.array(list(sampled_values(_sample(**keys)).values()))
+
+
+@pytest.mark.parametrize("method", ["sobol", "halton", "random"])
+@pytest.mark.parametrize("design", ["plain", "saltelli"])
+def test_a_larger_sample_keeps_the_members_of_a_smaller_one(method: str, design: str) -> None:
+    few, many = (_values(n=n, method=method, design=design) for n in (11, 50))
+    assert np.array_equal(few, many[:, : few.shape[1]])
+
+
+@pytest.mark.parametrize("method", ["sobol", "halton", "latin-hypercube", "random"])
+def test_the_seed_alone_decides_the_values(method: str) -> None:
+    assert np.array_equal(_values(method=method), _values(method=method))
+    assert not np.any(_values(method=method) == _values(method=method, seed=2))
+
+
+@pytest.mark.parametrize("method", ["sobol", "halton", "latin-hypercube", "random"])
+def test_values_have_the_distributions_of_scipy(method: str) -> None:
+    variables = {"a": {"triang": [0.3, 1, 2]}, "b": {"truncnorm": [-1, 3, 5, 2]}}
+    found = sampled_values(_sample(n=1024, method=method, variables=variables))
+    for values, expected in (
+        (found["a"], scipy.stats.triang(0.3, 1, 2)),
+        (found["b"], scipy.stats.truncnorm(-1, 3, 5, 2)),
+    ):
+        test = scipy.stats.kstest(values, expected.cdf)
+        # One value in each of n classes, of equal probability, has at most 1/n.
+        assert test.pvalue > 1e-3 if method in ("random", "halton") else test.statistic <= 1.001 / 1024
+
+
+def test_the_runs_of_a_saltelli_design_mix_two_points() -> None:
+    runs = _values(n=8, design="saltelli").T.reshape(8, 4, 2)
+    first, second = runs[:, 0], runs[:, 1]
+    assert np.array_equal(runs[:, 2], np.stack([second[:, 0], first[:, 1]], axis=1))
+    assert np.array_equal(runs[:, 3], np.stack([first[:, 0], second[:, 1]], axis=1))
+    assert len(np.unique(runs[:, :2, 0])) == 16
+
+
+def test_values_stand_in_specs_and_index_as_plain_floats(thrown: mbdkit.Study) -> None:
+    expected = sampled_values(Sample(**THROW["sample"]))
+    frame = thrown.to_frame()
+    assert np.array_equal(frame[SPEED], expected[SPEED])
+    assert np.array_equal(frame[MASS], expected[MASS])
+    assert frame["distance"].to_numpy() == pytest.approx(0.4 * expected[SPEED])
+    assert frame["work"].to_numpy() == pytest.approx(expected[MASS] * expected[SPEED] ** 2 / 2)
+    run = thrown.run(5)
+    assert run is not None
+    speed = run.spec["model"]["bodies"]["ball"]["velocity"][0]
+    assert type(speed) is float
+    assert speed == expected[SPEED][5]
+    assert mbdkit.run(run.spec).data_sha256 == run.data_sha256
+    assert thrown.remake(5).data_sha256 == run.data_sha256
+    assert list(thrown.select(f"{SPEED} > 2")["number"]) == list(1 + np.flatnonzero(expected[SPEED] > 2))
+
+
+def test_results_do_not_depend_on_workers_or_shards(
+    thrown: mbdkit.Study, throw: dict[str, Any], tmp_path: Path
+) -> None:
+    hashes = list(thrown.to_frame()["data_sha256"])
+    assert len(set(hashes)) == 16
+    throw["block"] = 3
+    for number in (2, 1):
+        parts = mbdkit.study(throw, out=tmp_path / "shards", shard=Shard(number, 2))
+    assert list(parts.to_frame()["data_sha256"]) == hashes
+    assert list(mbdkit.study(throw, out=tmp_path / "workers", workers=2).to_frame()["data_sha256"]) == hashes
+
+
+def test_a_study_goes_on_with_the_values_in_its_folder(
+    throw: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    throw |= {"block": 4, "store": "hashes"}
+    made = mbdkit.study(throw, out=tmp_path / "s")
+    before = list(made.to_frame()[SPEED])
+    (tmp_path / "s" / "runs" / "block-000001.h5").unlink()
+    monkeypatch.setattr(module, "unit_points", lambda sample, d: np.full((sample.n, d), 0.5))  # as another SciPy might
+    again = mbdkit.study(throw, out=tmp_path / "s")
+    assert again.computed == 4
+    assert list(again.to_frame()[SPEED]) == before
+    throw["sample"]["seed"] = 4
+    with pytest.raises(SpecError, match="this folder belongs to another study"):
+        mbdkit.study(throw, out=tmp_path / "s")
+
+
+def test_axes_repeat_the_sample(throw: dict[str, Any], tmp_path: Path) -> None:
+    throw |= {"axes": [{"time.end": [0.2, 0.4]}], "store": "histories"}
+    throw["sample"] |= {"n": 4, "design": "saltelli"}
+    study = mbdkit.study(throw, out=tmp_path / "s")
+    frame = study.to_frame()
+    assert list(frame["time.end"]) == [0.2] * 16 + [0.4] * 16
+    assert list(frame[SPEED][:16]) == list(frame[SPEED][16:])
+    dataset = study.to_xarray()
+    assert dataset["distance"].shape == (2, 16)
+    assert np.allclose(dataset["distance"], np.outer([0.2, 0.4], dataset[SPEED]))
+    with pytest.raises(MbdkitError, match=r"has 2 samples; choose one by `where`, such as where=\{'time.end': 0.2\}"):
+        study.sensitivity("distance")
+    with pytest.raises(MbdkitError, match="the sample has no runs with these labels"):
+        study.sensitivity("distance", where={"time.end": 3})
+    one, other = (study.sensitivity("distance", where={"time.end": end}) for end in (0.2, 0.4))
+    assert one.total == pytest.approx(other.total)
+    assert one.total[1] == pytest.approx(0, abs=1e-12)  # the mass has no influence
+    assert study.quantiles("ball.x", where={"time.end": 0.2}).time[-1] == 0.2
+
+
+@pytest.fixture(scope="module")
+def of_ishigami(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
+    """The Ishigami function of the angles of three bodies at rest, as a measure of runs."""
+    bodies = {name: BODY for name in "abc"}
+    value = "sin(final(a.angle)) + 7*sin(final(b.angle))**2 + 0.1*final(c.angle)**4*sin(final(a.angle))"
+    spec = {
+        "mbdkit_study": 1,
+        "base": {
+            "model": {"name": "mechanism", "gravity": [0.0, 0.0], "bodies": bodies, "joints": {}},
+            "integrator": {"name": "rk4"},
+            "time": {"end": 0.1, "step": 0.1},
+        },
+        "sample": {
+            "n": 128,
+            "seed": 1,
+            "design": "saltelli",
+            "variables": {f"model.bodies.{name}.angle": {"uniform": [-np.pi, np.pi]} for name in "abc"},
+        },
+        "store": "histories",
+        "measures": {"y": {"value": value, "unit": "1"}},
+    }
+    return mbdkit.study(spec, out=tmp_path_factory.mktemp("samples") / "ishigami")
+
+
+def test_the_indices_of_the_ishigami_function_come_from_its_runs(of_ishigami: mbdkit.Study) -> None:
+    assert of_ishigami.spec.sample is not None
+    points = np.array(list(sampled_values(of_ishigami.spec.sample).values()))
+    found = of_ishigami.sensitivity("y")
+    expected = sobol_indices(ishigami(points).reshape(-1, 5), seed=1)
+    assert found.first == pytest.approx(expected.first, abs=1e-12)
+    assert found.indices.total_high == pytest.approx(expected.total_high, abs=1e-12)
+    assert np.all(found.indices.first_low <= FIRST)
+    assert np.all(found.indices.first_high >= FIRST)
+    assert found.total == pytest.approx(TOTAL, abs=0.03)
+    few = of_ishigami.sensitivity("y", members=16)
+    assert np.max(np.abs(few.total - TOTAL)) > 3 * np.max(np.abs(found.total - TOTAL))
+    assert few.members == 16
+    frame = found.to_frame()
+    assert list(frame.index) == [f"model.bodies.{name}.angle" for name in "abc"]
+    assert list(frame["total"]) == list(found.total)
+
+
+def test_the_report_shows_the_sample(of_ishigami: mbdkit.Study) -> None:
+    from mbdkit.report.study_report import study_report
+
+    verdict = study_report(of_ishigami).verdict
+    counts = verdict.figure("histogram-y").lines[0].y
+    assert counts[1:-1:2].sum() == 640
+    total = verdict.figure("sobol-total-y")
+    assert [line.x[-1] for line in total.lines] == [128] * 3
+    assert sorted(line.y[-1] for line in total.lines) == sorted(of_ishigami.sensitivity("y").total)
+    scatter = verdict.figure("over-model-bodies-a-angle-y").lines[0]
+    assert scatter.y == pytest.approx(of_ishigami.to_frame()["y"].to_numpy())
+    rows = verdict.table("sobol").rows
+    assert [row[5] for row in rows] == pytest.approx(of_ishigami.sensitivity("y").total, abs=1e-4)
+    bands = verdict.figure("quantiles-a-angle")
+    assert bands.lines[0].y[-1] == pytest.approx(np.median(of_ishigami.to_frame()["model.bodies.a.angle"]))
+    assert len(verdict.table("runs").rows) == 500
+
+
+def test_members_with_failed_runs_are_left_out(throw: dict[str, Any], tmp_path: Path) -> None:
+    throw["sample"] |= {"n": 32, "design": "saltelli"}
+    throw["sample"]["variables"][MASS] = {"uniform": [-0.1, 1.0]}
+    study = mbdkit.study(throw, out=tmp_path / "s")
+    frame = study.to_frame()
+    failed = (frame[MASS] < 0).to_numpy().reshape(32, 4).any(axis=1)
+    assert 0 < failed.sum() < 32
+    assert list(frame["status"][frame[MASS] < 0].unique()) == ["failed"]
+    found = study.sensitivity("work")
+    assert (found.members, found.left_out) == (32 - failed.sum(), failed.sum())
+    good = frame["work"].to_numpy().reshape(32, 4)[~failed]
+    assert found.total == pytest.approx(sobol_indices(good, resamples=1).total)
+
+
+def test_quantiles_over_time_are_those_of_the_closed_form(thrown: mbdkit.Study) -> None:
+    bands = thrown.quantiles("ball.x", [0.1, 0.5])
+    speeds = thrown.to_frame()[SPEED]
+    assert bands.time == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    assert bands.values == pytest.approx(np.outer(np.quantile(speeds, [0.1, 0.5]), bands.time))
+    assert bands.unit == "m"
+    assert list(bands.to_frame().columns) == [0.1, 0.5]
+    assert thrown.quantiles("abs(ball.velocity)", 0.5, times=[0.05, 1.0]).values[0, 0] == pytest.approx(speeds.median())
+
+
+def test_quantiles_are_of_the_runs_that_reach_a_time(throw: dict[str, Any], tmp_path: Path) -> None:
+    throw["sample"]["variables"] = {SPEED: {"uniform": [1, 3]}, "time.end": {"uniform": [0.1, 0.5]}}
+    throw |= {"block": 5, "store": "histories"}
+    study = mbdkit.study(throw, out=tmp_path / "s")
+    frame = study.to_frame()
+    bands = study.quantiles("ball.x", [0.25, 0.75])
+    for place in (10, 100, 190):
+        speeds = frame[SPEED][frame["time.end"] >= bands.time[place]]
+        assert bands.count[place] == len(speeds)
+        assert bands.values[:, place] == pytest.approx(np.quantile(speeds, [0.25, 0.75]) * bands.time[place])
+    assert np.isnan(study.quantiles("ball.x", 0.5, times=[9.0]).values[0, 0])
+
+
+def test_studies_in_files_have_quantiles_as_well(throw: dict[str, Any], tmp_path: Path) -> None:
+    del throw["sample"]
+    throw["axes"] = [{SPEED: [1.0, 2.0, 3.0]}]
+    study = mbdkit.study(throw, out=tmp_path / "s")
+    assert study.quantiles("ball.x", 0.5).values[0] == pytest.approx([0, 0.2, 0.4, 0.6, 0.8])
+
+
+ASKED: dict[str, tuple[str, tuple[Any, ...], dict[str, Any], str]] = {
+    "plain sample": ("sensitivity", ("distance",), {}, "need a sample with `design: saltelli`"),
+    "vector": ("quantiles", ("ball.velocity",), {}, "is a vector, which has no quantiles"),
+    "one number": ("quantiles", ("max(ball.x)",), {}, "functions that reduce values over time"),
+    "constant": ("quantiles", ("3",), {}, "does not change over time"),
+    "unknown body": ("quantiles", ("bal.x",), {}, "did you mean 'ball'?"),
+    "probability": ("quantiles", ("ball.x", 5), {}, "numbers from 0 to 1"),
+    "times": ("quantiles", ("ball.x",), {"times": []}, "the times should be an array"),
+    "where": ("quantiles", ("ball.x",), {"where": {"time.end": 1}}, "leave out `where`"),
+}
+
+
+@pytest.mark.parametrize(("name", "arguments", "options", "message"), ASKED.values(), ids=ASKED)
+def test_wrong_questions_are_refused(
+    thrown: mbdkit.Study, name: str, arguments: tuple[Any, ...], options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(MbdkitError) as error:
+        getattr(thrown, name)(*arguments, **options)
+    assert message in str(error.value)
+
+
+def test_questions_about_indices_are_checked(of_ishigami: mbdkit.Study) -> None:
+    with pytest.raises(MbdkitError, match="the study has no measure 'z'"):
+        of_ishigami.sensitivity("z")
+    with pytest.raises(MbdkitError, match="choose from 2 to 128 of them, not 500"):
+        of_ishigami.sensitivity("y", members=500)
+    with pytest.raises(MbdkitError, match="a probability between 0 and 1"):
+        of_ishigami.sensitivity("y", confidence=95)
+
+
+def test_what_is_not_stored_has_no_quantiles(throw: dict[str, Any], tmp_path: Path) -> None:
+    study = mbdkit.study(throw | {"store": "summary"}, out=tmp_path / "s")
+    with pytest.raises(MbdkitError, match=r"keeps no values over time \(store: summary\)"):
+        study.quantiles("ball.x")
