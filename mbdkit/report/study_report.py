@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,9 +22,10 @@ from mbdkit.report.run_verdict import mechanism_size
 from mbdkit.report.sample_figures import sample_figures, sample_tables
 from mbdkit.report.slope_guides import with_slope_guides
 from mbdkit.report.study_figures import OPERATIONS, measure_columns, study_figures
-from mbdkit.studies.axis_words import point_words
+from mbdkit.studies.axis_words import key_unit, point_words
 from mbdkit.studies.judge import judge
 from mbdkit.studies.point_selection import value
+from mbdkit.studies.sample_groups import sample_groups
 from mbdkit.studies.verdict_lookup import find_verdict
 from mbdkit.text import listed
 from mbdkit.trust.criteria import MISALIGNMENT
@@ -34,7 +35,9 @@ if TYPE_CHECKING:
 
 _FILMS = 6
 _LISTED = 500
-"""Runs of a study with a sample that the page lists, and whose specs and provenance it reads."""
+"""Runs of a study with a sample that the page lists."""
+_READ = 20
+"""Runs of such a study whose specs and provenance the page tells."""
 _NUMBERS = 40_000  # pose values of each film
 _COLUMNS = (
     (Column("largest misalignment", "m"), "misalignment_max"),
@@ -110,9 +113,21 @@ def _listed(study: Study) -> Sequence[StudyPoint]:
     return study.points[:_LISTED] if study.spec.has_table else study.points
 
 
+def _read(study: Study) -> Sequence[StudyPoint]:
+    """Return the points whose specs and provenance the page tells: some of a study with a sample."""
+    if not study.spec.has_table:
+        return study.points
+    first = [group.places[0] for group in sample_groups(study)]
+    last = len(study.points) - 1
+    return [study.points[place] for place in sorted({*first, *(last * k // (_READ - 1) for k in range(_READ))})]
+
+
 def runs_table(study: Study) -> Table:
     """Return the table of all runs of a study: values on the axes, status, verdict, measures and cost."""
     points = _listed(study)
+    units = None
+    if study.spec.has_table:
+        units = {key: key_unit(key, points) for key in dict.fromkeys(key for point in points for key in point.axes)}
     is_timed = any(not math.isnan(value(point, "wall_median_s")) for point in points)
     usual = [*_COLUMNS, *(_TIMED if is_timed else _TIMED_ONCE)]
     asked = [one for one in measure_columns(study) if one[1] not in {name for _, name in usual}]
@@ -122,7 +137,8 @@ def runs_table(study: Study) -> Table:
         if any(not math.isnan(value(point, name)) for point in points)
     ]
     rows: list[tuple[Cell, ...]] = [
-        (*_named(point), point.status, point.verdict, *(_cell(point, name) for _, name in shown)) for point in points
+        (*_named(point, units), point.status, point.verdict, *(_cell(point, name) for _, name in shown))
+        for point in points
     ]
     named = (Column("run"), Column("family"), Column("values"), Column("status"), Column("verdict"))
     columns = (*named, *(column for column, _ in shown))
@@ -134,8 +150,8 @@ def runs_table(study: Study) -> Table:
     return Table("runs", "All runs", columns, tuple(rows))
 
 
-def _named(point: StudyPoint) -> tuple[Cell, ...]:
-    return point.number, point.family, point_words(point)
+def _named(point: StudyPoint, units: Mapping[str, str] | None) -> tuple[Cell, ...]:
+    return point.number, point.family, point_words(point, units)
 
 
 def _cell(point: StudyPoint, name: str) -> Cell:
@@ -148,9 +164,11 @@ def _cell(point: StudyPoint, name: str) -> Cell:
 def _failures(study: Study) -> Table:
     rows: list[tuple[Cell, ...]] = [
         (point.number, ": ".join(filter(None, [point.family, point_words(point) or "reference"])), point.reason)
-        for point in study.failures
+        for point in study.failures[: _LISTED if study.spec.has_table else None]
     ]
-    return replace(NO_FAILURES, columns=(Column("run"), Column("member"), Column("reason")), rows=tuple(rows))
+    told = f"The first {len(rows)} of {len(study.failures)}." if len(rows) < len(study.failures) else NO_FAILURES.note
+    columns = Column("run"), Column("member"), Column("reason")
+    return replace(NO_FAILURES, columns=columns, rows=tuple(rows), note=told)
 
 
 def _films(study: Study) -> Iterable[dict[str, Any]]:
@@ -172,7 +190,7 @@ def _films(study: Study) -> Iterable[dict[str, Any]]:
 
 
 def _specs(study: Study) -> list[dict[str, Any]]:
-    return [_spec_of(point) for point in (*_listed(study), *study.references) if point.status != "left-out"]
+    return [_spec_of(point) for point in (*_read(study), *study.references) if point.status != "left-out"]
 
 
 def _spec_of(point: StudyPoint) -> dict[str, Any]:
@@ -189,7 +207,7 @@ def _spec_of(point: StudyPoint) -> dict[str, Any]:
 def _environment(study: Study) -> Table:
     """Return the table of the provenance of all runs, with all distinct values."""
     said: dict[str, dict[str, None]] = {}
-    for point in (*_listed(study), *study.references):
+    for point in (*_read(study), *study.references):
         run = study.run(point)
         if run is None:
             continue

@@ -14,17 +14,23 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import StudyPoint
 
 
-def point_words(point: StudyPoint) -> str:
-    """Return the values of a point on the axes in words, such as ``RK4, step 0.1 s``."""
-    return ", ".join(value_words(key, point) for key in point.axes)
+def point_words(point: StudyPoint, units: Mapping[str, str] | None = None) -> str:
+    """Return the values of a point on the axes in words, such as ``RK4, step 0.1 s``.
+
+    Parameters
+    ----------
+    units
+        Units of all keys, if these are known to be those of all points; by default the spec of the point is read.
+    """
+    return ", ".join(value_words(key, point, None if units is None else units[key]) for key in point.axes)
 
 
-def value_words(key: str, point: StudyPoint) -> str:
+def value_words(key: str, point: StudyPoint, unit: str | None = None) -> str:
     """Return the value of a point on an axis: a label as it is, a number with the words and the unit of the key."""
     label = point.axes[key]
     if isinstance(label, str):
         return label
-    return " ".join(filter(None, (key_words(key), f"{label:.6g}", axis_unit(key, [point]))))
+    return " ".join(filter(None, (key_words(key), f"{label:.6g}", axis_unit(key, [point]) if unit is None else unit)))
 
 
 def axis_unit(key: str, points: Iterable[StudyPoint]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from mbdkit.errors import MbdkitError
 from mbdkit.spec import RunSpec
 from mbdkit.studies.measure_expression import SeriesExpression
-from mbdkit.studies.sample_groups import one_group
+from mbdkit.studies.sample_groups import groups_where, one_group
 
 if TYPE_CHECKING:
     import pandas
@@ -79,15 +79,17 @@ def quantiles(
     probabilities = np.atleast_1d(np.asarray(q, float))
     if probabilities.ndim != 1 or not len(probabilities) or not np.all((probabilities >= 0) & (probabilities <= 1)):
         raise MbdkitError(f"the probabilities should be numbers from 0 to 1, such as [0.05, 0.5, 0.95], not {q!r}")
-    group = one_group(study, where)
-    grid = _Grid.of(study, group.places) if times is None else _Grid(_given(times), has_rows=False)
+    # Runs of one sample have one distribution; those of a study without a sample are taken together.
+    groups = [one_group(study, where)] if study.spec.has_table else groups_where(study, where)
+    places = {place for group in groups for place in group.places}
+    grid = _Grid.of(study, places) if times is None else _Grid(_given(times), has_rows=False)
     rows: list[np.ndarray] = []
     unit = ""
     for run, numbers, counts in study.rows_of_runs():
         expression = SeriesExpression.parse(quantity, RunSpec(**run.spec))
         unit = expression.unit.text
         values = np.broadcast_to(expression.rows(run), run.time.shape)
-        rows += [grid.at(time, one) for time, one in _by_run(run.time, values, numbers, counts, group.places)]
+        rows += [grid.at(time, one) for time, one in _by_run(run.time, values, numbers, counts, places)]
     if not rows:
         raise MbdkitError("none of the runs has results, so there are no quantiles")
     found, count = _quantiles(np.array(rows), probabilities)
@@ -102,7 +104,7 @@ def _given(times: Any) -> np.ndarray:
 
 
 def _by_run(
-    time: np.ndarray, values: np.ndarray, numbers: Iterable[int], counts: np.ndarray, places: range
+    time: np.ndarray, values: np.ndarray, numbers: Iterable[int], counts: np.ndarray, places: Set[int]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield times and values of each run at some places of a study, from the rows of many."""
     ends = np.cumsum(counts)
@@ -128,7 +130,7 @@ class _Grid:
     step: int = 1
 
     @classmethod
-    def of(cls, study: Study, places: range) -> _Grid:
+    def of(cls, study: Study, places: Set[int]) -> _Grid:
         """Return the recorded times of the runs if these are the same, otherwise equally spaced ones."""
         longest = np.empty(0)
         start, end, same = np.inf, -np.inf, True

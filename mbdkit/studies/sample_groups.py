@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -54,22 +54,22 @@ def sample_groups(study: Study) -> list[SampleGroup]:
     return groups
 
 
-def one_group(study: Study, where: Mapping[str, Any] | None) -> SampleGroup:
-    """Return the group with the given family and labels.
+def groups_where(study: Study, where: Mapping[str, Any] | None) -> list[SampleGroup]:
+    """Return the groups with the given family and labels.
 
     Parameters
     ----------
     where
-        Labels on axes by dotted key, and the name of the family by ``family``; optional if there is one group.
+        Labels on axes by dotted key, and the name of the family by ``family``; all groups by default.
 
     Raises
     ------
     MbdkitError
-        If there is no such group, or several.
+        If there is no such group.
     """
     groups = sample_groups(study)
     wanted = dict(where or {})
-    if wanted and len(groups) == 1 and not groups[0].words:
+    if wanted and not any(group.words for group in groups):
         raise MbdkitError("the study has only one sample, without axes and families; leave out `where`")
     keys = list(dict.fromkeys(key for group in groups for key in ("family", *group.axes)))
     for key in wanted:
@@ -80,19 +80,25 @@ def one_group(study: Study, where: Mapping[str, Any] | None) -> SampleGroup:
         for group in groups
         if all((group.family if key == "family" else group.axes.get(key)) == label for key, label in wanted.items())
     ]
-    if len(found) == 1:
-        return found[0]
-    told = "; ".join(group.words for group in groups[:6]) + ("; ..." if len(groups) > 6 else "")
     if not found:
-        raise MbdkitError(f"the sample has no runs with these labels; there are: {told}")
-    raise MbdkitError(
-        f"the study has {len(found)} samples; choose one by `where`, such as {_example(found[0])}: {told}"
-    )
+        raise MbdkitError(f"the study has no runs with these labels; there are: {_told(groups)}")
+    return found
 
 
-def _example(group: SampleGroup) -> str:
-    labels = ({"family": group.family} if group.family else {}) | dict(group.axes)
-    return f"where={labels!r}"
+def one_group(study: Study, where: Mapping[str, Any] | None) -> SampleGroup:
+    """Return the only group with the given family and labels; raise MbdkitError if there is none, or several."""
+    found = groups_where(study, where)
+    if len(found) > 1:
+        one = found[0]
+        labels = ({"family": one.family} if one.family else {}) | dict(one.axes)
+        raise MbdkitError(
+            f"the study has {len(found)} samples; choose one by `where`, such as where={labels!r}: {_told(found)}"
+        )
+    return found[0]
+
+
+def _told(groups: Sequence[SampleGroup]) -> str:
+    return "; ".join(group.words for group in groups[:6]) + ("; ..." if len(groups) > 6 else "")
 
 
 def measured(study: Study, name: str, places: range) -> np.ndarray:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import operator
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from mbdkit.analysis.sobol_indices import RESAMPLES
 from mbdkit.archive.reader import load
@@ -30,7 +32,6 @@ from mbdkit.studies.study_index import Row
 from mbdkit.text import did_you_mean, listed
 
 if TYPE_CHECKING:
-    import numpy as np
     import pandas
     import xarray
 
@@ -436,8 +437,8 @@ class Study(HtmlView):
         q
             Probabilities.
         where
-            Labels on the axes by dotted key, and the name of the family by ``family``, if the sample is repeated for
-            several of these.
+            Labels on the axes by dotted key, and the name of the family by ``family``: only runs with these. Required
+            if a sample is repeated for several of them.
         times
             (K,) times [s], between which rows are interpolated linearly. By default the recorded times if they are
             the same in all runs, at most 501 of them, otherwise 201 equally spaced ones.
@@ -494,8 +495,6 @@ class Study(HtmlView):
             import xarray
         except ImportError as error:
             raise MbdkitError("to_xarray needs the package xarray: pip install xarray") from error
-        import numpy as np
-
         points = self._one_family(family)
         grid = self.grid(family)
         axes = grid.axes
@@ -515,7 +514,7 @@ class Study(HtmlView):
             dtype = object if isinstance(values[0], str) else None
             attributes = {}
             if name in points[0].values:
-                attributes = asdict(self._index.described(name))
+                attributes = dict(zip(("units", "long_name"), self.described(name), strict=True))
             variables[name] = (dims, np.array(values, dtype).reshape(shape), attributes)
         return xarray.Dataset(variables, coordinates, {"title": self.spec.title, "status": self.status})
 

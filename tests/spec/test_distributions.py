@@ -44,7 +44,11 @@ WRONG: dict[str, tuple[Any, str, str]] = {
     "discrete": ({"poisson": [3]}, "poisson", "is a discrete distribution"),
     "slow": ({"levy_stable": [1.5, 0]}, "levy_stable", "too slowly"),
     "parameters not listed": ({"norm": 3}, "norm", "needs its parameters as a list or a mapping, not 3"),
-    "too many": ({"norm": [0, 1, 2]}, "norm", "has 3 parameters, which are too many: 'norm' has the parameters loc and"),
+    "too many": (
+        {"norm": [0, 1, 2]},
+        "norm",
+        "has 3 parameters, which are too many: 'norm' has the parameters loc and",
+    ),
     "too few": ({"uniform": [0]}, "uniform", "needs `high`"),
     "no shape": ({"triang": {"loc": 1}}, "triang", "needs `c`: 'triang' has the parameters c, loc and scale"),
     "unknown parameter": ({"norm": {"scael": 1}}, "norm.scael", "unknown parameter (did you mean 'scale'?)"),
@@ -72,13 +76,17 @@ def test_wrong_distributions_are_refused_with_their_key(given: Any, key: str, me
 
 UNIFORM = {"uniform": [0, 1]}
 REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
-    "no members": (_study(n=0, variables={"time.step": UNIFORM}), "sample.n", "greater than or equal to 1"),
+    "no members": (_study(n=0, variables={"time.step": UNIFORM}), "sample.n", "should be at least 1, not 0"),
     "half a member": (_study(n=1.5, variables={"time.step": UNIFORM}), "sample.n", "whole"),
     "no variables": (_study(n=4, variables={}), "sample.variables", "needs at least one key"),
     "no n": (_study(variables={"time.step": UNIFORM}), "sample.n", "missing"),
     "unknown method": (_study(n=4, method="sobl", variables={"time.step": UNIFORM}), "sample.method", "'sobol'"),
     "unknown design": (_study(n=4, design="morris", variables={"time.step": UNIFORM}), "sample.design", "'saltelli'"),
-    "negative seed": (_study(n=4, seed=-1, variables={"time.step": UNIFORM}), "sample.seed", "greater"),
+    "negative seed": (
+        _study(n=4, seed=-1, variables={"time.step": UNIFORM}),
+        "sample.seed",
+        "should be at least 0, not -1",
+    ),
     "unknown key": (_study(n=4, sed=1, variables={"time.step": UNIFORM}), "sample.sed", "seed"),
     "no key of a spec": (_study(n=4, variables={"a..b": UNIFORM}), "sample.variables.a..b", "dotted key"),
     "one key twice": (

@@ -152,7 +152,7 @@ def test_axes_repeat_the_sample(throw: dict[str, Any], tmp_path: Path) -> None:
     assert np.allclose(dataset["distance"], np.outer([0.2, 0.4], dataset[SPEED]))
     with pytest.raises(MbdkitError, match=r"has 2 samples; choose one by `where`, such as where=\{'time.end': 0.2\}"):
         study.sensitivity("distance")
-    with pytest.raises(MbdkitError, match="the sample has no runs with these labels"):
+    with pytest.raises(MbdkitError, match="the study has no runs with these labels"):
         study.sensitivity("distance", where={"time.end": 3})
     one, other = (study.sensitivity("distance", where={"time.end": end}) for end in (0.2, 0.4))
     assert one.total == pytest.approx(other.total)
@@ -163,7 +163,7 @@ def test_axes_repeat_the_sample(throw: dict[str, Any], tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def of_ishigami(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
     """The Ishigami function of the angles of three bodies at rest, as a measure of runs."""
-    bodies = {name: BODY for name in "abc"}
+    bodies = dict.fromkeys("abc", BODY)
     value = "sin(final(a.angle)) + 7*sin(final(b.angle))**2 + 0.1*final(c.angle)**4*sin(final(a.angle))"
     spec = {
         "mbdkit_study": 1,
@@ -262,6 +262,7 @@ def test_studies_in_files_have_quantiles_as_well(throw: dict[str, Any], tmp_path
     throw["axes"] = [{SPEED: [1.0, 2.0, 3.0]}]
     study = mbdkit.study(throw, out=tmp_path / "s")
     assert study.quantiles("ball.x", 0.5).values[0] == pytest.approx([0, 0.2, 0.4, 0.6, 0.8])
+    assert study.quantiles("ball.x", 0.5, where={SPEED: 3.0}).values[0] == pytest.approx([0, 0.3, 0.6, 0.9, 1.2])
 
 
 ASKED: dict[str, tuple[str, tuple[Any, ...], dict[str, Any], str]] = {
