@@ -76,7 +76,10 @@ def study(
     each run. A second call computes only missing runs; failed runs are not repeated.
 
     --set changes the base of every run, as the overrides of the study do; what an
-    axis varies cannot be set.
+    axis or a sample varies cannot be set.
+
+    Of a study with a sample, --report shows histograms, Sobol indices and quantiles
+    over time; `mbdkit guide studies` explains these.
 
     Exit status 3 if runs are missing because the disk is full, a process died or the
     like: a second call tries again.

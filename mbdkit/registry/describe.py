@@ -195,6 +195,9 @@ def _inside(info: Schema, definitions: Schema) -> list[tuple[str, Schema]]:
     if "$ref" in info:
         target = definitions[info["$ref"].rpartition("/")[2]]
         return [("", target)] if "properties" in target else []
+    given = [one for one in info.get("anyOf", ()) if one != {"type": "null"}]
+    if len(given) == 1:
+        return _inside(given[0], definitions)
     tags = info.get("discriminator", {}).get("mapping", {})
     if tags:
         return [(f" ({tag})", definitions[ref.rpartition("/")[2]]) for tag, ref in tags.items()]

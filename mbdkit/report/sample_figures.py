@@ -13,9 +13,10 @@ import numpy as np
 from mbdkit.analysis.sobol_indices import ROUND_OFF
 from mbdkit.analysis.verdict import Axis, Cell, Column, Figure, Line, Table
 from mbdkit.errors import MbdkitError
+from mbdkit.measures.measure_expression import REDUCTIONS
 from mbdkit.report.study_figures import Quantity, asked_measures, is_wide
-from mbdkit.studies.axis_words import key_unit, key_words
-from mbdkit.studies.measure_expression import REDUCTIONS
+from mbdkit.spec.key_words import key_words
+from mbdkit.studies.axis_words import axis_unit
 from mbdkit.studies.sample_groups import SampleGroup, measured, sample_groups
 
 if TYPE_CHECKING:
@@ -177,7 +178,7 @@ def _scatters(one: _Measured) -> Iterator[Figure]:
     dots = known[np.linspace(0, len(known) - 1, min(len(known), _MOST_DOTS)).astype(int)]
     some = f" {len(dots)} of {len(known)} runs." if len(dots) < len(known) else ""
     for key in chosen:
-        axis = Axis(key_words(key), key_unit(key, one.study.points[:1]), is_wide(table[key]))
+        axis = Axis(key_words(key), axis_unit(key, one.study.points[:1]), is_wide(table[key]))
         line = Line(one.quantity.title, table[key][dots].astype(float), one.values[dots], "points")
         title = f"{one.quantity.title} against {axis.label}"
         caption = f"{one.quantity.caption}{some}{one.told}"

@@ -22,7 +22,7 @@ from mbdkit.report.run_verdict import mechanism_size
 from mbdkit.report.sample_figures import sample_figures, sample_tables
 from mbdkit.report.slope_guides import with_slope_guides
 from mbdkit.report.study_figures import OPERATIONS, measure_columns, study_figures
-from mbdkit.studies.axis_words import key_unit, point_words
+from mbdkit.studies.axis_words import axis_unit, point_words
 from mbdkit.studies.judge import judge
 from mbdkit.studies.point_selection import value
 from mbdkit.studies.sample_groups import sample_groups
@@ -127,7 +127,7 @@ def runs_table(study: Study) -> Table:
     points = _listed(study)
     units = None
     if study.spec.has_table:
-        units = {key: key_unit(key, points) for key in dict.fromkeys(key for point in points for key in point.axes)}
+        units = {key: axis_unit(key, points) for key in dict.fromkeys(key for point in points for key in point.axes)}
     is_timed = any(not math.isnan(value(point, "wall_median_s")) for point in points)
     usual = [*_COLUMNS, *(_TIMED if is_timed else _TIMED_ONCE)]
     asked = [one for one in measure_columns(study) if one[1] not in {name for _, name in usual}]

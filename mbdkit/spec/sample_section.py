@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from mbdkit.errors import SpecError
 from mbdkit.plain_data import Path
 from mbdkit.spec.distributions import Distribution
 from mbdkit.spec.reading import parse_key
-from mbdkit.spec.sections import Count, Section
+from mbdkit.spec.sections import Section, whole
 
 MOST_VARIABLES = 1000
 """Maximum number of variables; the Sobol sequence of scipy.stats.qmc has 21201 dimensions, two for each variable."""
@@ -46,7 +46,7 @@ def comparable(path: Path) -> tuple[str, ...]:
 class Sample(Section):
     """Keys of the run spec whose values are drawn from distributions; each member of the sample is a run."""
 
-    n: Annotated[Count, Field(le=1_000_000)]
+    n: Annotated[int, BeforeValidator(whole), Field(ge=1, le=1_000_000)]
     """Number of members of the sample. The Sobol sequence is balanced if it is a power of 2."""
     method: Literal["sobol", "halton", "latin-hypercube", "random"] = "sobol"
     """How the members are chosen: the scrambled Sobol or Halton sequence, Latin hypercube, or random numbers. Except

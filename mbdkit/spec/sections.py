@@ -15,14 +15,14 @@ from mbdkit.strict_model import StrictModel
 QUANTITIES = ("constraints", "energy", "forces", "joints", "markers")
 
 
-def _whole(value: Any) -> Any:
+def whole(value: Any) -> Any:
     """Convert a float with an integer value to int, because large counts are often written as 1e6."""
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 LARGEST_COUNT = 2**53
 
-Count = Annotated[int, BeforeValidator(_whole), Field(ge=1, le=LARGEST_COUNT)]
+Count = Annotated[int, BeforeValidator(whole), Field(ge=1, le=LARGEST_COUNT)]
 Positive = Annotated[float, Field(gt=0)]
 
 

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.errors import MbdkitError
+from mbdkit.measures.measure_expression import SeriesExpression
 from mbdkit.spec import RunSpec
-from mbdkit.studies.measure_expression import SeriesExpression
-from mbdkit.studies.sample_groups import groups_where, one_group
+from mbdkit.studies.sample_groups import SampledStudy, groups_where, one_group
 
 if TYPE_CHECKING:
     import pandas
 
-    from mbdkit.studies.study import Study
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 MOST_ROWS = 501
@@ -68,7 +67,7 @@ class QuantileBands:
 
 
 def quantiles(
-    study: Study,
+    study: SampledStudy,
     quantity: str,
     q: float | Sequence[float] = QUANTILES,
     *,
@@ -130,7 +129,7 @@ class _Grid:
     step: int = 1
 
     @classmethod
-    def of(cls, study: Study, places: Set[int]) -> _Grid:
+    def of(cls, study: SampledStudy, places: Set[int]) -> _Grid:
         """Return the recorded times of the runs if these are the same, otherwise equally spaced ones."""
         longest = np.empty(0)
         start, end, same = np.inf, -np.inf, True

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -12,8 +12,32 @@ from mbdkit.errors import MbdkitError
 from mbdkit.text import did_you_mean, listed
 
 if TYPE_CHECKING:
-    from mbdkit.studies.planned_points import Label
-    from mbdkit.studies.study import Study
+    from mbdkit.archive.run import Run
+    from mbdkit.spec.study_spec import StudySpec
+    from mbdkit.studies.planned_points import Grid, Label
+
+
+class SampledStudy(Protocol):
+    """What is needed of a `Study` to evaluate its sample."""
+
+    spec: StudySpec
+
+    @property
+    def families(self) -> dict[str, str]:
+        """Titles of the families by name."""
+        ...
+
+    def grid(self, family: str | None = None) -> Grid:
+        """Return the plan of a family."""
+        ...
+
+    def columns(self) -> dict[str, Any]:
+        """Return the columns of the table of all points."""
+        ...
+
+    def rows_of_runs(self) -> Iterator[tuple[Run, Sequence[int], np.ndarray]]:
+        """Yield runs with all rows of one or more runs of the study, their numbers, and their numbers of rows."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -41,7 +65,7 @@ class SampleGroup:
         return ", ".join(filter(None, [self.family, *told]))
 
 
-def sample_groups(study: Study) -> list[SampleGroup]:
+def sample_groups(study: SampledStudy) -> list[SampleGroup]:
     """Return the groups of a study in the order of its points; a study without axes has one."""
     groups: list[SampleGroup] = []
     start = 0
@@ -54,7 +78,7 @@ def sample_groups(study: Study) -> list[SampleGroup]:
     return groups
 
 
-def groups_where(study: Study, where: Mapping[str, Any] | None) -> list[SampleGroup]:
+def groups_where(study: SampledStudy, where: Mapping[str, Any] | None) -> list[SampleGroup]:
     """Return the groups with the given family and labels.
 
     Parameters
@@ -85,7 +109,7 @@ def groups_where(study: Study, where: Mapping[str, Any] | None) -> list[SampleGr
     return found
 
 
-def one_group(study: Study, where: Mapping[str, Any] | None) -> SampleGroup:
+def one_group(study: SampledStudy, where: Mapping[str, Any] | None) -> SampleGroup:
     """Return the only group with the given family and labels; raise MbdkitError if there is none, or several."""
     found = groups_where(study, where)
     if len(found) > 1:
@@ -101,7 +125,7 @@ def _told(groups: Sequence[SampleGroup]) -> str:
     return "; ".join(group.words for group in groups[:6]) + ("; ..." if len(groups) > 6 else "")
 
 
-def measured(study: Study, name: str, places: range) -> np.ndarray:
+def measured(study: SampledStudy, name: str, places: range) -> np.ndarray:
     """Return the values of a numeric column for some points; nan where a run is not complete.
 
     Raises

@@ -10,12 +10,10 @@ import numpy as np
 
 from mbdkit.analysis.sobol_indices import RESAMPLES, SobolIndices, sobol_indices
 from mbdkit.errors import MbdkitError, SpecError
-from mbdkit.studies.sample_groups import measured, one_group
+from mbdkit.studies.sample_groups import SampledStudy, measured, one_group
 
 if TYPE_CHECKING:
     import pandas
-
-    from mbdkit.studies.study import Study
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +87,7 @@ class Sensitivity:
 
 
 def sensitivity(
-    study: Study,
+    study: SampledStudy,
     measure: str,
     *,
     where: Mapping[str, Any] | None = None,
