@@ -128,7 +128,7 @@ class BlockStudy(Study):
             path = self._files.block(number)
             if path.exists():
                 with Block(path) as block:
-                    for run in joined_runs(block):
+                    for run in joined_runs(block) if block.study_sha256 == self.spec.sha256() else ():
                         yield run, run.numbers.tolist(), run.counts
 
     def _columns(self, points: Sequence[StudyPoint]) -> dict[str, Any]:

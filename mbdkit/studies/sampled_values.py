@@ -76,14 +76,15 @@ def settled_sample(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = Fa
     """
     if spec.sample is None or spec.members is not None:
         return spec
-    if not overwrite and (there := _study_in(folder)) is not None and there.members is not None:
+    columns = values_of(spec)
+    _, digest = member_table.image(columns)
+    there = None if overwrite else _study_in(folder)
+    if there is not None and there.members is not None and there.members.sha256 != digest:
         untabled = there.with_members(None).stored_as(None)
         if untabled.sha256() == spec.stored_as(None).sha256():
             settled = spec.with_members(there.members)
             settled._folder = folder.path
             return settled
-    columns = values_of(spec)
-    _, digest = member_table.image(columns)
     settled = spec.with_members(Members(runs=spec.sample.runs, sha256=digest))
     settled._columns = columns
     return settled
