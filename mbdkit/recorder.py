@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import SingularState, StateObserver
 from mbdkit.engine.redundant_gaps import units_of_pairs
 from mbdkit.engine.singularity import describe_nearness
+from mbdkit.engine.stored_arrays import fill, solver_of, stored_solver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.recorded_columns import COLUMNS, ConstraintRows, ObservedRows, RecordedStates
 from mbdkit.stepping.interface import Failure, Guards, Stretch
@@ -274,6 +275,32 @@ class Recorder:
                 "velocity": np.array([one.v[:-3] for one in found]).reshape(shape),
             }
         )
+
+    def stored(self) -> dict[str, Any]:
+        """Return what later rows depend on, as plain values for a checkpoint."""
+        energies = self.energies
+        return {
+            "start_energy": self._start_energy,
+            "largest": self.largest,
+            "largest_angle": self.largest_angle,
+            "energies": [energies.kinetic, energies.energy, energies.balance],
+            "last_time": self.last_time,
+            "near": self._observer.kept,
+            "solver": stored_solver(self.workspace.solver),
+            "pivotings": self.workspace.pivotings,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Continue after the rows of a checkpoint; raise ValueError if its values do not fit."""
+        self._start_energy = float(state["start_energy"])
+        fill(self.largest, state["largest"])
+        fill(self.largest_angle, state["largest_angle"])
+        energies = self.energies
+        energies.kinetic, energies.energy, energies.balance = map(float, state["energies"])
+        self.last_time = float(state["last_time"])
+        fill(self._observer.kept, state["near"])
+        self.workspace.use_solver(solver_of(self.workspace, state["solver"]))
+        self.workspace.pivotings = int(state["pivotings"])
 
     def misalignment_max(self, worst_pairs: np.ndarray) -> np.ndarray:
         """Return the largest misalignment of each joint over all steps, recorded or not, (J,) [m].

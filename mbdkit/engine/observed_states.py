@@ -53,6 +53,11 @@ class StateObserver:
         self._stress = SelfStress.zeros(0, self._directions, self._pairs)
         self.gaps, self.gap_uncertainty = np.zeros((2, 0, self._directions))
 
+    @property
+    def kept(self) -> np.ndarray:
+        """(P, 11) vectors that one state passes to the next, for the distance to singularity."""
+        return self._near
+
     def arrays(self, states: int) -> Observed:
         """Return arrays for the results of `observe`, for T = `states`."""
         return Observed.zeros(states, self.workspace.mechanism.topology)

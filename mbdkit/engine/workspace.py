@@ -208,7 +208,11 @@ class Workspace:
         """Switch to the pivoted solver, with pivots chosen for the current values; raises SingularSystemError."""
         pattern, factors, scatter = self.choose_pivots()
         self.solver.pivoted[0] = 1
-        self.solver = self.solver._replace(pattern=pattern, factors=factors, scatter=scatter)
+        self.use_solver(self.solver._replace(pattern=pattern, factors=factors, scatter=scatter))
+
+    def use_solver(self, solver: Solver) -> None:
+        """Replace the solver."""
+        self.solver = solver
         for pinned in dict.fromkeys((self._engine, self._stepping_engine)):
             pinned.replace(pinned.bundle._replace(solver=self.solver))
 

@@ -55,6 +55,11 @@ class QuantityEvaluator:
         self._observer = StateObserver(workspace)
         self._buffers: dict[int, Observed] = {}
 
+    @property
+    def kept(self) -> np.ndarray:
+        """See `StateObserver.kept`."""
+        return self._observer.kept
+
     def values(self, times: Sequence[float], q: np.ndarray, v: np.ndarray) -> list[list[float]]:
         """Return, for each of K states, a list of its time and all quantities; undefined quantities are nan.
 

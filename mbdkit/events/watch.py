@@ -6,11 +6,12 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from mbdkit.engine.counters import Counters
+from mbdkit.engine.stored_arrays import fill
 from mbdkit.engine.workspace import Workspace
 from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings
 from mbdkit.events.event_expression import CompiledExpression, RunExpression
@@ -165,6 +166,28 @@ class Watch:
     def last_state(self) -> Stretch:
         """Return the state reached as one row."""
         return self.stepper.last_state()
+
+    def stored(self) -> dict[str, Any]:
+        """Return what the watch keeps from step to step, as plain values for a checkpoint; all crossings are taken."""
+        return {
+            "signs": self._signs,
+            "recorded": self._recorded,
+            "values": self._values,
+            "ended": self._ended,
+            "largest": self._largest,
+            "near": self._quantities.kept,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Continue from a checkpoint; raise ValueError if its values do not fit."""
+        if not len(state["signs"]) == len(state["largest"]) == len(self.events):
+            raise ValueError("it has other events")
+        self._signs = [int(sign) for sign in state["signs"]]
+        self._recorded = float(state["recorded"])
+        self._values = None if state["values"] is None else [float(value) for value in state["values"]]
+        self._ended = state["ended"]
+        self._largest = [float(value) for value in state["largest"]]
+        fill(self._quantities.kept, state["near"])
 
     def _look(self, stretch: Stretch) -> Stretch:
         """Find the events of the last step; return its rows, truncated at an event that stops the run."""

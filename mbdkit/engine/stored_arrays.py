@@ -1,0 +1,125 @@
+"""Bundles, pivots and solvers as plain values, as a checkpoint stores them, and back.
+
+Kernels index arrays by what patterns and counts say, and do not check bounds. What is read from a file is therefore
+checked first: a pattern that does not fit raises ValueError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.engine.elimination_order import new_factors
+from mbdkit.engine.kernels.lu import Factors, Pattern
+from mbdkit.engine.kernels.system import Scatter, Solver
+
+if TYPE_CHECKING:
+    from mbdkit.engine.workspace import Workspace
+
+_PIVOTED = ("pivoted", "pattern", "factors", "scatter")
+"""Parts of a solver that change during a run; the others belong to the mechanism, or are scratch."""
+
+
+def stored(bundle: Any, without: Collection[str] = ()) -> dict[str, Any]:
+    """Return the arrays of a bundle by name, nested as the bundle is; they are not copied."""
+    return {
+        name: stored(value) if isinstance(value, tuple) else value
+        for name, value in zip(bundle._fields, bundle, strict=True)
+        if name not in without
+    }
+
+
+def restore(bundle: Any, state: Any, without: Collection[str] = ()) -> None:
+    """Copy stored values into the arrays of a bundle; raise ValueError if they do not fit."""
+    wanted = [name for name in bundle._fields if name not in without]
+    if not isinstance(state, Mapping) or state.keys() != set(wanted):
+        raise ValueError(f"{type(bundle).__name__} has other arrays")
+    for name in wanted:
+        value = getattr(bundle, name)
+        if isinstance(value, tuple):
+            restore(value, state[name])
+        else:
+            fill(value, state[name])
+
+
+def fill(array: np.ndarray, values: Any) -> None:
+    """Copy stored values into an array; raise ValueError if they have another shape or type, or a negative count."""
+    if not isinstance(values, np.ndarray) or values.shape != array.shape or values.dtype != array.dtype:
+        raise ValueError("an array has another shape or type")
+    if values.dtype == np.int64 and np.any(values < 0):
+        raise ValueError("a count is negative")
+    array[...] = values
+
+
+def pattern_of(state: Any, unknowns: int) -> Pattern:
+    """Return a stored pattern of a matrix of `unknowns` rows, or the empty one; raise ValueError if it is none."""
+    pattern = Pattern(**{name: _vector(state, name) for name in Pattern._fields})
+    if not len(pattern.row_of):
+        unknowns = 0
+    for start, column in (
+        (pattern.a_start, pattern.a_column),
+        (pattern.l_start, pattern.l_column),
+        (pattern.u_start, pattern.u_column),
+    ):
+        if len(start) != unknowns + 1 or start[0] != 0 or start[-1] != len(column) or np.any(np.diff(start) < 0):
+            raise ValueError("the rows of a pattern do not fit")
+        if np.any(column < 0) or np.any(column >= unknowns):
+            raise ValueError("a pattern has columns that do not exist")
+    for order in (pattern.row_of, pattern.column_of):
+        if not np.array_equal(np.sort(order), np.arange(unknowns)):
+            raise ValueError("pivots are no permutation")
+    for scale, count in (
+        (pattern.row_scale, unknowns),
+        (pattern.column_scale, unknowns),
+        (pattern.weight, len(pattern.a_column)),
+    ):
+        if len(scale) != count:
+            raise ValueError("the scales of a pattern do not fit")
+    return pattern
+
+
+_INTEGERS = frozenset(Pattern._fields) - {"row_scale", "column_scale", "weight"}
+
+
+def _vector(state: Any, name: str) -> np.ndarray:
+    values = state.get(name) if isinstance(state, Mapping) else None
+    kind = np.int64 if name in _INTEGERS else np.float64
+    if not isinstance(values, np.ndarray) or values.ndim != 1 or values.dtype != kind:
+        raise ValueError(f"{name} of a pattern is no vector")
+    return values
+
+
+def scatter_of(state: Any, sources: int, places: int) -> Scatter:
+    """Return stored lists of where `sources` terms go among `places` entries; raise ValueError if they do not fit."""
+    if not isinstance(state, Mapping) or state.keys() != set(Scatter._fields):
+        raise ValueError("a matrix has other terms")
+    for pairs in state.values():
+        if not isinstance(pairs, np.ndarray) or pairs.dtype != np.int64 or pairs.ndim != 2:
+            raise ValueError("the terms of a matrix are no pairs")
+        if not pairs.size:
+            continue
+        if pairs.shape[1] != 2 or np.any(pairs < 0) or np.any(pairs >= [sources, places]):
+            raise ValueError("a term of a matrix does not exist")
+    return Scatter(**state)
+
+
+def stored_solver(solver: Solver) -> dict[str, Any]:
+    """Return the parts of a solver that a run changes."""
+    return {name: stored(solver)[name] for name in _PIVOTED}
+
+
+def solver_of(workspace: Workspace, state: Any) -> Solver:
+    """Return the solver of a workspace with stored pivots and factors; raise ValueError if they do not fit."""
+    if not isinstance(state, Mapping) or state.keys() != set(_PIVOTED):
+        raise ValueError("a solver has other parts")
+    pattern = pattern_of(state["pattern"], workspace.unknowns)
+    scatter = scatter_of(state["scatter"], len(workspace.scratch.source), len(pattern.a_column))
+    factors: Factors = new_factors(pattern, np.float64)
+    restore(factors, state["factors"])
+    pivoted = np.zeros(1, np.int64)
+    fill(pivoted, state["pivoted"])
+    if pivoted[0] < workspace.mechanism.needs_pivots:
+        raise ValueError("this mechanism needs pivots")
+    return workspace.solver._replace(pivoted=pivoted, pattern=pattern, factors=factors, scatter=scatter)
