@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import h5py
 import numpy as np
@@ -40,6 +40,7 @@ from mbdkit.progress_bars import in_notebook, progress_bar
 from mbdkit.provenance import provenance
 from mbdkit.recorded_columns import ObservedRows
 from mbdkit.recorder import Recorder, archive_names, shared_forces
+from mbdkit.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
 from mbdkit.run_corners import check_jumps
 from mbdkit.run_evidence import estimated_errors, evidence_of_run
 from mbdkit.run_preparation import (
@@ -56,6 +57,7 @@ from mbdkit.run_preparation import (
 from mbdkit.run_warnings import start_warnings
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.run_source import RunSource, Sections
+from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch
 from mbdkit.stepping.start import start_method
 from mbdkit.stepping.warm_up import to_stderr
@@ -156,6 +158,29 @@ def simulate(
         check_target(path, overwrite=overwrite)
     begun = partial(_begun_archive, path=path, overwrite=overwrite)
     return _ended(spec, partial(_prepared, begun=begun, path=path, notify=notify, begin=begin), notify, progress).run()
+
+
+def simulate_on(
+    spec: RunSpec,
+    continuation: Continuation,
+    begun: Callable[[RunSpec, Method, _Start], RunWriter],
+    *,
+    progress: Progress | None = None,
+    notify: Callable[[str], None] = to_stderr,
+) -> Run:
+    """Continue a run from a checkpoint.
+
+    Parameters
+    ----------
+    continuation
+        The state to continue from.
+    begun
+        Returns a writer that holds the rows up to this state.
+    progress, notify
+        As for `simulate`.
+    """
+    prepare = partial(_prepared, begun=begun, path=None, notify=notify, begin=time.perf_counter())
+    return _ended(spec, partial(prepare, continuation=continuation), notify, progress).run()
 
 
 def simulate_arrays(spec: RunSpec, *, notify: Callable[[str], None] = to_stderr) -> FinishedRun:
@@ -274,6 +299,7 @@ def _prepared(
     notify: Callable[[str], None],
     begin: float,
     choice: Choice | None = None,
+    continuation: Continuation | None = None,
 ) -> _Simulation:
     """Return a simulation whose writer is begun by `begun`; see `simulate`."""
     method = make_method(spec)
@@ -295,7 +321,7 @@ def _prepared(
         except BaseException:
             writer.abandon()
             raise
-    simulation.interrupted = bool(noted)
+    simulation.interrupted, simulation.continuation = bool(noted), continuation
     return simulation
 
 
@@ -383,20 +409,24 @@ class _Simulation:
         self.cause: BaseException | None = None
         self.interrupted = False
         self.accuracy: Accuracy | None = None
+        self.continuation: Continuation | None = None
         if spec.estimates_errors:
             self.recorder.kept = []
 
     def integrate(self, progress: Progress | None) -> None:
         """Record the initial state, integrate to the end, and check the accuracy; raise what `progress` raises."""
         told = None if progress is None else _Told(progress, self.interrupt)
-        self.record_start()
+        if self.continuation is None:
+            self.record_start()
         with self._blaming_the_plugin():
             if self.failure is None:
                 self.start()
-        setup = time.perf_counter() - self.begin
-        wall, cpu = time.perf_counter(), time.process_time()
+        before = dict.fromkeys(TIMES, 0.0) if self.continuation is None else self.take_up(self.continuation)
+        setup = before["setup_s"] + time.perf_counter() - self.begin
+        wall, cpu = time.perf_counter() - before["wall_s"], time.process_time() - before["cpu_s"]
+        self.timings = {"setup_s": setup}
         if self.stepper is not None:
-            self.advance(self.stepper, told, wall)
+            self.advance(self.stepper, told, wall, self.checkpoints(wall, cpu))
         self.timings = {
             "setup_s": setup,
             "wall_s": time.perf_counter() - wall,
@@ -462,11 +492,42 @@ class _Simulation:
             self.failure = plugin_failure(self.spec, error)
             self.cause = error
 
-    def advance(self, stepper: Advancing, progress: Progress | None, begin: float) -> None:
+    def take_up(self, continuation: Continuation) -> Mapping[str, float]:
+        """Restore the state of a checkpoint, and return the times that the run took before it [s]."""
+        parts = self.parts()
+        assert parts is not None
+        parts.restore(continuation.state)
+        if self.recorder.kept is not None:
+            self.recorder.kept = continuation.rows()
+        continuation.restored()
+        return continuation.times
+
+    def parts(self) -> Parts | None:
+        """Return the parts of the run whose state makes a checkpoint; None if it has parts that cannot be stored."""
+        stepper = self.stepper if self.watch is None else self.watch.stepper
+        if why_without(self.spec, self.method) or not isinstance(stepper, CompiledStepper):
+            return None
+        return Parts(self.workspace, stepper, self.watch, self.recorder)
+
+    def checkpoints(self, wall: float, cpu: float) -> Checkpoints | None:
+        """Return the checkpoints of the run, whose steps began at these times [s]; None if it has none."""
+        parts = self.parts() if self.writer.keeps_checkpoints else None
+        if parts is None:
+            return None
+
+        def state() -> Mapping[str, Any]:
+            spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+            return {**parts.stored(), "times": {**self.timings, **spent}}
+
+        return Checkpoints(self.writer, state)
+
+    def advance(
+        self, stepper: Advancing, progress: Progress | None, begin: float, checkpoints: Checkpoints | None
+    ) -> None:
         """Step until the end, a limit, a failure or an interrupt, and record the states."""
         limit, end = self.spec.limits.wall_time, self.spec.time.final
-        elapsed = 0.0
-        recorded = self.workspace.t0
+        elapsed = time.perf_counter() - begin if self.continuation is not None else 0.0
+        recorded = self.recorder.last_time
         while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
             with self._blaming_the_plugin():
                 stretch = stepper.advance()
@@ -481,6 +542,8 @@ class _Simulation:
             elapsed = now
             if progress is not None:
                 progress(stepper.time, end)
+            if checkpoints is not None and not (stepper.finished or stepper.failure or self.failure):
+                checkpoints.write_if_due()
             if limit is not None and now > limit and not (stepper.finished or stepper.failure or self.failure):
                 self.failure = Failure(
                     "wall-time", f"stopped at t = {stepper.time:.6g} s after limits.wall_time = {limit:g} s."

@@ -15,6 +15,9 @@ VERSIONS = ("1.0", FORMAT_VERSION)
 #: Attribute of the group ``trajectory`` while the run is under way: the rows of the tables up to the last flush.
 ROWS_FLUSHED = "rows_flushed"
 
+#: Group of the checkpoints of an unfinished archive; it is removed before the archive gets its final name.
+CHECKPOINT = "checkpoint"
+
 #: The first axis of each table that grows, in the order of `ROWS_FLUSHED`.
 GROWING = ("time", "interval", "event")
 

@@ -63,6 +63,8 @@ class Target:
     ----------
     overwrite
         Whether publishing replaces an existing file.
+    part
+        Name of the file until it is published, or until `take_place_of` another ``.part``.
 
     Raises
     ------
@@ -72,10 +74,11 @@ class Target:
         If the system refuses the file, or another run is writing it.
     """
 
-    def __init__(self, path: Path, *, overwrite: bool):
+    def __init__(self, path: Path, *, overwrite: bool, part: Path | None = None):
         self.path = check_target(path, overwrite=overwrite)
-        self.part = part_path(path)
+        self.part = part_path(path) if part is None else part
         self.overwrite = overwrite
+        self.is_kept = False  # whether `drop` leaves the .part
         self._torn = False  # whether a write is in progress or has failed halfway
         self.file = self._create()
         self._handle: int | None = os.open(self.part, os.O_RDWR)
@@ -216,9 +219,19 @@ class Target:
             self._handle = None
 
     def drop(self) -> None:
-        """Close and remove the .part."""
+        """Close and remove the .part, unless it has taken the place of another one."""
         self.close()
-        self.part.unlink(missing_ok=True)
+        if not self.is_kept:
+            self.part.unlink(missing_ok=True)
+
+    def take_place_of(self, part: Path) -> None:
+        """Rename the flushed .part to `part`, which it replaces; `drop` no longer removes it."""
+        self.sync()
+        try:
+            os.replace(self.part, part)
+        except OSError as error:
+            raise ResourceError(f"{self.part} cannot be renamed to {part} ({cause(error)})") from error
+        self.part, self.is_kept = part, True
 
 
 def write_image(path: Path, image: bytes, *, overwrite: bool = False) -> None:

@@ -8,12 +8,14 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.checkpoint import Checkpoint, FileImage, Slots
 from mbdkit.archive.fingerprint import attributes_sha256, digest_lines
 from mbdkit.archive.growing_array import Table
 from mbdkit.archive.hdf5 import create, set_text, set_texts
@@ -37,6 +39,12 @@ FLUSH_INTERVAL = 1.0
 
 #: HDF5 distinguishes files in memory by name.
 _MEMORY = itertools.count(1)
+
+#: Rows that are copied at once when a run continues.
+ROWS_COPIED = 1024
+
+#: Disk space reserved to write or remove checkpoints, whose own place exists before.
+_SLOT_BYTES = 1 << 12
 
 #: Disk space reserved for attributes.
 _ATTRIBUTE_BYTES = 1 << 15
@@ -65,6 +73,8 @@ class ArchiveWriter(RunWriter):
         The arrays of the layout to record, instead of what the two arguments before choose.
     overwrite
         Whether `finish` replaces an existing file.
+    part
+        Name of the file until `finish`; by default, ``FILE.h5.part``.
     shared
         Attributes for a mechanism with redundant joints; None without them.
 
@@ -89,6 +99,7 @@ class ArchiveWriter(RunWriter):
         extra_datasets: Iterable[str] = (),
         arrays: tuple[Array, ...] | None = None,
         overwrite: bool = False,
+        part: Path | None = None,
         shared: SharedForces | None = None,
     ):
         super().__init__(names, quantities, extra_datasets, arrays)
@@ -102,12 +113,14 @@ class ArchiveWriter(RunWriter):
         self._flushed: float | None = None
         self._kept = False
         self._ended = False
-        self._target = None if path is None else Target(Path(path), overwrite=overwrite)
+        self._target = None if path is None else Target(Path(path), overwrite=overwrite, part=part)
         self._file: h5py.File = (
             h5py.File(f"memory-{next(_MEMORY)}", "w", driver="core", backing_store=False, libver=LIBVER)
             if self._target is None
             else self._target.file
         )
+        self._slots = Slots(self._file)
+        self._checkpoints = 0
         try:
             counted = len(names.bodies) + 2 * len(names.joints) + 4 * len(names.constraints)
             text = len(spec_json) + 64 * (counted + 6 * len(names.forces) + 2 * len(names.markers))
@@ -147,6 +160,52 @@ class ArchiveWriter(RunWriter):
             with self._storing():
                 self._write_more()
 
+    @property
+    def keeps_checkpoints(self) -> bool:
+        """Whether the archive is a file."""
+        return self._target is not None
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The lines of the rows written, for `data_sha256`, sorted."""
+        grown = (series.line() for table in self._tables.values() for series in table.series)
+        return tuple(sorted(filter(None, grown)))
+
+    def keep_checkpoint(self, state: Mapping[str, Any]) -> None:
+        """Write the rows taken so far, and the state from which the run continues after them."""
+        assert self._target is not None
+        with self._storing():
+            self._write_more()
+            self._checkpoints += 1
+            content = self._encoded(state)
+            while not self._slots.has_room(self._checkpoints, len(content)):
+                with self._target.reserved(4 * len(content)):
+                    self._slots.make_room(self._checkpoints, len(content))
+                content = self._encoded(state)  # the new slots are part of the file that it describes
+            with self._target.reserved(_SLOT_BYTES):
+                self._slots.write(self._checkpoints, content)
+
+    def _encoded(self, state: Mapping[str, Any]) -> bytes:
+        """Return a checkpoint of the flushed file."""
+        assert self._target is not None
+        rows = {dim: table.written for dim, table in self._tables.items()}
+        image = FileImage.of(self._file, self._target.part)
+        return Checkpoint(self._checkpoints, rows, self.lines, state, image).encoded()
+
+    def copy_rows(self, file: h5py.File, checkpoint: Checkpoint) -> None:
+        """Append the rows that a checkpoint counts from the ``.part`` that it is in, with the time of its creation."""
+        self._file.attrs.modify("created_utc", file.attrs["created_utc"])
+        for dim, table in self._tables.items():
+            rows = checkpoint.rows[dim]
+            for start in range(0, rows, ROWS_COPIED):
+                some = slice(start, min(rows, start + ROWS_COPIED))
+                self.take(dim, {one.array.key: stored_rows(file, one.array, some) for one in table.series})
+
+    def take_place_of(self, part: Path) -> None:
+        """Rename the file to `part`, which it replaces and which an abandoned run leaves."""
+        assert self._target is not None
+        self._target.take_place_of(part)
+
     def finish(
         self,
         status: str,
@@ -183,6 +242,9 @@ class ArchiveWriter(RunWriter):
                 self._end(started)
                 file.flush()
                 return file
+            if self._slots.exist:  # not removed before, so that a run that is killed meanwhile can be resumed
+                with self._target.reserved(_SLOT_BYTES):
+                    self._slots.remove()
             self._target.sync()
             try:
                 self._target.publish()
@@ -240,8 +302,7 @@ class ArchiveWriter(RunWriter):
                 names = self._shared.drivers if path == "joints/driver_power" else self._shared.joints
                 if path in self._file and names:
                     set_text(self._file[path], "not_unique", ", ".join(names))
-        grown = (series.line() for table in self._tables.values() for series in table.series)
-        self._file.attrs.modify("data_sha256", digest_lines([*self._lines, *filter(None, grown)]))
+        self._file.attrs.modify("data_sha256", digest_lines([*self._lines, *self.lines]))
         self._file.attrs.modify("status_reason", reason)
 
     def _write_verdict(self, judgement: Judgement, warnings: Sequence[str]) -> None:
@@ -305,6 +366,15 @@ class ArchiveWriter(RunWriter):
                 self._target.drop()
                 rest = ""
             raise ResourceError(f"the archive {self._target.path} cannot be written: {cause(error)}{rest}") from error
+
+
+def stored_rows(file: h5py.File, array: Array, some: slice) -> np.ndarray:
+    """Return some rows of an array of the layout; strings are Python strings."""
+    dataset = file[array.path]
+    values = np.asarray((dataset.asstr() if array.dtype == layout.TEXT else dataset)[some])
+    if len(values) != some.stop - some.start:
+        raise ValueError(f"{array.path} has fewer rows than its checkpoint counts")
+    return values
 
 
 def _number(value: int | float) -> np.int64 | np.float64:
