@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from mbdkit.methods.tableau import ButcherTableau
     from mbdkit.registry.hookspecs import hookimpl
     from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
+    from mbdkit.resuming import resume
     from mbdkit.simulation import run
     from mbdkit.spec import RunSpec, StudySpec
     from mbdkit.studies.carry_out import ensemble, load_study, study
@@ -74,6 +75,7 @@ __all__ = [
     "load_study",
     "modes",
     "plot",
+    "resume",
     "run",
     "study",
 ]
@@ -116,6 +118,7 @@ _HOME = {
     "ensemble": "mbdkit.studies.carry_out",
     "load_study": "mbdkit.studies.carry_out",
     "modes": "mbdkit.mechanics.modes",
+    "resume": "mbdkit.resuming",
     "run": "mbdkit.simulation",
     "study": "mbdkit.studies.carry_out",
 }

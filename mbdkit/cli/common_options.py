@@ -19,10 +19,11 @@ def _set_debug(context: typer.Context, value: bool) -> bool:
     return value
 
 
-SpecName = Annotated[
-    str,
-    typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example such as knee."),
-]
+_RUN_SPEC: Any = typer.Argument(
+    metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example such as knee."
+)
+SpecName = Annotated[str, _RUN_SPEC]
+SpecNameOrNone = Annotated[str | None, _RUN_SPEC]
 AnySpecName = Annotated[
     str,
     typer.Argument(

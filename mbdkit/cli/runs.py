@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mbdkit import terminal
-from mbdkit.cli.common_options import AnySpecName, Archive, AsJson, Debug, Overwrite, Quiet, Set, SpecName
+from mbdkit.cli.common_options import AnySpecName, Archive, AsJson, Debug, Overwrite, Quiet, Set, SpecNameOrNone
 from mbdkit.cli.output_paths import check_new, stem
 from mbdkit.progress_bars import progress_bar
 from mbdkit.terminal import say, show, show_json, silence
@@ -29,7 +29,7 @@ BODIES_SHOWN = 20
 
 
 def run(
-    spec: SpecName,
+    spec: SpecNameOrNone = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE.h5", help="The archive; by default ./SPEC.h5.")
     ] = None,
@@ -41,6 +41,10 @@ def run(
     accuracy: Annotated[
         float | None,
         typer.Option("--accuracy", metavar="SHARE", help="Choose method and step for this accuracy, such as 1e-6."),
+    ] = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option("--resume", metavar="FILE.h5.part", help="Continue the run that was killed and left this file."),
     ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -54,7 +58,18 @@ def run(
     With --accuracy, pilot runs choose method and step so that positions are accurate
     to this share of the mechanism's size over the whole run, and a check confirms it.
     If the spec gives an integrator, only its step or tolerance is chosen.
+
+    With --resume instead of SPEC, a run that was killed goes on from its last
+    checkpoint and gives the same bits as without the interruption. Checkpoints are
+    written every 5 s, except by SciPy's solvers, by methods written in Python, and
+    with --accuracy.
     """
+    if resume is not None:
+        given = {"SPEC": spec, "--output": output, "--set": assignments, "--check": check, "--accuracy": accuracy}
+        _resume(resume, [name for name, value in given.items() if value], overwrite, as_json, quiet)
+        return
+    if spec is None:
+        raise typer.BadParameter("give a SPEC, or --resume FILE.h5.part", param_hint="SPEC")
     from mbdkit.spec import load_spec
 
     if accuracy is not None:
@@ -67,6 +82,24 @@ def run(
 
     with _placing(checked), progress_bar(path.name, quiet) as progress:
         result = simulate(checked, path=path, overwrite=overwrite, progress=progress, notify=silence if quiet else say)
+    _tell(result, as_json=as_json, quiet=quiet)
+
+
+def _resume(part: Path, superfluous: list[str], overwrite: bool, as_json: bool, quiet: bool) -> None:
+    """Continue a run that was killed."""
+    from mbdkit.errors import SpecError
+
+    if superfluous:
+        raise SpecError(f"--resume takes everything from {part.name}: leave out {', '.join(superfluous)}")
+    from mbdkit.resuming import continue_run, final_path
+
+    with progress_bar(final_path(part).name, quiet) as progress:
+        result = continue_run(part, overwrite=overwrite, progress=progress, notify=silence if quiet else say)
+    _tell(result, as_json=as_json, quiet=quiet)
+
+
+def _tell(result: Run, *, as_json: bool, quiet: bool) -> None:
+    """Print the outcome of a run, and exit with its exit status."""
     with result:
         if as_json:
             show_json(_outcome(result))
