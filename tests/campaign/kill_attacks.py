@@ -21,6 +21,7 @@ import numpy as np
 
 import mbdkit
 import mbdkit.archive.writer
+import mbdkit.run_checkpoint
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.layout import LAYOUT, is_timing
 from mbdkit.archive.run import Run
@@ -31,6 +32,9 @@ from .attack import Attack, wait_for
 
 FLUSH = 0.02
 """Time between two flushes [s]."""
+
+CHECKPOINT = 0.03
+"""Least time between two checkpoints [s]."""
 
 PATIENCE = 60.0
 """Time for a command to end that is not killed; other processes may need the cores [s]."""
@@ -52,6 +56,36 @@ STUDY = {
 """Four runs of some tenths of a second."""
 
 
+_PENDULUM = {"mbdkit": 1, "model": {"name": "n-pendulum", "n": 3}}
+
+_ADAPTIVE = {"adaptive": True, "rtol": 1e-11, "atol": 1e-11}
+
+_WINDOWS = {"name": "n-four-bar", "n": 2, "speed": 1.0}
+
+RESUMED: tuple[dict[str, Any], ...] = (
+    RUN,
+    {**RUN, "model": _WINDOWS, "time": {"end": 4.0, "step": 0.0002}, "output": {"every": 2}},
+    {**_PENDULUM, "integrator": {"name": "gauss", "stages": 2}, "time": {"end": 10.0, "step": 0.001}},
+    {
+        **_PENDULUM,
+        "integrator": {"name": "gauss", "stages": 2},
+        "time": {"end": 1.5, "step": 0.002},
+        "stabilization": "projection",
+        "events": {"up": {"when": "rod2.y"}, "pull": {"when": "J1.force - 30"}},
+    },
+    {**_PENDULUM, "integrator": {"name": "dopri5", **_ADAPTIVE}, "time": {"end": 40.0}, "output": {"interval": 0.01}},
+    {**_PENDULUM, "integrator": {"name": "radau-iia", **_ADAPTIVE}, "time": {"end": 15.0}},
+    {
+        **_PENDULUM,
+        "integrator": {"name": "radau-iia"},
+        "formulation": "index-3",
+        "time": {"end": 4.0, "step": 0.001},
+    },
+    {**_PENDULUM, "integrator": {"name": "rattle"}, "formulation": "index-3", "time": {"end": 2.0, "step": 0.0001}},
+)
+"""Runs of about a second: explicit and implicit, through singular positions, with events, projections, step control."""
+
+
 def _start(folder: Path, *arguments: str) -> int:
     """Start a command in a fork and return the id of the process; the file `flushed` tells of its first flush."""
     child = os.fork()
@@ -71,6 +105,14 @@ def _start(folder: Path, *arguments: str) -> int:
             Path("flushed").touch()
 
         mbdkit.archive.writer.ArchiveWriter._write_more = noted  # type: ignore[method-assign]
+        mbdkit.run_checkpoint.INTERVAL, mbdkit.run_checkpoint.SHARE = CHECKPOINT, 1.0
+        keep_checkpoint = mbdkit.archive.writer.ArchiveWriter.keep_checkpoint
+
+        def kept(writer: Any, state: Any) -> None:
+            keep_checkpoint(writer, state)
+            Path("checkpoint").touch()
+
+        mbdkit.archive.writer.ArchiveWriter.keep_checkpoint = kept  # type: ignore[method-assign]
         sys.argv = ["mbdkit", *arguments]
         main()
         status = 0
@@ -105,6 +147,15 @@ def _whole_run() -> tuple[Run, float]:
 
 
 @cache
+def _whole(spec: str) -> tuple[str, float]:
+    """Return the hash of a run that nobody disturbs, and the time that it takes [s]."""
+    mbdkit.run(json.loads(spec)).close()  # compiles
+    start = time.monotonic()
+    with mbdkit.run(json.loads(spec)) as run:
+        return run.data_sha256, time.monotonic() - start
+
+
+@cache
 def _whole_study() -> tuple[dict[str, str], float]:
     """Return the hashes of the study that nobody disturbs by run id, and the time that it takes [s]."""
     with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
@@ -133,7 +184,7 @@ def _rows_problems(run: Run, least: int, last_is_free: bool = False) -> list[str
 
 
 def _left(folder: Path) -> list[str]:
-    return sorted(set(os.listdir(folder)) - {"spec.json", "flushed", ".said"})
+    return sorted(set(os.listdir(folder)) - {"spec.json", "flushed", "checkpoint", ".said"})
 
 
 def kill_run(random: np.random.Generator, folder: Path) -> list[str]:
@@ -164,6 +215,43 @@ def kill_run(random: np.random.Generator, folder: Path) -> list[str]:
         with mbdkit.load(folder / "run.h5") as run:
             if run.data_sha256 != whole.data_sha256:
                 found.append("the second run differs from the undisturbed one")
+    return found
+
+
+def resume(random: np.random.Generator, folder: Path) -> list[str]:
+    """Kill a run up to three times, resume it each time, and compare its bits with those of the undisturbed run."""
+    spec = RESUMED[int(random.integers(len(RESUMED)))]
+    whole, seconds = _whole(json.dumps(spec))
+    _write_spec(folder, spec)
+    arguments = ["run", "spec.json", "-o", "run.h5", "--quiet"]
+    for _ in range(int(random.integers(1, 4))):
+        child = _start(folder, *arguments)
+        time.sleep(random.uniform(0, seconds))
+        os.kill(child, signal.SIGKILL)
+        status, *_ = wait_for(child, time.monotonic() + PATIENCE)
+        if status not in (-signal.SIGKILL, 0):
+            return [f"`mbdkit {' '.join(arguments)}` ended with {status}: {_said(folder)}"]
+        if (folder / "run.h5").exists():
+            break
+        if (folder / "run.h5.part").exists():
+            arguments = ["run", "--resume", "run.h5.part", "--quiet"]
+            if not (folder / "checkpoint").exists():  # the run had none yet, and says so
+                status, *_ = wait_for(_start(folder, *arguments), time.monotonic() + PATIENCE)
+                if status == 0:
+                    break
+                said = _said(folder)
+                if status != 2 or "Traceback" in said:
+                    return [f"a run without checkpoint was resumed with exit status {status}: {said}"]
+                arguments = ["run", "spec.json", "-o", "run.h5", "--quiet"]
+    if not (folder / "run.h5").exists() and (found := _finish(folder, *arguments)):
+        return found
+    left = set(_left(folder))
+    if left - {"run.h5.resumed.part"} != {"run.h5"}:
+        return [f"it left {', '.join(sorted(left))}"]
+    found = check(folder / "run.h5")
+    with mbdkit.load(folder / "run.h5") as run:
+        if run.data_sha256 != whole:
+            found.append("the resumed run differs from the undisturbed one")
     return found
 
 
@@ -314,6 +402,9 @@ def _is_locked(path: Path) -> bool:
 ATTACKS = (
     Attack(
         "kill-run", "SIGKILL to a run: whole rows in the .part, no damaged archive, and it runs again", 200, kill_run
+    ),
+    Attack(
+        "resume", "SIGKILL to a run, up to three times: resumed, it has the bits of the undisturbed one", 100, resume
     ),
     Attack("stop-run", "SIGTERM to a run: its archive has its final name and is sound", 200, stop_run),
     Attack(
