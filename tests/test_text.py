@@ -55,7 +55,7 @@ def test_reasons_in_the_summary_of_a_study_do_not_add_lines() -> None:
     study: Any = SimpleNamespace(
         points=(), references=(), failures=(), spec=SimpleNamespace(title=""), computed=0, folder="out"
     )
-    study.unfinished = (FORGED,)
+    study.unfinished, study.statuses, study.verdicts = (FORGED,), list, list
     assert summary(study).splitlines()[-1] == "unfinished 1 time: x\\nall is well"
 
 

@@ -70,7 +70,7 @@ def _examined_block(path: Path) -> Checked | None:
     try:
         with Block(path) as block:
             sound = block.is_sound()
-    except SpecError:
+    except (SpecError, FileNotFoundError):
         return None
     return Checked(
         [] if sound else ["its arrays or attributes do not have the hashes that were written with them"], True

@@ -94,12 +94,13 @@ def archive_export(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Export a run, each group to a file GROUP.FORMAT; of a study, the table of its runs.
+    """Export a run, or the table of the runs of a study.
 
-    Groups are trajectory, joints, forces, markers, constraints, energy, steps, events
-    and accuracy, as far as the run has them. Columns are named as in expressions of
-    events, such as knee.force_x. The folder of a study gives one file, runs.FORMAT,
-    with one row for each run. Prints the names of the files.
+    Each group of a run gives a file GROUP.FORMAT. Groups are trajectory, joints, forces,
+    markers, constraints, energy, steps, events and accuracy, as far as the run has them.
+    Columns are named as in expressions of events, such as knee.force_x. The folder of a
+    study gives one file, runs.FORMAT, with one row for each run. Prints the names of the
+    files.
     """
     from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.archive.export import export

@@ -143,8 +143,7 @@ def grids(spec: StudySpec) -> tuple[Grid, ...]:
 
 def number_of_points(spec: StudySpec) -> int:
     """Return the number of points of a study, of which none is made for that."""
-    grids_of_axes = [family.axes for family in spec.families.values()] or [spec.axes]
-    return rows_of(spec) * sum(math.prod(size(next(iter(axis.values()))) for axis in axes) for axes in grids_of_axes)
+    return rows_of(spec) * sum(math.prod(size(next(iter(axis.values()))) for axis in axes) for axes in _axes(spec))
 
 
 def _check_size(spec: StudySpec) -> None:
@@ -155,6 +154,16 @@ def _check_size(spec: StudySpec) -> None:
         told = runs if runs < 10**12 else "too many"
         most = f"{LARGEST_STUDY} with a file for each" if runs <= LARGEST_TABLE else f"{LARGEST_TABLE}"
         raise spec.placed(SpecError(f"makes {told} runs; a study has at most {most}", key=key))
+    values = sum(size(values) for axes in _axes(spec) for axis in axes for values in axis.values())
+    if values > MOST_SETTINGS:
+        raise spec.placed(
+            SpecError(f"lists {values} values; the axes of a study list at most {MOST_SETTINGS}", key=key)
+        )
+
+
+def _axes(spec: StudySpec) -> list[Sequence[Mapping[str, Any]]]:
+    """Return the axes of each family."""
+    return [family.axes for family in spec.families.values()] or [spec.axes]
 
 
 def _grid(spec: StudySpec, name: str, family: Family, place: Path) -> Grid:
