@@ -13,6 +13,7 @@ import pytest
 
 import mbdkit
 from mbdkit import stepping
+from mbdkit.batch import simulate_batch
 from mbdkit.engine import kernels
 from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
 from mbdkit.engine.jit.bundle import PinnedBundle
@@ -66,6 +67,8 @@ def test_bundles_of_runs_have_the_types_that_kernels_are_compiled_for(pinned: li
             mbdkit.run(example, **{"events": {}, "time": {"end": 0.02, "step": 0.01}} | sections).check()
         workspace, _ = build(load_spec(example))
         call_everything(EquationsOfMotion(workspace))
+        in_lanes = load_spec(example, (), integrator={"name": "rk4"}, time={"end": 0.02, "step": 0.01}, events={})
+        assert len(list(simulate_batch([in_lanes]))) == 1
         workspace.use_pivots()
     expected = expected_types()
     assert {type(bundle).__name__ for bundle in pinned} == set(expected)
