@@ -30,6 +30,7 @@ BODIES_SHOWN = 20
 
 def run(
     spec: SpecNameOrNone = None,
+    *,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE.h5", help="The archive; by default ./SPEC.h5.")
     ] = None,
