@@ -37,7 +37,10 @@ CHUNK = 8 * WIDTH
 
 
 def simulate_batch(
-    specs: Iterable[RunSpec], *, notify: Callable[[str], None] = to_stderr
+    specs: Iterable[RunSpec],
+    *,
+    notify: Callable[[str], None] = to_stderr,
+    begun: Callable[[int], None] | None = None,
 ) -> Iterator[FinishedRun | Refused]:
     """Run validated specs, and yield the result of each, in the order of `specs`.
 
@@ -48,14 +51,27 @@ def simulate_batch(
     ----------
     notify
         Called with a message before long operations.
+    begun
+        Called with the place of a run in `specs`, from 0, before code of plugins prepares it or runs it alone. Several
+        runs are prepared before the first result is yielded.
     """
-    lanes, remaining = LaneRuns(), iter(specs)
+    begun = begun or _ignored
+    lanes, remaining = LaneRuns(), iter(enumerate(specs))
     while chunk := list(islice(remaining, CHUNK)):
-        prepared = [_member(spec, notify) for spec in chunk]
+        prepared = []
+        for place, spec in chunk:
+            begun(place)
+            prepared.append(_member(spec, notify))
         finished = iter(lanes.finished([member for member in prepared if member is not None]))
-        for spec, member in zip(chunk, prepared, strict=True):
+        for (place, spec), member in zip(chunk, prepared, strict=True):
             run = None if member is None else next(finished)
+            if run is None:
+                begun(place)
             yield _alone(spec, notify) if run is None else run
+
+
+def _ignored(place: int) -> None:
+    """Ignore that a run begins."""
 
 
 def _member(spec: RunSpec, notify: Callable[[str], None]) -> LaneMember | None:

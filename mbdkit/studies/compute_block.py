@@ -223,15 +223,9 @@ def _results(
     members: Sequence[_Member], mark: _Mark, notify: Callable[[str], None]
 ) -> Iterator[tuple[_Member, FinishedRun | Refused]]:
     """Yield each member with its result, in order."""
-    computed = [member for member in members if isinstance(member.spec, RunSpec)]
-
-    def specs() -> Iterator[RunSpec]:
-        for member in computed:
-            mark.note(member.point.number)
-            assert isinstance(member.spec, RunSpec)
-            yield member.spec
-
-    results = simulate_batch(specs(), notify=notify)
+    specs = {member.point.number: member.spec for member in members if isinstance(member.spec, RunSpec)}
+    numbers = list(specs)
+    results = simulate_batch(specs.values(), notify=notify, begun=lambda place: mark.note(numbers[place]))
     for member in members:
         yield member, (member.spec if isinstance(member.spec, Refused) else next(results))
 

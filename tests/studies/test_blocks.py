@@ -19,15 +19,18 @@ import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit import batch
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.blocks import Block
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.spec import RunSpec
 from mbdkit.studies import block_execution, pool
 from mbdkit.studies.compute_block import compute_block
 from mbdkit.studies.execute import Shard
 from mbdkit.studies.pool import BlockTask, Outcome, Pool
 from mbdkit.studies.runs_table import export_runs
+from mbdkit.studies.study_folder import StudyFolder
 
 BASE: dict[str, Any] = {
     "mbdkit": 1,
@@ -237,6 +240,22 @@ def test_a_block_is_a_function_of_its_folder(grid: mbdkit.Study, tmp_path: Path)
         compute_block(out, block)
     assert mbdkit.study(GRID, out=out).computed == 0
     assert index_hash(out) == index_hash(grid.folder)
+
+
+def test_a_process_that_dies_in_a_run_is_known_to_have_died_in_that_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # several runs are prepared at once, but the file that names the run at work must name the one that is computed
+    alone, at_work = batch.simulate_arrays, []
+
+    def noting(spec: RunSpec, **rest: Any) -> Any:
+        at_work.append((StudyFolder(tmp_path / "s").run_at_work(0), spec.run_id()))
+        return alone(spec, **rest)
+
+    monkeypatch.setattr(batch, "simulate_arrays", noting)
+    study = mbdkit.study(GRID | {"block": 15}, out=tmp_path / "s")
+    assert len(at_work) >= 8
+    assert all(study.points[number - 1].run_id == run_id for number, run_id in at_work)
 
 
 @pytest.mark.usefixtures("processes")
