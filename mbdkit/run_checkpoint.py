@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.archive.run_writer import RunWriter
+from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine.stored_arrays import fill, pattern_of, restore, scatter_of, solver_of, stored, stored_solver
 from mbdkit.errors import SpecError
 from mbdkit.events.watch import Watch
@@ -153,7 +153,7 @@ class Checkpoints:
         Returns the state to be stored.
     """
 
-    def __init__(self, writer: RunWriter, state: Callable[[], Mapping[str, Any]]):
+    def __init__(self, writer: ArchiveWriter, state: Callable[[], Mapping[str, Any]]):
         self._writer, self._state = writer, state
         self._due = time.monotonic() + INTERVAL
 

@@ -511,7 +511,10 @@ class _Simulation:
 
     def checkpoints(self, wall: float, cpu: float) -> Checkpoints | None:
         """Return the checkpoints of the run, whose steps began at these times [s]; None if it has none."""
-        parts = self.parts() if self.writer.keeps_checkpoints else None
+        writer = self.writer
+        if not (isinstance(writer, ArchiveWriter) and writer.keeps_checkpoints):
+            return None
+        parts = self.parts()
         if parts is None:
             return None
 
@@ -519,7 +522,7 @@ class _Simulation:
             spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
             return {**parts.stored(), "times": {**self.timings, **spent}}
 
-        return Checkpoints(self.writer, state)
+        return Checkpoints(writer, state)
 
     def advance(
         self, stepper: Advancing, progress: Progress | None, begin: float, checkpoints: Checkpoints | None

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -155,15 +154,6 @@ class RunWriter(ABC):
     @abstractmethod
     def flush_if_due(self) -> None:
         """Write the buffered rows and flush the file, if there is one, from time to time."""
-
-    @property
-    def keeps_checkpoints(self) -> bool:
-        """Whether `keep_checkpoint` may be called."""
-        return False
-
-    def keep_checkpoint(self, state: Mapping[str, Any]) -> None:
-        """Write the rows taken so far, and the state from which the run continues after them."""
-        raise NotImplementedError
 
     @abstractmethod
     def abandon(self) -> None:

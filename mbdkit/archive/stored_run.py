@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from types import MappingProxyType
 
 import h5py
@@ -117,7 +116,9 @@ class StoredRun(Run):
 
     @cached_property
     def file(self) -> h5py.File:
-        """An HDF5 file in memory with the contents of the run."""
+        """An HDF5 file in memory with the contents of the run; raises MbdkitError if not all of its arrays are kept."""
+        if self._store:
+            raise NotStoredError("complete archive", self._store)
         finished, heading = self._finished, self._heading
         writer = ArchiveWriter(
             None,
@@ -142,12 +143,6 @@ class StoredRun(Run):
         assert file is not None
         file.attrs.modify("data_sha256", finished.data_sha256)
         return file
-
-    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write the run as an archive; raise MbdkitError if not all of its arrays are kept."""
-        if self._store:
-            raise NotStoredError("complete archive", self._store)
-        super().save(path, overwrite=overwrite)
 
     def close(self) -> None:
         """Release the HDF5 file in memory, if there is one."""
