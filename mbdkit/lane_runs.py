@@ -168,8 +168,9 @@ class _Group:
         lost = results.lost | self._beyond_limits(results, [one.table.guards for one in members])
         if np.all(lost):
             return [None] * len(members)
-        arrays = {key: self._by_run(COLUMNS[key](states), key, len(members)) for key in self.row_keys}
-        recorded = self._recorded(members, results, states)
+        with np.errstate(all="ignore"):  # in lost lanes
+            arrays = {key: self._by_run(COLUMNS[key](states), key, len(members)) for key in self.row_keys}
+            recorded = self._recorded(members, results, states)
         seconds = (time.perf_counter() - begin) / len(members), (time.process_time() - cpu) / len(members)
         finished: list[FinishedRun | None] = []
         for lane, member in enumerate(members):
@@ -215,12 +216,11 @@ class _Group:
     ) -> list[tuple[np.ndarray, _RecordedRun]]:
         """Return the largest misalignments (J,) of each run over all steps, and what its recorded states show."""
         shape = (len(members), self.rows)
-        with np.errstate(invalid="ignore", over="ignore"):  # in lost lanes
-            misalignment = states.misalignment.reshape(*shape, -1).max(axis=1)
-            worst = np.maximum(self.joints.misalignment_of_squares(results.worst), misalignment)
-            angles = self.joints.angle_misalignment(np.abs(results.observed.phi).max(axis=1))
-            kinetic, balance = results.observed.kinetic, states.balance.reshape(shape)
-            others = np.stack([results.observed.potential, results.energy[:, :, 0], results.energy[:, :, 1]])
+        misalignment = states.misalignment.reshape(*shape, -1).max(axis=1)
+        worst = np.maximum(self.joints.misalignment_of_squares(results.worst), misalignment)
+        angles = self.joints.angle_misalignment(np.abs(results.observed.phi).max(axis=1))
+        kinetic, balance = results.observed.kinetic, states.balance.reshape(shape)
+        others = np.stack([results.observed.potential, results.energy[:, :, 0], results.energy[:, :, 1]])
         found = []
         for lane, member in enumerate(members):
             energies = EnergyRecord()
