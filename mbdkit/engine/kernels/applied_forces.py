@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.jit.decorators import subkernel
-from mbdkit.engine.jit.lane_types import is_refused, where
+from mbdkit.engine.jit.lane_types import any_of, is_refused, where
 from mbdkit.engine.jit.law_calls import HAS_POTENTIAL, PASSIVE, call_law
 from mbdkit.engine.kernels import element_kernels as e
 from mbdkit.engine.kernels.vectors import fill
@@ -37,8 +37,9 @@ def pathway_lengths(top, w, q):
         a, b = springs[k, 1], springs[k, 2]
         if springs[k, 0] == _TWO_POINTS:
             two_points_gradient(k, a, b, q, cs, points, s, grad)
-            for i in range(6):  # coincident points define no direction (0/0): the spring then exerts no force
-                grad[k, i] = where(s[k, 0] == 0.0, 0.0, grad[k, i])
+            if any_of(s[k, 0] == 0.0):  # coincident points define no direction (0/0): the spring then exerts no force
+                for i in range(6):
+                    grad[k, i] = where(s[k, 0] == 0.0, 0.0, grad[k, i])
         elif springs[k, 0] == _RELATIVE_ANGLE:
             relative_angle_gradient(k, a, b, q, cs, points, s, grad)
         elif springs[k, 0] == _COORDINATE_X:
