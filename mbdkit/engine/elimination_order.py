@@ -216,7 +216,8 @@ def _sparsest(matrix: Any) -> tuple[Any, float]:
         rmatvec=lambda x: best.solve(x.ravel(), "H"),
         dtype=matrix.dtype,
     )
-    return best, float(onenormest(inverse) * abs(matrix).sum(axis=0).max())
+    with np.errstate(all="ignore"):  # a matrix that is singular to rounding has a condition that is not finite
+        return best, float(onenormest(inverse) * abs(matrix).sum(axis=0).max())
 
 
 def equilibrate(n: int, row: np.ndarray, column: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

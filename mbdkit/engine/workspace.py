@@ -148,7 +148,8 @@ class Workspace:
         entries, which = np.unique(flat, return_inverse=True)
         row, column = entries // n, entries % n
         values = np.zeros(len(entries), dtype=coefficients.dtype)
-        np.add.at(values, which, coefficients * self.scratch.source[terms.source])
+        with np.errstate(all="ignore"):  # values that are not finite are refused as singular
+            np.add.at(values, which, coefficients * self.scratch.source[terms.source])
         scales = (np.ones(n), self._inertial_scale())
         choice = pivot_order(n, row, column, values, self.mechanism.natural_order, scales)
         pattern, position = symbolic_lu(n, row, column, choice)
