@@ -43,7 +43,9 @@ Set = Annotated[
 BaseSet = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="KEY=VALUE", help="Set a key in the base of every run, such as time.end=5; may be repeated."
+        "--set",
+        metavar="KEY=VALUE",
+        help="Set a key in the base of every run, such as time.end=5, or of the sample (sample.n=64); may be repeated.",
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]

@@ -24,6 +24,8 @@ _WORDS = {
 }
 _SECTIONS = {"model", "integrator", "time", "output", "limits", "stabilization", "parameters"}
 _KINDS = {"bodies", "joints", "forces", "markers", "springs"}
+_VECTORS = {"position", "velocity", "point", "at", "from", "to", "axis", "gravity"}
+"""Keys with a component along x and one along y."""
 
 
 def key_words(key: str | Path) -> str:
@@ -34,8 +36,13 @@ def key_words(key: str | Path) -> str:
     shown = [part.replace("_", " ") for part in path if part not in _KINDS]
     if len(shown) > 1 and path[0] in _SECTIONS:
         shown = shown[1:]
+    if "points" in shown[:-1] and shown[place := shown.index("points") + 1].isdigit():
+        shown[place - 1 : place + 1] = [f"point {int(shown[place]) + 1}"]
     if shown[-1].isdigit() and len(shown) > 1:
-        shown[-2:] = [f"{shown[-2]}, number {int(shown[-1]) + 1}"]
+        if shown[-1] in ("0", "1") and shown[-2].split()[0] in _VECTORS:
+            shown[-1] = "xy"[int(shown[-1])]
+        else:
+            shown[-2:] = [f"{shown[-2]}, number {int(shown[-1]) + 1}"]
     return " of ".join(reversed(shown))
 
 

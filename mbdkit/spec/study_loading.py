@@ -13,7 +13,7 @@ from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.spec.loading import example_names, exists, read_source
-from mbdkit.spec.reading import parse_key, read_assignment, read_file, read_stdin, read_text
+from mbdkit.spec.reading import parse_key, read_assignment, read_file, read_stdin, read_text, set_value
 from mbdkit.spec.sample_section import comparable
 from mbdkit.spec.source_document import Document
 from mbdkit.spec.study_spec import StudySpec
@@ -30,8 +30,8 @@ def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
         A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged study, a mapping, a document
         that was read, or a `StudySpec`. The file name of a base is relative to the folder of the study file.
     assignments
-        Assignments such as ``"time.end=5"``, with values in YAML, that are set in the base of every run, after the
-        `overrides` of the study.
+        Assignments with values in YAML: such as ``"time.end=5"``, set in the base of every run, after the `overrides`
+        of the study; or such as ``"sample.n=64"``, set in the sample.
 
     Returns
     -------
@@ -70,8 +70,11 @@ def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
 
 
 def _override(document: Document, assignment: str) -> None:
-    """Set a key in the base of every run: in the overrides of the study, and of families that have their own."""
+    """Set a key of the sample, or one in the base of every run: in the overrides of the study and of its families."""
     path, value = read_assignment(assignment)
+    if path[0] == "sample":  # no key of runs
+        set_value(document, assignment)
+        return
     key = path_text(path)
     holders: dict[Path, dict[str, Any]] = {(): document.data}
     _check_sample(document.data.get("sample"), path, assignment)

@@ -148,6 +148,9 @@ def test_axes_of_charts_are_named_in_words_with_units(document):
         ("model.angles.0", "angles, number 1"),
         ("parameters.crank", "crank"),
         ("model.springs.support.free_length", "free length of support"),
+        ("model.springs.support.points.0.1", "y of point 1 of support"),
+        ("model.bodies.rod.position[0]", "x of position of rod"),
+        ("model.forces.strut.points.1", "point 2 of strut"),
         ("check", "check"),
     ],
 )

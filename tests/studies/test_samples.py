@@ -299,3 +299,24 @@ def test_what_is_not_stored_has_no_quantiles(throw: dict[str, Any], tmp_path: Pa
     study = mbdkit.study(throw | {"store": "summary"}, out=tmp_path / "s")
     with pytest.raises(MbdkitError, match=r"keeps no values over time \(store: summary\)"):
         study.quantiles("ball.x")
+
+
+def test_a_key_of_the_sample_is_set_by_an_assignment(throw: dict[str, Any], tmp_path: Path) -> None:
+    study = mbdkit.study(throw, assignments=["sample.n=4", "time.end=0.2"], out=tmp_path / "study")
+    assert len(study.points) == 4
+    with study.run(3) as run:
+        assert run.time[-1] == 0.2
+    with pytest.raises(SpecError, match=r"--set sample\.m=4.*unknown key; known here: n, method"):
+        mbdkit.study(throw, assignments=["sample.m=4"], out=tmp_path / "other")
+
+
+def test_the_packaged_sample_of_knee_supports(tmp_path: Path) -> None:
+    study = mbdkit.study("knee-spring", assignments=["sample.n=4"], out=tmp_path / "knees")
+    table = study.to_frame()
+    assert set(table["status"]) == {"complete"}
+    assert not set(table["verdict"]) & {"doubtful", "bad"}
+    for place in (0, len(table) - 1):
+        with study.run(place) as run:
+            force = run.joints["C"].reaction_force + run.joints["D"].reaction_force
+            assert table["peak"][place] == pytest.approx(np.linalg.norm(force, axis=1).max(), rel=1e-12)
+            assert run.spec["model"]["springs"]["support"]["stiffness"] == table["model.springs.support.stiffness"][place]
