@@ -615,9 +615,9 @@ class Mechanism(HtmlView):
         return cls.from_data(data)
 
     @classmethod
-    def from_data(cls, data: MechanismData) -> Mechanism:
+    def from_data(cls, data: MechanismData, *, name: str = "mechanism") -> Mechanism:
         """Return the mechanism described by validated `data`, after checks across its elements."""
-        mechanism = cls(data.gravity)
+        mechanism = cls(data.gravity, name=name)
         check_names(data.bodies, data.joints, data.forces, data.markers)
         mechanism.bodies = dict(data.bodies)
         mechanism.joints = {

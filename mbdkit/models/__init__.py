@@ -1,6 +1,6 @@
 """The built-in models; each module builds a mechanism from a few parameters."""
 
-from mbdkit.models import double_pendulum, four_bar_knee, free_form, n_four_bar, n_pendulum, single_pendulum
+from mbdkit.models import double_pendulum, four_bar_knee, free_form, leg, n_four_bar, n_pendulum, single_pendulum
 from mbdkit.registry.items import ModelPlugin
 
 MODELS = (
@@ -24,6 +24,10 @@ MODELS = (
         four_bar_knee.FourBarKneeOptions,
         four_bar_knee.build,
         four_bar_knee.REFERENCES,
+    ),
+    ModelPlugin("leg", leg.SUMMARY, leg.LegOptions, leg.build, leg.REFERENCES),
+    ModelPlugin(
+        "leg-four-bar", leg.FOUR_BAR_SUMMARY, leg.LegFourBarOptions, leg.build_four_bar, leg.FOUR_BAR_REFERENCES
     ),
     ModelPlugin("mechanism", free_form.SUMMARY, free_form.MechanismOptions, free_form.build),
 )

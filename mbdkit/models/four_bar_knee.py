@@ -39,7 +39,6 @@ Masses
 
 from __future__ import annotations
 
-import cmath
 import math
 
 from pydantic import Field
@@ -48,7 +47,8 @@ from mbdkit.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import NotNegative, Number, Point, Points, Positive
 from mbdkit.models._crossed_four_bar import CrossedFourBar
-from mbdkit.models._leg import FRACTIONS, GAIT2D, WINTER, foot, shank
+from mbdkit.models._knee_linkage import Frame, knee_of, xy
+from mbdkit.models._segments import FRACTIONS, GAIT2D, WINTER, Person
 from mbdkit.strict_model import StrictModel
 
 SUMMARY = "A lower leg on a crossed four-bar linkage at a fixed thigh, with springs and dampers."
@@ -63,7 +63,6 @@ REFERENCES = (EXOSKELETON, WINTER, FRACTIONS, GAIT2D)
 
 REFERENCE_HEIGHT = 1.78  # m, body height for which the linkage was designed
 LINKS = {"tibial": 0.0445, "femoral": 0.0409, "acl": 0.0516, "pcl": 0.0472}  # m, at that height
-MOUNTING = 0.009  # m, midpoint of the tibial link below O, at that height
 DAMPER = "knee-damping"
 
 
@@ -130,12 +129,12 @@ class FourBarKneeOptions(StrictModel):
     """Gravitational acceleration (x, y) [m/s^2]."""
 
 
-def linkage(options: FourBarKneeOptions) -> CrossedFourBar:
-    """Return the four-bar linkage that the `options` describe."""
-    scale = options.height / REFERENCE_HEIGHT
-    given = options.links.model_dump(exclude_none=True)
+def linkage(height: float, links: KneeLinks, pitches: KneePitches) -> CrossedFourBar:
+    """Return the four-bar linkage of a person with this body height [m]; given lengths replace those that scale."""
+    scale = height / REFERENCE_HEIGHT
+    given = links.model_dump(exclude_none=True)
     lengths = {name: given.get(name, scale * length) for name, length in LINKS.items()}
-    return CrossedFourBar(**lengths, tibial_pitch=options.pitches.tibial, femoral_pitch=options.pitches.femoral)
+    return CrossedFourBar(**lengths, tibial_pitch=pitches.tibial, femoral_pitch=pitches.femoral)
 
 
 def build(options: FourBarKneeOptions) -> Mechanism:
@@ -146,50 +145,19 @@ def build(options: FourBarKneeOptions) -> Mechanism:
     SpecError
         If the linkage cannot be assembled at this flexion, or if the name of a spring is not valid.
     """
-    four_bar = linkage(options)
-    straight, pose = four_bar.pose(0.0), four_bar.pose(options.flexion)
-    knee = 0.5 * (straight.A + straight.B) + 1j * MOUNTING * options.height / REFERENCE_HEIGHT  # O in the tibia's frame
-
-    # The shank frame is the thigh frame rotated clockwise by the flexion; C is fixed to the thigh.
-    thigh = cmath.rect(1.0, options.thigh_angle + 0.5 * math.pi)
-    turn = thigh * cmath.rect(1.0, -options.flexion)
-    c = thigh * (straight.C - knee)
-    d = thigh * (straight.D - knee)
-    a = c + turn * (pose.A - pose.C)
-    b = c + turn * (pose.B - pose.C)
-
-    rate = -options.flexion_rate
-    acl_rate, pcl_rate = four_bar.rod_rates(pose, rate)
-    leg = shank(options.body_mass, options.height) + foot(options.body_mass, options.height)
-    to_centre = turn * (leg.centre - (pose.B - knee))
+    person = Person(options.body_mass, options.height)
+    thigh = Frame.at(0j, options.thigh_angle + 0.5 * math.pi)
+    four_bar = linkage(options.height, options.links, options.pitches)
+    knee = knee_of(four_bar, options.height, thigh, (options.flexion, options.flexion_rate), options.rod_mass)
+    leg = person.shank + person.foot_on_shank
 
     mechanism = Mechanism(options.gravity, name="four-bar-knee")
-    rods = (("acl", four_bar.acl, c, b, acl_rate), ("pcl", four_bar.pcl, d, a, pcl_rate))
-    for name, length, start, end, spin in rods:
-        mechanism.body(
-            name,
-            mass=options.rod_mass,
-            inertia=options.rod_mass * length**2 / 12,
-            position=_xy(0.5 * (start + end)),
-            angle=cmath.phase(end - start),
-            velocity=_xy(0.5j * spin * (end - start)),
-            angular_velocity=spin,
-        )
-    mechanism.body(
-        "shank",
-        mass=leg.mass,
-        inertia=leg.inertia,
-        position=_xy(b + to_centre),
-        angle=options.thigh_angle + 0.5 * math.pi - options.flexion,
-        velocity=_xy(1j * acl_rate * (b - c) + 1j * rate * to_centre),
-        angular_velocity=rate,
-    )
-
-    acl, pcl = 0.5 * four_bar.acl, 0.5 * four_bar.pcl
-    mechanism.revolute("A", "pcl", "shank", points=((pcl, 0.0), _xy(pose.A - knee - leg.centre)))
-    mechanism.revolute("B", "acl", "shank", points=((acl, 0.0), _xy(pose.B - knee - leg.centre)))
-    mechanism.revolute("C", mechanism.ground, "acl", points=(_xy(c), (-acl, 0.0)))
-    mechanism.revolute("D", mechanism.ground, "pcl", points=(_xy(d), (-pcl, 0.0)))
+    mechanism.bodies = {**knee.rods, "shank": knee.shank.carry(leg)}
+    acl, pcl = knee.ends["acl"], knee.ends["pcl"]
+    mechanism.revolute("A", "pcl", "shank", points=((pcl, 0.0), xy(knee.tibial["A"] - leg.centre)))
+    mechanism.revolute("B", "acl", "shank", points=((acl, 0.0), xy(knee.tibial["B"] - leg.centre)))
+    mechanism.revolute("C", mechanism.ground, "acl", points=(xy(thigh.to_global(knee.femoral["C"])), (-acl, 0.0)))
+    mechanism.revolute("D", mechanism.ground, "pcl", points=(xy(thigh.to_global(knee.femoral["D"])), (-pcl, 0.0)))
 
     if options.damping > 0:
         mechanism.torsion_spring(DAMPER, mechanism.ground, "shank", damping=options.damping)
@@ -200,7 +168,7 @@ def build(options: FourBarKneeOptions) -> Mechanism:
                 name,
                 mechanism.ground,
                 "shank",
-                points=(_xy(thigh * on_thigh), _xy(on_shank - leg.centre)),
+                points=(xy(thigh.to_global(on_thigh)), xy(on_shank - leg.centre)),
                 stiffness=spring.stiffness,
                 damping=spring.damping,
                 free_length=spring.free_length,
@@ -208,7 +176,3 @@ def build(options: FourBarKneeOptions) -> Mechanism:
         except SpecError as error:
             raise SpecError(error.message, key=f"springs.{name}") from None
     return mechanism
-
-
-def _xy(point: complex) -> tuple[float, float]:
-    return point.real, point.imag

@@ -11,8 +11,8 @@ import pytest
 from pydantic import ValidationError
 
 from mbdkit.errors import SpecError
-from mbdkit.models._leg import foot, shank
-from mbdkit.models.four_bar_knee import FourBarKneeOptions, build, linkage
+from mbdkit.models._segments import Person
+from mbdkit.models.four_bar_knee import FourBarKneeOptions, KneeLinks, KneePitches, build, linkage
 
 STRAIGHT = {
     "A": (0.0, 0.0),
@@ -35,6 +35,7 @@ INSTANT_CENTRES = [
     (110, 0.035085, 4.359148),
     (120, -0.567003, 3.714116),
 ]
+LINKAGE = linkage(1.78, KneeLinks(), KneePitches())
 RANGE = (-90, 158)  # scanned in steps of one degree
 FLEXIONS = [-1.2, -0.3, 0.0, 0.35, 1.0, math.pi / 2, 2.2, 2.7]
 
@@ -55,25 +56,25 @@ def shank_frame_point(m, straight, local):
 
 
 def test_linkage_of_the_straight_leg_is_that_of_the_source():
-    pose = linkage(FourBarKneeOptions()).pose(0.0)
+    pose = LINKAGE.pose(0.0)
     for name, (x, y) in STRAIGHT.items():
         assert 1000 * getattr(pose, name) == pytest.approx(complex(x, y), abs=1e-11)
 
 
 @pytest.mark.parametrize(("degrees", "x", "y"), INSTANT_CENTRES)
 def test_instant_centre_in_the_tibia_is_that_of_the_source(degrees, x, y):
-    centre = linkage(FourBarKneeOptions()).pose(math.radians(degrees)).instant_centre
+    centre = LINKAGE.pose(math.radians(degrees)).instant_centre
     assert 1000 * centre == pytest.approx(complex(x, y), abs=1e-6)
 
 
 def test_range_of_crossed_rods_is_that_of_the_source():
-    low, high = (math.degrees(limit) for limit in linkage(FourBarKneeOptions()).range)
+    low, high = (math.degrees(limit) for limit in LINKAGE.range)
     assert RANGE[0] - 1 < low <= RANGE[0]
     assert RANGE[1] <= high < RANGE[1] + 1
 
 
 def test_instant_centre_is_where_the_shank_is_at_rest():
-    four_bar = linkage(FourBarKneeOptions())
+    four_bar = LINKAGE
     for flexion in FLEXIONS:
         m = build(FourBarKneeOptions(flexion=flexion, flexion_rate=3.0))
         pose = four_bar.pose(flexion)
@@ -154,7 +155,7 @@ def test_rods_are_uniform_and_as_long_as_their_links():
 
 def test_leg_segments_are_those_published_for_75_kg_and_180_cm():
     """csu-hmc/gait2d, data/example_constants.yml (commit 44bb269): Winter's segments, printed to four decimals."""
-    calf, tarsus = shank(75.0, 1.8), foot(75.0, 1.8)
+    calf, tarsus = Person(75.0, 1.8).shank, Person(75.0, 1.8).foot_on_shank
     assert calf.mass == pytest.approx(3.4875)
     assert calf.centre == pytest.approx(-0.1917j, abs=5e-5)
     assert calf.inertia == pytest.approx(0.0624, abs=5e-5)
@@ -164,7 +165,7 @@ def test_leg_segments_are_those_published_for_75_kg_and_180_cm():
 
 
 def test_shank_and_foot_are_one_body_by_the_parallel_axis_theorem():
-    calf, tarsus = shank(75.0, 1.8), foot(75.0, 1.8)
+    calf, tarsus = Person(75.0, 1.8).shank, Person(75.0, 1.8).foot_on_shank
     both = calf + tarsus
     assert both.mass == calf.mass + tarsus.mass
     assert both.mass * both.centre == pytest.approx(calf.mass * calf.centre + tarsus.mass * tarsus.centre)

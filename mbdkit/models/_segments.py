@@ -1,0 +1,196 @@
+"""Mass, centre of mass and inertia of body segments from body mass and height, by tables of the literature.
+
+Points of a segment are complex numbers x + i y [m] in the *segment frame*: origin at the proximal joint, y along the
+segment to this joint (up for a standing person), and x forward.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+WINTER = """@book{winter2009,
+  author    = {Winter, David A.},
+  title     = {Biomechanics and Motor Control of Human Movement},
+  edition   = {4},
+  publisher = {John Wiley \\& Sons},
+  year      = {2009},
+  doi       = {10.1002/9780470549148},
+  note      = {Segment fractions of body mass, height and segment length}
+}"""
+DE_LEVA = """@article{deleva1996,
+  author  = {de Leva, Paolo},
+  title   = {Adjustments to {Zatsiorsky-Seluyanov's} segment inertia parameters},
+  journal = {Journal of Biomechanics},
+  volume  = {29},
+  number  = {9},
+  pages   = {1223--1230},
+  year    = {1996},
+  doi     = {10.1016/0021-9290(95)00178-6}
+}"""
+FRACTIONS = """@misc{gaitanalysistoolkit,
+  author       = {{csu-hmc}},
+  title        = {GaitAnalysisToolKit, gaitanalysis/octave/2d\\_inverse\\_dynamics/leg2d.m},
+  howpublished = {\\url{https://github.com/csu-hmc/GaitAnalysisToolKit}},
+  note         = {Commit 3f1c0a2bb69fff5775b71b1ed809515a6937d16c; Winter's fractions as used here}
+}"""
+GAIT2D = """@misc{gait2d,
+  author       = {{csu-hmc}},
+  title        = {gait2d, data/example\\_constants.yml},
+  howpublished = {\\url{https://github.com/csu-hmc/gait2d}},
+  note         = {Commit 44bb269cc3be09d4c36936d47b15f83a130e1ab3; height 1.8 m, heel 0.06 m behind the ankle}
+}"""
+
+HEEL_BEHIND_ANKLE, ANKLE_HEIGHT = 0.06 / 1.8, 0.039
+"""Of body height; for all tables."""
+TRUNK_CENTRE, TRUNK_GYRATION = 0.3155 / 1.8, math.sqrt(3.1777 / 50.85) / 1.8
+"""Height above the hips of the centre of mass of head, arms and trunk, and radius of gyration, of body height, for all
+tables; from the segments that gait2d computes with Winter's fractions for 75 kg and 1.8 m."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A rigid segment: mass [kg], centre of mass x + i y [m], moment of inertia about that centre [kg m^2]."""
+
+    mass: float
+    centre: complex
+    inertia: float
+
+    def __add__(self, other: Segment) -> Segment:
+        """Return both segments joined rigidly, as one segment (parallel axis theorem)."""
+        mass = self.mass + other.mass
+        centre = (self.mass * self.centre + other.mass * other.centre) / mass
+        reduced = self.mass * other.mass / mass
+        inertia = self.inertia + other.inertia + reduced * abs(self.centre - other.centre) ** 2
+        return Segment(mass, centre, inertia)
+
+
+@dataclass(frozen=True)
+class Fractions:
+    """Proportions of a segment.
+
+    Attributes
+    ----------
+    mass
+        Of body mass.
+    length
+        Of body height.
+    centre
+        Distance of the centre of mass from the proximal end (foot: from the heel), of the length.
+    gyration
+        Radius of gyration about the centre of mass and the mediolateral axis, of the length.
+    """
+
+    mass: float
+    length: float
+    centre: float
+    gyration: float
+
+
+@dataclass(frozen=True)
+class SegmentTable:
+    """Proportions of thigh (hip to knee), shank (knee to ankle) and foot (from the heel)."""
+
+    thigh: Fractions
+    shank: Fractions
+    foot: Fractions
+
+
+TABLES = {
+    "winter": SegmentTable(
+        Fractions(0.1, 0.245, 0.433, 0.323),
+        Fractions(0.0465, 0.246, 0.433, 0.302),
+        Fractions(0.0145, 0.152, 0.5, 0.475),
+    ),
+    "de-leva-female": SegmentTable(
+        Fractions(0.1478, 0.3685 / 1.735, 0.3612, 0.364),
+        Fractions(0.0481, 0.4323 / 1.735, 0.4416, 0.267),
+        Fractions(0.0129, 0.2283 / 1.735, 0.4014, 0.279),
+    ),
+    "de-leva-male": SegmentTable(
+        Fractions(0.1416, 0.4222 / 1.741, 0.4095, 0.329),
+        Fractions(0.0433, 0.434 / 1.741, 0.4459, 0.249),
+        Fractions(0.0137, 0.2581 / 1.741, 0.4415, 0.245),
+    ),
+}
+"""Tables by name: Winter's, and de Leva's table 4 for women (1.735 m) and men (1.741 m), with the shank that ends at
+the lateral malleolus and the radii of gyration of the column "transverse"."""
+
+
+@dataclass(frozen=True)
+class Person:
+    """The segments of a person.
+
+    Parameters
+    ----------
+    body_mass
+        Body mass [kg].
+    height
+        Body height [m].
+    table
+        Name of the table of proportions.
+    """
+
+    body_mass: float
+    height: float
+    table: str = "winter"
+
+    @property
+    def fractions(self) -> SegmentTable:
+        """The table of proportions."""
+        return TABLES[self.table]
+
+    @property
+    def thigh_length(self) -> float:
+        """Distance from hip to knee [m]."""
+        return self.fractions.thigh.length * self.height
+
+    @property
+    def shank_length(self) -> float:
+        """Distance from knee to ankle [m]."""
+        return self.fractions.shank.length * self.height
+
+    @property
+    def heel(self) -> complex:
+        """The heel in the frame of the foot [m], whose origin is the ankle."""
+        return complex(-HEEL_BEHIND_ANKLE * self.height, -ANKLE_HEIGHT * self.height)
+
+    @property
+    def toe(self) -> complex:
+        """The front end of the foot, on the sole, in the frame of the foot [m]."""
+        return self.heel + self.fractions.foot.length * self.height
+
+    @property
+    def trunk(self) -> Segment:
+        """Head, arms and trunk: what the two legs leave of the body mass; origin at the hips."""
+        legs = 2 * (self.fractions.thigh.mass + self.fractions.shank.mass + self.fractions.foot.mass)
+        mass = (1.0 - legs) * self.body_mass
+        return Segment(mass, complex(0.0, TRUNK_CENTRE * self.height), mass * (TRUNK_GYRATION * self.height) ** 2)
+
+    @property
+    def thigh(self) -> Segment:
+        """Thigh; origin at the hip."""
+        return self._limb(self.fractions.thigh)
+
+    @property
+    def shank(self) -> Segment:
+        """Shank; origin at the knee."""
+        return self._limb(self.fractions.shank)
+
+    @property
+    def foot(self) -> Segment:
+        """Foot, flat on the ground; origin at the ankle. Its centre of mass is at half the height of the ankle."""
+        of = self.fractions.foot
+        length, mass = of.length * self.height, of.mass * self.body_mass
+        centre = complex(of.centre * length - HEEL_BEHIND_ANKLE * self.height, -0.5 * ANKLE_HEIGHT * self.height)
+        return Segment(mass, centre, mass * (of.gyration * length) ** 2)
+
+    @property
+    def foot_on_shank(self) -> Segment:
+        """Foot at a right angle to the shank; origin at the knee."""
+        foot = self.foot
+        return Segment(foot.mass, foot.centre - 1j * self.shank_length, foot.inertia)
+
+    def _limb(self, of: Fractions) -> Segment:
+        length, mass = of.length * self.height, of.mass * self.body_mass
+        return Segment(mass, complex(0.0, -of.centre * length), mass * (of.gyration * length) ** 2)
