@@ -319,4 +319,5 @@ def test_the_packaged_sample_of_knee_supports(tmp_path: Path) -> None:
         with study.run(place) as run:
             force = run.joints["C"].reaction_force + run.joints["D"].reaction_force
             assert table["peak"][place] == pytest.approx(np.linalg.norm(force, axis=1).max(), rel=1e-12)
-            assert run.spec["model"]["springs"]["support"]["stiffness"] == table["model.springs.support.stiffness"][place]
+            support = run.spec["model"]["springs"]["support"]
+            assert support["stiffness"] == table["model.springs.support.stiffness"][place]
