@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.archive.data_frame import data_frame
 from mbdkit.errors import MbdkitError
 from mbdkit.measures.measure_expression import SeriesExpression
 from mbdkit.spec import RunSpec
@@ -57,13 +58,7 @@ class QuantileBands:
         MbdkitError
             If pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise MbdkitError("to_frame needs the package pandas: pip install pandas") from error
-        return pandas.DataFrame(
-            self.values.T, pandas.Index(self.time, name="time"), [float(probability) for probability in self.q]
-        )
+        return data_frame({float(one): row for one, row in zip(self.q, self.values, strict=True)}, self.time, "time")
 
 
 def quantiles(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.analysis.sobol_indices import RESAMPLES, SobolIndices, sobol_indices
+from mbdkit.archive.data_frame import data_frame
 from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.studies.sample_groups import SampledStudy, measured, one_group
 
@@ -61,14 +62,8 @@ class Sensitivity:
         MbdkitError
             If pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise MbdkitError("to_frame needs the package pandas: pip install pandas") from error
         names = ("first", "first_low", "first_high", "total", "total_low", "total_high")
-        return pandas.DataFrame(
-            {name: getattr(self.indices, name) for name in names}, pandas.Index(self.variables, name="variable")
-        )
+        return data_frame({name: getattr(self.indices, name) for name in names}, self.variables, "variable")
 
     def __str__(self) -> str:
         width = max(map(len, ("variable", *self.variables)))

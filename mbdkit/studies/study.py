@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.analysis.sobol_indices import RESAMPLES
+from mbdkit.archive.data_frame import data_frame
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.errors import MbdkitError, SpecError
@@ -365,12 +366,8 @@ class Study(HtmlView):
         MbdkitError
             If pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise MbdkitError("to_frame needs the package pandas: pip install pandas") from error
         points = self.points if family is None else self.family(family)
-        frame = pandas.DataFrame(self._table(points))
+        frame = data_frame(self._table(points))
         frame.attrs["units"] = self._units()
         return frame
 
