@@ -56,6 +56,10 @@ class Segment:
     centre: complex
     inertia: float
 
+    def __rmul__(self, share: float) -> Segment:
+        """Return a segment of the same shape with a share of the mass."""
+        return Segment(share * self.mass, self.centre, share * self.inertia)
+
     def __add__(self, other: Segment) -> Segment:
         """Return both segments joined rigidly, as one segment (parallel axis theorem)."""
         mass = self.mass + other.mass

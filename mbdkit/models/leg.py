@@ -16,8 +16,8 @@ The person faces +x; with all angles zero, the leg is straight and the foot flat
 
 Root
     With ``root: hip``, the hip is pinned to the ground. With ``root: trunk``, a body `trunk` with head and arms carries
-    the hip and is free in the plane. The mechanism has one leg: the weight and the motion of the other one act on the
-    trunk only if they are given as a load.
+    the hip and is free in the plane. The mechanism has one leg. In motions that are the same on both sides, this leg
+    carries half of the trunk (``trunk_share: 0.5``); otherwise, what the other leg does must be given as a load.
 Segments
     Masses, lengths, centres of mass and radii of gyration are fractions of body mass and height by `table`: Winter's,
     or those of de Leva for women and men. De Leva's shank ends at the lateral malleolus, which counts as the ankle
@@ -35,7 +35,7 @@ the start.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -70,6 +70,8 @@ class LegOptions(StrictModel):
     """Table of the proportions of the segments."""
     root: Literal["hip", "trunk"] = "hip"
     """`hip`: the hip is pinned to the ground; `trunk`: a free body carries it."""
+    trunk_share: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Share of the mass of head, arms and trunk that the body `trunk` has: 0.5 if both legs carry it alike."""
     hip_position: Point = (0.0, 0.0)
     """Initial position of the hip (x, y) [m], in the global frame."""
     hip_velocity: Point = (0.0, 0.0)
@@ -175,7 +177,7 @@ class _Leg:
         self.joints: dict[str, Joint] = {}
         hip = (GROUND, o.hip_position)
         if o.root == "trunk":
-            self.frames["trunk"], self.segments["trunk"] = trunk, person.trunk
+            self.frames["trunk"], self.segments["trunk"] = trunk, o.trunk_share * person.trunk
             hip = ("trunk", xy(-person.trunk.centre))
         else:
             for key in ("hip_velocity", "trunk_rate"):

@@ -4,6 +4,7 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
+import scipy.interpolate
 
 import mbdkit
 from mbdkit.spec import example_names, load_spec
@@ -27,6 +28,8 @@ NAMES = [
     "quick-return",
     "slider-crank",
     "spring-pendulum",
+    "squat",
+    "sway",
     "watt-six-bar",
 ]
 
@@ -213,3 +216,21 @@ def length(run, mechanism, name):
         c, s = np.cos(angle), np.sin(angle)
         ends.append(np.asarray(place) + np.stack([c * x - s * y, s * x + c * y], axis=-1))
     return np.hypot(*(ends[1] - ends[0]).T)
+
+
+@pytest.mark.parametrize("name", ["squat", "sway"])
+def test_people_who_stand_push_below_the_foot(name):
+    # expected: the moment of the ground's force about the ankle, 0.0702 m above it, is x F_y + 0.0702 F_x
+    with mbdkit.run(name) as run:
+        force, torque = run.joints["floor"].reaction_force, run.joints["floor"].reaction_torque
+        pressure = (torque - 0.0702 * force[:, 0]) / force[:, 1]
+        assert np.all(force[:, 1] > 0)
+        assert run.markers["heel"].position[0, 0] < pressure.min() < pressure.max() < run.markers["toe"].position[0, 0]
+
+
+def test_ground_of_the_squat_gives_the_impulse_of_the_weight():
+    # expected: the body is at rest at the start and at the end; half of 75 kg by Winter's fractions
+    with mbdkit.run("squat") as run:
+        time, force = np.asarray(run.time), run.joints["floor"].reaction_force
+        impulse = scipy.interpolate.CubicSpline(time, force).integrate(time[0], time[-1])
+    assert impulse == pytest.approx([0.0, 0.5 * 75.0 * 9.81 * 3.0], abs=1e-5)
