@@ -21,11 +21,13 @@ NAMES = [
     "double-wishbone",
     "four-bar",
     "gravity-balanced-arm",
+    "jump",
     "knee",
     "limit-stop",
     "n-four-bar",
     "pendulum",
     "quick-return",
+    "sit-to-stand",
     "slider-crank",
     "spring-pendulum",
     "squat",
@@ -218,7 +220,7 @@ def length(run, mechanism, name):
     return np.hypot(*(ends[1] - ends[0]).T)
 
 
-@pytest.mark.parametrize("name", ["squat", "sway"])
+@pytest.mark.parametrize("name", ["sit-to-stand", "squat", "sway"])
 def test_people_who_stand_push_below_the_foot(name):
     # expected: the moment of the ground's force about the ankle, 0.0702 m above it, is x F_y + 0.0702 F_x
     with mbdkit.run(name) as run:
@@ -234,3 +236,15 @@ def test_ground_of_the_squat_gives_the_impulse_of_the_weight():
         time, force = np.asarray(run.time), run.joints["floor"].reaction_force
         impulse = scipy.interpolate.CubicSpline(time, force).integrate(time[0], time[-1])
     assert impulse == pytest.approx([0.0, 0.5 * 75.0 * 9.81 * 3.0], abs=1e-5)
+
+
+def test_jump_ends_when_the_ground_no_longer_pushes():
+    # expected: the force of the ground is zero and the centre of mass of all bodies falls freely at that instant
+    with mbdkit.run("jump") as run:
+        assert run.status_reason.startswith("event")
+        assert run.joints["floor"].reaction_force[-1, 1] == pytest.approx(0.0, abs=1e-6)
+        masses = {name: body.mass for name, body in load_spec("jump").mechanism().bodies.items()}
+        falls = sum(mass * run[name].acceleration[-1, 1] for name, mass in masses.items()) / sum(masses.values())
+        assert falls == pytest.approx(-9.81, abs=1e-6)
+        speed = sum(mass * run[name].velocity[-1, 1] for name, mass in masses.items()) / sum(masses.values())
+        assert speed > 1.0
