@@ -206,7 +206,7 @@ class ButcherTableau:
         a, _, _ = self._numbers
         return not self.is_explicit and all(a[i][j] == 0 for i in range(self.stages) for j in range(i + 1, self.stages))
 
-    @property
+    @cached_property
     def is_diagonalisable(self) -> bool:
         """Whether ``a`` has a well-conditioned basis of eigenvectors. It may be singular, as for Lobatto IIIA."""
         import numpy as np
@@ -220,7 +220,7 @@ class ButcherTableau:
         a, b, c = self._numbers
         return bool(self.stages > 1 and c[-1] == 1 and a[-1] == b)
 
-    @property
+    @cached_property
     def is_collocation(self) -> bool:
         """Whether the method is a collocation method.
 

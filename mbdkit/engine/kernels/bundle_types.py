@@ -6,6 +6,7 @@ address, so the type of every array must be known at compile time. An example bu
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
@@ -18,7 +19,13 @@ NumberVector = Annotated[np.ndarray, None, 1]
 """Vector of real or complex numbers; the dtype is the same for all such fields of a bundle."""
 
 
-def example_of(bundle: type[Any], number: type = np.float64) -> Any:
+@cache
+def _fields_of(bundle: Any) -> tuple[Any, ...]:
+    """Return the annotations of the fields of a bundle, which take long to evaluate."""
+    return tuple(get_type_hints(bundle, include_extras=True).values())
+
+
+def example_of(bundle: Any, number: type = np.float64) -> Any:
     """Return a bundle of empty arrays with the declared types.
 
     Parameters
@@ -29,7 +36,7 @@ def example_of(bundle: type[Any], number: type = np.float64) -> Any:
         The dtype of `NumberVector` fields.
     """
     values = []
-    for kind in get_type_hints(bundle, include_extras=True).values():
+    for kind in _fields_of(bundle):
         if isinstance(kind, type):
             values.append(example_of(kind, number))
         else:
