@@ -44,8 +44,9 @@ def simulate_batch(
 ) -> Iterator[FinishedRun | Refused]:
     """Run validated specs, and yield the result of each, in the order of `specs`.
 
-    The numbers, and therefore `FinishedRun.data_sha256`, are those of `simulate` for the same spec. Runs of explicit
-    methods with fixed steps are advanced in lanes (`mbdkit.lane_runs`), all others one after another.
+    The numbers, and therefore `FinishedRun.data_sha256`, are those of `simulate` for the same spec. Runs with fixed
+    steps of explicit methods, and of Gauss and Radau IIA methods on index-1 equations, are advanced in lanes
+    (`mbdkit.lane_runs`), all others one after another.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.workspace import Workspace
 from mbdkit.logs import logger_of
-from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
 from mbdkit.recorded_columns import COLUMNS, ConstraintRows, RecordedStates
 from mbdkit.recorder import archive_names
 from mbdkit.run_corners import check_jumps
@@ -31,7 +31,8 @@ from mbdkit.run_preparation import caution, guards, make_method, optional_arrays
 from mbdkit.run_warnings import start_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Guards, Stretch, Timetable
-from mbdkit.stepping.lane_stepper import LaneResults, LaneStepper, suits_lanes, topology_of
+from mbdkit.stepping.lane_collocation import StagePivots
+from mbdkit.stepping.lane_stepper import LaneResults, LaneStepper, pivots_at_start, suits_lanes, topology_of
 from mbdkit.stepping.warm_up import ensure_compiled
 from mbdkit.trust.criteria import judge
 from mbdkit.trust.energy_record import EnergyRecord
@@ -47,9 +48,11 @@ class LaneMember:
     """A run that is ready to be advanced in lanes."""
 
     spec: RunSpec
-    method: ExplicitRungeKutta
+    method: ExplicitRungeKutta | ImplicitRungeKutta
     start: MechanismAtStart
     table: Timetable
+    pivots: StagePivots | None
+    """Pivots of the stage matrix; None if the method is explicit."""
     size: float
     """Size of the mechanism at its start [m]."""
     warnings: tuple[str, ...]
@@ -60,8 +63,8 @@ class LaneMember:
     def key(self) -> tuple[object, ...]:
         """Equal for runs that can be advanced side by side and have the same arrays."""
         recorded = tuple(sorted(self.spec.output.recorded))
-        table, tableau = self.table, self.method.tableau
-        return topology_of(self.start.mechanism), tableau, table.steps, table.every, recorded
+        table, pivots = self.table, None if self.pivots is None else self.pivots.key
+        return topology_of(self.start.mechanism), self.method, pivots, table.steps, table.every, recorded
 
 
 def lane_member(spec: RunSpec, notify: Callable[[str], None]) -> LaneMember | None:
@@ -82,7 +85,7 @@ def lane_member(spec: RunSpec, notify: Callable[[str], None]) -> LaneMember | No
     if not plain or spec.is_to_be_chosen or spec.estimates_errors or spec.limits.wall_time is not None:
         return None
     method = make_method(spec)
-    if not isinstance(method, ExplicitRungeKutta) or spec.claims.adaptive:
+    if not isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) or spec.claims.adaptive:
         return None
     check_jumps(spec)
     cautions = caution(spec, method)
@@ -92,10 +95,11 @@ def lane_member(spec: RunSpec, notify: Callable[[str], None]) -> LaneMember | No
     table = timetable(spec, guards(spec, size))
     if not suits_lanes(method, start.mechanism, table):
         return None
+    pivots = pivots_at_start(method, start, table)
     warnings = (*cautions, *start_warnings(spec, start.assembled))
     for warning in warnings:
         notify(f"warning: {warning}")
-    return LaneMember(spec, method, start, table, size, warnings, time.perf_counter() - begin)
+    return LaneMember(spec, method, start, table, pivots, size, warnings, time.perf_counter() - begin)
 
 
 class LaneRuns:
@@ -150,7 +154,7 @@ class _Group:
         start = first.start
         workspace = Workspace(mechanism, first.table.start, start.q0, start.v0)
         self.rows = 1 + -(-first.table.steps // first.table.every)
-        self.stepper = LaneStepper(first.method, workspace, self.rows)
+        self.stepper = LaneStepper(first.method, workspace, self.rows, first.pivots)
         self.constraint_rows, self.joints = ConstraintRows(mechanism), JointSums(mechanism)
         self.names: ArchiveNames = archive_names(mechanism)
         extra = frozenset(optional_arrays(spec, first.method, mechanism))
@@ -163,9 +167,10 @@ class _Group:
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
         """Run at most `WIDTH` members."""
         begin, cpu = time.perf_counter(), time.process_time()
-        results = self.stepper.advance([one.start for one in members], [one.table for one in members])
+        starts, tables = [one.start for one in members], [one.table for one in members]
+        results = self.stepper.advance(starts, tables, [one.pivots for one in members])
         states = self._states(results)
-        lost = results.lost | self._beyond_limits(results, [one.table.guards for one in members])
+        lost = results.lost | self._beyond_limits(results, [one.guards for one in tables])
         if np.all(lost):
             return [None] * len(members)
         with np.errstate(all="ignore"):  # in lost lanes
@@ -177,9 +182,7 @@ class _Group:
             if lost[lane]:
                 finished.append(None)
                 continue
-            own = {key: values[lane] for key, values in arrays.items()} | self._intervals(
-                member.table, results.time[lane]
-            )
+            own = {key: values[lane] for key, values in arrays.items()} | self._intervals(member.table, results, lane)
             finished.append(self._run(member, results, lane, own, recorded[lane], seconds))
         return finished
 
@@ -230,20 +233,19 @@ class _Group:
             found.append((worst[lane], _RecordedRun(member.start.mechanism, angles[lane], energies, last)))
         return found
 
-    def _intervals(self, table: Timetable, times: np.ndarray) -> dict[str, np.ndarray]:
+    def _intervals(self, table: Timetable, results: LaneResults, lane: int) -> dict[str, np.ndarray]:
         """Return the statistics of the intervals between the recorded states of a run."""
         ends = np.minimum(table.every * np.arange(1, self.rows), table.steps)
         sizes = np.full(len(ends), table.step)
         sizes[-1] = table.last_step
-        none = np.zeros(len(ends), dtype=np.int64)
         values: Mapping[str, Any] = {
             "interval": np.arange(1, self.rows),
-            "time": times[1:],
+            "time": results.time[lane, 1:],
             "steps": np.diff(ends, prepend=0),
             "size": sizes,
-            "iterations": none,
-            "iterations_max": none,
-            "rejected": none,
+            "iterations": results.iterations[lane, 1:, 0],
+            "iterations_max": results.iterations[lane, 1:, 1],
+            "rejected": np.zeros(len(ends)),
         }
         return {
             key: np.ascontiguousarray(values[key.removeprefix("steps/")], self.types[key]) for key in self.step_keys
@@ -272,5 +274,7 @@ class _Group:
             self.names, self.layout, arrays, None, *ending, {}, np.asarray(worst, layout.FLOAT), judgement,
             member.warnings, self.hash.of(arrays), member.start.assembled.describe(),
         )  # fmt: skip
+        counters = asdict(results.counters[lane])
+        counters["factorizations"] += int(member.pivots is not None)  # that which chose them
         timings["finish_s"] = time.perf_counter() - begin
-        return replace(made, stats={**asdict(results.counters), **timings})
+        return replace(made, stats={**counters, **timings})

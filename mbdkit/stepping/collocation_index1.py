@@ -20,6 +20,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbdkit.engine.jit.decorators import entry, inlined, subkernel
+from mbdkit.engine.jit.lane_types import any_of
 from mbdkit.engine.kernels.system import (
     OK,
     evaluate_powers,
@@ -101,7 +102,7 @@ def _changes(c, m, t, h, rough):
     status = _evaluate_accelerations(c, m, t, h, not rough, False)
     if status != OK:
         return status
-    s, n3 = m.residual.shape
+    s, n3 = len(m.residual), len(c.q) - 3
     if m.settings.solver[0] == NEWTON:
         for i in range(s):
             for d in range(n3):
@@ -124,7 +125,10 @@ def _sizes(c, m, h):
 @subkernel
 def _round_off(c, m, h, now, moved, idle):
     """Return whether a change of the accelerations that no longer shrinks is round-off."""
-    return now <= NEGLIGIBLE_CHANGE or accelerations_are_round_off(c, m, h, idle >= PATIENCE)
+    small = now <= NEGLIGIBLE_CHANGE
+    if any_of(not small):
+        small = small | accelerations_are_round_off(c, m, h, idle >= PATIENCE)
+    return small
 
 
 @subkernel
@@ -133,13 +137,13 @@ def _powers(c, m, t, h):
     return _evaluate_accelerations(c, m, t, h, True, True)
 
 
-_KERNELS = StageKernels(_tangents, _changes, _sizes, _round_off, _powers, _right_side, _lift)
+KERNELS = StageKernels(_tangents, _changes, _sizes, _round_off, _powers, _right_side, _lift)
 
 
 @entry
 def attempt(run, method, t, h, want_error):
     """Try a step from the base state; see `mbdkit.stepping.driver`."""
-    return try_step(load_run_state(run), load_stages(method), t, h, want_error, _KERNELS)
+    return try_step(load_run_state(run), load_stages(method), t, h, want_error, KERNELS)
 
 
 @entry

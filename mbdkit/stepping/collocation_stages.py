@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -101,6 +102,7 @@ class Coefficients(NamedTuple):
     mu_complex: np.ndarray
 
 
+@lru_cache(maxsize=32)
 def coefficients_of(tableau: ButcherTableau) -> Coefficients:
     """Return the coefficients of a diagonalisable tableau as the kernels take them."""
     a, b, c = tableau.floats()
@@ -314,7 +316,7 @@ def new_settings(formulation: int, solver: int, most_iterations: int | None, tol
     )
 
 
-def _example() -> Stages:
+def example_stages() -> Stages:
     """Return a bundle of the type that all methods and formulations share."""
     midpoint = coefficients_of(ButcherTableau("midpoint", [["1/2"]], [1], ["1/2"], 2, ""))
     settings = new_settings(INDEX_1, NEWTON, 1, 0.0)
@@ -322,4 +324,4 @@ def _example() -> Stages:
     return new_stages(midpoint, example_workspace(), settings, by_position, solves_multipliers=False)
 
 
-load_stages = bundle_loader(_example)
+load_stages = bundle_loader(example_stages)

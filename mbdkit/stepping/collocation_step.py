@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.jit.decorators import inlined, subkernel
+from mbdkit.engine.jit.lane_types import any_of, is_refused, renewed, usable, where
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, prepare, solve_accelerations
-from mbdkit.engine.kernels.vectors import copy, stays_finite
+from mbdkit.engine.kernels.vectors import copy, fill, fill_rows, stays_finite
 from mbdkit.stepping.collocation_stages import INDEX_1, NEWTON
 from mbdkit.stepping.convergence import (
     FEWEST_WITH_ONE_TANGENT,
@@ -26,13 +27,16 @@ from mbdkit.stepping.convergence import (
     report_divergence,
     stays_near,
 )
+from mbdkit.stepping.lane_hold import hold_counts, hold_finished
 from mbdkit.stepping.run_state import AT_END_OF_LAST, AT_START_OF_LAST, FACTORIZATIONS, ITERATIONS, RHS
 from mbdkit.stepping.simplified_newton import filter_estimate, leading
 from mbdkit.stepping.stage_polynomials import (
     dense_gains,
     extrapolate,
+    extrapolate_pairs,
     extrapolation_weights,
     stage_mean,
+    stage_mean_of_pairs,
     stage_states,
     weights_at,
 )
@@ -45,17 +49,18 @@ def _predict(m, t, h):
     Free flight rather than a constant acceleration: a stiff force may be far from constant over the step.
     """
     size = m.previous.size[0]
-    if not abs(size) > 0.0:
-        m.acc[:, :] = 0.0
-        m.lam[:, :, :] = 0.0
-        m.constraints.mu[:, :, :] = 0.0
-        m.constraints.shift[:, :] = 0.0
+    if not any_of(abs(size) > 0.0):
+        fill_rows(m.acc, 0.0)
+        for i in range(len(m.lam)):
+            fill_rows(m.lam[i], 0.0)
+        for i in range(len(m.constraints.mu)):
+            fill_rows(m.constraints.mu[i], 0.0)
+        fill_rows(m.constraints.shift, 0.0)
         return True
     extrapolation_weights((t - m.previous.begin[0]) / size, h / size, m.rk.c, m.weights)
     extrapolate(m.weights, m.acc, m.spread)
     if m.settings.formulation[0] != INDEX_1:  # else multipliers follow from accelerations
-        for r in range(2):
-            extrapolate(m.weights, m.lam[:, :, r], m.constraints.phi[:, :, r])
+        extrapolate_pairs(m.weights, m.lam, m.constraints.phi)
     return False
 
 
@@ -72,8 +77,11 @@ def evaluate_stages(c, m, h):
 
 
 @subkernel
-def _choose_tangent_state(c, m, t, h, at_start):
-    """Choose the state where the tangents are taken: the start of the step, or the mean of all stages."""
+def _choose_tangent_state(c, m, t, h, at_start, wanted):
+    """Choose the state where the tangents are taken: the start of the step, or the mean of all stages.
+
+    In lanes it changes only where `wanted`; tangents that are evaluated again at the same state have the same bits.
+    """
     tangent = m.tangent
     if at_start:
         tangent.time[0] = t
@@ -86,16 +94,15 @@ def _choose_tangent_state(c, m, t, h, at_start):
     share = 0.0
     for i in range(len(m.rk.c)):
         share += m.rk.c[i] / len(m.rk.c)
-    tangent.time[0] = t + share * h
-    stage_mean(m.q_stage, tangent.q)
-    stage_mean(m.v_stage, tangent.v)
-    stage_mean(m.acc, tangent.acc)
-    for r in range(2):
-        stage_mean(m.lam[:, :, r], tangent.lam[:, r])
+    tangent.time[0] = renewed(t + share * h, tangent.time[0], wanted)
+    stage_mean(m.q_stage, tangent.q, wanted)
+    stage_mean(m.v_stage, tangent.v, wanted)
+    stage_mean(m.acc, tangent.acc, wanted)
+    stage_mean_of_pairs(m.lam, tangent.lam, wanted)
 
 
 @inlined
-def _iterate(c, m, t, h, careful, kernels):
+def iterate(c, m, t, h, careful, kernels):
     """Solve the stage equations; return a status.
 
     Simplified Newton, or fixed-point iteration. The tangents are evaluated at the mean of the predicted stages; again
@@ -106,6 +113,9 @@ def _iterate(c, m, t, h, careful, kernels):
     A `careful` iteration therefore keeps the tangents of the start of the step, as RADAU5 does, and ends as soon as its
     rate predicts that it will not converge (`predicts_failure`). It can only converge to the solution that belongs to
     the start. With step size control, a step that fails is repeated with a smaller one.
+
+    In lanes, the iteration goes on until every lane has converged. A lane that has keeps its stages, so that each takes
+    the iterations of its single run; the accelerations of a lane that fails become NaN.
     """
     s = len(m.rk.c)
     n3 = len(c.q) - 3
@@ -118,52 +128,60 @@ def _iterate(c, m, t, h, careful, kernels):
     free_flight = _predict(m, t, h)
     m.previous.begin[0], m.previous.size[0] = t, np.nan  # if this attempt fails, its stages are not extrapolated
     evaluate_stages(c, m, h)
-    stale = True
-    taken_at = n = idle = 0
+    active = stale = True
+    taken_at = idle = 0.0
+    n = 0
     before = earlier = np.inf
     peak = 0.0
+    limit, tolerance = m.settings.limit, m.settings.tolerance[0]
     while True:
-        if stale and m.settings.solver[0] == NEWTON:
-            _choose_tangent_state(c, m, t, h, careful)
+        if m.settings.solver[0] == NEWTON and any_of(stale):
+            _choose_tangent_state(c, m, t, h, careful, stale)
             status = kernels.tangents(c, m, h, careful)
             if status != OK:
                 return status
-            stale = False
-            taken_at = n
+            hold_counts(c, m, stale)
+            taken_at = renewed(float(n), taken_at, stale)
         status = kernels.changes(c, m, t, h, not before < ROUGH_CHANGE)
         if status != OK:
             return status
         c.counts[ITERATIONS] += 1
         n += 1
+        hold_finished(c, m, active)
         for i in range(s):
             for d in range(n3):
-                m.acc[i, d] += m.change[i, d]
+                m.acc[i, d] = renewed(m.acc[i, d] + m.change[i, d], m.acc[i, d], active)
         evaluate_stages(c, m, h)
         now, moved = kernels.sizes(c, m, h)
         ratio = now / before
-        done = is_converged(n, now, ratio, m.settings.tolerance[0])
-        if not done and is_stalled(n, now, ratio):
-            idle += 1
-            done = kernels.round_off(c, m, h, now, moved, idle)
-        if done:
+        done = is_converged(n, now, ratio, tolerance)
+        stalled = (not done) & is_stalled(n, now, ratio)
+        if any_of(stalled):
+            idle = idle + where(stalled, 1.0, 0.0)
+            done = done | (stalled & kernels.round_off(c, m, h, now, moved, idle))
+        active = active & (not done)
+        if not any_of(active):
             break
-        limit, tolerance = m.settings.limit, m.settings.tolerance[0]
         peak = max(peak, now)
-        if (
-            has_failed(n, limit.most[0], now, ratio)
-            or (careful and predicts_failure(n, limit.most[0], now, ratio, tolerance))
-            or loses_steadiness(n, limit, peak, earlier, tolerance)
-        ):
+        fails = has_failed(n, limit.most[0], now, ratio) | loses_steadiness(n, limit, peak, earlier, tolerance)
+        if careful:
+            fails = fails | predicts_failure(n, limit.most[0], now, ratio, tolerance)
+        goes_on = not (active & fails)
+        if is_refused(goes_on):
             report_divergence(c, n, m.change, s)
             return DIVERGED
+        m.acc[0, 0] = usable(m.acc[0, 0], goes_on)
+        active = active & goes_on
         if n % STEADY == 0:
             earlier, peak = peak, 0.0
-        if not careful:
-            stale = (free_flight and n == 1) or (n - taken_at >= FEWEST_WITH_ONE_TANGENT and ratio > SLOW)
+        contracts_slowly = (n - taken_at >= FEWEST_WITH_ONE_TANGENT) & (ratio > SLOW)
+        stale = active & (not careful) & (contracts_slowly | (free_flight and n == 1))
         before = now
-    if not stays_near(c, m.acc, h):
+    near = stays_near(c, m.acc, h)
+    if is_refused(near):
         c.report[0] = np.inf
         return DIVERGED
+    m.acc[0, 0] = usable(m.acc[0, 0], near)
     m.previous.size[0] = h
     return OK
 
@@ -204,8 +222,8 @@ def _first_acceleration(c, m, t):
 @subkernel
 def _increments(c, m, h):
     """Write the increments of positions and velocities by the step."""
-    c.dq[:] = 0.0
-    c.dv[:] = 0.0
+    fill(c.dq, 0.0)
+    fill(c.dv, 0.0)
     n3 = len(c.q) - 3
     for i in range(len(m.rk.c)):
         w1, w2 = h * m.rk.b[i], h * h * m.rk.b2[i]
@@ -241,6 +259,18 @@ def _estimate(c, m, h, kernels):
 
 
 @inlined
+def complete_step(c, m, t, h, kernels):
+    """Write the increments of the state and of the energies by a step whose stages are solved; return a status."""
+    if c.has_power[0] != 0:
+        status = kernels.powers(c, m, t, h)
+        if status != OK:
+            return status
+        dense_gains(h, m.rk.b, m.power, c.gain)
+    _increments(c, m, h)
+    return OK
+
+
+@inlined
 def try_step(c, m, t, h, want_error, kernels):
     """Try a step from the base state; return a status. See `mbdkit.stepping.driver`.
 
@@ -255,7 +285,7 @@ def try_step(c, m, t, h, want_error, kernels):
             status = _first_acceleration(c, m, t)
             if status != OK:
                 return status
-        status = _iterate(c, m, t, h, careful, kernels)
+        status = iterate(c, m, t, h, careful, kernels)
         if status != DIVERGED or careful or m.settings.solver[0] != NEWTON:
             break
         careful = True
@@ -264,12 +294,9 @@ def try_step(c, m, t, h, want_error, kernels):
         c.report[0], c.report[1], c.report[2] = change, coordinate, iterations
     if status != OK:
         return status
-    if c.has_power[0] != 0:
-        status = kernels.powers(c, m, t, h)
-        if status != OK:
-            return status
-        dense_gains(h, m.rk.b, m.power, c.gain)
-    _increments(c, m, h)
+    status = complete_step(c, m, t, h, kernels)
+    if status != OK:
+        return status
     if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv)):
         return NOT_FINITE
     if want_error != 0.0:

@@ -6,6 +6,8 @@ be negligible (Hairer and Wanner 1996, *Solving Ordinary Differential Equations 
 only if the remaining change is explained by round-off. Otherwise it fails.
 
 Linear and angular quantities are always compared separately, because their units have no common size.
+
+The tests of index 1 serve single runs and runs in lanes (`mbdkit.engine.jit.lane_types`), where they return masks.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.lane_types import any_of, where
 from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS
 
 if TYPE_CHECKING:
@@ -133,7 +136,8 @@ def is_converged(n, now, ratio, tolerance):
     tolerance
         Largest relative change that is negligible.
     """
-    return now == 0.0 or (n > 1 and ratio < LARGEST_CONTRACTION and ratio / (1.0 - ratio) * now <= tolerance)
+    is_negligible = (ratio < LARGEST_CONTRACTION) & (ratio / (1.0 - ratio) * now <= tolerance)
+    return (now == 0.0) | ((n > 1) & is_negligible)
 
 
 @subkernel
@@ -152,9 +156,11 @@ def predicts_failure(n, most, now, ratio, tolerance):
     tolerance
         Relative change at which the iteration ends.
     """
-    if n < 2 or now <= NEGLIGIBLE_CHANGE:
-        return False
-    return ratio >= LARGEST_RATE or ratio ** (most - n) / (1.0 - ratio) * now > max(tolerance, NEGLIGIBLE_CHANGE)
+    fails = (n >= 2) & (not now <= NEGLIGIBLE_CHANGE)
+    if any_of(fails):
+        last = ratio ** (most - n) / (1.0 - ratio) * now
+        fails = fails & ((ratio >= LARGEST_RATE) | (last > max(tolerance, NEGLIGIBLE_CHANGE)))
+    return fails
 
 
 @subkernel
@@ -174,15 +180,15 @@ def loses_steadiness(n, limit, peak, earlier, tolerance):
         Relative change at which the iteration ends.
     """
     if n < limit.steady_after[0] or n % STEADY != 0:
-        return False
+        return peak < 0.0  # nowhere
     rate = (peak / earlier) ** (1.0 / STEADY)
-    return rate >= 1.0 or predicts_failure(n, limit.most[0], peak, rate, tolerance)
+    return (rate >= 1.0) | predicts_failure(n, limit.most[0], peak, rate, tolerance)
 
 
 @subkernel
 def is_stalled(n, now, ratio):
     """Return whether the change has stopped shrinking."""
-    return n > 1 and ratio > STALLED and now < np.inf
+    return (n > 1) & (ratio > STALLED) & (now < np.inf)
 
 
 @subkernel
@@ -194,8 +200,8 @@ def moves_by_roundings(moved):
 @subkernel
 def has_failed(n, most, now, ratio):
     """Return whether an iteration diverges, has used up its `most` iterations, or is not finite."""
-    runs_away = n >= FIRST_RUNAWAY and ratio > RUNAWAY_GROWTH and now > RUNAWAY
-    return n >= most or runs_away or not now < np.inf
+    runs_away = (n >= FIRST_RUNAWAY) & (ratio > RUNAWAY_GROWTH) & (now > RUNAWAY)
+    return (n >= most) | runs_away | (not now < np.inf)
 
 
 @subkernel
@@ -207,10 +213,9 @@ def stays_near(c, acc, h):
     largest, size = 0.0, 1.0
     for i in range(len(acc)):
         for d in range(len(c.q) - 3):
-            if not abs(acc[i, d]) <= largest:
-                largest = abs(acc[i, d])
+            largest = where(abs(acc[i, d]) <= largest, largest, abs(acc[i, d]))  # also of NaN
     for d in range(len(c.q) - 3):
-        size = max(size, abs(c.q[d]), h * abs(c.v[d]))
+        size = max(max(size, abs(c.q[d])), h * abs(c.v[d]))
     return h * h * largest < FAR * size
 
 
@@ -222,19 +227,19 @@ def relative_to_accelerations(acc, change, bodies):
     Infinite if a change is not a number.
     """
     size_t = size_r = change_t = change_r = 0.0
+    finite = True
     for i in range(len(acc)):
         for b in range(bodies):
-            size_t = max(size_t, abs(acc[i, 3 * b]), abs(acc[i, 3 * b + 1]))
+            size_t = max(max(size_t, abs(acc[i, 3 * b])), abs(acc[i, 3 * b + 1]))
             size_r = max(size_r, abs(acc[i, 3 * b + 2]))
             now_t = abs(change[i, 3 * b]) + abs(change[i, 3 * b + 1])
             now_r = abs(change[i, 3 * b + 2])
-            if not now_t + now_r < np.inf:  # `max` would ignore NaN
-                return np.inf
+            finite = finite & (now_t + now_r < np.inf)  # `max` ignores NaN
             change_t = max(change_t, now_t)
             change_r = max(change_r, now_r)
-    relative_t = change_t / max(size_t, change_t) if change_t > 0.0 else 0.0
-    relative_r = change_r / max(size_r, change_r) if change_r > 0.0 else 0.0
-    return max(relative_t, relative_r)
+    relative_t = where(change_t > 0.0, change_t / max(size_t, change_t), 0.0)
+    relative_r = where(change_r > 0.0, change_r / max(size_r, change_r), 0.0)
+    return where(finite, max(relative_t, relative_r), np.inf)
 
 
 @subkernel
@@ -245,17 +250,17 @@ def _largest_sizes(x, change, bodies):
     """
     size_t = size_r = 1.0
     change_t = change_r = 0.0
+    finite = True
     for b in range(bodies):
-        size_t = max(size_t, abs(x[3 * b]), abs(x[3 * b + 1]))
+        size_t = max(max(size_t, abs(x[3 * b])), abs(x[3 * b + 1]))
         size_r = max(size_r, abs(x[3 * b + 2]))
         for i in range(len(change)):
             now_t = max(abs(change[i, 3 * b]), abs(change[i, 3 * b + 1]))
             now_r = abs(change[i, 3 * b + 2])
-            if not now_t + now_r < np.inf:
-                return size_t, size_r, np.inf, np.inf
+            finite = finite & (now_t + now_r < np.inf)
             change_t = max(change_t, now_t)
             change_r = max(change_r, now_r)
-    return size_t, size_r, change_t, change_r
+    return size_t, size_r, where(finite, change_t, np.inf), where(finite, change_r, np.inf)
 
 
 @subkernel
@@ -294,12 +299,13 @@ def accelerations_are_round_off(c, m, h, patient):
     size_t, size_r, change_t, change_r = _largest_sizes(c.from_q, m.change, bodies)
     small_t = change_t * h * h <= FEW_ROUNDINGS * EPS * size_t
     small_r = change_r * h * h <= FEW_ROUNDINGS * EPS * size_r
-    if not patient or (small_t and small_r):
-        return small_t and small_r
+    small = small_t & small_r
+    if not any_of(patient & (not small)):
+        return small
     level_t = level_r = inverse_arm = 0.0
     for b in range(bodies):
-        level_t = max(level_t, abs(top.gravity[0]), abs(top.gravity[1]))
-        level_t = max(level_t, abs(acc[3 * b]), abs(acc[3 * b + 1]))
+        level_t = max(max(level_t, abs(top.gravity[0])), abs(top.gravity[1]))
+        level_t = max(max(level_t, abs(acc[3 * b])), abs(acc[3 * b + 1]))
         level_r = max(level_r, abs(acc[3 * b + 2]))
     for k in range(len(top.pairs)):
         force = abs(lam[k, 0]) + abs(lam[k, 1])
@@ -309,8 +315,7 @@ def accelerations_are_round_off(c, m, h, patient):
             x, y = abs(w.jac[k, e]) + abs(w.jac[k, 6 + e]), abs(w.jac[k, e + 1]) + abs(w.jac[k, 7 + e])
             arm = abs(top.pair_parameters[k, 2 * side]) + abs(top.pair_parameters[k, 2 * side + 1])
             turn = abs(w.jac[k, e + 2]) + abs(w.jac[k, 8 + e]) + arm
-            if arm > 0.0:
-                inverse_arm = max(inverse_arm, 1.0 / arm)
+            inverse_arm = where(arm > 0.0, max(inverse_arm, 1.0 / arm), inverse_arm)
             level_t = max(level_t, force * max(x, y) * top.weight[b, 0])
             level_r = max(level_r, force * turn * top.weight[b, 2])
     for k in range(len(top.springs)):
@@ -329,9 +334,9 @@ def accelerations_are_round_off(c, m, h, patient):
                 else:
                     level_r = max(level_r, level)
     level_r = max(level_r, level_t * inverse_arm)  # a body pinned at a point turns when the point is accelerated
-    if not level_t + level_r < np.inf:
-        return False
-    return (small_t or change_t <= NEGLIGIBLE_CHANGE * level_t) and (small_r or change_r <= NEGLIGIBLE_CHANGE * level_r)
+    small_t = small_t | (change_t <= NEGLIGIBLE_CHANGE * level_t)
+    small_r = small_r | (change_r <= NEGLIGIBLE_CHANGE * level_r)
+    return small | (patient & small_t & small_r & (level_t + level_r < np.inf))
 
 
 @subkernel
@@ -340,8 +345,9 @@ def report_divergence(c, iterations, change, stages):
     c.report[0], c.report[2] = 0.0, iterations
     for i in range(stages):
         for d in range(len(c.q) - 3):
-            if not abs(change[i, d]) <= c.report[0]:  # also true of NaN
-                c.report[0], c.report[1] = abs(change[i, d]), d
+            size, largest = abs(change[i, d]), c.report[0]
+            c.report[0] = where(size <= largest, largest, size)  # also NaN
+            c.report[1] = where(size <= largest, c.report[1], d)
 
 
 def describe_divergence(workspace: Workspace, report: np.ndarray) -> str:

@@ -1,4 +1,4 @@
-"""Runs in lanes: the loop over fixed steps of an explicit method, and the values of the recorded states.
+"""Runs in lanes: the loop over fixed steps, and the values of the recorded states.
 
 Several runs of mechanisms with the same topology advance side by side (`mbdkit.engine.jit.lane_types`). Parameters,
 initial states, steps and loads may differ, the number of steps may not. The functions of a step are those of the driver
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import kernel, subkernel
+from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
 from mbdkit.engine.jit.lane_types import number_in, where
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.kernels.acting import force_values, joint_values, marker_values
@@ -23,6 +23,7 @@ from mbdkit.engine.kernels.system import prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import add_compensated, copy, stays_finite
 from mbdkit.stepping.explicit import add_up_stages, evaluate_stages
 from mbdkit.stepping.lane_run import load_guards, load_lane_run
+from mbdkit.stepping.run_state import ITERATIONS
 from mbdkit.stepping.step_guards import (
     begin_energy,
     distance_by_pivots,
@@ -41,11 +42,10 @@ def _lose(c, condition):
 @subkernel
 def _watch_branches(c, t):
     """Follow the paths of all lanes by the step that ends at `t`; see `mbdkit.stepping.step_guards.watch_branch`."""
-    distance = distance_by_pivots(c.solver.schur)
     watch = c.watch
     for lane in range(WIDTH):
         guards = load_guards(watch.guards[lane])
-        guards.distance[0] = number_in(distance, lane)
+        guards.distance[0] = number_in(watch.distance[0], lane)
         guards.kinetic[0] = number_in(c.guards.kinetic[0], lane)
         for d in range(len(c.q)):
             watch.dq[d] = number_in(c.dq[d], lane)
@@ -61,6 +61,8 @@ def _write_row(c, row, t):
     copy(c.v, c.row_v[row])
     for k in range(2):
         c.row_energy[row, k] = c.energy[k]
+        c.row_interval[row, k] = c.interval[k]
+        c.interval[k] = 0.0
 
 
 @subkernel
@@ -95,28 +97,29 @@ def _observe_row(c, r):
     _lose(c, not abs(total) < np.inf)
 
 
-@kernel
-def drive_lanes(address):
-    """Take all steps of the runs in a `LaneRun`, and compute the values of the recorded states."""
-    c = load_lane_run(address)
+@inlined
+def drive(c, take_step):
+    """Take all steps of the runs in a `LaneRun`, and compute the values of the recorded states; return their number.
+
+    Parameters
+    ----------
+    take_step
+        ``(c, m, t, h, n)``: write the increments of step `n` by the method `m`, and the distance to singularity if
+        joints close a loop.
+    """
     m, times = c.method, c.times
     start, step, steps, every = times.start[0], times.step[0], times.steps[0], times.every[0]
-    first_same_as_last = m.status[0] != 0
-    stages = len(m.b)
     _write_row(c, 0, start)
     rows = 1
     begin_energy(c, c.guards, start, c.q, c.v)
     for n in range(steps):
         t = start + n * step
         h = where(n < steps - 1, step, times.last_step[0])
-        first = 0
-        if n > 0 and first_same_as_last:
-            copy(m.rates[stages - 1], m.rates[0])
-            copy(m.accelerations[stages - 1], m.accelerations[0])
-            m.power[0, 0], m.power[0, 1] = m.power[stages - 1, 0], m.power[stages - 1, 1]
-            first = 1
-        evaluate_stages(c, m, t, h, first, stages)
-        add_up_stages(c, m, h)
+        before = c.counts[ITERATIONS]
+        take_step(c, m, t, h, n)
+        iterations = c.counts[ITERATIONS] - before
+        c.interval[0] += iterations
+        c.interval[1] = max(c.interval[1], iterations)
         _lose(c, not (stays_finite(c.q, c.dq) & stays_finite(c.v, c.dv)))
         _advance(c)
         t = where(n < steps - 1, start + (n + 1) * step, times.end[0])
@@ -134,3 +137,25 @@ def drive_lanes(address):
     for r in range(rows):
         _observe_row(c, r)
     return rows
+
+
+@subkernel
+def _take_explicit_step(c, m, t, h, n):
+    """Evaluate the stages of a step and add them up; see `drive`."""
+    stages = len(m.b)
+    first = 0
+    if n > 0 and m.status[0] != 0:
+        copy(m.rates[stages - 1], m.rates[0])
+        copy(m.accelerations[stages - 1], m.accelerations[0])
+        m.power[0, 0], m.power[0, 1] = m.power[stages - 1, 0], m.power[stages - 1, 1]
+        first = 1
+    evaluate_stages(c, m, t, h, first, stages)
+    add_up_stages(c, m, h)
+    if c.watch.has_loops[0] != 0:
+        c.watch.distance[0] = distance_by_pivots(c.solver.schur)
+
+
+@kernel
+def drive_explicit(address):
+    """Take the steps of an explicit method; see `drive`."""
+    return drive(load_lane_run(address), _take_explicit_step)

@@ -8,13 +8,14 @@ import numpy as np
 
 from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.jit.lane_types import new_lanes
+from mbdkit.engine.jit.lane_arrays import Lanes, new_lanes
+from mbdkit.engine.jit.lane_complex import new_complex_lanes
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.kernels.motions import MAX_DEPTH
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.singularity_kernels import COLUMNS
 from mbdkit.engine.kernels.system import LaneSolver, Scratch, Topology
-from mbdkit.engine.workspace import Workspace
+from mbdkit.engine.workspace import Workspace, new_scratch
 from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.stepping.explicit import Explicit, new_explicit
 from mbdkit.stepping.step_guards import new_guard_state
@@ -45,6 +46,8 @@ class LaneWatch(NamedTuple):
     dq: np.ndarray
     """(3 (B + 1),) increment and velocity of one lane."""
     v: np.ndarray
+    distance: np.ndarray
+    """(1,) distance to singularity in the last step; lanes."""
 
 
 class LaneTimes(NamedTuple):
@@ -65,7 +68,8 @@ class LaneRun(NamedTuple):
     top: Topology
     w: Scratch
     solver: LaneSolver
-    method: Explicit
+    method: Any
+    """`Explicit`, or `mbdkit.stepping.lane_collocation.LaneStages`."""
     has_power: np.ndarray
     q: np.ndarray
     q_low: np.ndarray
@@ -81,6 +85,9 @@ class LaneRun(NamedTuple):
     gain: np.ndarray
     worst: np.ndarray
     counts: np.ndarray
+    report: np.ndarray
+    interval: np.ndarray
+    """(2,) iterations since the last recorded state, and the largest number of them in one step."""
     guards: LaneGuards
     watch: LaneWatch
     times: LaneTimes
@@ -92,53 +99,71 @@ class LaneRun(NamedTuple):
     near: np.ndarray
     """(P, 11) vectors of the distance to singularity."""
     row_time: np.ndarray
-    """(R,) times of the recorded states, the initial one first; (R, 3 (B + 1)) states; (R, 2) energies."""
+    """(R,) times of the recorded states, the initial one first; (R, 3 (B + 1)) states; (R, 2) energies, intervals."""
     row_q: np.ndarray
     row_v: np.ndarray
     row_energy: np.ndarray
+    row_interval: np.ndarray
     observed: Observed
     """Values of the recorded states."""
 
 
-def _widened(bundle: Any) -> Any:
-    """Return a bundle with arrays of lanes in place of the arrays of floating-point numbers."""
-    return type(bundle)(
-        *(_widened(x) if isinstance(x, tuple) else new_lanes(*x.shape) if x.dtype.kind == "f" else x for x in bundle)
+def widened(given: Any) -> Any:
+    """Return a bundle with arrays of lanes in place of the arrays of floating-point numbers; or such an array."""
+    if isinstance(given, tuple):
+        return type(given)(*map(widened, given))
+    kinds = {"f": new_lanes, "c": new_complex_lanes}
+    return kinds[given.dtype.kind](*given.shape) if given.dtype.kind in kinds else given
+
+
+def _widened_scratch(workspace: Workspace, motions: int) -> Scratch:
+    """Return working arrays of lanes; the arrays of terms are views of `Scratch.source`, as for a single run."""
+    plain, offsets = new_scratch(workspace.mechanism)
+    scratch: Scratch = widened(plain)
+    views = {}
+    for name, begin in offsets.items():
+        if name != "mass":
+            rows, columns = getattr(plain, name).shape
+            view = scratch.source[begin : begin + rows * columns].reshape(rows, columns, WIDTH)
+            views[name] = view.view(Lanes)
+    scratch.cs[-1, 0] = 1.0
+    return scratch._replace(sides=np.array([-np.inf, np.inf]), stack=np.zeros((MAX_DEPTH + motions, 3)), **views)
+
+
+def explicit_in_lanes(method: ExplicitRungeKutta, workspace: Workspace) -> Explicit:
+    """Return the bundle of an explicit method for lanes."""
+    tableau = new_explicit(method, workspace.mechanism.size, len(workspace.mechanism.topology.pairs))
+    wide: Explicit = widened(tableau)
+    return tableau._replace(
+        rates=wide.rates, accelerations=wide.accelerations, q_stage=wide.q_stage, lam=wide.lam, power=wide.power
     )
 
 
-def new_lane_run(method: ExplicitRungeKutta, workspace: Workspace, rows: int) -> LaneRun:
-    """Return the bundle of `WIDTH` runs that record `rows` states; see `LaneStepper`."""
+def new_lane_run(method: Any, workspace: Workspace, rows: int) -> LaneRun:
+    """Return the bundle of `WIDTH` runs with the bundle of a method that record `rows` states; see `LaneStepper`."""
     given = workspace.mechanism.topology
     size, pairs, motions = workspace.mechanism.size, len(given.pairs), len(given.motion_start) - 1
     by_lane = {name: np.zeros((WIDTH, len(getattr(given, name)))) for name in BY_LANE}
-    top: Topology = _widened(given)._replace(**by_lane, baumgarte=given.baumgarte)
-    scratch: Scratch = _widened(workspace.scratch)._replace(
-        sides=np.array([-np.inf, np.inf]), stack=np.zeros((MAX_DEPTH + motions, 3))
-    )
-    scratch.cs[-1, 0] = 1.0
-    tableau = new_explicit(method, size, pairs)
-    wide: Explicit = _widened(tableau)
-    stages: Explicit = tableau._replace(
-        rates=wide.rates, accelerations=wide.accelerations, q_stage=wide.q_stage, lam=wide.lam, power=wide.power
-    )
+    top: Topology = widened(given)._replace(**by_lane, baumgarte=given.baumgarte)
+    solver = LaneSolver(widened(workspace.solver.schur), workspace.solver.row_index, np.array([-1]))
     q, v = new_lanes(size), new_lanes(size)
-    one = [new_lanes(1) for _ in range(11)]
+    one = [new_lanes(1) for _ in range(12)]
     return LaneRun(
-        top=top, w=scratch, solver=LaneSolver(_widened(workspace.solver.schur)), method=stages,
+        top=top, w=_widened_scratch(workspace, motions), solver=solver, method=method,
         has_power=np.zeros(1, dtype=np.int64),
         q=q, q_low=new_lanes(size), v=v, v_low=new_lanes(size), energy=new_lanes(2), energy_low=new_lanes(2),
         from_q=q, from_v=v, dq=new_lanes(size), dv=new_lanes(size), gain=new_lanes(2),
-        worst=new_lanes(pairs), counts=np.zeros(5, dtype=np.int64),
+        worst=new_lanes(pairs), counts=new_lanes(5), report=new_lanes(3), interval=new_lanes(2),
         guards=LaneGuards(*one[:5]),
         watch=LaneWatch(
             np.zeros(1, dtype=np.int64), np.zeros(WIDTH, dtype=np.int64), np.zeros((WIDTH, *given.mass.shape)),
-            np.zeros(size), np.zeros(size),
+            np.zeros(size), np.zeros(size), one[11],
         ),
         times=LaneTimes(one[5], one[6], one[7], one[8], *np.zeros((2, 1), dtype=np.int64)),
         squared_misalignment=new_lanes(pairs), energy_share=one[9], lost=one[10], near=new_lanes(pairs, COLUMNS),
         row_time=new_lanes(rows), row_q=new_lanes(rows, size), row_v=new_lanes(rows, size),
-        row_energy=new_lanes(rows, 2), observed=_widened(Observed.zeros(rows, given)),
+        row_energy=new_lanes(rows, 2), row_interval=new_lanes(rows, 2),
+        observed=widened(Observed.zeros(rows, given)),
     )  # fmt: skip
 
 
@@ -146,7 +171,8 @@ def _example() -> LaneRun:
     """Return a bundle that provides the types of its arrays."""
     from mbdkit.methods import rk4
 
-    return new_lane_run(ExplicitRungeKutta(rk4.tableau()), example_workspace(), 1)
+    workspace = example_workspace()
+    return new_lane_run(explicit_in_lanes(ExplicitRungeKutta(rk4.tableau()), workspace), workspace, 1)
 
 
 load_lane_run = bundle_loader(_example)

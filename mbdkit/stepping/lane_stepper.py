@@ -11,17 +11,24 @@ import numpy as np
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.jit.bundle import JIT_DISABLED, PinnedBundle
-from mbdkit.engine.jit.lane_types import Lanes
+from mbdkit.engine.jit.lane_arrays import Lanes
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.system import Topology
 from mbdkit.engine.workspace import Workspace
-from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
 from mbdkit.stepping.interface import StepEvidence, Timetable
-from mbdkit.stepping.lane_driver import drive_lanes
-from mbdkit.stepping.lane_run import BY_LANE, new_lane_run
+from mbdkit.stepping.lane_collocation import (
+    StagePivots,
+    collocation_in_lanes,
+    drive_collocation,
+    load_stage_pivots,
+    stage_pivots,
+)
+from mbdkit.stepping.lane_driver import drive_explicit
+from mbdkit.stepping.lane_run import BY_LANE, explicit_in_lanes, new_lane_run
 from mbdkit.stepping.run_plan import guard_limits
-from mbdkit.stepping.run_state import FACTORIZATIONS, RHS
+from mbdkit.stepping.run_state import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS
 from mbdkit.stepping.step_guards import new_guard_state
 from mbdkit.stepping.step_watch import guard_evidence
 
@@ -43,9 +50,10 @@ class LaneResults:
     """Arrays (W, T, ...)."""
     worst: np.ndarray
     """(W, P) largest squared misalignments."""
+    iterations: np.ndarray
+    """(W, T, 2) iterations since the recorded state before, and the largest number of them in one step."""
     evidence: tuple[StepEvidence, ...]
-    counters: Counters
-    """Those of each run."""
+    counters: tuple[Counters, ...]
 
 
 class AtStart(Protocol):
@@ -70,17 +78,21 @@ class AtStart(Protocol):
 def topology_of(mechanism: CompiledMechanism) -> tuple[object, ...]:
     """Return a key that is equal for mechanisms that differ in numbers only; their runs may be lanes of one loop."""
     shapes = tuple((x.shape, x.tobytes() if x.dtype.kind == "i" else b"") for x in mechanism.topology)
-    return shapes, mechanism.order, mechanism.names
+    return shapes, mechanism.order, mechanism.names, mechanism.has_power
 
 
 def suits_lanes(method: Any, mechanism: CompiledMechanism, table: Timetable) -> bool:
     """Return whether a run of index-1 equations without stabilization can be advanced in lanes.
 
-    Its method must be explicit with fixed steps, without events and rows by interval, and the Schur complement must do.
+    Its method must have fixed steps and solve all stages together or be explicit, without events and rows by interval,
+    and the Schur complement must do.
     """
+    is_collocation = (
+        isinstance(method, ImplicitRungeKutta) and method.tolerances is None and method.tableau.is_diagonalisable
+    )
     return (
         not JIT_DISABLED
-        and isinstance(method, ExplicitRungeKutta)
+        and (isinstance(method, ExplicitRungeKutta) or is_collocation)
         and table.interval is None
         and table.step is not None
         and not table.single
@@ -97,32 +109,52 @@ class LaneStepper:
     Parameters
     ----------
     method
-        The explicit method.
+        The method.
     workspace
         Mechanism of the first run; it provides the topology and the schedule of the solver.
     rows
         Number of recorded states, the initial one included.
+    pivots
+        Pivots of the stage matrix of the first run (`pivots_at_start`); None if the method is explicit.
     """
 
-    def __init__(self, method: ExplicitRungeKutta, workspace: Workspace, rows: int):
-        self.run = new_lane_run(method, workspace, rows)
+    def __init__(
+        self,
+        method: ExplicitRungeKutta | ImplicitRungeKutta,
+        workspace: Workspace,
+        rows: int,
+        pivots: StagePivots | None = None,
+    ):
+        if isinstance(method, ExplicitRungeKutta):
+            self._drive = drive_explicit
+            self.run = new_lane_run(explicit_in_lanes(method, workspace), workspace, rows)
+        else:
+            assert pivots is not None
+            self._drive = drive_collocation
+            self.run = new_lane_run(collocation_in_lanes(method, workspace, pivots), workspace, rows)
         self._pinned = PinnedBundle(self.run)
         self._guards = [new_guard_state(workspace.mechanism) for _ in range(WIDTH)]
         self._pinned_guards = [PinnedBundle(one) for one in self._guards]
         self.run.watch.guards[:] = [one.address for one in self._pinned_guards]
 
-    def advance(self, starts: Sequence[AtStart], tables: Sequence[Timetable]) -> LaneResults:
+    def advance(
+        self, starts: Sequence[AtStart], tables: Sequence[Timetable], pivots: Sequence[StagePivots | None] = ()
+    ) -> LaneResults:
         """Return the results of the runs.
 
         Parameters
         ----------
         starts, tables
             At most `WIDTH` mechanisms at their starts, and the timetables of the runs, with equal numbers of steps.
+        pivots
+            Pivots of each run, with equal keys; none if the method is explicit.
         """
         count = len(starts)
         lanes = [*range(count), *[0] * (WIDTH - count)]  # idle lanes repeat the first run
         self._load([starts[lane] for lane in lanes], [tables[lane] for lane in lanes])
-        drive_lanes(self._pinned.address)
+        if chosen := [one for one in pivots if one is not None]:
+            load_stage_pivots(self.run.method, [chosen[lane] for lane in lanes])
+        self._drive(self._pinned.address)
         return self._results(count)
 
     def _load(self, starts: list[AtStart], tables: list[Timetable]) -> None:
@@ -137,9 +169,10 @@ class LaneStepper:
         for name in ("start", "end", "step", "last_step"):
             getattr(c.times, name)[0] = [getattr(table, name) for table in tables]
         c.times.steps[0], c.times.every[0] = tables[0].steps, tables[0].every
-        for array in (c.q_low, c.v_low, c.energy, c.energy_low, c.gain, c.worst, c.lost, c.near, *c.guards):
+        c.w.source[: len(c.q) - 3] = c.top.mass[:-1].reshape(-1, WIDTH)
+        zeros = c.q_low, c.v_low, c.energy, c.energy_low, c.gain, c.worst, c.counts, c.interval, c.lost, c.near
+        for array in (*zeros, *c.guards):
             array[...] = 0.0
-        c.counts[:] = 0
         c.has_power[0] = int(any(one.has_power for one in mechanisms))
         c.watch.has_loops[0] = int(self._guards[0].has_loops[0])
         if c.watch.has_loops[0]:
@@ -151,16 +184,43 @@ class LaneStepper:
     def _results(self, count: int) -> LaneResults:
         c = self.run
         steps = int(c.times.steps[0])
-        work = {"rhs_evaluations": int(c.counts[RHS]), "factorizations": int(c.counts[FACTORIZATIONS])}
-        arrays = (c.row_time, c.row_q, c.row_v, c.row_energy, *c.observed, c.worst)
-        time, q, v, energy, *observed, worst = (np.ascontiguousarray(np.moveaxis(x, -1, 0)[:count]) for x in arrays)
+        arrays = (c.row_time, c.row_q, c.row_v, c.row_energy, *c.observed, c.worst, c.row_interval)
+        time, q, v, energy, *observed, worst, iterations = (
+            np.ascontiguousarray(np.moveaxis(x, -1, 0)[:count]) for x in arrays
+        )
         for lane, guards in enumerate(self._guards):
             for name in ("kinetic", "jump", "jump_time"):
                 getattr(guards, name)[0] = getattr(c.guards, name)[0, lane]
         evidence = tuple(guard_evidence(guards, []) for guards in self._guards[:count])
-        counters = Counters(steps=steps, accepted=steps, **work)
+        counters = tuple(_counters(steps, counts) for counts in c.counts.T[:count])
         lost = np.asarray(c.lost[0, :count] != 0.0)
-        return LaneResults(lost, time, q, v, energy, Observed(*observed), worst, evidence, counters)
+        return LaneResults(lost, time, q, v, energy, Observed(*observed), worst, iterations, evidence, counters)
+
+
+def pivots_at_start(method: Any, start: AtStart, table: Timetable) -> StagePivots | None:
+    """Return the pivots that a run chooses; None if its method needs none.
+
+    Raises
+    ------
+    mbdkit.engine.elimination_order.SingularSystemError
+        If the equations of the first step are singular, or need the pivoted solver.
+    """
+    if isinstance(method, ExplicitRungeKutta):
+        return None
+    assert table.step is not None
+    return stage_pivots(method, Workspace(start.mechanism, table.start, start.q0, start.v0), table.step)
+
+
+def _counters(steps: int, counts: np.ndarray) -> Counters:
+    """Return the counters of one lane from its counts (5,)."""
+    return Counters(
+        steps=steps,
+        accepted=steps,
+        rhs_evaluations=int(counts[RHS]),
+        jacobian_evaluations=int(counts[JACOBIANS]),
+        factorizations=int(counts[FACTORIZATIONS]),
+        newton_iterations=int(counts[ITERATIONS]),
+    )
 
 
 def _put(lanes: np.ndarray, arrays: list[np.ndarray]) -> None:

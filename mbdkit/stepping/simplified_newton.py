@@ -9,6 +9,7 @@ from __future__ import annotations
 from mbdkit.engine.jit.decorators import inlined
 from mbdkit.engine.kernels.lu import Factors, factorize, substitute
 from mbdkit.engine.kernels.system import OK, REPIVOT_STAGES, gather_values
+from mbdkit.engine.kernels.vectors import fill_rows
 from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS
 
 
@@ -56,7 +57,7 @@ def factorize_all(c, m, h, row_share):
 @inlined
 def _transformed(weights, residual, z):
     """Write the residual of an eigenvalue, ``sum_j weights[j] residual[j]``, into `z`."""
-    s, width = residual.shape
+    s, width = len(residual), len(residual[0])
     for d in range(width):
         z[d] = 0.0
     for j in range(s):
@@ -73,8 +74,8 @@ def newton_changes(c, m, h, right_side):
     """
     rk, systems, residual, change = m.rk, m.systems, m.residual, m.change
     pattern = systems.pattern
-    s, width = residual.shape
-    change[:, :] = 0.0
+    s, width = len(residual), len(residual[0])
+    fill_rows(change, 0.0)
     for e in range(len(rk.mu_real)):
         _transformed(rk.t_real_inv[e], residual, systems.z_real)
         right_side(c, m, h * rk.mu_real[e], systems.z_real, systems.b_real)

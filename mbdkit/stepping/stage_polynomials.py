@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.lane_types import renewed
+from mbdkit.engine.kernels.vectors import fill
 
 
 @subkernel
@@ -18,8 +20,8 @@ def stage_states(c, m, h):
     s = len(nodes)
     for i in range(s):
         qs, vs = m.q_stage[i], m.v_stage[i]
-        qs[:] = 0.0
-        vs[:] = 0.0
+        fill(qs, 0.0)
+        fill(vs, 0.0)
         for j in range(s):
             w1, w2 = a[i, j], a2[i, j]
             k = m.acc[j]
@@ -33,12 +35,23 @@ def stage_states(c, m, h):
 
 
 @subkernel
-def stage_mean(x, out):
-    """Write the mean over stages into `out`."""
-    out[:] = 0.0
+def stage_mean(x, out, wanted):
+    """Write the mean over stages into `out`, in lanes only where `wanted`."""
     for i in range(len(x)):
         for d in range(len(out)):
-            out[d] += x[i, d] / len(x)
+            before = 0.0 if i == 0 else out[d]
+            out[d] = renewed(before + x[i, d] / len(x), out[d], wanted)
+
+
+@subkernel
+def stage_mean_of_pairs(x, out, wanted):
+    """Write the mean over stages of `x` (s, P, 2) into `out` (P, 2), in lanes only where `wanted`."""
+    for k in range(len(out)):
+        for r in range(2):
+            mean = 0.0
+            for i in range(len(x)):
+                mean += x[i, k, r] / len(x)
+            out[k, r] = renewed(mean, out[k, r], wanted)
 
 
 @subkernel
@@ -69,7 +82,7 @@ def extrapolation_weights(offset, ratio, c, out):
 @subkernel
 def extrapolate(weights, x, scratch):
     """Replace stage values, the rows of `x`, by ``weights @ x``; `scratch` has the shape of `x`."""
-    stages, size = x.shape
+    stages, size = len(x), len(x[0])
     for i in range(stages):
         for d in range(size):
             scratch[i, d] = x[i, d]
@@ -79,6 +92,21 @@ def extrapolate(weights, x, scratch):
             w = weights[i, j]
             for d in range(size):
                 x[i, d] += w * scratch[j, d]
+
+
+@subkernel
+def extrapolate_pairs(weights, x, scratch):
+    """Replace stage values by pairs, `x` (s, P, 2), by those of another step; `scratch` has the shape of `x`."""
+    for i in range(len(x)):
+        for k in range(len(x[0])):
+            for r in range(2):
+                scratch[i, k, r] = x[i, k, r]
+                x[i, k, r] = 0.0
+    for i in range(len(x)):
+        for j in range(len(x)):
+            for k in range(len(x[0])):
+                for r in range(2):
+                    x[i, k, r] += weights[i, j] * scratch[j, k, r]
 
 
 @subkernel

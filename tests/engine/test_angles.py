@@ -10,7 +10,7 @@ import pytest
 
 from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.jit.decorators import kernel
-from mbdkit.engine.jit.lane_types import new_lanes
+from mbdkit.engine.jit.lane_arrays import new_lanes
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.kernels.angles import FAR, cosine_and_sine
 

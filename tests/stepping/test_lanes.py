@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,21 +13,26 @@ from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.methods import dop853, dopri5, rk4, rk_gill
-from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.methods import dop853, dopri5, gauss, radau_iia, rk4, rk_gill
+from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Tolerances
 from mbdkit.stepping.interface import Guards, Timetable
-from mbdkit.stepping.lane_stepper import LaneResults, LaneStepper, suits_lanes, topology_of
+from mbdkit.stepping.lane_stepper import LaneResults, LaneStepper, pivots_at_start, suits_lanes, topology_of
 from mbdkit.stepping.start import start_method
 from tests.engine.random_mechanisms import chain, driven_frame, ladder, slides
 
 from .running import driven_chain, workspace_of
 
-METHODS = {
+METHODS: dict[str, ExplicitRungeKutta | ImplicitRungeKutta] = {
     "rk4": ExplicitRungeKutta(rk4.tableau()),
     "rk-gill": ExplicitRungeKutta(rk_gill.tableau()),
     "dopri5": ExplicitRungeKutta(dopri5.tableau()),  # its last stage is the first of the next step
     "dop853": ExplicitRungeKutta(dop853.tableau()),
+    "gauss-2": ImplicitRungeKutta(gauss.tableau(2)),  # a pair of complex eigenvalues
+    "gauss-3": ImplicitRungeKutta(gauss.tableau(3)),  # and a real one
+    "gauss-2 by fixed points": ImplicitRungeKutta(gauss.tableau(2), "fixed-point"),
+    "radau-iia-2": ImplicitRungeKutta(radau_iia.tableau(2)),
 }
+IMPLICIT = [name for name, method in METHODS.items() if isinstance(method, ImplicitRungeKutta)]
 
 
 def with_laws(rng: np.random.Generator) -> Mechanism:
@@ -49,6 +56,22 @@ KINDS = {
 }
 
 
+class Nearby(np.random.Generator):
+    """Draws the numbers of one seed, changed by a share that grows with the lane."""
+
+    def __init__(self, lane: int):
+        super().__init__(np.random.PCG64(8))
+        self.share = 1.0 + 1e-4 * lane
+
+    def uniform(self, *values: Any, **options: Any) -> Any:
+        """See `numpy.random.Generator.uniform`."""
+        return self.share * super().uniform(*values, **options)
+
+    def normal(self, *values: Any, **options: Any) -> Any:
+        """See `numpy.random.Generator.normal`."""
+        return self.share * super().normal(*values, **options)
+
+
 def tables(count: int, steps: int = 40, every: int = 3, **guards: float) -> list[Timetable]:
     """Return timetables with different starts and steps, and a shorter last step."""
     return [
@@ -60,9 +83,13 @@ def tables(count: int, steps: int = 40, every: int = 3, **guards: float) -> list
     ]  # fmt: skip
 
 
-def workspaces_of(kind: str, planned: list[Timetable]) -> list[Workspace]:
-    """Return mechanisms of one kind with different numbers, at the starts of their timetables."""
-    return [workspace_of(KINDS[kind](np.random.default_rng(i)), table.start) for i, table in enumerate(planned)]
+def workspaces_of(kind: str, planned: list[Timetable], *, near: bool = False) -> list[Workspace]:
+    """Return mechanisms of one kind with different numbers, at the starts of their timetables.
+
+    If they are `near` each other, their stage matrices have the same pivots.
+    """
+    draws = [Nearby(i) if near else np.random.default_rng(i) for i in range(len(planned))]
+    return [workspace_of(KINDS[kind](draw), table.start) for draw, table in zip(draws, planned, strict=True)]
 
 
 def rows_of(table: Timetable) -> int:
@@ -71,7 +98,10 @@ def rows_of(table: Timetable) -> int:
 
 
 def advanced(method: str, workspaces: list[Workspace], planned: list[Timetable]) -> LaneResults:
-    return LaneStepper(METHODS[method], workspaces[0], rows_of(planned[0])).advance(workspaces, planned)
+    pivots = [pivots_at_start(METHODS[method], *one) for one in zip(workspaces, planned, strict=True)]
+    assert len({one and one.key for one in pivots}) == 1
+    stepper = LaneStepper(METHODS[method], workspaces[0], rows_of(planned[0]), pivots[0])
+    return stepper.advance(workspaces, planned, pivots)
 
 
 def assert_same_bits(results: LaneResults, lane: int, method: str, workspace: Workspace, table: Timetable) -> None:
@@ -89,9 +119,11 @@ def assert_same_bits(results: LaneResults, lane: int, method: str, workspace: Wo
         )
     for k, name in enumerate(("work", "dissipated")):
         np.testing.assert_array_equal(results.energy[lane, 1:, k], np.concatenate([getattr(x, name) for x in parts]))
+    iterations = np.concatenate([x.intervals[:, 3:5] for x in parts])
+    np.testing.assert_array_equal(results.iterations[lane, 1:], iterations)
     np.testing.assert_array_equal(results.worst[lane], stepper.worst_pairs)
     assert results.evidence[lane] == stepper.evidence
-    assert results.counters == stepper.counters
+    assert results.counters[lane] == stepper.counters
     observer = StateObserver(workspace.with_own_pivots())
     expected = observer.arrays(len(results.time[lane]))
     assert observer.observe(results.time[lane], results.q[lane], results.v[lane], expected) is None
@@ -105,12 +137,44 @@ def assert_same_bits(results: LaneResults, lane: int, method: str, workspace: Wo
 def test_every_lane_has_the_bits_of_the_single_run(kind: str, method: str) -> None:
     # expected: the driver of single runs, compiled from the same source for numbers
     planned = tables(WIDTH)
-    workspaces = workspaces_of(kind, planned)
+    workspaces = workspaces_of(kind, planned, near=method in IMPLICIT)
     assert all(suits_lanes(METHODS[method], one.mechanism, planned[0]) for one in workspaces)
     assert len({topology_of(one.mechanism) for one in workspaces}) == 1
     results = advanced(method, workspaces, planned)
     for lane, (workspace, table) in enumerate(zip(workspaces, planned, strict=True)):
         assert_same_bits(results, lane, method, workspace, table)
+
+
+@pytest.mark.parametrize("kind", ["chain", "slides", "springs"])
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_lanes_iterate_as_often_as_their_single_runs(kind: str, method: str) -> None:
+    # different mechanisms take different numbers of iterations, and evaluate their tangents again at different times
+    steps = [0.006 * (1.0 + 0.1 * i) for i in range(3 * WIDTH)]
+    planned = [Timetable(0.0, 50 * step, step=step, steps=50, every=7) for step in steps]
+    groups = defaultdict(list)
+    for workspace, table in zip(workspaces_of(kind, planned), planned, strict=True):
+        pivots = pivots_at_start(METHODS[method], workspace, table)
+        assert pivots is not None
+        groups[pivots.key].append((workspace, table))
+    members = max(groups.values(), key=len)[:WIDTH]
+    workspaces, chosen = [one for one, _ in members], [table for _, table in members]
+    results = advanced(method, workspaces, chosen)
+    counters = results.counters
+    assert len({one.newton_iterations for one in counters}) > 1
+    assert kind != "chain" or "fixed" in method or len({one.jacobian_evaluations for one in counters}) > 1
+    for lane in range(len(members)):
+        assert_same_bits(results, lane, method, workspaces[lane], chosen[lane])
+
+
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_a_run_whose_iteration_fails_is_left_to_the_driver_of_single_runs(method: str) -> None:
+    planned = tables(WIDTH)
+    workspaces = workspaces_of("chain", planned, near=True)
+    workspaces[1].v0[:] *= 3000.0  # far too fast for these steps
+    results = advanced(method, workspaces, planned)
+    assert results.lost.tolist() == [i == 1 for i in range(WIDTH)]
+    for lane in (0, WIDTH - 1):
+        assert_same_bits(results, lane, method, workspaces[lane], planned[lane])
 
 
 def test_lanes_may_be_idle() -> None:
@@ -122,13 +186,15 @@ def test_lanes_may_be_idle() -> None:
         assert_same_bits(results, lane, "rk4", workspace, table)
 
 
-def test_a_stepper_of_lanes_remembers_nothing_of_earlier_runs() -> None:
+@pytest.mark.parametrize("method", ["rk4", *IMPLICIT])
+def test_a_stepper_of_lanes_remembers_nothing_of_earlier_runs(method: str) -> None:
     planned = tables(WIDTH)
     workspaces = workspaces_of("springs", planned)
-    stepper = LaneStepper(METHODS["rk4"], workspaces[0], rows_of(planned[0]))
-    stepper.advance(workspaces, planned)
-    again = stepper.advance(workspaces[::-1], planned[::-1])
-    assert_same_bits(again, 0, "rk4", workspaces[-1], planned[-1])
+    pivots = [pivots_at_start(METHODS[method], *one) for one in zip(workspaces, planned, strict=True)]
+    stepper = LaneStepper(METHODS[method], workspaces[0], rows_of(planned[0]), pivots[0])
+    stepper.advance(workspaces, planned, pivots)
+    again = stepper.advance(workspaces[::-1], planned[::-1], pivots[::-1])
+    assert_same_bits(again, 0, method, workspaces[-1], planned[-1])
 
 
 @pytest.mark.parametrize("limit", [{"misalignment": 1e-12, "angle_misalignment": 1e-12}, {"energy_jump": 1e-9}])
@@ -159,4 +225,6 @@ def test_what_lanes_cannot_do_is_refused() -> None:
     assert not suits_lanes(method, mechanism, Timetable(0.0, 1.0, step=0.1, steps=10, interval=0.05))
     assert not suits_lanes(method, mechanism, Timetable(0.0, 1.0, step=0.1, steps=10, single=True))
     assert not suits_lanes(method, mechanism, Timetable(0.0, 1.0, step=0.1, steps=10, max_steps=9))
+    controlled = ImplicitRungeKutta(gauss.tableau(2), tolerances=Tolerances(1e-6, 1e-8))
+    assert not suits_lanes(controlled, mechanism, table)
     assert topology_of(mechanism) != topology_of(workspace_of(chain(np.random.default_rng(1), 4)).mechanism)

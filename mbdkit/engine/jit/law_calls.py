@@ -19,7 +19,8 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic, is_jitted
 
-from mbdkit.engine.jit.lane_types import REAL, LaneArray, store_lanes
+from mbdkit.engine.jit.lane_arrays import LaneArray, store_lanes
+from mbdkit.engine.jit.lane_types import REAL
 from mbdkit.engine.jit.lane_width import WIDTH
 
 HAS_POTENTIAL, PASSIVE = 1, 2

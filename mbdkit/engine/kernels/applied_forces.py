@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.jit.decorators import subkernel
-from mbdkit.engine.jit.lane_types import any_of, is_refused, where
+from mbdkit.engine.jit.lane_types import any_of, is_refused, renewed, where
 from mbdkit.engine.jit.law_calls import HAS_POTENTIAL, PASSIVE, call_law
 from mbdkit.engine.kernels import element_kernels as e
 from mbdkit.engine.kernels.vectors import fill
@@ -141,12 +141,13 @@ def force_tangents(top, w, q, v):
         a, b = springs[k, 1], springs[k, 2]
         evaluate_tension(top, w, k, path_rate(k, a, b, v, grad))
         pull, stiffness, damping = w.tension[k, 0], w.tension[k, 1], w.tension[k, 2]
-        if not (abs(stiffness) < np.inf and abs(damping) < np.inf) and abs(pull) < np.inf:
+        has_derivatives = (abs(stiffness) < np.inf) & (abs(damping) < np.inf)
+        if is_refused(has_derivatives | (not abs(pull) < np.inf)):
             w.faulty[0] = springs[k, 3]
         curved = True
         if springs[k, 0] == _TWO_POINTS:
             curved = w.s[k, 0] != 0.0
-            if curved:
+            if any_of(curved):
                 two_points_hessian(k, a, b, q, cs, points, hess)
         elif springs[k, 0] == _COORDINATE_X:
             coordinate_x_hessian(k, a, b, q, cs, points, hess)
@@ -158,13 +159,14 @@ def force_tangents(top, w, q, v):
             for j in range(6):
                 stiff[k, 6 * i + j] = stiffness * grad[k, i] * grad[k, j]
                 damp[k, 6 * i + j] = damping * grad[k, i] * grad[k, j]
-        if curved:
+        if any_of(curved):
             for j in range(6):
                 bend = 0.0  # column j of (s_q v)_q
                 for i in range(3):
                     bend += hess[k, 6 * i + j] * v[3 * a + i] + hess[k, 6 * (3 + i) + j] * v[3 * b + i]
                 for i in range(6):
-                    stiff[k, 6 * i + j] += pull * hess[k, 6 * i + j] + damping * grad[k, i] * bend
+                    more = pull * hess[k, 6 * i + j] + damping * grad[k, i] * bend
+                    stiff[k, 6 * i + j] = renewed(stiff[k, 6 * i + j] + more, stiff[k, 6 * i + j], curved)
     for k in range(len(loads)):
         if loads[k, 0] == TORQUE:
             continue

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from mbdkit.engine.jit.decorators import inlined
+from mbdkit.engine.jit.lane_types import is_refused, usable, where
 from mbdkit.engine.kernels.bundle_types import IntVector, NumberVector, RealVector
 
 WORN = 1e-6
@@ -82,11 +83,11 @@ def factorize(p, f):
                 w[u_column[y]] -= m * upper[y]
         d = w[i]
         size = abs(d.real) + abs(d.imag)
-        if not size > WORN * reference[i]:  # also true for NaN
+        sound = size > WORN * reference[i]  # not if it is NaN
+        if is_refused(sound):
             return i
-        if reference[i] == 0.0:  # first factorization with these pivots
-            reference[i] = size
-        pivot[i] = 1.0 / d
+        reference[i] = where(reference[i] == 0.0, size, reference[i])  # first factorization with these pivots
+        pivot[i] = usable(1.0, sound) / d
         for x in range(u_start[i], u_start[i + 1]):
             upper[x] = w[u_column[x]]
     return -1

@@ -22,6 +22,7 @@ from numba.extending import overload
 
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import inlined, subkernel
+from mbdkit.engine.jit.lane_types import any_of, renewed
 from mbdkit.engine.kernels.applied_forces import applied_forces, force_tangents, powers
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix, RealVector, example_of
 from mbdkit.engine.kernels.constraints import (
@@ -35,6 +36,7 @@ from mbdkit.engine.kernels.motions import motions
 from mbdkit.engine.kernels.schur import Schur
 from mbdkit.engine.kernels.schur import factor as schur_factor
 from mbdkit.engine.kernels.schur import solve as schur_solve
+from mbdkit.engine.kernels.vectors import fill, fill_rows
 
 OK, REPIVOT, REPIVOT_STAGES, NOT_FINITE, DIVERGED = range(5)
 """Status of a kernel: success; the index-1 system or the stage matrix needs new pivots; overflow; no convergence."""
@@ -203,9 +205,11 @@ class Solver(NamedTuple):
 
 
 class LaneSolver(NamedTuple):
-    """Solver for accelerations in lanes, where every run uses the Schur complement."""
+    """Solver for accelerations in lanes, where every run uses the Schur complement; see `Solver`."""
 
     schur: Schur
+    row_index: IntMatrix
+    failed: IntVector
 
 
 class Engine(NamedTuple):
@@ -388,30 +392,32 @@ def joint_right_side(top, w, acc, lam):
 
 
 @subkernel
-def apply_multipliers(top, w, lam, acc):
-    """Subtract ``M^-1 Phi_q^T lambda`` from the accelerations `acc` (3 (B + 1),)."""
+def apply_multipliers(top, w, lam, acc, wanted):
+    """Subtract ``M^-1 Phi_q^T lambda`` from the accelerations `acc` (3 (B + 1),), in lanes only where `wanted`."""
     pairs, jac, weight = top.pairs, w.jac, top.weight
     for k in range(len(pairs)):
         a, b = pairs[k, 1], pairs[k, 2]
         l0, l1 = lam[k, 0], lam[k, 1]
         for i in range(3):
-            acc[3 * a + i] -= weight[a, i] * (jac[k, i] * l0 + jac[k, 6 + i] * l1)
-            acc[3 * b + i] -= weight[b, i] * (jac[k, 3 + i] * l0 + jac[k, 9 + i] * l1)
+            x, y = acc[3 * a + i], weight[a, i] * (jac[k, i] * l0 + jac[k, 6 + i] * l1)
+            acc[3 * a + i] = renewed(x - y, x, wanted)
+            x, y = acc[3 * b + i], weight[b, i] * (jac[k, 3 + i] * l0 + jac[k, 9 + i] * l1)
+            acc[3 * b + i] = renewed(x - y, x, wanted)
 
 
 @inlined
-def refine_multipliers(top, w, schur, acc, lam):
+def refine_multipliers(top, w, schur, acc, lam, wanted):
     """Do one step of iterative refinement of ``Phi_q a = gamma`` with the factors of the Schur complement.
 
     The residual ``Phi_q a - gamma`` is the right-hand side of a correction of the multipliers; `acc` and `lam` are
-    corrected in place.
+    corrected in place, in lanes only where `wanted`.
     """
     joint_right_side(top, w, acc, w.refinement)
     schur_solve(schur, w.refinement)
-    apply_multipliers(top, w, w.refinement, acc)
+    apply_multipliers(top, w, w.refinement, acc, wanted)
     for k in range(len(lam)):
-        lam[k, 0] += w.refinement[k, 0]
-        lam[k, 1] += w.refinement[k, 1]
+        for r in range(2):
+            lam[k, r] = renewed(lam[k, r] + w.refinement[k, r], lam[k, r], wanted)
 
 
 @inlined
@@ -421,10 +427,10 @@ def gather_values(source, scatter, rate, row_rate, weight, values):
     `rate` is ``h mu``, the factor of damping, and its square that of stiffness; it is 0 for the KKT matrix. `row_rate`
     is the factor of -gamma_v.
     """
-    values[:] = 0.0
+    fill(values, 0.0)
     for e in range(len(scatter.one)):
         values[scatter.one[e, 1]] += source[scatter.one[e, 0]]
-    if rate != 0.0:
+    if any_of(rate != 0.0):
         level = rate * rate
         for e in range(len(scatter.rate)):
             values[scatter.rate[e, 1]] += rate * source[scatter.rate[e, 0]]
@@ -476,7 +482,8 @@ def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
 def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
     """Solve for accelerations and multipliers at a position for which `prepare` was called; return a status.
 
-    With `refine`, one step of iterative refinement reduces the residual of ``Phi_q a = gamma`` to rounding errors.
+    With `refine`, one step of iterative refinement reduces the residual of ``Phi_q a = gamma`` to rounding errors; in
+    lanes, `refine` may be a mask.
     """
     has_forces = len(top.springs) + len(top.loads) > 0
     if has_forces:
@@ -498,9 +505,9 @@ def schur_accelerations(top, w, schur, has_forces, acc, lam, refine):
     failed = schur_factor(top, w.jac, schur)
     if failed < 0:
         schur_solve(schur, lam)
-        apply_multipliers(top, w, lam, acc)
-        if refine:
-            refine_multipliers(top, w, schur, acc, lam)
+        apply_multipliers(top, w, lam, acc, True)
+        if any_of(refine):
+            refine_multipliers(top, w, schur, acc, lam, refine)
     return failed
 
 
@@ -573,7 +580,7 @@ def transferred(top, w, solver, i, lam):
             w.push[3 * a + d] = top.weight[a, d] * w.loose[i, d]
             w.push[3 * b + d] = top.weight[b, d] * w.loose[i, 3 + d]
         for _ in range(2):  # the second pass removes the rounding errors of the first
-            refine_multipliers(top, w, solver.schur, w.push, lam)
+            refine_multipliers(top, w, solver.schur, w.push, lam, True)
     unfold_multipliers(top, w.cs, lam)
 
 
@@ -603,8 +610,8 @@ def evaluate_tangents(top, w, t, q, v, acc, lam):
     solved_rows(top, w, q, v)
     stabilized = top.baumgarte[0] != 0.0 or top.baumgarte[1] != 0.0
     if stabilized:  # `stabilize_tangents` fills entries that element kernels never write
-        w.gamma_v[:, :] = 0.0
-        w.res_q[:, :] = 0.0
+        fill_rows(w.gamma_v, 0.0)
+        fill_rows(w.res_q, 0.0)
     constraint_tangents(top.pairs, top.pair_parameters, q, v, acc, w.cs, w.u, lam, w.stiff, w.gamma_v, w.res_q)
     fold(top, w.cs, w.gamma_v)
     fold(top, w.cs, w.res_q)

@@ -19,6 +19,13 @@ def fill(out, value):
         out[d] = value
 
 
+@inlined
+def fill_rows(out, value):
+    """Set all elements of the matrix `out`."""
+    for i in range(len(out)):
+        fill(out[i], value)
+
+
 BEYOND = 1e75
 """A coordinate or rate of this size counts as overflow, because energies computed from it may not be finite."""
 

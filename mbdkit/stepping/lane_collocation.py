@@ -1,0 +1,162 @@
+"""Runs in lanes by collocation methods on the index-1 equations, and other fully implicit Runge-Kutta methods.
+
+The step is that of single runs (`mbdkit.stepping.collocation_step`), compiled for lanes. All lanes share the pivots of
+the stage matrix, so that only runs with equal pivots can be lanes of one loop; `stage_pivots` chooses them as a single
+run does. Their scaling may differ. A run that needs other pivots later, a more careful iteration or more iterations is
+lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.elimination_order import SingularSystemError, empty_pattern
+from mbdkit.engine.example_workspace import example_workspace
+from mbdkit.engine.jit.bundle import bundle_loader
+from mbdkit.engine.jit.decorators import inlined, kernel
+from mbdkit.engine.jit.lane_arrays import new_lanes
+from mbdkit.engine.kernels.bundle_types import example_of
+from mbdkit.engine.kernels.lu import Pattern
+from mbdkit.engine.kernels.system import Scatter
+from mbdkit.engine.workspace import Workspace
+from mbdkit.methods.kinds import ImplicitRungeKutta
+from mbdkit.stepping.collocation import CompiledCollocation
+from mbdkit.stepping.collocation_index1 import KERNELS
+from mbdkit.stepping.collocation_stages import (
+    Coefficients,
+    Constraints,
+    FirstAcceleration,
+    PreviousStep,
+    Settings,
+    Stages,
+    Systems,
+    TangentState,
+    example_stages,
+    new_systems,
+)
+from mbdkit.stepping.collocation_step import complete_step, iterate
+from mbdkit.stepping.lane_driver import drive
+from mbdkit.stepping.lane_run import LaneRun, new_lane_run, widened
+from mbdkit.stepping.step_guards import distance_by_pivots
+
+
+class LaneKept(NamedTuple):
+    """What lanes keep that have converged; see `mbdkit.stepping.lane_hold`."""
+
+    lam: np.ndarray
+    """(s, P, 2) multipliers of the stages."""
+    counts: np.ndarray
+    """(5,) counts."""
+
+
+class LaneStages(NamedTuple):
+    """The stages of `WIDTH` runs; see `mbdkit.stepping.collocation_stages.Stages`, which has the same fields."""
+
+    rk: Coefficients
+    """Arrays of numbers, as those of `settings`."""
+    systems: Systems
+    settings: Settings
+    previous: PreviousStep
+    solved_apart: np.ndarray
+    acc: np.ndarray
+    lam: np.ndarray
+    q_stage: np.ndarray
+    v_stage: np.ndarray
+    residual: np.ndarray
+    change: np.ndarray
+    constraints: Constraints
+    first: FirstAcceleration
+    tangent: TangentState
+    power: np.ndarray
+    weights: np.ndarray
+    spread: np.ndarray
+    kept: LaneKept
+
+
+class StagePivots(NamedTuple):
+    """Pivots of the stage matrix of a run, as chosen at its start."""
+
+    pattern: Pattern
+    scatter: Scatter
+
+    @property
+    def key(self) -> tuple[bytes, ...]:
+        """Equal for pivots that differ in their scaling only."""
+        arrays = (*self.pattern, *self.scatter)
+        return tuple(x.tobytes() for x in arrays if x.dtype.kind == "i")
+
+
+class _Start(NamedTuple):
+    """The state of a run at its start, as far as the choice of pivots needs it."""
+
+    q: np.ndarray
+    v: np.ndarray
+
+
+def stage_pivots(method: ImplicitRungeKutta, workspace: Workspace, h: float) -> StagePivots:
+    """Return the pivots that a run from the start of a workspace chooses for steps of `h`.
+
+    Raises
+    ------
+    mbdkit.engine.elimination_order.SingularSystemError
+        If the equations of the first step are singular, or need the pivoted solver.
+    """
+    single = CompiledCollocation(method, workspace, None)
+    start: Any = _Start(workspace.q0, workspace.v0)
+    single.start(start, h)
+    if workspace.solver.pivoted[0]:
+        raise SingularSystemError
+    if method.stage_solver == "fixed-point":  # which solves no stage matrix
+        return StagePivots(empty_pattern(), example_of(Scatter))
+    systems = single.bundle.systems
+    return StagePivots(systems.pattern, systems.scatter)
+
+
+def collocation_in_lanes(method: ImplicitRungeKutta, workspace: Workspace, pivots: StagePivots) -> LaneStages:
+    """Return the bundle of a fully implicit method for lanes with these pivots."""
+    single = CompiledCollocation(method, workspace, None)
+    systems = new_systems(single.rk, pivots.pattern, pivots.scatter, workspace.unknowns)
+    return _in_lanes(single.bundle._replace(systems=systems))
+
+
+def _in_lanes(single: Stages) -> LaneStages:
+    """Return the bundle for lanes that belongs to that of a single run."""
+    given = single._asdict()
+    numbers = {name: given.pop(name) for name in ("rk", "settings")}
+    lanes = {name: widened(given[name]) for name in LaneStages._fields if name in given}
+    return LaneStages(**numbers, **lanes, kept=LaneKept(widened(single.lam), new_lanes(5)))
+
+
+def load_stage_pivots(m: LaneStages, pivots: Sequence[StagePivots]) -> None:
+    """Take over the pivots of each lane, and forget the stages of earlier runs."""
+    for name in ("row_scale", "column_scale", "weight"):
+        getattr(m.systems.pattern, name)[...] = np.stack([getattr(one.pattern, name) for one in pivots], axis=-1)
+    for factors in (m.systems.real, m.systems.cplx):
+        factors.reference[...] = 0.0
+    m.previous.size[...] = np.nan
+
+
+@inlined
+def _take_step(c, m, t, h, n):
+    """Solve the stages of a step and write its increments; see `mbdkit.stepping.lane_driver.drive`."""
+    iterate(c, m, t, h, False, KERNELS)
+    complete_step(c, m, t, h, KERNELS)
+    if c.has_power[0] != 0 and c.watch.has_loops[0] != 0:  # else it is that of the last iteration
+        c.watch.distance[0] = distance_by_pivots(c.solver.schur)
+
+
+def _example() -> LaneRun:
+    """Return a bundle that provides the types of its arrays."""
+    return new_lane_run(_in_lanes(example_stages()), example_workspace(), 1)
+
+
+load_lane_collocation = bundle_loader(_example)
+
+
+@kernel
+def drive_collocation(address):
+    """Take the steps of a fully implicit method; see `mbdkit.stepping.lane_driver.drive`."""
+    return drive(load_lane_collocation(address), _take_step)
