@@ -26,11 +26,11 @@ from rich.table import Table
 
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.workspace import Workspace
-from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
 from mbdkit.run_preparation import build, make_method
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Timetable
-from mbdkit.stepping.lane_stepper import LaneStepper
+from mbdkit.stepping.lane_stepper import LaneStepper, pivots_at_start
 from mbdkit.stepping.start import start_method
 from tests.witness.double_pendulum import HORIZONTAL
 
@@ -48,14 +48,18 @@ Outcome = tuple[float, float]
 """Seconds per member, and the error of the member that is released from the horizontal [m]."""
 Contender = Callable[[int], Outcome]
 """Takes this number of steps."""
+METHODS: dict[str, dict[str, Any]] = {
+    "rk4": {"name": "rk4"},
+    "rk-gill": {"name": "rk-gill"},
+    "gauss-2": {"name": "gauss", "stages": 2},
+}
+"""Integrators of mbdkit by the name of their contenders."""
 
 
-def spec(method: str, angles: tuple[float, float], **options: Any) -> RunSpec:
+def spec(method: str, angles: tuple[float, float], steps: int = STEPS) -> RunSpec:
     """Return the spec of a member."""
     model = {"name": "double-pendulum", "angles": list(angles)}
-    return RunSpec(
-        mbdkit=1, model=model, integrator={"name": method, **options}, time={"end": END, "step": END / STEPS}
-    )
+    return RunSpec(mbdkit=1, model=model, integrator=METHODS[method], time={"end": END, "step": END / steps})
 
 
 def table_of(steps: int) -> Timetable:
@@ -64,11 +68,11 @@ def table_of(steps: int) -> Timetable:
 
 
 @functools.cache
-def members(method: str) -> tuple[list[Workspace], ExplicitRungeKutta]:
+def members(method: str) -> tuple[list[Workspace], ExplicitRungeKutta | ImplicitRungeKutta]:
     """Return as many pendulums as there are lanes, at their starts; the first is horizontal."""
     specs = [spec(method, (0.1 * i, -0.05 * i)) for i in range(WIDTH)]
     chosen = make_method(specs[0])
-    assert isinstance(chosen, ExplicitRungeKutta)
+    assert isinstance(chosen, ExplicitRungeKutta | ImplicitRungeKutta)
     return [build(one)[0] for one in specs], chosen
 
 
@@ -82,19 +86,18 @@ def miss_of(angle1: float, angle2: float) -> float:
 def by_lanes(method: str, steps: int) -> Outcome:
     """Take the steps in lanes, in one thread."""
     starts, chosen = members(method)
-    stepper = LaneStepper(chosen, starts[0], 2)
     tables = [table_of(steps)] * WIDTH
+    pivots = [pivots_at_start(chosen, *one) for one in zip(starts, tables, strict=True)]
+    stepper = LaneStepper(chosen, starts[0], 2, pivots[0])
     begin = time.perf_counter()
-    results = stepper.advance(starts, tables)
+    results = stepper.advance(starts, tables, pivots)
     taken = time.perf_counter() - begin
     return taken / WIDTH, miss_of(float(results.q[0, -1, 2]), float(results.q[0, -1, 5]))
 
 
-def one_by_one(integrator: dict[str, Any], steps: int) -> Outcome:
+def one_by_one(method: str, steps: int) -> Outcome:
     """Take the steps of one run by the driver of single runs."""
-    alone = RunSpec(
-        mbdkit=1, model={"name": "double-pendulum"}, integrator=integrator, time={"end": END, "step": END / steps}
-    )
+    alone = spec(method, (0.0, 0.0), steps)
     workspace, _ = build(alone)
     stepper = start_method(make_method(alone), workspace, table_of(steps))
     begin = time.perf_counter()
@@ -181,10 +184,9 @@ def casadi_rk4(steps: int) -> Any:
 def contenders(folder: Path) -> dict[str, Contender]:
     """Return what is timed, by name."""
     found: dict[str, Contender] = {}
-    for method in ("rk4", "rk-gill"):
+    for method in METHODS:
         found[f"mbdkit {method}, {WIDTH} lanes"] = functools.partial(by_lanes, method)
-        found[f"mbdkit {method}, one by one"] = functools.partial(one_by_one, {"name": method})
-    found["mbdkit gauss-2, one by one"] = functools.partial(one_by_one, {"name": "gauss", "stages": 2})
+        found[f"mbdkit {method}, one by one"] = functools.partial(one_by_one, method)
     if lanes := compiled(folder, "chain_lanes"):
         found[f"C rk-gill, {WIDTH} lanes"] = functools.partial(by_c, lanes)
     if alone := compiled(folder, "chain_limit"):
