@@ -9,8 +9,9 @@ from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import block_index
 from mbdkit.studies.compute_block import plan_blocks
 from mbdkit.studies.execute import Progress, Shard, check_shard
-from mbdkit.studies.pool import BlockTask, Outcome, Pool
+from mbdkit.studies.executor_pool import Engine
 from mbdkit.studies.study_folder import StudyFolder
+from mbdkit.studies.tasks import BlockTask, Outcome
 
 
 class BlockExecution:
@@ -58,13 +59,13 @@ class BlockExecution:
         """Number of runs of the study."""
         return len(self.plan.points)
 
-    def run(self, workers: int) -> None:
+    def run(self, engine: Engine) -> None:
         """Compute the missing blocks and write the index; after Ctrl-C, index the results so far.
 
         Parameters
         ----------
-        workers
-            Number of processes that compute in parallel.
+        engine
+            What computes the blocks.
         """
         if self.overwrite:
             self.folder.clear()
@@ -77,16 +78,18 @@ class BlockExecution:
                 and not self.plan.blocks.is_whole(self.folder, self.spec, block)
             ]
             try:
-                self.compute(tasks, workers)
+                self.compute(tasks, engine)
             finally:
                 with interrupts_delayed(), self.folder.indexing():
                     self.index()
 
-    def compute(self, tasks: list[BlockTask], workers: int) -> None:
+    def compute(self, tasks: list[BlockTask], engine: Engine) -> None:
         """Compute blocks in parallel."""
         blocks = self.plan.blocks
         total = sum(len(blocks.places(task.block)) for task in tasks)
-        with Pool[BlockTask](workers, self.notify) as pool:
+        for task in tasks:
+            self.folder.mark(task.block).unlink(missing_ok=True)  # of a process that was killed in an earlier call
+        with engine.pool(self.notify) as pool:
             for task, outcome in pool.work(tasks):
                 self.computed += len(blocks.places(task.block))
                 self.note(task, outcome)

@@ -6,6 +6,7 @@ import contextlib
 import os
 import re
 import secrets
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +21,9 @@ from mbdkit.studies import member_table
 
 #: Beginning of the name of study.yaml while it is written.
 _BEGUN = ".study.yaml-"
+
+#: Beginning of the name of the folder for the files of submitted jobs.
+JOBS = ".jobs-"
 
 #: Names of archives of runs, see `RunSpec.run_id`, of blocks, also of unfinished ones, and their marks.
 _ARCHIVE = re.compile(r"([0-9a-f]{16}|block-[0-9]{6,})\.h5(\.part)?|\.block-[0-9]{6,}\.at")
@@ -230,6 +234,8 @@ class StudyFolder:
             if not shared:
                 for begun in self.path.glob(f"{_BEGUN}*"):  # of a call that was killed
                     begun.unlink(missing_ok=True)
+                for jobs in self.path.glob(f"{JOBS}*"):
+                    shutil.rmtree(jobs, ignore_errors=True)
             yield
 
 

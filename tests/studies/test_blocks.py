@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +26,13 @@ from mbdkit.archive.blocks import Block
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.spec import RunSpec
-from mbdkit.studies import block_execution, pool
+from mbdkit.studies import executor_pool, pool, worker
 from mbdkit.studies.compute_block import compute_block
 from mbdkit.studies.execute import Shard
-from mbdkit.studies.pool import BlockTask, Outcome, Pool
+from mbdkit.studies.pool import Pool
 from mbdkit.studies.runs_table import export_runs
 from mbdkit.studies.study_folder import StudyFolder
+from mbdkit.studies.tasks import Outcome
 
 BASE: dict[str, Any] = {
     "mbdkit": 1,
@@ -69,32 +71,29 @@ class PoolInThisProcess:
     def __init__(self, size: int, notify: Any):
         pass
 
-    def __class_getitem__(cls, item: Any) -> type:
-        return cls
-
     def __enter__(self) -> PoolInThisProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
         pass
 
-    def work(self, tasks: list[BlockTask]) -> Iterator[tuple[BlockTask, Outcome]]:
+    def work(self, tasks: list[Any]) -> Iterator[tuple[Any, Outcome]]:
         for task in tasks:
-            failed = compute_block(task.folder.path, task.block, skip=task.skip)
-            yield task, Outcome("complete", "", values={"failed": failed})
+            (answer,) = worker.compute([task.message()], version("mbdkit"))
+            yield task, Outcome.of(answer)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _quick() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(block_execution, "Pool", PoolInThisProcess)
+        patch.setattr(executor_pool, "Pool", PoolInThisProcess)
         yield
 
 
 @pytest.fixture
 def processes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compute blocks in processes of their own, as outside of these tests."""
-    monkeypatch.setattr(block_execution, "Pool", Pool)
+    monkeypatch.setattr(executor_pool, "Pool", Pool)
 
 
 def index_hash(folder: Path) -> str:
