@@ -111,8 +111,8 @@ def study(
     like: a second call tries again.
     """
     from mbdkit.studies.carry_out import study as carry_out
-    from mbdkit.studies.execute import Shard
     from mbdkit.studies.executors import Asked, opened
+    from mbdkit.studies.shard import Shard
     from mbdkit.studies.study_summary import outcome, summary
 
     part = None if shard is None else Shard.parse(shard)

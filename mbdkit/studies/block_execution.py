@@ -8,8 +8,9 @@ from mbdkit.interrupts import interrupts_delayed
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import block_index
 from mbdkit.studies.compute_block import plan_blocks
-from mbdkit.studies.execute import Progress, Shard, check_shard
+from mbdkit.studies.execute import Progress, check_shard
 from mbdkit.studies.executor_pool import Engine
+from mbdkit.studies.shard import Shard
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.tasks import BlockTask, Outcome
 
@@ -70,7 +71,7 @@ class BlockExecution:
         if self.overwrite:
             self.folder.clear()
         self.folder.prepare(self.spec)
-        with self.folder.locked(shared=self.shard is not None):
+        with self.folder.locked(self.shard):
             tasks = [
                 BlockTask(self.folder, block)
                 for block in range(self.plan.blocks.count)
@@ -88,7 +89,7 @@ class BlockExecution:
         blocks = self.plan.blocks
         total = sum(len(blocks.places(task.block)) for task in tasks)
         for task in tasks:
-            self.folder.mark(task.block).unlink(missing_ok=True)  # of a process that was killed in an earlier call
+            self.folder.forget_run_at_work(task.block)  # of a process that was killed in an earlier call
         with engine.pool(self.notify) as pool:
             for task, outcome in pool.work(tasks):
                 self.computed += len(blocks.places(task.block))

@@ -25,9 +25,10 @@ from mbdkit.spec.study_spec import Storing, StudySpec
 from mbdkit.studies import member_table
 from mbdkit.studies.block_execution import BlockExecution
 from mbdkit.studies.block_study import BlockStudy
-from mbdkit.studies.execute import Execution, Progress, Shard
+from mbdkit.studies.execute import Execution, Progress
 from mbdkit.studies.executor_pool import Engine, checked_executor
 from mbdkit.studies.sampled_values import settled_sample
+from mbdkit.studies.shard import Shard
 from mbdkit.studies.study import Study
 from mbdkit.studies.study_blocks import settled_store
 from mbdkit.studies.study_folder import StudyFolder

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from mbdkit.errors import SpecError
 from mbdkit.interrupts import interrupts_delayed
@@ -14,6 +12,7 @@ from mbdkit.studies import study_index
 from mbdkit.studies.collect import collect
 from mbdkit.studies.executor_pool import Engine
 from mbdkit.studies.known_runs import KnownRuns
+from mbdkit.studies.shard import Shard
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_plan import plan_study
 from mbdkit.studies.tasks import Outcome, Task
@@ -21,39 +20,6 @@ from mbdkit.text import counted
 
 #: Called with (tasks done, tasks in all, failed runs). A run is one task, and so are its repeated timings.
 Progress = Callable[[int, int, int], None]
-
-
-@dataclass(frozen=True)
-class Shard:
-    """One of several equal parts of a study.
-
-    Parameters
-    ----------
-    number, count
-        Number of the part, from 1, and number of parts. Runs are assigned to parts in turn, by their place in the list
-        of all runs.
-    """
-
-    number: int
-    count: int
-
-    @classmethod
-    def parse(cls, text: str) -> Shard:
-        """Parse a part from text such as ``2/3``.
-
-        Raises
-        ------
-        SpecError
-            If the text does not have this form.
-        """
-        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
-        if not found or not 1 <= int(found[1]) <= int(found[2]):
-            raise SpecError(f"a part of a study is written number/count, such as 1/2 and 2/2, not {text!r}")
-        return cls(int(found[1]), int(found[2]))
-
-    def has(self, place: int) -> bool:
-        """Return whether the run at this place, counted from 0, belongs to the part."""
-        return place % self.count == self.number - 1
 
 
 def check_shard(shard: Shard | None, *, overwrite: bool) -> None:
@@ -125,7 +91,7 @@ class Execution:
             self.folder.clear()
         self.folder.prepare(self.spec)
         self.tell_left_out()
-        with self.folder.locked(shared=self.shard is not None):
+        with self.folder.locked(self.shard):
             known_runs = KnownRuns(self.spec, self.folder, self.runs)
             missing = []
             for place, run_id in enumerate(self.runs):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import fcntl
 import json
 import os
 import signal
@@ -26,11 +27,12 @@ from mbdkit.archive.blocks import Block
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.spec import RunSpec
+from mbdkit.studies import compute_block as compute_block_module
 from mbdkit.studies import executor_pool, pool, worker
 from mbdkit.studies.compute_block import compute_block
-from mbdkit.studies.execute import Shard
 from mbdkit.studies.pool import Pool
 from mbdkit.studies.runs_table import export_runs
+from mbdkit.studies.shard import Shard
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.tasks import Outcome
 
@@ -239,6 +241,19 @@ def test_a_block_is_a_function_of_its_folder(grid: mbdkit.Study, tmp_path: Path)
         compute_block(out, block)
     assert mbdkit.study(GRID, out=out).computed == 0
     assert index_hash(out) == index_hash(grid.folder)
+
+
+def test_a_block_that_another_process_computes_is_left_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pendulums(store="summary", out=tmp_path / "s", block=3)
+    folder = StudyFolder(tmp_path / "s")
+    folder.block(1).unlink()
+    monkeypatch.setattr(compute_block_module, "PATIENCE", 0.1)
+    with folder.mark(1).open("w") as handle:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        study = pendulums(store="summary", out=tmp_path / "s", block=3)
+    assert study.statuses().count("missing") == 3
+    assert "another process is computing this block" in study.unfinished[0]
+    assert pendulums(store="summary", out=tmp_path / "s", block=3).status == "complete"
 
 
 def test_a_process_that_dies_in_a_run_is_known_to_have_died_in_that_run(
