@@ -24,11 +24,11 @@ import mbdkit
 from mbdkit import batch
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.blocks import Block
-from mbdkit.archive.fingerprint import data_sha256
+from mbdkit.archive.fingerprint import data_sha256, datasets
 from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.spec import RunSpec
 from mbdkit.studies import compute_block as compute_block_module
-from mbdkit.studies import executor_pool, pool, worker
+from mbdkit.studies import executor_pool, known_blocks, pool, worker
 from mbdkit.studies.compute_block import compute_block
 from mbdkit.studies.pool import Pool
 from mbdkit.studies.runs_table import export_runs
@@ -216,6 +216,43 @@ def test_only_missing_and_damaged_blocks_are_computed(tmp_path: Path) -> None:
     missing.unlink()
     assert pendulums(store="summary", out=out, block=3).computed == 6
     assert index_hash(out) == before
+
+
+def test_unchanged_blocks_are_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options: dict[str, Any] = {"store": "histories", "out": tmp_path / "s", "block": 3}
+    monkeypatch.setattr(known_blocks, "SETTLED", 0.0)
+    pendulums(**options)
+    before, opened = index_hash(tmp_path / "s"), []
+    is_sound = Block.is_sound
+
+    def noted(block: Block) -> bool:
+        opened.append(block.path.name)
+        return is_sound(block)
+
+    monkeypatch.setattr(Block, "is_sound", noted)
+    assert (pendulums(**options).computed, opened) == (0, [])
+    assert index_hash(tmp_path / "s") == before
+    # one bit of an array of results, in the same file, with its modification time set back
+    path = tmp_path / "s" / "runs" / "block-000002.h5"
+    with h5py.File(path) as file:
+        place = next(item for item in datasets(file) if item.name.endswith("trajectory/position")).id.get_offset()
+    times = path.stat()
+    with path.open("r+b") as changed:
+        changed.seek(place)
+        byte = changed.read(1)[0]
+        changed.seek(place)
+        changed.write(bytes([byte ^ 1]))
+    os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    assert (pendulums(**options).computed, opened) == (3, ["block-000002.h5"])
+    assert index_hash(tmp_path / "s") == before
+
+
+def test_a_file_that_has_just_changed_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # its time may be that of the next change, too: file systems count time in steps
+    monkeypatch.setattr(known_blocks, "SETTLED", 60.0)
+    pendulums(store="summary", out=tmp_path / "s", block=3)
+    with h5py.File(tmp_path / "s" / "index.h5") as file:
+        assert not file["blocks/file_state"][:].any()
 
 
 def test_a_block_of_another_study_is_not_replaced(tmp_path: Path) -> None:
