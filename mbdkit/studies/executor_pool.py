@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Generic
 
@@ -78,7 +79,7 @@ class ExecutorPool(Generic[Work]):
     def __init__(self, executor: Executor, local: Pool[Work]):
         self.executor = executor
         self.local: Pool[Work] = local
-        self._begun: dict[Future[list[dict[str, Any]]], list[Work]] = {}
+        self._begun: dict[Future[list[dict[str, Any]]], _Batch[Work]] = {}
         self._ended: queue.SimpleQueue[Future[list[dict[str, Any]]]] = queue.SimpleQueue()
 
     def work(self, tasks: Sequence[Work]) -> Iterator[tuple[Work, Outcome]]:
@@ -92,22 +93,24 @@ class ExecutorPool(Generic[Work]):
                     batches = []
                     continue
                 future = self._ended.get()
-                batch = self._begun[future]
+                batch = self._begun[future].tasks
                 answers = future.result()
             except BrokenExecutor as error:
                 yield from self._without_executor(batches, error)
                 return
             except ImportError as error:
                 outcome = Outcome("missing", f"no-resources: a worker of the executor cannot begin: {_told(error)}.")
-                yield from ((task, outcome) for task in self._begun.pop(future))
+                yield from ((task, outcome) for task in self._begun.pop(future).tasks)
             except Exception as error:
                 how = f"was lost by the executor: {_told(error)}"
-                for task in self._begun.pop(future):
+                suspects, innocent = self._begun.pop(future).divided()
+                for task in suspects:
                     following = task.after_death(how)
                     if following is None:
                         yield task, Outcome("failed", died(how))
                     else:
                         batches.append([following])
+                batches += [innocent] if innocent else []
             else:
                 del self._begun[future]
                 for task, answer in zip(batch, answers, strict=True):
@@ -130,7 +133,7 @@ class ExecutorPool(Generic[Work]):
             else:
                 futures = (self.executor.submit(worker.compute, part, version("mbdkit")) for part in messages)
             for batch, future in zip(batches, futures, strict=True):
-                self._begun[future] = batch
+                self._begun[future] = _Batch(batch)
                 submitted += 1
                 future.add_done_callback(self._ended.put)
         except BrokenExecutor:
@@ -144,7 +147,8 @@ class ExecutorPool(Generic[Work]):
         """Compute by local processes what a broken executor has not."""
         self.executor.shutdown()  # its last processes no longer write
         self.local.say(f"the executor broke, and processes of this machine compute the rest ({_told(error)})")
-        left: list[Any] = [task for batch in (*self._begun.values(), *batches) for task in batch]
+        begun: list[list[Any]] = [batch.tasks for batch in self._begun.values()]
+        left: list[Any] = [task for batch in (*begun, *batches) for task in batch]
         self._begun.clear()
         with self.local as pool:
             yield from pool.work(left)
@@ -170,6 +174,33 @@ class ExecutorPool(Generic[Work]):
     ) -> None:
         for future in self._begun:
             future.cancel()  # has no effect on those that are computed already, which end by themselves
+
+
+class _Batch(Generic[Work]):
+    """Tasks that one call of a worker computes, in order."""
+
+    def __init__(self, tasks: list[Work]):
+        self.tasks: list[Work] = tasks
+        self._before = [_written(task.path) for task in tasks]
+
+    def divided(self) -> tuple[list[Work], list[Work]]:
+        """Return the tasks of which the worker may have died, and the others, once it is lost.
+
+        Tasks are computed one after another, so it died of the first one whose file it has not written.
+        """
+        if not all(task.writes for task in self.tasks):
+            return self.tasks, []
+        done = [_written(task.path) != before for task, before in zip(self.tasks, self._before, strict=True)]
+        place = done.index(False) if False in done else len(done) - 1
+        return self.tasks[place : place + 1], self.tasks[:place] + self.tasks[place + 1 :]
+
+
+def _written(path: Path) -> int:
+    """Return when a file was written [ns]; 0 if it does not exist."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 def _told(error: BaseException) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 from typer.testing import CliRunner
 
 import mbdkit
@@ -181,6 +182,19 @@ def test_an_interrupt_cancels_what_is_not_begun(blocks, monkeypatch, tmp_path):
     assert index_hash(tmp_path / "s") == index_hash(blocks.folder)
 
 
+def test_linear_algebra_has_one_thread_as_in_local_processes(monkeypatch, tmp_path):
+    threads: list[int] = []
+
+    def noting(task: Any, notify: Any) -> Any:
+        threads.extend(pool["num_threads"] for pool in threadpool_info())
+        return {"status": "missing", "reason": "no-resources: none."}
+
+    monkeypatch.setattr(worker, "_work", noting)
+    with threadpool_limits(2):
+        pendulums(out=tmp_path / "s", executor=Here())
+    assert set(threads) == {1}
+
+
 class Job:
     """A job of submitit that is done when it is first looked at, or is lost."""
 
@@ -198,21 +212,25 @@ class Job:
 
 
 class Jobs:
-    """An executor with the methods of submitit's that are used; the first job of the first array is lost."""
+    """An executor with the methods of submitit's that are used; the first job is lost in its second block."""
 
     def __init__(self) -> None:
-        self.arrays: list[int] = []
+        self.arrays: list[list[int]] = []
 
     def map_array(self, function: Any, *columns: Any) -> list[Job]:
         calls = list(zip(*columns, strict=True))
-        self.arrays.append(len(calls))
-        return [Job(function(*call), len(self.arrays) == 1 and not place) for place, call in enumerate(calls)]
+        self.arrays.append([len(messages) for messages, *_ in calls])
+        is_first = len(self.arrays) == 1
+        return [self._job(function, *call, is_lost=is_first and not place) for place, call in enumerate(calls)]
+
+    def _job(self, function: Any, messages: Any, *rest: Any, is_lost: bool) -> Job:
+        return Job(function(messages[:1] if is_lost else messages, *rest), is_lost)
 
 
 def test_jobs_are_submitted_as_an_array_and_lost_ones_again(blocks, tmp_path):
     jobs = Jobs()
-    study = pendulums(out=tmp_path / "s", executor=SubmititExecutor(lambda: jobs, jobs=2))
-    assert jobs.arrays == [2, 2]  # two jobs of two blocks; the blocks of the lost job again, one by one
+    study = pendulums(out=tmp_path / "s", executor=SubmititExecutor(lambda: jobs, jobs=1))
+    assert jobs.arrays == [[4], [1, 3]]  # the block at which the job was lost, and the others
     assert index_hash(study.folder) == index_hash(blocks.folder)
     assert pendulums(out=tmp_path / "t", executor=Jobs()).status == "complete"
 
