@@ -434,8 +434,9 @@ def is_timing(path: str) -> bool:
 
 
 def is_hashed(path: str) -> bool:
-    """Whether the array at `path` is part of the data: no wall time, no estimated error, no hash of a file."""
-    return not is_timing(path) and not path.lstrip("/").startswith("accuracy/") and not path.endswith("/file_sha256")
+    """Whether the array at `path` is part of the data: no wall time, no estimated error, no property of a file."""
+    is_of_file = path.endswith(("/file_sha256", "/file_state"))
+    return not is_timing(path) and not path.lstrip("/").startswith("accuracy/") and not is_of_file
 
 
 def is_in(array: Array, version: str) -> bool:

@@ -35,15 +35,38 @@ def study(
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option("--workers", min=1, metavar="N", help="Number of processes; by default one per core."),
+        typer.Option(
+            "--workers",
+            min=1,
+            metavar="N",
+            help="Number of processes, by default one per core; with submitit, of jobs, by default up to 100.",
+        ),
     ] = None,
     shard: Annotated[
         str | None,
         typer.Option("--shard", metavar="i/N", help="Compute only part i of N of the runs, or of the blocks."),
     ] = None,
     executor: Annotated[
-        Literal["local"], typer.Option("--executor", help="Where the processes run: on this machine.")
+        Literal["local", "dask", "submitit"],
+        typer.Option(
+            "--executor", help="What computes: processes of this machine, a Dask cluster, or jobs of Slurm (submitit)."
+        ),
     ] = "local",
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="With dask: the address of the scheduler, or its scheduler file. With submitit: slurm (default), or "
+            "local to try jobs on this machine.",
+        ),
+    ] = None,
+    slurm: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--slurm", metavar="K=V", help="With submitit: an option of sbatch, such as time=60. Can be repeated."
+        ),
+    ] = None,
     store: Annotated[
         Literal["files", "all", "histories", "summary", "hashes"] | None,
         typer.Option(
@@ -81,21 +104,27 @@ def study(
     Of a study with a sample, --report shows histograms, Sobol indices and quantiles
     over time; `mbdkit guide studies` explains these.
 
+    With --executor dask or submitit, workers on other machines compute the runs and
+    write them into the folder, which must have the same path there.
+
     Exit status 3 if runs are missing because the disk is full, a process died or the
     like: a second call tries again.
     """
     from mbdkit.studies.carry_out import study as carry_out
-    from mbdkit.studies.execute import Shard
+    from mbdkit.studies.executors import Asked, opened
+    from mbdkit.studies.shard import Shard
     from mbdkit.studies.study_summary import outcome, summary
 
     part = None if shard is None else Shard.parse(shard)
     path = output if output is not None else Path(stem(spec))
     notify = silence if quiet else say
-    with count_bar(path.name, quiet) as progress:
+    asked = Asked(executor, scheduler, tuple(slurm or ()), workers)
+    with opened(asked, path, notify) as cluster, count_bar(path.name, quiet) as progress:
         result = carry_out(
             spec,
             out=path,
             workers=workers or _cores(),
+            executor=cluster,
             shard=part,
             progress=progress,
             notify=notify,

@@ -7,10 +7,14 @@ from collections.abc import Callable
 from mbdkit.interrupts import interrupts_delayed
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import block_index
+from mbdkit.studies.block_index import BlockIndex
 from mbdkit.studies.compute_block import plan_blocks
-from mbdkit.studies.execute import Progress, Shard, check_shard
-from mbdkit.studies.pool import BlockTask, Outcome, Pool
+from mbdkit.studies.execute import Progress, check_shard
+from mbdkit.studies.executor_pool import Engine
+from mbdkit.studies.known_blocks import KnownBlocks
+from mbdkit.studies.shard import Shard
 from mbdkit.studies.study_folder import StudyFolder
+from mbdkit.studies.tasks import BlockTask, Outcome
 
 
 class BlockExecution:
@@ -58,35 +62,37 @@ class BlockExecution:
         """Number of runs of the study."""
         return len(self.plan.points)
 
-    def run(self, workers: int) -> None:
+    def run(self, engine: Engine) -> None:
         """Compute the missing blocks and write the index; after Ctrl-C, index the results so far.
 
         Parameters
         ----------
-        workers
-            Number of processes that compute in parallel.
+        engine
+            What computes the blocks.
         """
         if self.overwrite:
             self.folder.clear()
         self.folder.prepare(self.spec)
-        with self.folder.locked(shared=self.shard is not None):
+        with self.folder.locked(self.shard):
+            self.known = KnownBlocks(self.spec, self.folder, self.plan.blocks)
             tasks = [
                 BlockTask(self.folder, block)
                 for block in range(self.plan.blocks.count)
-                if (self.shard is None or self.shard.has(block))
-                and not self.plan.blocks.is_whole(self.folder, self.spec, block)
+                if (self.shard is None or self.shard.has(block)) and not self.known.is_whole(block)
             ]
             try:
-                self.compute(tasks, workers)
+                self.compute(tasks, engine)
             finally:
                 with interrupts_delayed(), self.folder.indexing():
                     self.index()
 
-    def compute(self, tasks: list[BlockTask], workers: int) -> None:
+    def compute(self, tasks: list[BlockTask], engine: Engine) -> None:
         """Compute blocks in parallel."""
         blocks = self.plan.blocks
         total = sum(len(blocks.places(task.block)) for task in tasks)
-        with Pool[BlockTask](workers, self.notify) as pool:
+        for task in tasks:
+            self.folder.forget_run_at_work(task.block)  # of a process that was killed in an earlier call
+        with engine.pool(self.notify) as pool:
             for task, outcome in pool.work(tasks):
                 self.computed += len(blocks.places(task.block))
                 self.note(task, outcome)
@@ -97,12 +103,15 @@ class BlockExecution:
         """Keep the outcome of a block."""
         self.failed += int(outcome.values.get("failed", 0))
         self.unfinished += task.skip.values()
-        if outcome.status != "complete":
+        if outcome.status == "complete":
+            self.known.note_computed(task.block)
+        else:
             self.reasons[task.block] = outcome.reason
             self.unfinished.append(outcome.reason)
 
     def index(self) -> None:
         """Write the index of the blocks that are there."""
         plan = self.plan
-        found = block_index.collect(self.spec, plan.points, plan.blocks, self.folder, reasons=self.reasons)
+        columns, described = block_index.collect(plan.points, plan.blocks, self.known.rows, reasons=self.reasons)
+        found = BlockIndex(columns, described, self.known.states())
         block_index.write(self.folder.index, self.spec, found, plan.points.labels())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -26,7 +26,6 @@ from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.measures import MEASURES
 from mbdkit.studies.planned_points import PlannedPoints
 from mbdkit.studies.study_blocks import StudyBlocks
-from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import FORMAT, axis_column
 from mbdkit.studies.study_index import TEXTS as DESCRIPTIONS
 
@@ -50,24 +49,61 @@ class BlockIndex:
         (N,) values by name, in the order of the table: families and axes, results, measures, counters, hashes.
     described
         Unit and description of each column of numbers that is no axis.
+    states
+        (B, 4) size, times [ns] and number of the file of each block, see `mbdkit.studies.known_blocks`; zero for
+        unknown ones.
+    version
+        Version of mbdkit that wrote the index.
     """
 
     columns: Mapping[str, np.ndarray]
     described: Mapping[str, Description]
+    states: np.ndarray
+    version: str = ""
+
+    def rows(self, places: range) -> BlockRows:
+        """Return the rows of some runs, by their places from 0."""
+        rows = slice(places.start, places.stop)
+        texts = {name: self.columns[name][rows] for name in (*TEXTS, *HASHES)}
+        return BlockRows(texts, {name: self.columns[name][rows] for name in self.described}, self.described)
+
+
+@dataclass(frozen=True, eq=False)
+class BlockRows:
+    """The columns of the runs of one block: texts and hashes, numbers, and what the numbers are."""
+
+    texts: Mapping[str, np.ndarray]
+    numbers: Mapping[str, np.ndarray]
+    described: Mapping[str, Description]
+
+
+def read_rows(path: Path, study_sha256: str, count: int) -> BlockRows | None:
+    """Return the columns of a block of `count` runs of a study; None if the file does not exist or cannot be read."""
+    try:
+        with Block(path) as block:
+            if block.study_sha256 != study_sha256 or len(block.numbers) != count:
+                return None
+            texts = {name: block.runs[name] for name in (*TEXTS, *HASHES) if name in block.runs}
+            texts["verdict_reasons"] = _joined(texts.get("verdict_reasons"), count)
+            numbers = {MISALIGNMENT: block.runs[MISALIGNMENT], **block.columns("measures"), **block.columns("stats")}
+            return BlockRows(texts, numbers, {name: Description(*told) for name, told in block.described().items()})
+    except (MbdkitError, OSError):
+        return None
 
 
 def collect(
-    spec: StudySpec,
     points: PlannedPoints,
     blocks: StudyBlocks,
-    folder: StudyFolder,
+    rows_of: Callable[[int], BlockRows | None],
     *,
     reasons: Mapping[int, str],
-) -> BlockIndex:
-    """Return the index of the blocks that a folder contains; the runs of others are missing.
+) -> tuple[dict[str, np.ndarray], dict[str, Description]]:
+    """Return the columns of a study, and what those of numbers are; the runs of blocks without rows are missing.
 
     Parameters
     ----------
+    rows_of
+        Returns the rows of a block by its number.
     reasons
         Why blocks could not be computed, by their number.
     """
@@ -79,20 +115,14 @@ def collect(
     for number in range(blocks.count):
         places = blocks.places(number)
         rows = slice(places.start, places.stop)
-        try:
-            with Block(folder.block(number)) as block:
-                if block.study_sha256 != spec.sha256() or len(block.numbers) != len(places):
-                    continue
-                found = {name: block.runs[name] for name in texts if name in block.runs}
-                found["verdict_reasons"] = _joined(found.get("verdict_reasons"), len(places))
-                values = {MISALIGNMENT: block.runs[MISALIGNMENT], **block.columns("measures"), **block.columns("stats")}
-                described |= {name: Description(*told) for name, told in block.described().items()}
-        except (MbdkitError, OSError):
+        found = rows_of(number)
+        if found is None:
             texts["status_reason"][rows] = reasons.get(number, "")
             continue
-        for name, column in found.items():
+        described |= found.described
+        for name, column in found.texts.items():
             texts[name][rows] = column
-        for name, column in values.items():
+        for name, column in found.numbers.items():
             numbers.setdefault(name, np.full(count, np.nan))[rows] = column
     described |= {name: Description("1", f"counter of the run: {name.replace('_', ' ')}") for name in COUNTERS}
     described |= {name: Description("s", f"time of the run: {name.removesuffix('_s')}") for name in TIMINGS}
@@ -104,7 +134,7 @@ def collect(
         **{name: numbers[name] for name in _ordered(numbers)},
         "data_sha256": texts["data_sha256"],
     }
-    return BlockIndex(columns, {name: described[name] for name in numbers})
+    return columns, {name: described[name] for name in numbers}
 
 
 def _joined(texts: np.ndarray | None, count: int) -> np.ndarray:
@@ -150,12 +180,23 @@ def write(path: Path, spec: StudySpec, index: BlockIndex, axes: Iterable[str]) -
         create(file, Array("runs/run", ("run",), "1", "number of the run", INTEGER), np.arange(1, count + 1))
         for place, (name, values) in enumerate(index.columns.items(), start=1):
             _write(file, name, place, values, index.described.get(name), is_axis=name in axes)
+        file.create_group("blocks")
+        states = Array(
+            "blocks/file_state", ("block", "property"), "1", "size, times [ns] and number of the file", INTEGER
+        )
+        _scale(file, "block", len(index.states))
+        _scale(file, "property", index.states.shape[1])
+        create(file, states, index.states)
         set_text(file, "data_sha256", data_sha256(file))
         set_text(file, ATTRIBUTES_HASH, attributes_sha256(file))
         file.flush()
         image = file.id.get_file_image()
     with replacing(path) as temporary:
         temporary.write_bytes(image)
+
+
+def _scale(file: h5py.File, name: str, size: int) -> None:
+    create(file, Array(f"blocks/{name}", (name,), "1", f"number of the {name}", INTEGER), np.arange(size))
 
 
 def _write(
@@ -207,4 +248,5 @@ def read(path: Path, study_sha256: str) -> BlockIndex:
             for item in items
             if item.attrs["role"] == "number"
         }
-        return BlockIndex(columns, described)
+        states = file["blocks/file_state"][:] if "blocks/file_state" in file else np.zeros((0, 4), np.int64)
+        return BlockIndex(columns, described, states, str(file.attrs["mbdkit"]))

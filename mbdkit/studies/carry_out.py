@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,10 @@ from mbdkit.spec.study_spec import Storing, StudySpec
 from mbdkit.studies import member_table
 from mbdkit.studies.block_execution import BlockExecution
 from mbdkit.studies.block_study import BlockStudy
-from mbdkit.studies.execute import Execution, Progress, Shard
+from mbdkit.studies.execute import Execution, Progress
+from mbdkit.studies.executor_pool import Engine, checked_executor
 from mbdkit.studies.sampled_values import settled_sample
+from mbdkit.studies.shard import Shard
 from mbdkit.studies.study import Study
 from mbdkit.studies.study_blocks import settled_store
 from mbdkit.studies.study_folder import StudyFolder
@@ -78,6 +81,7 @@ def study(
     *,
     out: str | Path | None = None,
     workers: int = 1,
+    executor: Executor | None = None,
     shard: Shard | None = None,
     progress: Progress | None = None,
     notify: Callable[[str], None] = say,
@@ -95,6 +99,10 @@ def study(
         Folder of the study; by default a temporary one that is deleted with the returned study.
     workers
         Number of processes that compute in parallel.
+    executor
+        A `concurrent.futures.Executor` that computes instead of these processes, such as ``client.get_executor()`` of
+        Dask, or an executor of submitit. Its workers must see the folder under the same path. If it breaks, as a
+        `ProcessPoolExecutor` does when a process dies, the processes of `workers` compute what is left.
     shard
         Part of the study to compute; by default all of it.
     progress
@@ -140,6 +148,7 @@ def study(
     >>> [point.status for point in study.points]
     ['complete', 'complete', 'complete', 'complete']
     """
+    engine = Engine(workers, checked_executor(executor))
     spec = load_study_spec(source, assignments)
     spec = spec if store is None else spec.stored_as(store)
     keep = None
@@ -154,7 +163,7 @@ def study(
             kind = BlockExecution if spec.in_blocks else Execution
             execution = kind(spec, folder, shard=shard, progress=progress or bar, notify=notify, overwrite=overwrite)
             _LOG.info("study in %s begins: %s", shown(folder.path), counted(execution.count, "run"))
-            execution.run(workers)
+            execution.run(engine)
             _LOG.info(
                 "study in %s ends: %d computed, %d failed", shown(folder.path), execution.computed, execution.failed
             )
@@ -170,6 +179,7 @@ def ensemble(
     store: Store = "summary",
     out: str | Path | None = None,
     workers: int = 1,
+    executor: Executor | None = None,
     measures: Any = "all",
     block: int | None = None,
     compress: bool = False,
@@ -193,6 +203,8 @@ def ensemble(
         same arguments computes only what is missing in it.
     workers
         Number of processes that compute in parallel.
+    executor
+        Computes instead of these processes, as for `study`.
     measures
         Measures to take, as in a study spec.
     block
@@ -249,7 +261,8 @@ def ensemble(
         **{name: value for name, value in keys.items() if value is not None},
     )
     spec._columns = columns
-    return study(spec, out=out, workers=workers, progress=progress, notify=notify, overwrite=overwrite)
+    rest: dict[str, Any] = {"progress": progress, "notify": notify, "overwrite": overwrite}
+    return study(spec, out=out, workers=workers, executor=executor, **rest)
 
 
 def _complete(base: dict[str, Any], whole: Mapping[str, Any], key: str) -> None:

@@ -17,8 +17,8 @@ from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.known_runs import KnownRuns
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, worst_joint
 from mbdkit.studies.planned_points import PlannedPoint
-from mbdkit.studies.pool import Outcome
 from mbdkit.studies.study_index import Index, Row, quartiles
+from mbdkit.studies.tasks import Outcome
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

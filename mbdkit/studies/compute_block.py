@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -14,7 +16,7 @@ from mbdkit.archive.blocks import BlockHeading, BlockRun, kept, write_block
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.stored_run import Heading, StoredRun
 from mbdkit.batch import Refused, refusal, simulate_batch
-from mbdkit.errors import SpecError
+from mbdkit.errors import ResourceError, SpecError
 from mbdkit.measures.take import Description, take
 from mbdkit.plain_data import path_text
 from mbdkit.provenance import plugins_of, surroundings
@@ -34,6 +36,9 @@ from mbdkit.terminal import say
 
 SAMPLES = 8
 """Runs of a study whose specs are validated before the first run; those of all others when they are computed."""
+
+PATIENCE = 10.0
+"""Time for another process that computes the same block to end, as one does whose parent was killed [s]."""
 
 
 class BlockStudyPlan:
@@ -170,7 +175,7 @@ def compute_block(
     SpecError
         If the folder contains no study in blocks.
     ResourceError
-        If the block cannot be written.
+        If the block cannot be written, or another process is computing it.
     """
     files = StudyFolder(Path(folder))
     plan = _plan(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
@@ -260,14 +265,42 @@ def _stored(plan: BlockStudyPlan, member: _Member, result: FinishedRun | Refused
 
 
 class _Mark:
-    """The file that contains the number of the run at work in a block; it is removed at the end."""
+    """The file that contains the number of the run at work in a block; it is removed at the end.
+
+    It is locked, so that no two processes compute a block, as when the worker of an executor only seems to be lost.
+    """
 
     def __init__(self, folder: StudyFolder, block: int):
-        self.path = folder.mark(block)
+        self.path, self.block = folder.mark(block), folder.block(block)
 
     def __enter__(self) -> _Mark:
-        self.handle = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        self.handle = os.open(self.path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        try:
+            self._lock()
+            os.ftruncate(self.handle, 0)
+        except BaseException:
+            os.close(self.handle)
+            raise
         return self
+
+    def _lock(self) -> None:
+        if sys.platform == "win32":
+            return
+        import fcntl
+
+        until = time.monotonic() + PATIENCE
+        while True:
+            try:
+                fcntl.flock(self.handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if time.monotonic() > until:
+                    message = "another process is computing this block; call again when it has ended"
+                    raise ResourceError(message, file=self.block) from None
+                time.sleep(0.05)
+            except OSError:  # a file system without locks
+                return
+            else:
+                return
 
     def note(self, number: int) -> None:
         """Write the number of the run that is computed next."""

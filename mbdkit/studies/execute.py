@@ -2,57 +2,24 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from mbdkit.errors import SpecError
 from mbdkit.interrupts import interrupts_delayed
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
 from mbdkit.studies.collect import collect
+from mbdkit.studies.executor_pool import Engine
 from mbdkit.studies.known_runs import KnownRuns
-from mbdkit.studies.pool import Outcome, Pool, Task
+from mbdkit.studies.shard import Shard
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_plan import plan_study
+from mbdkit.studies.tasks import Outcome, Task
 from mbdkit.text import counted
 
 #: Called with (tasks done, tasks in all, failed runs). A run is one task, and so are its repeated timings.
 Progress = Callable[[int, int, int], None]
-
-
-@dataclass(frozen=True)
-class Shard:
-    """One of several equal parts of a study.
-
-    Parameters
-    ----------
-    number, count
-        Number of the part, from 1, and number of parts. Runs are assigned to parts in turn, by their place in the list
-        of all runs.
-    """
-
-    number: int
-    count: int
-
-    @classmethod
-    def parse(cls, text: str) -> Shard:
-        """Parse a part from text such as ``2/3``.
-
-        Raises
-        ------
-        SpecError
-            If the text does not have this form.
-        """
-        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
-        if not found or not 1 <= int(found[1]) <= int(found[2]):
-            raise SpecError(f"a part of a study is written number/count, such as 1/2 and 2/2, not {text!r}")
-        return cls(int(found[1]), int(found[2]))
-
-    def has(self, place: int) -> bool:
-        """Return whether the run at this place, counted from 0, belongs to the part."""
-        return place % self.count == self.number - 1
 
 
 def check_shard(shard: Shard | None, *, overwrite: bool) -> None:
@@ -112,19 +79,19 @@ class Execution:
         """Number of different runs of the study."""
         return len(self.runs)
 
-    def run(self, workers: int) -> None:
+    def run(self, engine: Engine) -> None:
         """Compute missing runs, make the timings, and write the index; after Ctrl-C, index the results so far.
 
         Parameters
         ----------
-        workers
-            Number of processes that compute in parallel. Timings are made by a single separate process.
+        engine
+            What computes the runs. Timings are made by a single separate process of this machine.
         """
         if self.overwrite:
             self.folder.clear()
         self.folder.prepare(self.spec)
         self.tell_left_out()
-        with self.folder.locked(shared=self.shard is not None):
+        with self.folder.locked(self.shard):
             known_runs = KnownRuns(self.spec, self.folder, self.runs)
             missing = []
             for place, run_id in enumerate(self.runs):
@@ -135,8 +102,8 @@ class Execution:
             again = self.to_run_again(known_runs) if self.shard is None else []
             total = len(missing) + len(again) + len(repeats)
             try:
-                self.compute(missing, workers, total, known_runs)
-                self.run_again(again, workers, total - len(repeats), total, known_runs)
+                self.compute(missing, engine, total, known_runs)
+                self.run_again(again, engine, total - len(repeats), total, known_runs)
                 self.time(repeats, total, known_runs)
             finally:
                 with interrupts_delayed(), self.folder.indexing():
@@ -157,10 +124,10 @@ class Execution:
                 wanted[point.run_id] = max(count, wanted.get(point.run_id, 0))
         return wanted
 
-    def compute(self, missing: list[str], workers: int, total: int, known_runs: KnownRuns) -> None:
+    def compute(self, missing: list[str], engine: Engine, total: int, known_runs: KnownRuns) -> None:
         """Compute runs in parallel."""
         tasks = [Task(self.runs[run_id], self.folder.archive(run_id)) for run_id in missing]
-        with Pool(workers, self.notify) as pool:
+        with engine.pool(self.notify) as pool:
             for task, outcome in pool.work(tasks):
                 self.computed += 1
                 known_runs.note(self.names[task.path], outcome)
@@ -175,14 +142,14 @@ class Execution:
         wanted = dict.fromkeys(point.run_id for point in self.points if not point.lacking)
         return [run_id for run_id in wanted if known_runs.run_twice(run_id) is None]
 
-    def run_again(self, again: list[str], workers: int, last: int, total: int, known_runs: KnownRuns) -> None:
+    def run_again(self, again: list[str], engine: Engine, last: int, total: int, known_runs: KnownRuns) -> None:
         """Take the measures that need a second run from complete runs, in parallel."""
         tasks = [
             Task(self.runs[run_id], self.folder.archive(run_id), second=self.spec.second_run_measures)
             for run_id in again
             if known_runs.outcome(run_id).status == "complete"
         ]
-        with Pool(workers, self.notify) as pool:
+        with engine.pool(self.notify) as pool:
             for done, (task, outcome) in enumerate(pool.work(tasks), start=last - len(tasks) + 1):
                 self.second[self.names[task.path]] = outcome
                 self.note_unfinished(outcome)
@@ -195,7 +162,7 @@ class Execution:
             for run_id, count in repeats.items()
             if known_runs.outcome(run_id).status == "complete"
         ]
-        with Pool(1, self.notify) as pool:
+        with Engine().pool(self.notify) as pool:
             for done, (task, outcome) in enumerate(pool.work(tasks), start=total - len(tasks) + 1):
                 self.timings[self.names[task.path]] = outcome.seconds
                 self.note_unfinished(outcome)

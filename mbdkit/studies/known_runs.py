@@ -13,9 +13,9 @@ from mbdkit.errors import ResourceError, SpecError
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
-from mbdkit.studies.pool import PASSING, Outcome
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Row
+from mbdkit.studies.tasks import PASSING, Outcome
 
 #: Reasons of failure after which a run is computed again, because a second attempt may succeed.
 TRIED_AGAIN = ("interrupted", "plugin-error", *PASSING)

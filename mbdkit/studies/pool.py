@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import os
 import queue
 import signal
@@ -13,118 +12,16 @@ import sys
 import tempfile
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic
 
 from mbdkit.errors import ResourceError
-from mbdkit.spec import RunSpec
-from mbdkit.studies.study_folder import StudyFolder
+from mbdkit.studies.tasks import Outcome, Work, died
 
 #: Thread counts of the linear algebra libraries: several threads do not pay for small matrices, and the workers would
 #: compete for the cores.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-
-
-#: Reasons of failure that are outside the study: a resource that was refused, a process that died, a defect of mbdkit.
-PASSING = ("no-resources", "worker-died", "error")
-
-
-@dataclass(frozen=True)
-class Task:
-    """A task for a worker.
-
-    Parameters
-    ----------
-    repeats
-        If not 0, no archive is written, and the run is timed this many times in memory after one warm-up run.
-    second
-        If not empty, no archive is written, and these measures are taken from a second run in memory.
-    tried
-        Whether the first process that tried it died.
-    """
-
-    spec: RunSpec
-    path: Path
-    repeats: int = 0
-    second: tuple[str, ...] = ()
-    tried: bool = False
-
-    def message(self) -> dict[str, Any]:
-        """Return what a worker needs to carry out the task."""
-        spec = json.loads(self.spec.canonical_json())
-        return {"spec": spec, "path": str(self.path.absolute()), "repeats": self.repeats, "second": self.second}
-
-    def after_death(self, how: str) -> Task | None:
-        """Return the task to try after a process died of this one, as `how` says; None if it is given up."""
-        return None if self.tried else replace(self, tried=True)
-
-
-@dataclass(frozen=True)
-class BlockTask:
-    """A task for a worker: a block of a study.
-
-    Parameters
-    ----------
-    deaths
-        Numbers of processes that died at a run, by its number; 0 for those that died between runs.
-    skip
-        Reasons for which runs are recorded as failed without being computed, by their number.
-    """
-
-    folder: StudyFolder
-    block: int
-    deaths: Mapping[int, int] = field(default_factory=dict)
-    skip: Mapping[int, str] = field(default_factory=dict)
-
-    @property
-    def path(self) -> Path:
-        """File of the block."""
-        return self.folder.block(self.block)
-
-    def message(self) -> dict[str, Any]:
-        """Return what a worker needs to carry out the task."""
-        place, skip = str(self.folder.path.absolute()), {str(run): reason for run, reason in self.skip.items()}
-        return {"folder": place, "block": self.block, "skip": skip, "path": str(self.path.absolute())}
-
-    def after_death(self, how: str) -> BlockTask | None:
-        """Return the task to try after a process died of this one; the second time, the run at work is left out."""
-        run = self.folder.run_at_work(self.block) or 0
-        deaths = {**self.deaths, run: self.deaths.get(run, 0) + 1}
-        if sum(deaths.values()) > MOST_DEATHS or deaths.get(0, 0) > 1:
-            return None
-        skip = dict(self.skip)
-        if run and deaths[run] > 1:
-            skip[run] = died(how)
-        return replace(self, deaths=deaths, skip=skip)
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Result of a task: status of the run, its reason, wall times of repeats [s], and measures of a second run."""
-
-    status: str
-    reason: str
-    seconds: tuple[float, ...] = ()
-    values: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def is_passing(self) -> bool:
-        """Whether the cause of a failure is outside the study, so that the next call tries again."""
-        return self.reason.startswith(PASSING)
-
-
-Work = TypeVar("Work", Task, BlockTask)
-
-MOST_DEATHS = 20
-"""Processes that may die in one block before it is given up."""
-
-
-def died(how: str) -> str:
-    """Return the reason of failure of a run of which two processes died, the second one as `how` says."""
-    return f"worker-died: two processes that computed it died; the second one {how}."
 
 
 class Pool(Generic[Work]):
@@ -166,12 +63,9 @@ class Pool(Generic[Work]):
             if line:
                 answer: dict[str, Any] = json.loads(line)
                 if "note" in answer:
-                    self._say(answer["note"])
+                    self.say(answer["note"])
                     continue
-                values = {
-                    name: math.nan if found is None else found for name, found in answer.get("values", {}).items()
-                }
-                outcome = Outcome(answer["status"], answer["reason"], tuple(answer.get("seconds", ())), values)
+                outcome = Outcome.of(answer)
                 worker.task = None
             else:
                 how = worker.death()
@@ -197,12 +91,13 @@ class Pool(Generic[Work]):
             message = f"a process of the study cannot be started: {error.strerror or error}"
             if not self._workers:
                 raise ResourceError(message) from error
-            self._say(message)
+            self.say(message)
             return None
         self._workers.append(worker)
         return worker
 
-    def _say(self, text: str) -> None:
+    def say(self, text: str) -> None:
+        """Pass a message to the user, once."""
         if text not in self._said:
             self._said.add(text)
             self.notify(text)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from mbdkit.archive import layout
 from mbdkit.archive.blocks import HISTORIES, Block, Store
 from mbdkit.engine.compile_mechanism import compile_mechanism
@@ -112,16 +114,17 @@ class StudyBlocks:
             with Block(path) as found:
                 if found.study_sha256 == spec.sha256():
                     whole = found.numbers.tolist() == [place + 1 for place in self.places(block)]
-                    return whole and found.is_sound() and not _is_passing(found)
+                    return (
+                        whole and found.is_sound() and not is_passing(found.runs["status"], found.runs["status_reason"])
+                    )
         except (SpecError, ResourceError):
             return False
         raise SpecError("this is a block of another study; move it to another folder", file=path)
 
 
-def _is_passing(found: Block) -> bool:
-    """Return whether a run of a block failed for a reason outside the study, so that a second attempt may succeed."""
-    reasons = {str(reason) for reason in found.runs["status_reason"]}
-    return "missing" in found.runs["status"] or any(reason.startswith(TRIED_AGAIN) for reason in reasons)
+def is_passing(statuses: np.ndarray, reasons: np.ndarray) -> bool:
+    """Return whether one of some runs failed for a reason outside the study, so that a second attempt may succeed."""
+    return "missing" in statuses or any(str(reason).startswith(TRIED_AGAIN) for reason in set(reasons))
 
 
 def stored(spec: StudySpec) -> Store:

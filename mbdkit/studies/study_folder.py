@@ -6,20 +6,26 @@ import contextlib
 import os
 import re
 import secrets
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from mbdkit.errors import ResourceError, SpecError, file_error
+from mbdkit.errors import SpecError, file_error
 from mbdkit.files import check_folder, check_writable, rename_new
 from mbdkit.spec.reading import read_file
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.spec.yaml_reader import write_yaml
-from mbdkit.studies import member_table
+from mbdkit.studies import folder_lock, member_table
+from mbdkit.studies.folder_lock import LOCK
+from mbdkit.studies.shard import WHOLE, Shard
 
 #: Beginning of the name of study.yaml while it is written.
 _BEGUN = ".study.yaml-"
+
+#: Beginning of the name of the folder for the files of submitted jobs.
+JOBS = ".jobs-"
 
 #: Names of archives of runs, see `RunSpec.run_id`, of blocks, also of unfinished ones, and their marks.
 _ARCHIVE = re.compile(r"([0-9a-f]{16}|block-[0-9]{6,})\.h5(\.part)?|\.block-[0-9]{6,}\.at")
@@ -61,6 +67,11 @@ class StudyFolder:
         except (OSError, ValueError):
             return None
 
+    def forget_run_at_work(self, number: int) -> None:
+        """Empty the file that names the run at work in a block; it is kept, as a process may hold a lock on it."""
+        with contextlib.suppress(OSError):
+            os.truncate(self.mark(number), 0)
+
     def check(self, spec: StudySpec, *, overwrite: bool = False) -> None:
         """Check that the folder can be used for this study, without changing anything.
 
@@ -84,7 +95,7 @@ class StudyFolder:
         if not os.path.isdir(path):
             raise SpecError("this is not a folder; name a folder for the study with -o", file=path)
         check_writable(path, path)
-        has_others = not all(entry.name.startswith(_BEGUN) for entry in path.iterdir())
+        has_others = not all(entry.name.startswith((_BEGUN, LOCK)) for entry in path.iterdir())
         if self.spec.is_file():  # asked last: another call may be creating it, before any other file
             if overwrite:
                 self._check_study()
@@ -202,13 +213,13 @@ class StudyFolder:
             os.close(handle)
 
     @contextlib.contextmanager
-    def locked(self, *, shared: bool = False) -> Iterator[None]:
+    def locked(self, shard: Shard | None = None) -> Iterator[None]:
         """Lock the folder against other calls.
 
         Parameters
         ----------
-        shared
-            Share the lock with calls that compute other parts of the same study.
+        shard
+            The part that is computed; calls for parts without runs in common may work at the same time.
 
         Raises
         ------
@@ -218,18 +229,12 @@ class StudyFolder:
         if sys.platform == "win32":
             yield
             return
-        import fcntl
-
-        with self.spec.open("rb") as handle:
-            try:
-                fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise ResourceError(
-                    "another `mbdkit study` is running in this folder; wait until it ends", file=self.path
-                ) from None
-            if not shared:
+        with folder_lock.locked(self.path, self.spec, shard or WHOLE):
+            if shard is None:
                 for begun in self.path.glob(f"{_BEGUN}*"):  # of a call that was killed
                     begun.unlink(missing_ok=True)
+                for jobs in self.path.glob(f"{JOBS}*"):
+                    shutil.rmtree(jobs, ignore_errors=True)
             yield
 
 

@@ -1,7 +1,7 @@
-"""Worker process of a study: reads tasks as JSON lines from standard input, and writes results as JSON lines.
+"""Carries out the tasks of a study, in a worker process of this machine or in one that an executor has started.
 
-Start it as ``python -m mbdkit.studies.worker``. It exits immediately when its standard input is closed, even during a
-task.
+``python -m mbdkit.studies.worker`` reads tasks as JSON lines from standard input, and writes results as JSON lines. It
+exits immediately when its standard input is closed, even during a task. Executors call `compute`.
 """
 
 from __future__ import annotations
@@ -10,14 +10,20 @@ import json
 import math
 import os
 import queue
+import socket
 import sys
 import threading
+from collections.abc import Sequence
 from dataclasses import asdict
+from importlib.metadata import version
 from pathlib import Path
 from typing import IO, Any
 
+from threadpoolctl import threadpool_limits
+
 from mbdkit.batch import refusal
 from mbdkit.errors import SpecError
+from mbdkit.text import shown
 
 
 def main() -> None:
@@ -42,6 +48,43 @@ def _read(source: IO[str], tasks: queue.SimpleQueue[str]) -> None:
     for line in source:
         tasks.put(line)
     os._exit(0)  # the parent process is gone
+
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Held while tasks are computed: threads of one process would compete for the interpreter, and share its state."""
+
+
+def compute(tasks: Sequence[dict[str, Any]], of_version: str) -> list[dict[str, Any]]:
+    """Carry out tasks in a process that an executor has started, possibly on another machine.
+
+    Parameters
+    ----------
+    tasks
+        Messages of the tasks, see `mbdkit.studies.tasks`.
+    of_version
+        The version of mbdkit that the study is computed with.
+
+    Returns
+    -------
+    list
+        Answers as those of the worker process, each with the notes and the name of this machine.
+    """
+    # As in the worker processes of this machine: the last bits of SciPy's methods depend on the number of threads.
+    with _ONE_AT_A_TIME, threadpool_limits(1):
+        return [_answered(task, of_version) for task in tasks]
+
+
+def _answered(task: dict[str, Any], of_version: str) -> dict[str, Any]:
+    notes: list[str] = []
+    host = socket.gethostname()
+    if version("mbdkit") != of_version:
+        why = f"{host} has mbdkit {version('mbdkit')}, the study needs {of_version}; install the same version there."
+    elif not Path(task["path"]).parent.is_dir():
+        folder = shown(Path(task["path"]).parent)
+        why = f"{host} does not see the folder {folder}; it must be on a file system that all workers share."
+    else:
+        return _outcome(task, notes.append) | {"notes": notes, "host": host}
+    return {"status": "missing", "reason": f"no-resources: {why}", "notes": notes, "host": host}
 
 
 def _outcome(task: dict[str, Any], notify: Any) -> dict[str, Any]:

@@ -14,12 +14,13 @@ from mbdkit.errors import SpecError
 from mbdkit.files import check_suffix
 from mbdkit.plot.style import FORMATS
 
-from . import chain, ensemble, plugins, python_steps, race, scale, startup
+from . import chain, ensemble, executors, plugins, python_steps, race, scale, startup
 from .precision.race import precision
 
 SECTIONS: dict[str, Callable[[Console], None]] = {
     "chain": chain.explicit,
     "ensemble": ensemble.ensemble,
+    "executors": executors.executors,
     "implicit": chain.implicit,
     "memory": chain.memory,
     "plugins": plugins.plugins,

@@ -10,7 +10,7 @@ import sys
 import tempfile
 import zlib
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import h5py
 import numpy as np
 
 from mbdkit.archive.archive_check import examine
+from mbdkit.archive.blocks import Block
 from mbdkit.archive.fingerprint import OF_SCALES, attributes_sha256, data_sha256, objects
 from mbdkit.archive.reader import load
 
@@ -96,10 +97,22 @@ def warm_up(path: Path) -> None:
             app(words)
 
 
+@cache
+def small_block() -> bytes:
+    """Return a block of five runs, one of which has failed, with all arrays."""
+    from mbdkit import ensemble
+
+    spec = pendulum(end=0.03) | {"model": {"name": "double-pendulum", "lengths": [1.0, 1.0]}}
+    with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
+        out = Path(folder) / "study"
+        ensemble(spec, {"model.lengths.0": [1.0, 2.0, -1.0, 3.0, 4.0]}, store="all", out=out)
+        return (out / "runs" / "block-000000.h5").read_bytes()
+
+
 def contents(path: Path) -> dict[str, Any]:
-    """Return all that an archive holds, by path: values and attributes, without addresses of dimension scales."""
+    """Return all that an archive or a block holds, by path: values and attributes, without addresses of scales."""
     found: dict[str, Any] = {}
-    with load(path) as run:
+    with Block(path) if path.name.startswith("block") else load(path) as run:
         for item in (run.file, *objects(run.file)):
             found[item.name] = None
             if isinstance(item, h5py.Dataset):
@@ -119,34 +132,37 @@ def contents(path: Path) -> dict[str, Any]:
     return {key: repr(value) for key, value in found.items()}
 
 
+SMALL = {"run.h5": small_archive, "block-000000.h5": small_block}
+"""Functions that return the contents of small files, by the name of the file."""
+
+
 @cache
-def small_contents() -> dict[str, Any]:
-    """Return the contents of `small_archive`."""
+def small_contents(name: str) -> dict[str, Any]:
+    """Return the contents of a small file by path."""
     with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
-        path = Path(folder) / "small.h5"
-        path.write_bytes(small_archive())
+        path = Path(folder) / name
+        path.write_bytes(SMALL[name]())
         return contents(path)
 
 
-def flip(random: np.random.Generator, folder: Path) -> list[str]:
+def flip(random: np.random.Generator, folder: Path, name: str = "run.h5") -> list[str]:
     """Flip one bit."""
-    content = bytearray(small_archive())
+    content = bytearray(SMALL[name]())
     bit = int(random.integers(8 * len(content)))
     content[bit // 8] ^= 1 << bit % 8
-    return _damaged(bytes(content), f"bit {bit % 8} of byte {bit // 8}", folder)
+    return _damaged(bytes(content), f"bit {bit % 8} of byte {bit // 8}", folder / name)
 
 
-def truncate(random: np.random.Generator, folder: Path) -> list[str]:
+def truncate(random: np.random.Generator, folder: Path, name: str = "run.h5") -> list[str]:
     """Leave out the end."""
-    content = small_archive()
+    content = SMALL[name]()
     size = int(random.integers(len(content)))
-    return _damaged(content[:size], f"the first {size} bytes", folder)
+    return _damaged(content[:size], f"the first {size} bytes", folder / name)
 
 
-def _damaged(content: bytes, what: str, folder: Path) -> list[str]:
-    path = folder / "run.h5"
+def _damaged(content: bytes, what: str, path: Path) -> list[str]:
     path.write_bytes(content)
-    before = small_contents()
+    before = small_contents(path.name)
 
     def judge() -> tuple[list[str], bool]:
         found = examine(path).problems
@@ -500,5 +516,17 @@ ATTACKS = (
         "flips", "one flipped bit of an archive: `archive check` finds it unless all contents are the same", 500, flip
     ),
     Attack("truncations", "the first bytes of an archive: `archive check` refuses them", 300, truncate),
+    Attack(
+        "block-flips",
+        "one flipped bit of a block: `archive check` finds it",
+        500,
+        partial(flip, name="block-000000.h5"),
+    ),
+    Attack(
+        "block-truncations",
+        "the first bytes of a block: `archive check` refuses them",
+        300,
+        partial(truncate, name="block-000000.h5"),
+    ),
     Attack("archives", "hostile archives: every reading command refuses or survives them", 1000, hostile),
 )

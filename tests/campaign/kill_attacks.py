@@ -17,12 +17,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 import mbdkit
 import mbdkit.archive.writer
 import mbdkit.run_checkpoint
 from mbdkit.archive.archive_check import check
+from mbdkit.archive.blocks import Block
 from mbdkit.archive.layout import LAYOUT, is_timing
 from mbdkit.archive.run import Run
 from mbdkit.cli import main
@@ -55,6 +57,17 @@ STUDY = {
 }
 """Four runs of some tenths of a second."""
 
+BLOCKS = {
+    "mbdkit_study": 1,
+    "base": {**RUN, "model": {"name": "n-pendulum", "n": 2}, "time": {"steps": 5000, "step": 1e-4}},
+    "store": "histories",
+    "block": 4,
+    "axes": [
+        {"integrator": [{"name": "rk4"}, {"name": "gauss", "stages": 2}]},
+        {"model.length": {"linspace": [1.0, 2.0, 22]}},
+    ],
+}
+"""44 runs in 11 blocks, those of one method in lanes."""
 
 _PENDULUM = {"mbdkit": 1, "model": {"name": "n-pendulum", "n": 3}}
 
@@ -162,6 +175,21 @@ def _whole_study() -> tuple[dict[str, str], float]:
         start = time.monotonic()
         study = mbdkit.study(STUDY, out=Path(folder) / "out", workers=2)
         return {point.run_id: point.row.data_sha256 for point in study.points}, time.monotonic() - start
+
+
+def _index_hash(folder: Path) -> str:
+    """Return the hash of the index of a study without its times."""
+    with h5py.File(folder / "index.h5") as file:
+        return str(file.attrs["data_sha256"])
+
+
+@cache
+def _whole_blocks() -> tuple[str, float]:
+    """Return the hash of the index of the study in blocks that nobody disturbs, and the time that it takes [s]."""
+    with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
+        start = time.monotonic()
+        mbdkit.study(BLOCKS, out=Path(folder) / "out", workers=2)
+        return _index_hash(Path(folder) / "out"), time.monotonic() - start
 
 
 def _rows_problems(run: Run, least: int, last_is_free: bool = False) -> list[str]:
@@ -323,10 +351,58 @@ def kill_study(random: np.random.Generator, folder: Path) -> list[str]:
     child = _study_begun(random, folder)
     os.kill(child, signal.SIGKILL)
     wait_for(child, time.monotonic() + PATIENCE)
-    deadline = time.monotonic() + PATIENCE  # its workers end when they notice, and an archive may be renamed until then
-    while time.monotonic() < deadline and any(_is_locked(path) for path in (folder / "out" / "runs").glob("*")):
-        time.sleep(0.01)
+    _wait_for_workers(folder / "out" / "runs")
     return _study_problems(folder) + _repeated_problems(folder)
+
+
+def kill_blocks(random: np.random.Generator, folder: Path) -> list[str]:
+    """Kill a study in blocks up to three times, and complete it: blocks that are there stay, and the index is the same.
+
+    In a third of the cases a worker is killed first, which costs nothing.
+    """
+    _write_spec(folder, BLOCKS)
+    whole, seconds = _whole_blocks()
+    runs = folder / "out" / "runs"
+    arguments = ["study", "spec.json", "-o", "out", "--workers", "2", "--quiet"]
+    found: list[str] = []
+    kept: dict[str, int] = {}
+    for _ in range(int(random.integers(1, 4))):
+        child = _start(folder, *arguments)
+        time.sleep(random.uniform(0, seconds))
+        if random.random() < 1 / 3:
+            _kill_worker(child, random)
+            time.sleep(random.uniform(0, seconds / 4))
+        os.kill(child, signal.SIGKILL)
+        status, *_ = wait_for(child, time.monotonic() + PATIENCE)
+        if status not in (-signal.SIGKILL, 0):
+            found.append(f"`mbdkit {' '.join(arguments)}` ended with {status}: {_said(folder)}")
+        _wait_for_workers(runs)
+        found += [f"{name} was computed twice" for name, when in kept.items() if _written(runs / name) != when]
+        blocks = sorted(runs.glob("block-*.h5"))
+        found += [f"{path.name}: {problem}" for path in blocks for problem in check(path)]
+        kept = {path.name: _written(path) for path in blocks}
+    if found := found or _finish(folder, *arguments):
+        return found
+    found += [f"{name} was computed twice" for name, when in kept.items() if _written(runs / name) != when]
+    if _index_hash(folder / "out") != whole:
+        found.append("the index differs from that of the undisturbed study")
+    numbers: list[int] = []
+    for path in sorted(runs.glob("block-*.h5")):
+        with Block(path) as block:
+            numbers += block.numbers.tolist()
+    if numbers != list(range(1, 45)):
+        found.append(f"the blocks have the runs {numbers}")
+    left = sorted(os.listdir(folder / "out")), sorted(os.listdir(runs))
+    if left != (["index.h5", "runs", "study.yaml"], [f"block-{number:06d}.h5" for number in range(11)]):
+        found.append(f"the completed study left {left}")
+    return found
+
+
+def _written(path: Path) -> int:
+    """Return when a file was written [ns]; 0 if it is gone."""
+    with contextlib.suppress(OSError):
+        return path.stat().st_mtime_ns
+    return 0
 
 
 def stop_study(random: np.random.Generator, folder: Path) -> list[str]:
@@ -354,9 +430,7 @@ def kill_worker(random: np.random.Generator, folder: Path) -> list[str]:
     """Kill one worker of a study, by SIGKILL, SIGTERM or SIGSEGV: the same call computes its run again."""
     hashes, _ = _whole_study()
     child = _study_begun(random, folder)
-    with contextlib.suppress(OSError, IndexError, ValueError):
-        workers = Path(f"/proc/{child}/task/{child}/children").read_text().split()
-        os.kill(int(random.choice(workers)), random.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV]))
+    _kill_worker(child, random)
     status, *_ = wait_for(child, time.monotonic() + PATIENCE)
     if status != 0:
         return [f"it ended with exit status {status}: {_said(folder)}"]
@@ -386,6 +460,19 @@ def begin_parts(random: np.random.Generator, folder: Path) -> list[str]:
     return found
 
 
+def _kill_worker(child: int, random: np.random.Generator) -> None:
+    with contextlib.suppress(OSError, IndexError, ValueError):
+        workers = Path(f"/proc/{child}/task/{child}/children").read_text().split()
+        os.kill(int(random.choice(workers)), random.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV]))
+
+
+def _wait_for_workers(runs: Path) -> None:
+    """Wait until the workers of a study that was killed have noticed; they may rename a file until then."""
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline and any(_is_locked(path) for path in runs.glob("*")):
+        time.sleep(0.01)
+
+
 def _is_locked(path: Path) -> bool:
     import fcntl
 
@@ -409,6 +496,9 @@ ATTACKS = (
     Attack("stop-run", "SIGTERM to a run: its archive has its final name and is sound", 200, stop_run),
     Attack(
         "kill-study", "SIGKILL to a study: the next call completes it, equal to the undisturbed one", 200, kill_study
+    ),
+    Attack(
+        "kill-blocks", "SIGKILL to a study in blocks, up to three times: no block is lost or doubled", 100, kill_blocks
     ),
     Attack("stop-study", "SIGTERM to a study: its index is there, and the next call completes it", 200, stop_study),
     Attack("kill-worker", "a signal to a worker of a study: the same call completes it", 200, kill_worker),

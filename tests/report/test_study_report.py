@@ -15,7 +15,7 @@ from mbdkit.spec.key_words import key_words
 from mbdkit.studies.axis_words import point_words
 from mbdkit.studies.carry_out import load_study
 from mbdkit.studies.carry_out import study as run_study
-from mbdkit.studies.execute import Shard
+from mbdkit.studies.shard import Shard
 from tests.report.conftest import STUDY
 
 

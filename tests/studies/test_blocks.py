@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import fcntl
 import json
 import os
 import signal
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +24,17 @@ import mbdkit
 from mbdkit import batch
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.blocks import Block
-from mbdkit.archive.fingerprint import data_sha256
+from mbdkit.archive.fingerprint import data_sha256, datasets
 from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.spec import RunSpec
-from mbdkit.studies import block_execution, pool
+from mbdkit.studies import compute_block as compute_block_module
+from mbdkit.studies import executor_pool, known_blocks, pool, worker
 from mbdkit.studies.compute_block import compute_block
-from mbdkit.studies.execute import Shard
-from mbdkit.studies.pool import BlockTask, Outcome, Pool
+from mbdkit.studies.pool import Pool
 from mbdkit.studies.runs_table import export_runs
+from mbdkit.studies.shard import Shard
 from mbdkit.studies.study_folder import StudyFolder
+from mbdkit.studies.tasks import Outcome
 
 BASE: dict[str, Any] = {
     "mbdkit": 1,
@@ -69,32 +73,29 @@ class PoolInThisProcess:
     def __init__(self, size: int, notify: Any):
         pass
 
-    def __class_getitem__(cls, item: Any) -> type:
-        return cls
-
     def __enter__(self) -> PoolInThisProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
         pass
 
-    def work(self, tasks: list[BlockTask]) -> Iterator[tuple[BlockTask, Outcome]]:
+    def work(self, tasks: list[Any]) -> Iterator[tuple[Any, Outcome]]:
         for task in tasks:
-            failed = compute_block(task.folder.path, task.block, skip=task.skip)
-            yield task, Outcome("complete", "", values={"failed": failed})
+            (answer,) = worker.compute([task.message()], version("mbdkit"))
+            yield task, Outcome.of(answer)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _quick() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(block_execution, "Pool", PoolInThisProcess)
+        patch.setattr(executor_pool, "Pool", PoolInThisProcess)
         yield
 
 
 @pytest.fixture
 def processes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compute blocks in processes of their own, as outside of these tests."""
-    monkeypatch.setattr(block_execution, "Pool", Pool)
+    monkeypatch.setattr(executor_pool, "Pool", Pool)
 
 
 def index_hash(folder: Path) -> str:
@@ -217,6 +218,43 @@ def test_only_missing_and_damaged_blocks_are_computed(tmp_path: Path) -> None:
     assert index_hash(out) == before
 
 
+def test_unchanged_blocks_are_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options: dict[str, Any] = {"store": "histories", "out": tmp_path / "s", "block": 3}
+    monkeypatch.setattr(known_blocks, "SETTLED", 0.0)
+    pendulums(**options)
+    before, opened = index_hash(tmp_path / "s"), []
+    is_sound = Block.is_sound
+
+    def noted(block: Block) -> bool:
+        opened.append(block.path.name)
+        return is_sound(block)
+
+    monkeypatch.setattr(Block, "is_sound", noted)
+    assert (pendulums(**options).computed, opened) == (0, [])
+    assert index_hash(tmp_path / "s") == before
+    # one bit of an array of results, in the same file, with its modification time set back
+    path = tmp_path / "s" / "runs" / "block-000002.h5"
+    with h5py.File(path) as file:
+        place = next(item for item in datasets(file) if item.name.endswith("trajectory/position")).id.get_offset()
+    times = path.stat()
+    with path.open("r+b") as changed:
+        changed.seek(place)
+        byte = changed.read(1)[0]
+        changed.seek(place)
+        changed.write(bytes([byte ^ 1]))
+    os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    assert (pendulums(**options).computed, opened) == (3, ["block-000002.h5"])
+    assert index_hash(tmp_path / "s") == before
+
+
+def test_a_file_that_has_just_changed_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # its time may be that of the next change, too: file systems count time in steps
+    monkeypatch.setattr(known_blocks, "SETTLED", 60.0)
+    pendulums(store="summary", out=tmp_path / "s", block=3)
+    with h5py.File(tmp_path / "s" / "index.h5") as file:
+        assert not file["blocks/file_state"][:].any()
+
+
 def test_a_block_of_another_study_is_not_replaced(tmp_path: Path) -> None:
     pendulums(4, store="summary", out=tmp_path / "a")
     pendulums(6, store="summary", out=tmp_path / "b")
@@ -240,6 +278,19 @@ def test_a_block_is_a_function_of_its_folder(grid: mbdkit.Study, tmp_path: Path)
         compute_block(out, block)
     assert mbdkit.study(GRID, out=out).computed == 0
     assert index_hash(out) == index_hash(grid.folder)
+
+
+def test_a_block_that_another_process_computes_is_left_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pendulums(store="summary", out=tmp_path / "s", block=3)
+    folder = StudyFolder(tmp_path / "s")
+    folder.block(1).unlink()
+    monkeypatch.setattr(compute_block_module, "PATIENCE", 0.1)
+    with folder.mark(1).open("w") as handle:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        study = pendulums(store="summary", out=tmp_path / "s", block=3)
+    assert study.statuses().count("missing") == 3
+    assert "another process is computing this block" in study.unfinished[0]
+    assert pendulums(store="summary", out=tmp_path / "s", block=3).status == "complete"
 
 
 def test_a_process_that_dies_in_a_run_is_known_to_have_died_in_that_run(

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
+import subprocess
+import sys
 import threading
+import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +20,9 @@ import mbdkit
 from mbdkit.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.report.report import report
 from mbdkit.spec import load_study_spec
-from mbdkit.studies.execute import Shard
+from mbdkit.studies import folder_lock
+from mbdkit.studies.folder_lock import Owner
+from mbdkit.studies.shard import WHOLE, Shard
 from mbdkit.studies.study_folder import StudyFolder
 
 
@@ -38,25 +46,25 @@ def together(calls: list[Any]) -> list[MbdkitError | OSError]:
     return errors
 
 
-def begin(path: Path, spec: Any) -> None:
+def begin(path: Path, spec: Any, shard: Shard) -> None:
     folder = StudyFolder(path)
     folder.check(spec)
     folder.prepare(spec)
-    with folder.locked(shared=True):
+    with folder.locked(shard):
         assert load_study_spec(folder.spec).sha256() == spec.sha256()
 
 
 @pytest.mark.parametrize("attempt", range(20))
 def test_parts_of_a_study_may_begin_at_the_same_time(attempt, small, tmp_path):
-    specs = [load_study_spec(small) for _ in range(6)]
-    assert together([lambda spec=spec: begin(tmp_path / "out", spec) for spec in specs]) == []
+    parts = [(load_study_spec(small), Shard(number, 6)) for number in range(1, 7)]
+    assert together([lambda part=part: begin(tmp_path / "out", *part) for part in parts]) == []
     assert sorted(os.listdir(tmp_path / "out")) == ["runs", "study.yaml"]
 
 
 @pytest.mark.parametrize("attempt", range(10))
 def test_of_two_studies_that_begin_in_one_folder_one_is_refused(attempt, small, tmp_path):
-    specs = [load_study_spec(small | {"title": title}) for title in ("one", "two")]
-    errors = together([lambda spec=spec: begin(tmp_path / "out", spec) for spec in specs])
+    parts = [(load_study_spec(small | {"title": title}), Shard(number, 2)) for number, title in ((1, "a"), (2, "b"))]
+    errors = together([lambda part=part: begin(tmp_path / "out", *part) for part in parts])
     assert len(errors) == 1
     assert "belongs to another study" in str(errors[0])
 
@@ -70,12 +78,12 @@ def test_of_two_studies_that_begin_in_one_folder_one_is_refused(attempt, small, 
 )
 def test_what_has_the_name_of_something_else_in_the_folder_is_named(name, is_folder, words, small, tmp_path):
     spec, path = load_study_spec(small), tmp_path / "out"
-    begin(path, spec)
+    begin(path, spec, WHOLE)
     if name == "runs":
         (path / name).rmdir()
     (path / name).mkdir() if is_folder else (path / name).touch()
     with pytest.raises(SpecError, match=words) as caught:
-        begin(path, spec)
+        begin(path, spec, WHOLE)
     assert caught.value.file == str(path / name)
 
 
@@ -86,7 +94,8 @@ def test_what_a_killed_call_left_is_removed(small, tmp_path):
     folder.check(spec)
     folder.prepare(spec)
     with folder.locked():
-        assert sorted(os.listdir(folder.path)) == ["runs", "study.yaml"]
+        assert sorted(os.listdir(folder.path)) == [".lock-1-of-1", "runs", "study.yaml"]
+    assert sorted(os.listdir(folder.path)) == ["runs", "study.yaml"]
 
 
 def test_overwriting_starts_a_folder_anew_and_keeps_the_files_of_others(copied: Path, small: dict[str, Any]) -> None:
@@ -142,3 +151,57 @@ def test_a_study_in_use_is_not_overwritten(copied: Path) -> None:
     with folder.locked(), pytest.raises(ResourceError, match="another `mbdkit study` is running"):
         StudyFolder(copied).clear()
     assert folder.index.exists()
+
+
+def held_by(folder: Path, **changes: Any) -> Path:
+    """Write the lock of another call into the folder of a study."""
+    lock = folder / ".lock-1-of-1"
+    lock.write_text(json.dumps(asdict(Owner.this_process()) | changes))
+    return lock
+
+
+@pytest.mark.parametrize("changes", [{"started": "1"}, {"boot": "before"}, {"pid": 2**22 + 1}], ids=str)
+def test_the_lock_of_a_dead_process_is_taken_over(changes: dict[str, Any], copied: Path, small: dict[str, Any]) -> None:
+    lock = held_by(copied, **changes)
+    assert mbdkit.study(small, out=copied).computed == 0
+    assert not lock.exists()
+
+
+def test_the_lock_of_a_killed_process_whose_parent_has_not_noticed_is_taken_over(copied: Path) -> None:
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(100)"])
+    try:
+        held_by(copied, pid=child.pid, started=folder_lock._started(child.pid))
+        with pytest.raises(ResourceError, match=f"process {child.pid} on .*; wait until it ends$"):
+            StudyFolder(copied).locked().__enter__()
+        child.kill()
+        while Path(f"/proc/{child.pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z":
+            time.sleep(0.01)
+        with StudyFolder(copied).locked():
+            pass
+    finally:
+        child.kill()
+        child.wait()
+
+
+def test_a_lock_of_another_machine_is_kept_and_the_message_names_it(copied: Path) -> None:
+    lock = held_by(copied, host="node7")
+    with pytest.raises(ResourceError, match=r"on node7, since .* or remove .*\.lock-1-of-1 if it no longer runs"):
+        mbdkit.study(copied / "study.yaml", out=copied)
+    assert lock.exists()
+    lock.write_text("what is this")
+    with pytest.raises(ResourceError, match=r"if none is, remove .*\.lock-1-of-1"):
+        mbdkit.study(copied / "study.yaml", out=copied)
+
+
+@pytest.mark.parametrize(
+    ("held", "asked", "is_free"),
+    [("1/2", "2/2", True), ("1/2", "1/2", False), ("1/2", "2/4", True), ("1/2", "3/4", False), ("1/2", "1/3", False)],
+)
+def test_parts_with_runs_in_common_are_kept_apart(held: str, asked: str, is_free: bool, copied: Path) -> None:
+    folder = StudyFolder(copied)
+    with folder.locked(Shard.parse(held)):
+        with contextlib.nullcontext() if is_free else pytest.raises(ResourceError), folder.locked(Shard.parse(asked)):
+            pass
+        with pytest.raises(ResourceError, match="running in this folder"), folder.locked():
+            pass
+    assert not list(copied.glob(".lock*"))

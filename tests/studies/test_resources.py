@@ -17,6 +17,7 @@ import mbdkit
 from mbdkit.cli import app
 from mbdkit.errors import MbdkitError, ResourceError, SpecError, file_error
 from mbdkit.studies import pool
+from mbdkit.studies.tasks import Outcome
 
 from .test_execution import index_hash
 
@@ -88,7 +89,7 @@ def test_a_second_run_without_resources_is_made_by_the_next_call(small, tmp_path
 
     def without_memory(self, tasks):
         for task, outcome in work(self, tasks):
-            yield task, pool.Outcome("missing", "no-resources: no memory.") if task.second else outcome
+            yield task, Outcome("missing", "no-resources: no memory.") if task.second else outcome
 
     monkeypatch.setattr(pool.Pool, "work", without_memory)
     first = mbdkit.study(study, out=tmp_path / "out")

@@ -1,0 +1,208 @@
+"""Computes the tasks of a study by an executor: processes of this machine, a Dask cluster, jobs of a scheduler."""
+
+from __future__ import annotations
+
+import math
+import os
+import queue
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Generic
+
+from mbdkit.errors import SpecError
+from mbdkit.plain_data import found
+from mbdkit.studies import worker
+from mbdkit.studies.pool import Pool
+from mbdkit.studies.submitit_executor import SubmititExecutor
+from mbdkit.studies.tasks import Outcome, Work, died
+from mbdkit.text import one_line
+
+
+@dataclass(frozen=True)
+class Engine:
+    """What computes the tasks of a study.
+
+    Parameters
+    ----------
+    workers
+        Number of worker processes of this machine.
+    executor
+        Computes the tasks instead of them. Only if it breaks do they compute what is left.
+    """
+
+    workers: int = 1
+    executor: Executor | None = None
+
+    def pool(self, notify: Callable[[str], None]) -> Pool[Any] | ExecutorPool[Any]:
+        """Return the pool that computes tasks, for use in a `with` block.
+
+        Parameters
+        ----------
+        notify
+            Called once with each distinct message of the workers.
+        """
+        local: Pool[Any] = Pool(self.workers, notify)
+        return local if self.executor is None else ExecutorPool(self.executor, local)
+
+
+def checked_executor(executor: Any) -> Executor | None:
+    """Return an executor that a user passes, one of submitit included.
+
+    Raises
+    ------
+    SpecError
+        If it is none.
+    """
+    if executor is None or isinstance(executor, Executor):
+        return executor
+    if hasattr(executor, "map_array"):
+        return SubmititExecutor(lambda: executor)
+    raise SpecError(f"needs a concurrent.futures.Executor, or one of submitit, not {found(executor)}", key="executor")
+
+
+class ExecutorPool(Generic[Work]):
+    """Tasks that an executor computes, with the methods of `Pool`.
+
+    What is sent to the workers are texts, numbers, and paths that all of them must see. A worker writes the archive or
+    the block of its task; a task whose worker is lost is sent once more.
+
+    Parameters
+    ----------
+    local
+        Computes what is left if the executor breaks, as a `ProcessPoolExecutor` does when one of its processes dies.
+    """
+
+    def __init__(self, executor: Executor, local: Pool[Work]):
+        self.executor = executor
+        self.local: Pool[Work] = local
+        self._begun: dict[Future[list[dict[str, Any]]], _Batch[Work]] = {}
+        self._ended: queue.SimpleQueue[Future[list[dict[str, Any]]]] = queue.SimpleQueue()
+
+    def work(self, tasks: Sequence[Work]) -> Iterator[tuple[Work, Outcome]]:
+        """Submit the tasks in order, and yield each with its outcome when it is finished."""
+        batches = self._batches(tasks)
+        while batches or self._begun:
+            try:
+                if batches:
+                    for task in self._refused(batches):
+                        yield task, Outcome("missing", f"no-resources: {self._refusal}")
+                    batches = []
+                    continue
+                future = self._ended.get()
+                batch = self._begun[future].tasks
+                answers = future.result()
+            except BrokenExecutor as error:
+                yield from self._without_executor(batches, error)
+                return
+            except ImportError as error:
+                outcome = Outcome("missing", f"no-resources: a worker of the executor cannot begin: {_told(error)}.")
+                yield from ((task, outcome) for task in self._begun.pop(future).tasks)
+            except Exception as error:
+                how = f"was lost by the executor: {_told(error)}"
+                suspects, innocent = self._begun.pop(future).divided()
+                for task in suspects:
+                    following = task.after_death(how)
+                    if following is None:
+                        yield task, Outcome("failed", died(how))
+                    else:
+                        batches.append([following])
+                batches += [innocent] if innocent else []
+            else:
+                del self._begun[future]
+                for task, answer in zip(batch, answers, strict=True):
+                    yield task, self._outcome(task, answer)
+
+    def _batches(self, tasks: Sequence[Work]) -> list[list[Work]]:
+        """Return the tasks in lists that are submitted together: one by one, or for a limited number of jobs."""
+        jobs = self.executor.jobs if isinstance(self.executor, SubmititExecutor) else len(tasks)
+        size = math.ceil(len(tasks) / max(1, jobs))
+        return [list(tasks[first : first + size]) for first in range(0, len(tasks), max(1, size))]
+
+    def _refused(self, batches: list[list[Work]]) -> list[Work]:
+        """Submit batches, and return the tasks that the executor refuses."""
+        messages = [[task.message() for task in batch] for batch in batches]
+        submitted = 0
+        futures: Iterator[Future[list[dict[str, Any]]]]
+        try:
+            if isinstance(self.executor, SubmititExecutor):
+                futures = iter(self.executor.submit_all(worker.compute, messages, version("mbdkit")))
+            else:
+                futures = (self.executor.submit(worker.compute, part, version("mbdkit")) for part in messages)
+            for batch, future in zip(batches, futures, strict=True):
+                self._begun[future] = _Batch(batch)
+                submitted += 1
+                future.add_done_callback(self._ended.put)
+        except BrokenExecutor:
+            del batches[:submitted]
+            raise
+        except Exception as error:
+            self._refusal = f"the executor refuses tasks: {_told(error)}."
+        return [task for batch in batches[submitted:] for task in batch]
+
+    def _without_executor(self, batches: list[list[Work]], error: BrokenExecutor) -> Iterator[tuple[Work, Outcome]]:
+        """Compute by local processes what a broken executor has not."""
+        self.executor.shutdown()  # its last processes no longer write
+        self.local.say(f"the executor broke, and processes of this machine compute the rest ({_told(error)})")
+        begun: list[list[Any]] = [batch.tasks for batch in self._begun.values()]
+        left: list[Any] = [task for batch in (*begun, *batches) for task in batch]
+        self._begun.clear()
+        with self.local as pool:
+            yield from pool.work(left)
+
+    def _outcome(self, task: Work, answer: dict[str, Any]) -> Outcome:
+        """Return the outcome that a worker tells, if this process sees its file, too."""
+        for note in answer.pop("notes"):
+            self.local.say(note)
+        outcome = Outcome.of(answer)
+        if outcome.status != "complete" or not task.writes or task.path.exists():
+            return outcome
+        os.listdir(task.path.parent)  # makes network file systems look again
+        if task.path.exists():
+            return outcome
+        why = f"{answer['host']} has written {task.path.name}, which is not in the folder of the study here"
+        return Outcome("missing", f"no-resources: {why}; the folder must be on a file system that all workers share.")
+
+    def __enter__(self) -> ExecutorPool[Work]:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for future in self._begun:
+            future.cancel()  # has no effect on those that are computed already, which end by themselves
+
+
+class _Batch(Generic[Work]):
+    """Tasks that one call of a worker computes, in order."""
+
+    def __init__(self, tasks: list[Work]):
+        self.tasks: list[Work] = tasks
+        self._before = [_written(task.path) for task in tasks]
+
+    def divided(self) -> tuple[list[Work], list[Work]]:
+        """Return the tasks of which the worker may have died, and the others, once it is lost.
+
+        Tasks are computed one after another, so it died of the first one whose file it has not written.
+        """
+        if not all(task.writes for task in self.tasks):
+            return self.tasks, []
+        done = [_written(task.path) != before for task, before in zip(self.tasks, self._before, strict=True)]
+        place = done.index(False) if False in done else len(done) - 1
+        return self.tasks[place : place + 1], self.tasks[:place] + self.tasks[place + 1 :]
+
+
+def _written(path: Path) -> int:
+    """Return when a file was written [ns]; 0 if it does not exist."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _told(error: BaseException) -> str:
+    """Return an exception as a clause."""
+    return one_line(error).rstrip(".")

@@ -1,0 +1,173 @@
+"""The executors that a command can name: Dask, and jobs by submitit."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal
+
+from mbdkit.errors import SpecError
+from mbdkit.studies.study_folder import JOBS
+from mbdkit.studies.submitit_executor import JOBS as MOST_JOBS
+from mbdkit.studies.submitit_executor import SubmititExecutor
+from mbdkit.text import one_line, shown
+
+TIMEOUT = 10
+"""Time for a Dask scheduler to answer [s]."""
+
+MINUTES = 60
+"""Time limit of a job unless `time` is given [min]."""
+
+_LISTS = ("setup", "teardown", "srun_args")
+"""Options of submitit that are lists: commands before and after the job, and arguments of srun."""
+
+_FLAGS = {"true": True, "false": False}
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The options of a command that concern its executor.
+
+    Parameters
+    ----------
+    scheduler
+        Address or file of the Dask scheduler; for submitit ``slurm`` or ``local``.
+    slurm
+        Options of sbatch, each as ``key=value``.
+    workers
+        Number of processes, or of jobs; None by default.
+    """
+
+    name: Literal["local", "dask", "submitit"]
+    scheduler: str | None = None
+    slurm: tuple[str, ...] = ()
+    workers: int | None = None
+
+    def check(self) -> None:
+        """Raise SpecError if options do not fit together."""
+        if self.slurm and self.name != "submitit":
+            raise SpecError("--slurm is for --executor submitit")
+        if self.scheduler is not None and self.name == "local":
+            raise SpecError("--scheduler is for --executor dask or submitit")
+        if self.name == "dask" and not self.scheduler:
+            raise SpecError(
+                "--executor dask needs --scheduler ADDRESS: the address that `dask scheduler` prints, "
+                "such as tcp://node1:8786, or its scheduler file"
+            )
+        if self.name == "dask" and self.workers is not None:
+            raise SpecError("--workers is not for --executor dask, whose workers are started by `dask worker`")
+        if self.name == "submitit" and self.scheduler not in (None, "slurm", "local"):
+            raise SpecError(f"with submitit, --scheduler is slurm or local, not {shown(self.scheduler)}")
+
+
+@contextlib.contextmanager
+def opened(asked: Asked, folder: Path, notify: Callable[[str], None]) -> Iterator[Executor | None]:
+    """Yield the executor that is asked for, None for the processes of this machine, and close it.
+
+    Parameters
+    ----------
+    folder
+        Folder of the study.
+    notify
+        Called with a message before the study waits for workers, and where the logs of lost jobs are.
+
+    Raises
+    ------
+    SpecError
+        If options do not fit together, a package is not installed, or no scheduler answers.
+    """
+    asked.check()
+    match asked.name:
+        case "local":
+            yield None
+        case "dask":
+            with _dask(str(asked.scheduler), notify) as executor:
+                yield executor
+        case "submitit":
+            with _submitit(asked, folder, notify) as executor:
+                yield executor
+
+
+def _package(name: str, extra: str) -> Any:
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise SpecError(
+            f"--executor {extra} needs the package {name}, which is not installed: pip install 'mbdkit[{extra}]'"
+        ) from error
+
+
+@contextlib.contextmanager
+def _dask(scheduler: str, notify: Callable[[str], None]) -> Iterator[Executor]:
+    distributed = _package("distributed", "dask")
+    place = {"scheduler_file": scheduler} if Path(scheduler).is_file() else {"address": scheduler}
+    try:
+        if "address" in place:  # a client with a wrong one ends with a traceback
+            distributed.comm.resolve_address(scheduler)
+        client = distributed.Client(**place, timeout=TIMEOUT, set_as_default=False)
+    except Exception as error:  # the scheduler of another version, or no scheduler, may answer
+        raise SpecError(
+            f"no Dask scheduler answers at {shown(scheduler)} ({one_line(error)}); start one by `dask scheduler`"
+        ) from error
+    with client:
+        if not client.scheduler_info()["workers"]:
+            notify("the Dask cluster has no workers yet; the study waits for them (`dask worker ADDRESS`)")
+        yield client.get_executor(pure=False)
+
+
+@contextlib.contextmanager
+def _submitit(asked: Asked, folder: Path, notify: Callable[[str], None]) -> Iterator[SubmititExecutor]:
+    submitit = _package("submitit", "submitit")
+    cluster = asked.scheduler or "slurm"
+    options = _sbatch_options(asked.slurm)
+    if cluster == "slurm" and shutil.which("sbatch") is None:
+        raise SpecError(
+            "there is no Slurm on this machine: the command sbatch is not found; "
+            "`--scheduler local` tries the jobs on this machine"
+        )
+    files: list[Path] = []
+
+    def begin() -> Any:
+        files.append(Path(tempfile.mkdtemp(prefix=JOBS, dir=folder)))
+        executor = submitit.AutoExecutor(folder=files[0], cluster=cluster)
+        known = executor._executor._valid_parameters() if cluster == "slurm" else ()
+        more = {name: value for name, value in options.items() if name not in known}
+        given = {f"slurm_{name}": value for name, value in options.items() if name in known}
+        if more and cluster == "slurm":
+            given["slurm_additional_parameters"] = more
+        executor.update_parameters(name="mbdkit", timeout_min=MINUTES, **given)
+        return executor
+
+    executor = SubmititExecutor(begin, asked.workers or MOST_JOBS)
+    try:
+        yield executor
+    finally:
+        executor.shutdown(cancel_futures=True)
+        if executor.has_lost:
+            notify(f"some jobs were lost; their logs are in {shown(files[0])}")
+        else:
+            for path in files:
+                shutil.rmtree(path, ignore_errors=True)
+
+
+def _sbatch_options(texts: tuple[str, ...]) -> dict[str, Any]:
+    """Return options of sbatch by name, with underscores and of the types that submitit expects."""
+    options: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        name = name.strip().lstrip("-").replace("-", "_")
+        if not equals or not name.isidentifier() or not value:
+            raise SpecError(f"--slurm needs an option of sbatch as K=V, such as time=60, not {shown(text)}")
+        if name == "time" and not value.isdecimal():
+            raise SpecError(f"--slurm time needs a whole number of minutes, such as time=60, not {shown(value)}")
+        if name in _LISTS:
+            options[name] = [*options.get(name, ()), value]
+        else:
+            options[name] = int(value) if value.isdecimal() else _FLAGS.get(value, value)
+    return options

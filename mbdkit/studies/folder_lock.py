@@ -1,0 +1,179 @@
+"""Locks that keep calls in one study folder apart: a file for each call, with the process and the part it computes."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import secrets
+import socket
+import subprocess
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime
+from pathlib import Path
+
+from mbdkit.errors import ResourceError
+from mbdkit.files import rename_new
+from mbdkit.studies.shard import WHOLE, Shard
+from mbdkit.text import shown
+
+LOCK = ".lock-"
+"""Beginning of the names of locks."""
+
+_NAME = re.compile(re.escape(LOCK) + r"(\d{1,6})-of-(\d{1,6})")
+
+_BOOT = Path("/proc/sys/kernel/random/boot_id")
+
+
+@dataclass(frozen=True)
+class Owner:
+    """The process that holds a lock.
+
+    Parameters
+    ----------
+    host
+        Name of its machine.
+    boot
+        Identifies the start of this machine, since when process numbers are unique together with `started`; empty where
+        the system does not tell.
+    started
+        When the process started, as the system tells it.
+    since
+        When it took the lock, as text.
+    token
+        Tells this lock from others of the process.
+    """
+
+    host: str
+    boot: str
+    pid: int
+    started: str
+    since: str
+    token: str
+
+    @classmethod
+    def this_process(cls) -> Owner:
+        """Return the owner of locks that this process takes."""
+        since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+        return cls(socket.gethostname(), _boot(), os.getpid(), _started(os.getpid()), since, secrets.token_hex(4))
+
+    @classmethod
+    def of(cls, lock: Path) -> Owner | None:
+        """Return the owner of a lock; None if the file does not exist, or does not tell."""
+        try:
+            handle = os.open(lock, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+            with os.fdopen(handle, "rb") as file:
+                told = json.loads(file.read(4096))
+            texts = {field.name: str(told[field.name]) for field in fields(cls) if field.name != "pid"}
+            return cls(pid=int(told["pid"]), **texts)
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    @property
+    def is_here(self) -> bool:
+        """Whether the process runs, or ran, on this machine."""
+        return self.host == socket.gethostname()
+
+    @property
+    def is_dead(self) -> bool:
+        """Whether the process is known to have ended, which only its own machine can tell."""
+        return self.is_here and (self.boot != _boot() or self.started != _started(self.pid))
+
+
+def _boot() -> str:
+    try:
+        return _BOOT.read_text().strip()
+    except OSError:
+        return ""
+
+
+def _started(pid: int) -> str:
+    """Return when a process started, as text; empty if it has ended."""
+    if _BOOT.exists():  # Linux
+        try:
+            status = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()  # after the name of the program
+        except OSError:
+            return ""
+        return "" if status[0] in "ZX" else status[19]  # a dead process whose parent has not taken note; see proc(5)
+    told = subprocess.run(["ps", "-o", "lstart=", "-p", str(pid)], capture_output=True, text=True, check=False)
+    return told.stdout.strip()
+
+
+@contextlib.contextmanager
+def locked(folder: Path, mutex: Path, shard: Shard = WHOLE) -> Iterator[None]:
+    """Hold the lock on a part of a study, and release it at the end of the block.
+
+    The lock of a process of this machine that has died is removed.
+
+    Parameters
+    ----------
+    mutex
+        An existing file, which is locked while the locks of others are looked at.
+
+    Raises
+    ------
+    ResourceError
+        If another call holds the lock on a part with runs in common, or the system refuses the file.
+    """
+    lock = folder / f"{LOCK}{shard.number}-of-{shard.count}"
+    owner = Owner.this_process()
+    try:
+        with _alone(mutex):
+            for path in sorted(folder.glob(f"{LOCK}*")):
+                name = _NAME.fullmatch(path.name)
+                if name is None:  # of a call that was killed in this block
+                    path.unlink(missing_ok=True)
+                elif shard.overlaps(Shard(int(name[1]), int(name[2]))):
+                    _remove_stale(path)
+            _write(lock, owner)
+        yield
+    finally:
+        if Owner.of(lock) == owner:
+            lock.unlink(missing_ok=True)
+
+
+def _write(lock: Path, owner: Owner) -> None:
+    begun = lock.with_name(f"{LOCK}{owner.token}")
+    try:
+        begun.write_text(json.dumps(asdict(owner)))
+        rename_new(begun, lock)
+    except OSError as error:
+        raise ResourceError(f"the lock cannot be written: {error.strerror or error}", file=lock) from error
+    finally:
+        begun.unlink(missing_ok=True)
+
+
+def _remove_stale(lock: Path) -> None:
+    """Remove a lock whose owner is dead; raise ResourceError if it may be alive."""
+    owner = Owner.of(lock)
+    folder = lock.parent
+    if owner is None and not lock.exists():
+        return
+    if owner is None:
+        message = f"another `mbdkit study` may be running in this folder; if none is, remove {shown(lock)}"
+        raise ResourceError(message, file=folder)
+    if owner.is_dead:
+        lock.unlink(missing_ok=True)
+        return
+    who = f"process {owner.pid} on {shown(owner.host)}, since {shown(owner.since)}"
+    if owner.is_here:
+        message = f"another `mbdkit study` is running in this folder ({who}); wait until it ends"
+    else:
+        message = (
+            f"another `mbdkit study` is running in this folder, or was killed ({who}); wait until it ends, or remove "
+            f"{shown(lock)} if it no longer runs"
+        )
+    raise ResourceError(message, file=folder)
+
+
+@contextlib.contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Hold an exclusive lock on an open file, after waiting for others, where the file system has such locks."""
+    import fcntl
+
+    with path.open("rb") as handle:
+        with contextlib.suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
