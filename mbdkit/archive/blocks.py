@@ -27,6 +27,7 @@ from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.hdf5_errors import DAMAGE, reading
 from mbdkit.archive.layout import COUNTERS, FLOAT, INTEGER, TEXT, TIMINGS, Array
+from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.part_file import LIBVER, write_image
 from mbdkit.archive.run_writer import ArchiveNames, SharedForces, name_texts
 from mbdkit.archive.stored_run import Heading, StoredRun
@@ -492,7 +493,12 @@ class Block:
                 self.created_utc,
                 {**common, **json.loads(self.runs["plugins"][row])},
             )
-        return StoredRun(finished, heading, "" if self.store == "all" else self.store)
+            columns, described = self.columns("measures"), self.described()
+            names = [name for name in spec.measures if name in columns]
+            measured = MeasuredValues(
+                {name: float(columns[name][row]) for name in names}, {name: described[name][0] for name in names}
+            )
+        return StoredRun(finished, heading, "" if self.store == "all" else self.store, measured)
 
     def _finished(self, row: int) -> FinishedRun:
         runs, place = self.runs, int(self.runs["place"][row]) - 1

@@ -14,6 +14,7 @@ from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.history import NotRecordedError, UnknownNameError
+from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import name_texts
 from mbdkit.archive.writer import ArchiveWriter
@@ -63,9 +64,14 @@ class StoredRun(Run):
         Its spec and origin.
     store
         What is kept of each run, if that is not everything; empty otherwise.
+    measured
+        Values of the measures in its spec.
     """
 
-    def __init__(self, finished: FinishedRun, heading: Heading, store: str = ""):
+    def __init__(
+        self, finished: FinishedRun, heading: Heading, store: str = "", measured: MeasuredValues | None = None
+    ):
+        self._measured = measured or MeasuredValues({}, {})
         self._finished, self._heading, self._store = finished, heading, store
         self._path = None
         self.cause = finished.cause
@@ -109,6 +115,11 @@ class StoredRun(Run):
             raise NotStoredError(path, self._store)
         raise NotRecordedError(path, self.format_version)
 
+    @property
+    def measures(self) -> MeasuredValues:
+        """Values of the measures in the spec of the run by name, each in its unit; nan where one is undefined."""
+        return self._measured
+
     @cached_property
     def accuracy(self) -> Accuracy | None:
         """Estimated errors of the recorded rows; None if the run was not checked, or if they are not kept."""
@@ -139,6 +150,7 @@ class StoredRun(Run):
             judgement=finished.judgement,
             warnings=finished.warnings,
             accuracy=finished.accuracy,
+            measured=(lambda file: self.measures.to_json()) if self.measures else None,
         )
         assert file is not None
         file.attrs.modify("data_sha256", finished.data_sha256)

@@ -274,7 +274,7 @@ class RunSpec(StrictSpec):
 
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:
         """Return the measures of the run."""
-        return tuple(defined(self.measures))
+        return tuple(defined(self.measures, ("measures",)))
 
     def _parsed(self, mechanism: Mechanism) -> dict[str, RunExpression]:
         if not self.events:
