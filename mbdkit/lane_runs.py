@@ -7,7 +7,6 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from mbdkit.archive import layout
 from mbdkit.archive.finished_run import ArrayHash, FinishedRun
 from mbdkit.archive.run_writer import ArchiveNames
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.consistent_start import MechanismAtStart, mechanism_at_start
+from mbdkit.engine.consistent_start import MechanismAtStart, Starts
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.kernels.observe import Observed
@@ -30,7 +29,7 @@ from mbdkit.run_evidence import evidence_of_run
 from mbdkit.run_preparation import caution, guards, make_method, optional_arrays, size_at_start, timetable
 from mbdkit.run_warnings import start_warnings
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Guards, Stretch, Timetable
+from mbdkit.stepping.interface import Guards, StepEvidence, Stretch, Timetable
 from mbdkit.stepping.lane_stepper import LaneResults, LaneStepper, suits_lanes, topology_of
 from mbdkit.stepping.warm_up import ensure_compiled
 from mbdkit.trust.criteria import judge
@@ -53,56 +52,64 @@ class LaneMember:
     size: float
     """Size of the mechanism at its start [m]."""
     warnings: tuple[str, ...]
+    topology: tuple[object, ...]
+    """Equal for mechanisms that differ in numbers only."""
     seconds: float
     """Wall time of the preparation [s]."""
 
-    @cached_property
+    @property
     def key(self) -> tuple[object, ...]:
         """Equal for runs that can be advanced side by side and have the same arrays."""
-        recorded = tuple(sorted(self.spec.output.recorded))
         table, tableau = self.table, self.method.tableau
-        return topology_of(self.start.mechanism), tableau, table.steps, table.every, recorded
-
-
-def lane_member(spec: RunSpec, notify: Callable[[str], None]) -> LaneMember | None:
-    """Prepare a run for lanes; return None if it has to be run alone.
-
-    Parameters
-    ----------
-    notify
-        Called with warnings, and with a message before kernels are compiled.
-
-    Raises
-    ------
-    SpecError, PluginError
-        As in a run alone.
-    """
-    begin = time.perf_counter()
-    plain = spec.formulation == "index-1" and spec.stabilized.kind == "none" and not spec.events
-    if not plain or spec.is_to_be_chosen or spec.estimates_errors or spec.limits.wall_time is not None:
-        return None
-    method = make_method(spec)
-    if not isinstance(method, ExplicitRungeKutta) or spec.claims.adaptive:
-        return None
-    check_jumps(spec)
-    cautions = caution(spec, method)
-    ensure_compiled(notify)
-    start = mechanism_at_start(spec.mechanism(), spec.time.start, spec.time.final)
-    size = size_at_start(spec, start)
-    table = timetable(spec, guards(spec, size))
-    if not suits_lanes(method, start.mechanism, table):
-        return None
-    warnings = (*cautions, *start_warnings(spec, start.assembled))
-    for warning in warnings:
-        notify(f"warning: {warning}")
-    return LaneMember(spec, method, start, table, size, warnings, time.perf_counter() - begin)
+        return self.topology, tableau, table.steps, table.every, self.spec.output.recorded
 
 
 class LaneRuns:
-    """Runs members in lanes, and keeps the loops of the mechanisms that it has met."""
+    """Runs members in lanes, and keeps the loops and the compiled mechanisms that it has met."""
 
     def __init__(self) -> None:
         self._groups: dict[tuple[object, ...], _Group] = {}
+        self._starts = Starts()
+        self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
+
+    def member(self, spec: RunSpec, notify: Callable[[str], None]) -> LaneMember | None:
+        """Prepare a run for lanes; return None if it has to be run alone.
+
+        Parameters
+        ----------
+        notify
+            Called with warnings, and with a message before kernels are compiled.
+
+        Raises
+        ------
+        SpecError, PluginError
+            As in a run alone.
+        """
+        begin = time.perf_counter()
+        plain = spec.formulation == "index-1" and spec.stabilized.kind == "none" and not spec.events
+        if not plain or spec.is_to_be_chosen or spec.estimates_errors or spec.limits.wall_time is not None:
+            return None
+        method = make_method(spec)
+        if not isinstance(method, ExplicitRungeKutta) or spec.claims.adaptive:
+            return None
+        check_jumps(spec)
+        cautions = caution(spec, method)
+        ensure_compiled(notify)
+        start = self._starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
+        size = size_at_start(spec, start)
+        table = timetable(spec, guards(spec, size))
+        if not suits_lanes(method, start.mechanism, table):
+            return None
+        warnings = (*cautions, *start_warnings(spec, start.assembled))
+        for warning in warnings:
+            notify(f"warning: {warning}")
+        topology = self._topology_of(start.mechanism)
+        return LaneMember(spec, method, start, table, size, warnings, topology, time.perf_counter() - begin)
+
+    def _topology_of(self, mechanism: CompiledMechanism) -> tuple[object, ...]:
+        if self._topology is None or self._topology[0] is not mechanism:
+            self._topology = mechanism, topology_of(mechanism)
+        return self._topology[1]
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
         """Run the members and return the results in their order; None for a run that must be repeated alone."""
@@ -159,6 +166,7 @@ class _Group:
         self.types = {one.key: np.dtype(one.dtype) for one in self.layout if one.grows}
         self.hash = ArrayHash(self.names, self.layout)
         self.step_keys = tuple(one.key for one in self.layout if one.grows and one.dims[0] == "interval")
+        self._equal_intervals: tuple[tuple[float | None, ...], dict[str, np.ndarray]] = (), {}
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
         """Run at most `WIDTH` members."""
@@ -172,15 +180,17 @@ class _Group:
             arrays = {key: self._by_run(COLUMNS[key](states), key, len(members)) for key in self.row_keys}
             recorded = self._recorded(members, results, states)
         seconds = (time.perf_counter() - begin) / len(members), (time.process_time() - cpu) / len(members)
+        counters = asdict(results.counters)
         finished: list[FinishedRun | None] = []
         for lane, member in enumerate(members):
             if lost[lane]:
                 finished.append(None)
                 continue
-            own = {key: values[lane] for key, values in arrays.items()} | self._intervals(
-                member.table, results.time[lane]
-            )
-            finished.append(self._run(member, results, lane, own, recorded[lane], seconds))
+            own = {key: values[lane] for key, values in arrays.items()}
+            own |= self._intervals(member.table, results.time[lane])
+            made = self._run(member, own, recorded[lane], results.evidence[lane])
+            timings = {"setup_s": member.seconds, "wall_s": seconds[0], "cpu_s": seconds[1]}
+            finished.append(replace(made, stats={**counters, **timings, **made.stats}))
         return finished
 
     def _states(self, results: LaneResults) -> RecordedStates:
@@ -221,24 +231,31 @@ class _Group:
         angles = self.joints.angle_misalignment(np.abs(results.observed.phi).max(axis=1))
         kinetic, balance = results.observed.kinetic, states.balance.reshape(shape)
         others = np.stack([results.observed.potential, results.energy[:, :, 0], results.energy[:, :, 1]])
-        found = []
-        for lane, member in enumerate(members):
-            energies = EnergyRecord()
-            if not results.lost[lane]:
-                energies.add(kinetic[lane], others[:, lane], balance[lane])
-            last = float(results.time[lane, -1])
-            found.append((worst[lane], _RecordedRun(member.start.mechanism, angles[lane], energies, last)))
-        return found
+        energies = EnergyRecord.of_runs(kinetic, others, balance)
+        return [
+            (worst[lane], _RecordedRun(member.start.mechanism, angles[lane], energies[lane], last))
+            for lane, (member, last) in enumerate(zip(members, results.time[:, -1].tolist(), strict=True))
+        ]
 
     def _intervals(self, table: Timetable, times: np.ndarray) -> dict[str, np.ndarray]:
         """Return the statistics of the intervals between the recorded states of a run."""
+        sizes = table.step, table.last_step
+        if self._equal_intervals[0] != sizes:
+            self._equal_intervals = sizes, self._intervals_of(table)
+        return {
+            key: np.ascontiguousarray(times[1:], self.types[key]) if key == "steps/time" else values
+            for key, values in self._equal_intervals[1].items()
+        }
+
+    def _intervals_of(self, table: Timetable) -> dict[str, np.ndarray]:
+        """Return the statistics that are equal for runs with equal steps; the times are empty."""
         ends = np.minimum(table.every * np.arange(1, self.rows), table.steps)
         sizes = np.full(len(ends), table.step)
         sizes[-1] = table.last_step
         none = np.zeros(len(ends), dtype=np.int64)
         values: Mapping[str, Any] = {
             "interval": np.arange(1, self.rows),
-            "time": times[1:],
+            "time": (),
             "steps": np.diff(ends, prepend=0),
             "size": sizes,
             "iterations": none,
@@ -252,25 +269,19 @@ class _Group:
     def _run(
         self,
         member: LaneMember,
-        results: LaneResults,
-        lane: int,
         arrays: dict[str, np.ndarray],
         recorded: tuple[np.ndarray, _RecordedRun],
-        seconds: tuple[float, float],
+        steps: StepEvidence,
     ) -> FinishedRun:
-        """Judge a run and return it."""
+        """Judge a run and return it; its `stats` contain the time taken for that."""
         begin = time.perf_counter()
         worst, extremes = recorded
         ending = "complete", ""
-        judgement = judge(
-            evidence_of_run(extremes, results.evidence[lane], ending, worst, member.size, member.warnings)
-        )
+        judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, member.warnings))
         if _LOG.isEnabledFor(logging.INFO):
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
-        timings = {"setup_s": member.seconds, "wall_s": seconds[0], "cpu_s": seconds[1]}
-        made = FinishedRun(
-            self.names, self.layout, arrays, None, *ending, {}, np.asarray(worst, layout.FLOAT), judgement,
-            member.warnings, self.hash.of(arrays), member.start.assembled.describe(),
+        data_sha256 = self.hash.of(arrays)
+        return FinishedRun(
+            self.names, self.layout, arrays, None, *ending, {"finish_s": time.perf_counter() - begin},
+            np.asarray(worst, layout.FLOAT), judgement, member.warnings, data_sha256, member.start.assembled.describe(),
         )  # fmt: skip
-        timings["finish_s"] = time.perf_counter() - begin
-        return replace(made, stats={**asdict(results.counters), **timings})

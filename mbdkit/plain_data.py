@@ -138,6 +138,11 @@ def canonical(value: Any) -> Any:
     return value
 
 
+def canonical_text(data: Any) -> str:
+    """Return plain data as the JSON that is hashed: without spaces, keys in their order, numbers in shortest form."""
+    return json.dumps(data, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
 def json_text(data: Any, indent: int | None = None) -> str:
     """Return data as JSON; numbers that are not finite become null, and objects unknown to JSON become text."""
     return json.dumps(_finite(data), indent=indent, ensure_ascii=indent is None, allow_nan=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 
 from pydantic import BaseModel
 
@@ -83,9 +84,9 @@ def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tu
     """Return the key path and the number or text of each option of a model whose unit is the radian."""
     if isinstance(value, BaseModel):
         for name, field in type(value).model_fields.items():
-            unit = _ANGLE.search(field.description or "")
             is_length = isinstance(value, Driver) and value.coordinate != "angle"
-            yield from _angles(getattr(value, name), (*path, name), is_angle=bool(unit) and not is_length)
+            in_radians = _is_in_radians(field.description or "") and not is_length
+            yield from _angles(getattr(value, name), (*path, name), is_angle=in_radians)
     elif isinstance(value, Mapping):
         for name, item in value.items():
             yield from _angles(item, (*path, name), is_angle=is_angle)
@@ -94,6 +95,11 @@ def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tu
             yield from _angles(item, (*path, index), is_angle=is_angle)
     elif is_angle and isinstance(value, int | float | str):
         yield path, value
+
+
+@lru_cache(maxsize=1024)
+def _is_in_radians(description: str) -> bool:
+    return _ANGLE.search(description) is not None
 
 
 def _long_step(spec: RunSpec) -> Iterator[str]:

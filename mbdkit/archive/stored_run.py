@@ -99,6 +99,11 @@ class StoredRun(Run):
         self._keys = {one.path: one.key for one in finished.layout if one.grows}
 
     @property
+    def finished(self) -> FinishedRun:
+        """The results."""
+        return self._finished
+
+    @property
     def run_spec(self) -> RunSpec:
         """The spec of the run as a validated object."""
         return self._heading.spec

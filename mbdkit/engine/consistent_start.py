@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.engine.assembly import AssembledState, assemble
-from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.assembly import AssembledState, assemble, search_for
+from mbdkit.engine.compile_mechanism import compile_mechanism, compiled_content
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
+from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.redundancy import without_redundancy
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
@@ -104,15 +105,46 @@ def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0, end: float | None 
     MechanismAtStart
         The mechanism and its start, without working arrays.
     """
-    with within_double_precision():
-        compiled = compile_mechanism(mechanism)
-        start = assemble(mechanism, t0, compiled)
-        poses = dict(zip(mechanism.bodies, start.q, strict=True))
+    return Starts().at_start(mechanism, t0, end)
 
-        def placed(name: str) -> Body:
-            x, y, angle = map(float, poses[name])
-            return mechanism.bodies[name].model_copy(update={"position": (x, y), "angle": angle})
 
-        check_springs(mechanism.forces, placed)
-        compiled = without_redundancy(compiled, t0, start.q.ravel(), start.v.ravel(), t0 if end is None else end)
-    return MechanismAtStart(compiled, with_ground(start.q), with_ground(start.v), start)
+MOST_MECHANISMS = 8
+"""Number of compiled mechanisms that are kept for further starts."""
+
+
+class Starts:
+    """Makes starts consistent; mechanisms that differ in their initial states only are compiled once."""
+
+    def __init__(self) -> None:
+        self._compiled: dict[tuple[bytes, float], tuple[CompiledMechanism, LeastChange]] = {}
+
+    def at_start(self, mechanism: Mechanism, t0: float = 0.0, end: float | None = None) -> MechanismAtStart:
+        """Return a mechanism at its start; see `mechanism_at_start`."""
+        with within_double_precision():
+            compiled, search = self._found(mechanism, t0)
+            start = assemble(mechanism, t0, compiled, search)
+            poses = dict(zip(mechanism.bodies, start.q, strict=True))
+
+            def placed(name: str) -> Body:
+                x, y, angle = map(float, poses[name])
+                return mechanism.bodies[name].model_copy(update={"position": (x, y), "angle": angle})
+
+            check_springs(mechanism.forces, placed)
+            compiled = without_redundancy(compiled, t0, start.q.ravel(), start.v.ravel(), t0 if end is None else end)
+        return MechanismAtStart(compiled, with_ground(start.q), with_ground(start.v), start)
+
+    def _found(self, mechanism: Mechanism, t0: float) -> tuple[CompiledMechanism, LeastChange]:
+        """Return the compiled mechanism and the solver of its assembly."""
+        content = compiled_content(mechanism)
+        if content is None:
+            compiled = compile_mechanism(mechanism)
+            return compiled, search_for(mechanism, compiled, t0)
+        key = content, t0
+        found = self._compiled.pop(key, None)
+        if found is None:
+            compiled = compile_mechanism(mechanism)
+            found = compiled, search_for(mechanism, compiled, t0)
+        self._compiled[key] = found  # the last one used is kept longest
+        if len(self._compiled) > MOST_MECHANISMS:
+            self._compiled.pop(next(iter(self._compiled)))
+        return found
