@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -21,12 +21,13 @@ from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.workspace import Workspace
 from mbdkit.logs import logger_of
+from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.recorded_columns import COLUMNS, ConstraintRows, RecordedStates
 from mbdkit.recorder import archive_names
 from mbdkit.run_corners import check_jumps
 from mbdkit.run_evidence import evidence_of_run
-from mbdkit.run_preparation import caution, guards, make_method, optional_arrays, size_at_start, timetable
+from mbdkit.run_preparation import caution, guards, make_method, optional_arrays, timetable
 from mbdkit.run_warnings import start_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Guards, StepEvidence, Stretch, Timetable
@@ -54,7 +55,7 @@ class LaneMember:
     warnings: tuple[str, ...]
     topology: tuple[object, ...]
     """Equal for mechanisms that differ in numbers only."""
-    seconds: float
+    seconds: float = 0.0
     """Wall time of the preparation [s]."""
 
     @property
@@ -64,6 +65,41 @@ class LaneMember:
         return self.topology, tableau, table.steps, table.every, self.spec.output.recorded
 
 
+@dataclass(frozen=True)
+class _Started:
+    """A run at its start, which may or may not suit lanes."""
+
+    spec: RunSpec
+    method: ExplicitRungeKutta
+    cautions: tuple[str, ...]
+    start: MechanismAtStart
+
+
+def _method_for_lanes(spec: RunSpec) -> ExplicitRungeKutta | None:
+    """Return the method of a run; None if its method or other settings do not suit lanes."""
+    plain = spec.formulation == "index-1" and spec.stabilized.kind == "none" and not spec.events
+    if not plain or spec.is_to_be_chosen or spec.estimates_errors or spec.limits.wall_time is not None:
+        return None
+    method = make_method(spec)
+    return method if isinstance(method, ExplicitRungeKutta) and not spec.claims.adaptive else None
+
+
+def _sizes(started: Sequence[_Started | None]) -> list[float]:
+    """Return the sizes of mechanisms at their starts [m], 0 where there is none."""
+    sizes = [0.0] * len(started)
+    by_bodies: dict[tuple[str, ...], list[int]] = defaultdict(list)
+    for place, one in enumerate(started):
+        if one is not None:
+            by_bodies[one.start.mechanism.bodies].append(place)
+    for places in by_bodies.values():
+        some = [one for place in places if (one := started[place]) is not None]
+        positions = np.stack([one.start.assembled.q for one in some])
+        found = mechanism_sizes([one.spec.mechanism() for one in some], positions).tolist()
+        for place, size in zip(places, found, strict=True):
+            sizes[place] = size
+    return sizes
+
+
 class LaneRuns:
     """Runs members in lanes, and keeps the loops and the compiled mechanisms that it has met."""
 
@@ -71,40 +107,66 @@ class LaneRuns:
         self._groups: dict[tuple[object, ...], _Group] = {}
         self._starts = Starts()
         self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
+        self._settings: tuple[tuple[object, ...], ExplicitRungeKutta | None] | None = None
 
-    def member(self, spec: RunSpec, notify: Callable[[str], None]) -> LaneMember | None:
-        """Prepare a run for lanes; return None if it has to be run alone.
+    def members(self, specs: Iterable[RunSpec], notify: Callable[[str], None]) -> list[LaneMember | None]:
+        """Prepare runs for lanes; None for a run that does not suit them, or that fails: it is then run alone.
 
         Parameters
         ----------
         notify
             Called with warnings, and with a message before kernels are compiled.
-
-        Raises
-        ------
-        SpecError, PluginError
-            As in a run alone.
         """
         begin = time.perf_counter()
-        plain = spec.formulation == "index-1" and spec.stabilized.kind == "none" and not spec.events
-        if not plain or spec.is_to_be_chosen or spec.estimates_errors or spec.limits.wall_time is not None:
-            return None
-        method = make_method(spec)
-        if not isinstance(method, ExplicitRungeKutta) or spec.claims.adaptive:
+        started = []
+        for spec in specs:
+            try:
+                started.append(self._started(spec, notify))
+            except (Exception, SystemExit):
+                started.append(None)
+        sizes = _sizes(started)
+        members: list[LaneMember | None] = []
+        for one, size in zip(started, sizes, strict=True):
+            try:
+                member = None if one is None else self._member(one, size)
+            except (Exception, SystemExit):
+                member = None
+            for warning in () if member is None else member.warnings:
+                notify(f"warning: {warning}")
+            members.append(member)
+        seconds = (time.perf_counter() - begin) / max(1, len(members))
+        return [None if member is None else replace(member, seconds=seconds) for member in members]
+
+    def _started(self, spec: RunSpec, notify: Callable[[str], None]) -> _Started | None:
+        """Make the start of a run consistent; None if it does not suit lanes. Raises the errors of a run alone."""
+        method = self._method(spec)
+        if method is None:
             return None
         check_jumps(spec)
         cautions = caution(spec, method)
         ensure_compiled(notify)
         start = self._starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
-        size = size_at_start(spec, start)
+        return _Started(spec, method, cautions, start)
+
+    def _method(self, spec: RunSpec) -> ExplicitRungeKutta | None:
+        """Return the method of a run; None if its settings do not suit lanes. Specs often share these."""
+        settings = (
+            spec.formulation, spec.stabilization, spec.events, spec.check, spec.accuracy, spec.choose, spec.limits,
+            spec.integrator,
+        )  # fmt: skip
+        if self._settings is None or any(a is not b for a, b in zip(settings, self._settings[0], strict=True)):
+            self._settings = settings, _method_for_lanes(spec)
+        return self._settings[1]
+
+    def _member(self, started: _Started, size: float) -> LaneMember | None:
+        """Return the member for a run that has started; None if it does not suit lanes."""
+        spec, method, start = started.spec, started.method, started.start
+        size = size or start.mechanism.length
         table = timetable(spec, guards(spec, size))
         if not suits_lanes(method, start.mechanism, table):
             return None
-        warnings = (*cautions, *start_warnings(spec, start.assembled))
-        for warning in warnings:
-            notify(f"warning: {warning}")
-        topology = self._topology_of(start.mechanism)
-        return LaneMember(spec, method, start, table, size, warnings, topology, time.perf_counter() - begin)
+        warnings = (*started.cautions, *start_warnings(spec, start.assembled))
+        return LaneMember(spec, method, start, table, size, warnings, self._topology_of(start.mechanism))
 
     def _topology_of(self, mechanism: CompiledMechanism) -> tuple[object, ...]:
         if self._topology is None or self._topology[0] is not mechanism:
@@ -167,6 +229,7 @@ class _Group:
         self.hash = ArrayHash(self.names, self.layout)
         self.step_keys = tuple(one.key for one in self.layout if one.grows and one.dims[0] == "interval")
         self._equal_intervals: tuple[tuple[float | None, ...], dict[str, np.ndarray]] = (), {}
+        self._shared_digests: dict[str, str] = {}
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
         """Run at most `WIDTH` members."""
@@ -242,6 +305,8 @@ class _Group:
         sizes = table.step, table.last_step
         if self._equal_intervals[0] != sizes:
             self._equal_intervals = sizes, self._intervals_of(table)
+            shared = {key: array for key, array in self._equal_intervals[1].items() if key != "steps/time"}
+            self._shared_digests = {key: self.hash.digest(array) for key, array in shared.items()}
         return {
             key: np.ascontiguousarray(times[1:], self.types[key]) if key == "steps/time" else values
             for key, values in self._equal_intervals[1].items()
@@ -280,7 +345,7 @@ class _Group:
         judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, member.warnings))
         if _LOG.isEnabledFor(logging.INFO):
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
-        data_sha256 = self.hash.of(arrays)
+        data_sha256 = self.hash.of(arrays, self._shared_digests)
         return FinishedRun(
             self.names, self.layout, arrays, None, *ending, {"finish_s": time.perf_counter() - begin},
             np.asarray(worst, layout.FLOAT), judgement, member.warnings, data_sha256, member.start.assembled.describe(),

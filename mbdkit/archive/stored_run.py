@@ -92,11 +92,6 @@ class StoredRun(Run):
         self._warnings, self._stats = finished.warnings, MappingProxyType(dict(finished.stats))
         self._misalignment_max = finished.misalignment_max
         self._redundancy = "" if finished.shared is None else finished.shared.redundancy
-        texts = name_texts(finished.names)
-        self._texts_of = {one.path: tuple(texts[one.path]) for one in finished.layout if not one.grows}
-        self._names = {**self._texts_of, "trajectory/body": tuple(finished.names.bodies)}
-        self._names["joints/joint"] = tuple(finished.names.joints)
-        self._keys = {one.path: one.key for one in finished.layout if one.grows}
 
     @property
     def finished(self) -> FinishedRun:
@@ -108,10 +103,28 @@ class StoredRun(Run):
         """The spec of the run as a validated object."""
         return self._heading.spec
 
+    @cached_property
+    def _texts_of(self) -> dict[str, tuple[str, ...]]:
+        """Names along the axes, by path."""
+        texts = name_texts(self._finished.names)
+        return {one.path: tuple(texts[one.path]) for one in self._finished.layout if not one.grows}
+
+    @cached_property
+    def _names(self) -> dict[str, tuple[str, ...]]:  # type: ignore[override]
+        names = self._finished.names
+        return {**self._texts_of, "trajectory/body": tuple(names.bodies), "joints/joint": tuple(names.joints)}
+
+    def array(self, path: str) -> np.ndarray:
+        """Return a whole array as a read-only array."""
+        values = self.dataset(path).view()
+        values.flags.writeable = False
+        return values
+
     def dataset(self, path: str) -> np.ndarray:
         """Return an array of the run."""
-        if path in self._keys:
-            return self._finished.arrays[self._keys[path]]
+        array = layout.BY_PATH.get(path)
+        if array is not None and array.grows and array in self._finished.layout:
+            return self._finished.arrays[array.key]
         if path in self._texts_of:
             return np.array(self._texts_of[path], object)
         if path not in layout.BY_PATH:

@@ -205,9 +205,9 @@ class _Assembly:
             moves[:] = (
                 np.hypot(change[:, 0], change[:, 1]), change[:, 2], np.hypot(change[:, 3], change[:, 4]), change[:, 5]
             )  # fmt: skip
-        by_name = [dict(zip(self.mechanism.bodies, row, strict=True)) for row in moves.tolist()]
-        return AssembledState(q, v, changed, *by_name, residual=_largest(phi), velocity_residual=_largest(rate))
+        position, angle, velocity, spin = (dict(zip(self.mechanism.bodies, row, strict=True)) for row in moves.tolist())
+        return AssembledState(q, v, changed, position, angle, velocity, spin, _largest(phi), _largest(rate))
 
 
 def _largest(x: np.ndarray) -> float:
-    return float(np.max(np.abs(x), initial=0.0))
+    return float(np.abs(x).max(initial=0.0))

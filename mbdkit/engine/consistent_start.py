@@ -13,6 +13,7 @@ from mbdkit.engine.compile_mechanism import compile_mechanism, compiled_content
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
 from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.redundancy import without_redundancy
+from mbdkit.engine.self_stress import looped_rows
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import SpecError
@@ -112,17 +113,32 @@ MOST_MECHANISMS = 8
 """Number of compiled mechanisms that are kept for further starts."""
 
 
+@dataclass(frozen=True)
+class _Compiled:
+    """What mechanisms that differ in their initial states have in common: the solver of their assembly, for one."""
+
+    mechanism: CompiledMechanism
+    search: LeastChange
+    has_loops: bool
+
+    @classmethod
+    def of(cls, mechanism: Mechanism, t0: float) -> _Compiled:
+        compiled = compile_mechanism(mechanism)
+        return cls(compiled, search_for(mechanism, compiled, t0), len(looped_rows(compiled)) > 0)
+
+
 class Starts:
     """Makes starts consistent; mechanisms that differ in their initial states only are compiled once."""
 
     def __init__(self) -> None:
-        self._compiled: dict[tuple[bytes, float], tuple[CompiledMechanism, LeastChange]] = {}
+        self._compiled: dict[tuple[bytes, float], _Compiled] = {}
 
     def at_start(self, mechanism: Mechanism, t0: float = 0.0, end: float | None = None) -> MechanismAtStart:
         """Return a mechanism at its start; see `mechanism_at_start`."""
         with within_double_precision():
-            compiled, search = self._found(mechanism, t0)
-            start = assemble(mechanism, t0, compiled, search)
+            found = self._found(mechanism, t0)
+            compiled = found.mechanism
+            start = assemble(mechanism, t0, compiled, found.search)
             poses = dict(zip(mechanism.bodies, start.q, strict=True))
 
             def placed(name: str) -> Body:
@@ -130,21 +146,17 @@ class Starts:
                 return mechanism.bodies[name].model_copy(update={"position": (x, y), "angle": angle})
 
             check_springs(mechanism.forces, placed)
-            compiled = without_redundancy(compiled, t0, start.q.ravel(), start.v.ravel(), t0 if end is None else end)
+            if found.has_loops:
+                q, v = start.q.ravel(), start.v.ravel()
+                compiled = without_redundancy(compiled, t0, q, v, t0 if end is None else end)
         return MechanismAtStart(compiled, with_ground(start.q), with_ground(start.v), start)
 
-    def _found(self, mechanism: Mechanism, t0: float) -> tuple[CompiledMechanism, LeastChange]:
-        """Return the compiled mechanism and the solver of its assembly."""
+    def _found(self, mechanism: Mechanism, t0: float) -> _Compiled:
         content = compiled_content(mechanism)
         if content is None:
-            compiled = compile_mechanism(mechanism)
-            return compiled, search_for(mechanism, compiled, t0)
+            return _Compiled.of(mechanism, t0)
         key = content, t0
-        found = self._compiled.pop(key, None)
-        if found is None:
-            compiled = compile_mechanism(mechanism)
-            found = compiled, search_for(mechanism, compiled, t0)
-        self._compiled[key] = found  # the last one used is kept longest
+        self._compiled[key] = found = self._compiled.pop(key, None) or _Compiled.of(mechanism, t0)
         if len(self._compiled) > MOST_MECHANISMS:
             self._compiled.pop(next(iter(self._compiled)))
         return found

@@ -206,9 +206,8 @@ class RunSpec(StrictSpec):
             sections = canonical(self)
             place = list(sections).index("model")
             before, after = dict(list(sections.items())[:place]), dict(list(sections.items())[place + 1 :])
-            self._around_model = (
-                canonical_text(before)[:-1] + "," * bool(before) + '"model":', "," * bool(after) + canonical_text(after)[1:]
-            )  # fmt: skip
+            head, tail = canonical_text(before)[:-1], canonical_text(after)[1:]
+            self._around_model = head + "," * bool(before) + '"model":', "," * bool(after) + tail
         spec = self.model_copy(update={"model": model})
         spec._document, spec._mechanism, spec._run_id, spec._watched = None, None, "", None
         spec._canonical = canonical_text(canonical(model)).join(self._around_model)

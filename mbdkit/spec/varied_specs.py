@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mbdkit.plain_data import Path, copied, plain
-from mbdkit.spec.reading import put
 from mbdkit.spec.choices import registry_of
+from mbdkit.spec.reading import put
 from mbdkit.spec.registry_lookup import RegistryLookup
 from mbdkit.spec.run_spec import RunSpec
 
@@ -39,7 +39,8 @@ class VariedSpecs:
         SpecError
             If it is not valid.
         """
-        if self._pattern is not None and all(path[:1] == ("model",) and path[1:2] != ("name",) for path, _ in values):
+        in_model = all(path[:1] == ("model",) and len(path) > 1 and path[1] != "name" for path, _ in values)
+        if self._pattern is not None and in_model:
             try:
                 return self._with_values(self._pattern, values)
             except Exception:
@@ -48,7 +49,7 @@ class VariedSpecs:
         for path, value in values:
             put(data, path, value)
         spec = RunSpec(**data)
-        if not spec.parameters and not spec.written and spec.accuracy is None:
+        if in_model and not spec.parameters and not spec.written and spec.accuracy is None:
             self._pattern = spec
         return spec
 

@@ -296,6 +296,7 @@ class _Mark:
 
     def __init__(self, folder: StudyFolder, block: int):
         self.path = folder.mark(block)
+        self.number = 0
 
     def __enter__(self) -> _Mark:
         self.handle = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0), 0o666)
@@ -303,8 +304,10 @@ class _Mark:
 
     def note(self, number: int) -> None:
         """Write the number of the run that is computed next."""
-        os.lseek(self.handle, 0, os.SEEK_SET)
-        os.write(self.handle, f"{number:8d}".encode())
+        if number != self.number:
+            os.lseek(self.handle, 0, os.SEEK_SET)
+            os.write(self.handle, f"{number:8d}".encode())
+            self.number = number
 
     def __exit__(self, *_: object) -> None:
         os.close(self.handle)

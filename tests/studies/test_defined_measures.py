@@ -248,8 +248,7 @@ def test_a_measure_of_one_base_is_not_taken_of_the_runs_of_another(tmp_path: Pat
     [
         (
             {"measures": {"depth": "final(ball.y)"}},
-            "base.measures.depth: 'depth' is defined differently in measures.depth; a column of the study has one "
-            "definition, so choose another name",
+            "base.measures.depth: 'depth' is defined differently in measures.depth; a column of the study has one",
         ),
         (
             {"overrides": {"measures.depth": "final(bal.y)"}},
