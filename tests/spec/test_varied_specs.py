@@ -1,4 +1,4 @@
-"""Specs that share what their values do not concern are the specs, or have the errors, of the validation of whole ones."""
+"""Specs of runs that differ in a few values are those, or have the errors, that the validation of whole specs gives."""
 
 from __future__ import annotations
 

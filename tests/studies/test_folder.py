@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import threading
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -142,3 +144,18 @@ def test_a_study_in_use_is_not_overwritten(copied: Path) -> None:
     with folder.locked(), pytest.raises(ResourceError, match="another `mbdkit study` is running"):
         StudyFolder(copied).clear()
     assert folder.index.exists()
+
+
+def test_the_temporary_folder_of_a_study_is_deleted_with_it_without_a_warning() -> None:
+    study = mbdkit.ensemble(
+        {"mbdkit": 1, "model": {"name": "double-pendulum"}, "integrator": {"name": "rk4"},
+         "time": {"end": 0.02, "step": 0.01}},
+        {"model.angles.0": [0.0]},
+    )  # fmt: skip
+    folder = study.folder
+    assert folder.is_dir()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        del study
+        gc.collect()
+    assert not folder.exists()
