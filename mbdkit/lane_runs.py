@@ -7,7 +7,6 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -227,9 +226,8 @@ class _Group:
         self.row_keys = tuple(dict.fromkeys(one.key for one in self.layout if one.grows and one.dims[0] == "time"))
         self.types = {one.key: np.dtype(one.dtype) for one in self.layout if one.grows}
         self.hash = ArrayHash(self.names, self.layout)
-        self.step_keys = tuple(one.key for one in self.layout if one.grows and one.dims[0] == "interval")
         self._equal_intervals: tuple[tuple[float | None, ...], dict[str, np.ndarray]] = (), {}
-        self._shared_digests: dict[str, str] = {}
+        self._known_digests: dict[str, str] = {}
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
         """Run at most `WIDTH` members."""
@@ -250,7 +248,7 @@ class _Group:
                 finished.append(None)
                 continue
             own = {key: values[lane] for key, values in arrays.items()}
-            own |= self._intervals(member.table, results.time[lane])
+            own |= self._intervals(member.table, results, lane)
             made = self._run(member, own, recorded[lane], results.evidence[lane])
             timings = {"setup_s": member.seconds, "wall_s": seconds[0], "cpu_s": seconds[1]}
             finished.append(replace(made, stats={**counters, **timings, **made.stats}))
@@ -300,36 +298,29 @@ class _Group:
             for lane, (member, last) in enumerate(zip(members, results.time[:, -1].tolist(), strict=True))
         ]
 
-    def _intervals(self, table: Timetable, times: np.ndarray) -> dict[str, np.ndarray]:
+    def _intervals(self, table: Timetable, results: LaneResults, lane: int) -> dict[str, np.ndarray]:
         """Return the statistics of the intervals between the recorded states of a run."""
-        sizes = table.step, table.last_step
-        if self._equal_intervals[0] != sizes:
-            self._equal_intervals = sizes, self._intervals_of(table)
-            shared = {key: array for key, array in self._equal_intervals[1].items() if key != "steps/time"}
-            self._shared_digests = {key: self.hash.digest(array) for key, array in shared.items()}
-        return {
-            key: np.ascontiguousarray(times[1:], self.types[key]) if key == "steps/time" else values
-            for key, values in self._equal_intervals[1].items()
-        }
+        steps = table.step, table.last_step
+        if self._equal_intervals[0] != steps:
+            equal = self._intervals_of(table)
+            self._equal_intervals = steps, equal
+            self._known_digests = {key: self.hash.digest(array) for key, array in equal.items()}
+        none = np.zeros(self.rows - 1)
+        own = {"steps/time": results.time[lane, 1:], "steps/iterations": none, "steps/iterations_max": none}
+        return self._equal_intervals[1] | self._typed(own)
 
     def _intervals_of(self, table: Timetable) -> dict[str, np.ndarray]:
-        """Return the statistics that are equal for runs with equal steps; the times are empty."""
+        """Return the statistics that are the same for runs with equal steps."""
         ends = np.minimum(table.every * np.arange(1, self.rows), table.steps)
         sizes = np.full(len(ends), table.step)
         sizes[-1] = table.last_step
-        none = np.zeros(len(ends), dtype=np.int64)
-        values: Mapping[str, Any] = {
-            "interval": np.arange(1, self.rows),
-            "time": (),
-            "steps": np.diff(ends, prepend=0),
-            "size": sizes,
-            "iterations": none,
-            "iterations_max": none,
-            "rejected": none,
-        }
-        return {
-            key: np.ascontiguousarray(values[key.removeprefix("steps/")], self.types[key]) for key in self.step_keys
-        }
+        values = {"interval": np.arange(1, self.rows), "steps": np.diff(ends, prepend=0), "size": sizes}
+        values["rejected"] = np.zeros(len(ends))
+        return self._typed({f"steps/{name}": array for name, array in values.items()})
+
+    def _typed(self, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return those of the arrays that are recorded, contiguous and of the type of the layout."""
+        return {key: np.ascontiguousarray(arrays[key], self.types[key]) for key in arrays if key in self.types}
 
     def _run(
         self,
@@ -345,7 +336,7 @@ class _Group:
         judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, member.warnings))
         if _LOG.isEnabledFor(logging.INFO):
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
-        data_sha256 = self.hash.of(arrays, self._shared_digests)
+        data_sha256 = self.hash.of(arrays, self._known_digests)
         return FinishedRun(
             self.names, self.layout, arrays, None, *ending, {"finish_s": time.perf_counter() - begin},
             np.asarray(worst, layout.FLOAT), judgement, member.warnings, data_sha256, member.start.assembled.describe(),
