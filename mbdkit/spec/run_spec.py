@@ -280,11 +280,12 @@ class RunSpec(StrictSpec):
         PluginError
             If the model plugin fails.
         """
-        if self._mechanism is None:
-            mechanism = self._build()
-            self._watched = self._parsed(mechanism)
-            self._mechanism = mechanism
-        built: Mechanism = self._mechanism
+        private = self.__pydantic_private__ or {}  # ten times faster than attributes, and called ten times for each run
+        built: Mechanism | None = private["_mechanism"]
+        if built is None:
+            built = self._build()
+            self._watched = self._parsed(built)
+            self._mechanism = built
         return built
 
     def watched(self) -> dict[str, RunExpression]:
