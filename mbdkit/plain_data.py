@@ -41,6 +41,19 @@ def without_collection() -> Iterator[None]:
             gc.enable()
 
 
+@contextmanager
+def collecting_new_objects_only() -> Iterator[None]:
+    """Hide the objects that exist from the cyclic garbage collector.
+
+    Otherwise it would go through all modules again and again, which takes a sixth of the time of a block of runs.
+    """
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
 def path_text(path: Path) -> str:
     """Return a key path as text, such as ``model.joints.A.bodies[1]``."""
     text = ""

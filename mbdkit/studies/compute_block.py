@@ -17,7 +17,7 @@ from mbdkit.archive.stored_run import Heading, StoredRun
 from mbdkit.batch import CHUNK, Refused, refusal, simulate_batch
 from mbdkit.errors import SpecError
 from mbdkit.measures.take import Description, take
-from mbdkit.plain_data import path_text
+from mbdkit.plain_data import collecting_new_objects_only, path_text
 from mbdkit.provenance import plugins_of, surroundings
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_loading import load_study_spec
@@ -196,7 +196,7 @@ def compute_block(
     files = StudyFolder(Path(folder))
     plan = _plan(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
     skip = skip or {}
-    with _Mark(files, block) as mark:
+    with _Mark(files, block) as mark, collecting_new_objects_only():
         varied = {grid.base_json: VariedSpecs(grid.base_json) for grid in plan.points.grids}
         members = [_member(plan.points[place], varied, skip, mark) for place in plan.blocks.places(block)]
         runs = []

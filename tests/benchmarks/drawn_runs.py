@@ -121,7 +121,9 @@ def _different_arrays(study: mbdkit.Study, place: int, alone: mbdkit.Run) -> Ite
     if study.spec.store != "all":
         return
     stored = study.run(place)
-    assert stored is not None
+    if stored is None:
+        yield f"no results in the study: {study.points[place].reason}"
+        return
     if dict(stored.measures) != dict(alone.measures) and not np.isnan([*alone.measures.values()]).any():
         yield f"measures: {stored.measures} in the study, {alone.measures} alone"
     for array in layout.LAYOUT:
@@ -169,14 +171,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.drawn_runs", description=__doc__)
     parser.add_argument("--only", default="", help="a part of the names of the methods")
     parser.add_argument("--here", action="store_true", help="in this process, with its number of lanes")
+    parser.add_argument("--threads", type=int, nargs="*", default=[1, 2], help="numbers of threads")
     asked = parser.parse_args()
     if not asked.here:
-        command = [sys.executable, "-m", "tests.benchmarks.drawn_runs", "--here", "--only", asked.only]
+        options = ["--only", asked.only, "--threads", *map(str, asked.threads)]
+        command = [sys.executable, "-m", "tests.benchmarks.drawn_runs", "--here", *options]
         codes = [subprocess.run(command, env=os.environ | {"MBDKIT_LANES": width}).returncode for width in "248"]
         sys.exit(max(codes))
     variants = [name for name in VARIANTS if asked.only in name]
     differing = False
-    for threads in (1, 2):
+    for threads in asked.threads:
         with tempfile.TemporaryDirectory() as folder:
             count, failed, found = compare(variants, threads, Path(folder))
             again = remade(Path(folder), 17)
