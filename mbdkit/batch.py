@@ -9,7 +9,7 @@ from itertools import islice
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.errors import MbdkitError, PluginError, ResourceError, SpecError
-from mbdkit.lane_runs import LaneMember, LaneRuns, lane_member
+from mbdkit.lane_runs import LaneRuns
 from mbdkit.simulation import simulate_arrays
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.warm_up import to_stderr
@@ -59,10 +59,7 @@ def simulate_batch(
     begun = begun or _ignored
     lanes, remaining = LaneRuns(), iter(enumerate(specs))
     while chunk := list(islice(remaining, CHUNK)):
-        prepared = []
-        for place, spec in chunk:
-            begun(place)
-            prepared.append(_member(spec, notify))
+        prepared = lanes.members(_noted(chunk, begun), notify)
         finished = iter(lanes.finished([member for member in prepared if member is not None]))
         for (place, spec), member in zip(chunk, prepared, strict=True):
             run = None if member is None else next(finished)
@@ -75,12 +72,11 @@ def _ignored(place: int) -> None:
     """Ignore that a run begins."""
 
 
-def _member(spec: RunSpec, notify: Callable[[str], None]) -> LaneMember | None:
-    """Prepare a run for lanes; return None for a run that does not suit them, or that fails: it is then run alone."""
-    try:
-        return lane_member(spec, notify)
-    except (Exception, SystemExit):
-        return None
+def _noted(chunk: Iterable[tuple[int, RunSpec]], begun: Callable[[int], None]) -> Iterator[RunSpec]:
+    """Yield the specs of runs, each after its place is noted."""
+    for place, spec in chunk:
+        begun(place)
+        yield spec
 
 
 def _alone(spec: RunSpec, notify: Callable[[str], None]) -> FinishedRun | Refused:

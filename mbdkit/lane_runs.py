@@ -5,10 +5,8 @@ from __future__ import annotations
 import logging
 import time
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -16,21 +14,22 @@ from mbdkit.archive import layout
 from mbdkit.archive.finished_run import ArrayHash, FinishedRun
 from mbdkit.archive.run_writer import ArchiveNames
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.consistent_start import MechanismAtStart, mechanism_at_start
+from mbdkit.engine.consistent_start import MechanismAtStart, Starts
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.workspace import Workspace
 from mbdkit.logs import logger_of
+from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
 from mbdkit.recorded_columns import COLUMNS, ConstraintRows, RecordedStates
 from mbdkit.recorder import archive_names
 from mbdkit.run_corners import check_jumps
 from mbdkit.run_evidence import evidence_of_run
-from mbdkit.run_preparation import caution, guards, make_method, optional_arrays, size_at_start, timetable
+from mbdkit.run_preparation import caution, guards, make_method, optional_arrays, timetable
 from mbdkit.run_warnings import start_warnings
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Guards, Stretch, Timetable
+from mbdkit.stepping.interface import Guards, StepEvidence, Stretch, Timetable
 from mbdkit.stepping.lane_collocation import StagePivots
 from mbdkit.stepping.lane_stepper import LaneResults, LaneStepper, pivots_at_start, suits_lanes, topology_of
 from mbdkit.stepping.warm_up import ensure_compiled
@@ -43,12 +42,15 @@ MOST_GROUPS = 8
 """Number of mechanisms and methods whose loops are kept for the next batch."""
 
 
+LaneMethod = ExplicitRungeKutta | ImplicitRungeKutta
+
+
 @dataclass(frozen=True)
 class LaneMember:
     """A run that is ready to be advanced in lanes."""
 
     spec: RunSpec
-    method: ExplicitRungeKutta | ImplicitRungeKutta
+    method: LaneMethod
     start: MechanismAtStart
     table: Timetable
     pivots: StagePivots | None
@@ -56,57 +58,128 @@ class LaneMember:
     size: float
     """Size of the mechanism at its start [m]."""
     warnings: tuple[str, ...]
-    seconds: float
+    topology: tuple[object, ...]
+    """Equal for mechanisms that differ in numbers only."""
+    seconds: float = 0.0
     """Wall time of the preparation [s]."""
 
-    @cached_property
+    @property
     def key(self) -> tuple[object, ...]:
         """Equal for runs that can be advanced side by side and have the same arrays."""
-        recorded = tuple(sorted(self.spec.output.recorded))
         table, pivots = self.table, None if self.pivots is None else self.pivots.key
-        return topology_of(self.start.mechanism), self.method, pivots, table.steps, table.every, recorded
+        return self.topology, self.method, pivots, table.steps, table.every, self.spec.output.recorded
 
 
-def lane_member(spec: RunSpec, notify: Callable[[str], None]) -> LaneMember | None:
-    """Prepare a run for lanes; return None if it has to be run alone.
+@dataclass(frozen=True)
+class _Started:
+    """A run at its start, which may or may not suit lanes."""
 
-    Parameters
-    ----------
-    notify
-        Called with warnings, and with a message before kernels are compiled.
+    spec: RunSpec
+    method: LaneMethod
+    cautions: tuple[str, ...]
+    start: MechanismAtStart
 
-    Raises
-    ------
-    SpecError, PluginError
-        As in a run alone.
-    """
-    begin = time.perf_counter()
+
+def _method_for_lanes(spec: RunSpec) -> LaneMethod | None:
+    """Return the method of a run; None if its method or other settings do not suit lanes."""
     plain = spec.formulation == "index-1" and spec.stabilized.kind == "none" and not spec.events
     if not plain or spec.is_to_be_chosen or spec.estimates_errors or spec.limits.wall_time is not None:
         return None
     method = make_method(spec)
-    if not isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) or spec.claims.adaptive:
+    if not isinstance(method, LaneMethod) or spec.claims.adaptive:
         return None
-    check_jumps(spec)
-    cautions = caution(spec, method)
-    ensure_compiled(notify)
-    start = mechanism_at_start(spec.mechanism(), spec.time.start, spec.time.final)
-    size = size_at_start(spec, start)
-    table = timetable(spec, guards(spec, size))
-    if not suits_lanes(method, start.mechanism, table):
-        return None
-    pivots = pivots_at_start(method, start, table)
-    warnings = (*cautions, *start_warnings(spec, start.assembled))
-    for warning in warnings:
-        notify(f"warning: {warning}")
-    return LaneMember(spec, method, start, table, pivots, size, warnings, time.perf_counter() - begin)
+    return method
+
+
+def _sizes(started: Sequence[_Started | None]) -> list[float]:
+    """Return the sizes of mechanisms at their starts [m], 0 where there is none."""
+    sizes = [0.0] * len(started)
+    by_bodies: dict[tuple[str, ...], list[int]] = defaultdict(list)
+    for place, one in enumerate(started):
+        if one is not None:
+            by_bodies[one.start.mechanism.bodies].append(place)
+    for places in by_bodies.values():
+        some = [one for place in places if (one := started[place]) is not None]
+        positions = np.stack([one.start.assembled.q for one in some])
+        found = mechanism_sizes([one.spec.mechanism() for one in some], positions).tolist()
+        for place, size in zip(places, found, strict=True):
+            sizes[place] = size
+    return sizes
 
 
 class LaneRuns:
-    """Runs members in lanes, and keeps the loops of the mechanisms that it has met."""
+    """Runs members in lanes, and keeps the loops and the compiled mechanisms that it has met."""
 
     def __init__(self) -> None:
         self._groups: dict[tuple[object, ...], _Group] = {}
+        self._starts = Starts()
+        self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
+        self._settings: tuple[tuple[object, ...], LaneMethod | None] | None = None
+
+    def members(self, specs: Iterable[RunSpec], notify: Callable[[str], None]) -> list[LaneMember | None]:
+        """Prepare runs for lanes; None for a run that does not suit them, or that fails: it is then run alone.
+
+        Parameters
+        ----------
+        notify
+            Called with warnings, and with a message before kernels are compiled.
+        """
+        begin = time.perf_counter()
+        started = []
+        for spec in specs:
+            try:
+                started.append(self._started(spec, notify))
+            except (Exception, SystemExit):
+                started.append(None)
+        sizes = _sizes(started)
+        members: list[LaneMember | None] = []
+        for one, size in zip(started, sizes, strict=True):
+            try:
+                member = None if one is None else self._member(one, size)
+            except (Exception, SystemExit):
+                member = None
+            for warning in () if member is None else member.warnings:
+                notify(f"warning: {warning}")
+            members.append(member)
+        seconds = (time.perf_counter() - begin) / max(1, len(members))
+        return [None if member is None else replace(member, seconds=seconds) for member in members]
+
+    def _started(self, spec: RunSpec, notify: Callable[[str], None]) -> _Started | None:
+        """Make the start of a run consistent; None if it does not suit lanes. Raises the errors of a run alone."""
+        method = self._method(spec)
+        if method is None:
+            return None
+        check_jumps(spec)
+        cautions = caution(spec, method)
+        ensure_compiled(notify)
+        start = self._starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
+        return _Started(spec, method, cautions, start)
+
+    def _method(self, spec: RunSpec) -> LaneMethod | None:
+        """Return the method of a run; None if its settings do not suit lanes. Specs often share these."""
+        settings = (
+            spec.formulation, spec.stabilization, spec.events, spec.check, spec.accuracy, spec.choose, spec.limits,
+            spec.integrator,
+        )  # fmt: skip
+        if self._settings is None or any(a is not b for a, b in zip(settings, self._settings[0], strict=True)):
+            self._settings = settings, _method_for_lanes(spec)
+        return self._settings[1]
+
+    def _member(self, started: _Started, size: float) -> LaneMember | None:
+        """Return the member for a run that has started; None if it does not suit lanes."""
+        spec, method, start = started.spec, started.method, started.start
+        size = size or start.mechanism.length
+        table = timetable(spec, guards(spec, size))
+        if not suits_lanes(method, start.mechanism, table):
+            return None
+        pivots = pivots_at_start(method, start, table)
+        warnings = (*started.cautions, *start_warnings(spec, start.assembled))
+        return LaneMember(spec, method, start, table, pivots, size, warnings, self._topology_of(start.mechanism))
+
+    def _topology_of(self, mechanism: CompiledMechanism) -> tuple[object, ...]:
+        if self._topology is None or self._topology[0] is not mechanism:
+            self._topology = mechanism, topology_of(mechanism)
+        return self._topology[1]
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
         """Run the members and return the results in their order; None for a run that must be repeated alone."""
@@ -162,7 +235,8 @@ class _Group:
         self.row_keys = tuple(dict.fromkeys(one.key for one in self.layout if one.grows and one.dims[0] == "time"))
         self.types = {one.key: np.dtype(one.dtype) for one in self.layout if one.grows}
         self.hash = ArrayHash(self.names, self.layout)
-        self.step_keys = tuple(one.key for one in self.layout if one.grows and one.dims[0] == "interval")
+        self._equal_intervals: tuple[tuple[float | None, ...], dict[str, np.ndarray]] = (), {}
+        self._known_digests: dict[str, str] = {}
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
         """Run at most `WIDTH` members."""
@@ -182,8 +256,13 @@ class _Group:
             if lost[lane]:
                 finished.append(None)
                 continue
-            own = {key: values[lane] for key, values in arrays.items()} | self._intervals(member.table, results, lane)
-            finished.append(self._run(member, results, lane, own, recorded[lane], seconds))
+            own = {key: values[lane] for key, values in arrays.items()}
+            own |= self._intervals(member.table, results, lane)
+            made = self._run(member, own, recorded[lane], results.evidence[lane])
+            counters = asdict(results.counters[lane])
+            counters["factorizations"] += int(member.pivots is not None)  # that which chose them
+            timings = {"setup_s": member.seconds, "wall_s": seconds[0], "cpu_s": seconds[1]}
+            finished.append(replace(made, stats={**counters, **timings, **made.stats}))
         return finished
 
     def _states(self, results: LaneResults) -> RecordedStates:
@@ -224,57 +303,56 @@ class _Group:
         angles = self.joints.angle_misalignment(np.abs(results.observed.phi).max(axis=1))
         kinetic, balance = results.observed.kinetic, states.balance.reshape(shape)
         others = np.stack([results.observed.potential, results.energy[:, :, 0], results.energy[:, :, 1]])
-        found = []
-        for lane, member in enumerate(members):
-            energies = EnergyRecord()
-            if not results.lost[lane]:
-                energies.add(kinetic[lane], others[:, lane], balance[lane])
-            last = float(results.time[lane, -1])
-            found.append((worst[lane], _RecordedRun(member.start.mechanism, angles[lane], energies, last)))
-        return found
+        energies = EnergyRecord.of_runs(kinetic, others, balance)
+        return [
+            (worst[lane], _RecordedRun(member.start.mechanism, angles[lane], energies[lane], last))
+            for lane, (member, last) in enumerate(zip(members, results.time[:, -1].tolist(), strict=True))
+        ]
 
     def _intervals(self, table: Timetable, results: LaneResults, lane: int) -> dict[str, np.ndarray]:
         """Return the statistics of the intervals between the recorded states of a run."""
+        steps = table.step, table.last_step
+        if self._equal_intervals[0] != steps:
+            equal = self._intervals_of(table)
+            self._equal_intervals = steps, equal
+            self._known_digests = {key: self.hash.digest(array) for key, array in equal.items()}
+        iterations = results.iterations[lane, 1:]
+        own = {
+            "steps/time": results.time[lane, 1:],
+            "steps/iterations": iterations[:, 0],
+            "steps/iterations_max": iterations[:, 1],
+        }
+        return self._equal_intervals[1] | self._typed(own)
+
+    def _intervals_of(self, table: Timetable) -> dict[str, np.ndarray]:
+        """Return the statistics that are the same for runs with equal steps."""
         ends = np.minimum(table.every * np.arange(1, self.rows), table.steps)
         sizes = np.full(len(ends), table.step)
         sizes[-1] = table.last_step
-        values: Mapping[str, Any] = {
-            "interval": np.arange(1, self.rows),
-            "time": results.time[lane, 1:],
-            "steps": np.diff(ends, prepend=0),
-            "size": sizes,
-            "iterations": results.iterations[lane, 1:, 0],
-            "iterations_max": results.iterations[lane, 1:, 1],
-            "rejected": np.zeros(len(ends)),
-        }
-        return {
-            key: np.ascontiguousarray(values[key.removeprefix("steps/")], self.types[key]) for key in self.step_keys
-        }
+        values = {"interval": np.arange(1, self.rows), "steps": np.diff(ends, prepend=0), "size": sizes}
+        values["rejected"] = np.zeros(len(ends))
+        return self._typed({f"steps/{name}": array for name, array in values.items()})
+
+    def _typed(self, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return those of the arrays that are recorded, contiguous and of the type of the layout."""
+        return {key: np.ascontiguousarray(arrays[key], self.types[key]) for key in arrays if key in self.types}
 
     def _run(
         self,
         member: LaneMember,
-        results: LaneResults,
-        lane: int,
         arrays: dict[str, np.ndarray],
         recorded: tuple[np.ndarray, _RecordedRun],
-        seconds: tuple[float, float],
+        steps: StepEvidence,
     ) -> FinishedRun:
-        """Judge a run and return it."""
+        """Judge a run and return it; its `stats` contain the time taken for that."""
         begin = time.perf_counter()
         worst, extremes = recorded
         ending = "complete", ""
-        judgement = judge(
-            evidence_of_run(extremes, results.evidence[lane], ending, worst, member.size, member.warnings)
-        )
+        judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, member.warnings))
         if _LOG.isEnabledFor(logging.INFO):
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
-        timings = {"setup_s": member.seconds, "wall_s": seconds[0], "cpu_s": seconds[1]}
-        made = FinishedRun(
-            self.names, self.layout, arrays, None, *ending, {}, np.asarray(worst, layout.FLOAT), judgement,
-            member.warnings, self.hash.of(arrays), member.start.assembled.describe(),
+        data_sha256 = self.hash.of(arrays, self._known_digests)
+        return FinishedRun(
+            self.names, self.layout, arrays, None, *ending, {"finish_s": time.perf_counter() - begin},
+            np.asarray(worst, layout.FLOAT), judgement, member.warnings, data_sha256, member.start.assembled.describe(),
         )  # fmt: skip
-        counters = asdict(results.counters[lane])
-        counters["factorizations"] += int(member.pivots is not None)  # that which chose them
-        timings["finish_s"] = time.perf_counter() - begin
-        return replace(made, stats={**counters, **timings})

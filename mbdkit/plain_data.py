@@ -41,6 +41,19 @@ def without_collection() -> Iterator[None]:
             gc.enable()
 
 
+@contextmanager
+def collecting_new_objects_only() -> Iterator[None]:
+    """Hide the objects that exist from the cyclic garbage collector.
+
+    Otherwise it would go through all modules again and again, which takes a sixth of the time of a block of runs.
+    """
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
 def path_text(path: Path) -> str:
     """Return a key path as text, such as ``model.joints.A.bodies[1]``."""
     text = ""
@@ -136,6 +149,11 @@ def canonical(value: Any) -> Any:
         case set() | frozenset():
             return sorted(canonical(item) for item in value)
     return value
+
+
+def canonical_text(data: Any) -> str:
+    """Return plain data as the JSON that is hashed: without spaces, keys in their order, numbers in shortest form."""
+    return json.dumps(data, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
 def json_text(data: Any, indent: int | None = None) -> str:

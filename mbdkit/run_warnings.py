@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 
 from pydantic import BaseModel
 
@@ -83,17 +84,30 @@ def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tu
     """Return the key path and the number or text of each option of a model whose unit is the radian."""
     if isinstance(value, BaseModel):
         for name, field in type(value).model_fields.items():
-            unit = _ANGLE.search(field.description or "")
+            item = getattr(value, name)
+            if isinstance(item, str | int | float | None) and not _is_in_radians(field.description or ""):
+                continue
             is_length = isinstance(value, Driver) and value.coordinate != "angle"
-            yield from _angles(getattr(value, name), (*path, name), is_angle=bool(unit) and not is_length)
+            in_radians = _is_in_radians(field.description or "") and not is_length
+            yield from _angles(item, (*path, name), is_angle=in_radians)
     elif isinstance(value, Mapping):
         for name, item in value.items():
             yield from _angles(item, (*path, name), is_angle=is_angle)
-    elif isinstance(value, list | tuple):
+    elif isinstance(value, list | tuple) and (is_angle or not _is_flat(value)):
         for index, item in enumerate(value):
             yield from _angles(item, (*path, index), is_angle=is_angle)
     elif is_angle and isinstance(value, int | float | str):
         yield path, value
+
+
+def _is_flat(values: Sequence[object]) -> bool:
+    """Return whether a sequence consists of numbers."""
+    return all(type(value) is float for value in values)
+
+
+@lru_cache(maxsize=1024)
+def _is_in_radians(description: str) -> bool:
+    return _ANGLE.search(description) is not None
 
 
 def _long_step(spec: RunSpec) -> Iterator[str]:

@@ -33,22 +33,23 @@ def block_maxima(time: np.ndarray, value: np.ndarray, number: int = BLOCKS) -> t
 
 
 def block_means(time: np.ndarray, value: np.ndarray, number: int = BLOCKS) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean time (K,) and the mean value (K,) of each block."""
-    borders = edges(time, number)
-    spans = list(itertools.pairwise(borders))
-    return np.array([time[a:b].mean() for a, b in spans]), np.array([value[a:b].mean() for a, b in spans])
+    """Return the mean time (K,) and the mean value (..., K) of each block of the values (..., T)."""
+    spans = list(itertools.pairwise(edges(time, number)))
+    means = [np.stack([x[..., a:b].mean(axis=-1) for a, b in spans], axis=-1) for x in (time, value)]
+    return means[0], means[1]
 
 
-def independent(residual: np.ndarray) -> float:
-    """Return the effective sample size of residuals (K,): K (1 - r) / (1 + r) for a lag-1 correlation r > 0.
+def independent(residual: np.ndarray) -> np.ndarray:
+    """Return the effective sample size of residuals (..., K): K (1 - r) / (1 + r) for a lag-1 correlation r > 0.
 
     This is the effective sample size of a first-order autoregressive series; Bayley and Hammersley, J. R. Stat. Soc. 8
     (1946) 184-197. r is clipped to the range 0 to 0.95.
     """
-    count = len(residual)
-    centred = residual - residual.mean()
-    power = float(centred @ centred)
-    if count < 3 or power == 0.0:
-        return float(count)
-    r = min(max(float(centred[1:] @ centred[:-1]) / power, 0.0), 0.95)
-    return count * (1 - r) / (1 + r)
+    count = residual.shape[-1]
+    centred = residual - residual.mean(axis=-1, keepdims=True)
+    power = np.sum(centred * centred, axis=-1)
+    if count < 3:
+        return np.full(power.shape, float(count))
+    correlated = np.sum(centred[..., 1:] * centred[..., :-1], axis=-1)
+    r = np.clip(np.divide(correlated, power, out=np.zeros_like(power), where=power != 0.0), 0.0, 0.95)
+    return np.asarray(count * (1 - r) / (1 + r))

@@ -60,19 +60,36 @@ def trend(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Trend
     ValueError
         If there are fewer than 12 rows, or not as many times as values.
     """
-    time, value = np.asarray(time, dtype=float), np.asarray(value, dtype=float)
-    if len(time) != len(value) or len(time) < 12:
+    return trends(time, np.asarray(value, dtype=float)[None], blocks=blocks)[0]
+
+
+def trends(time: np.ndarray, values: np.ndarray, *, blocks: int = BLOCKS) -> list[Trend]:
+    """Return the trend of each of R time series at the same times; see `trend`.
+
+    Parameters
+    ----------
+    values
+        (R, T) values.
+    """
+    time, values = np.asarray(time, dtype=float), np.asarray(values, dtype=float)
+    count = values.shape[-1]
+    if len(time) != count or count < 12:
         raise ValueError(
-            f"a trend needs at least 12 values and as many times, not {len(value)} values and {len(time)} times"
+            f"a trend needs at least 12 values and as many times, not {count} values and {len(time)} times"
         )
-    t, x = block_means(time, value, blocks)
-    slope, start = np.polyfit(t, x, 1)
-    residual = x - (start + slope * t)
-    count = max(independent(residual), 2.5)
-    variance = float(residual @ residual) / len(x) * count / (count - 2)
-    error = math.sqrt(variance / count / float(np.var(t)))
-    away = float(np.max(np.abs(value - (start + slope * time))))
-    return Trend(float(slope), error, float(np.max(np.abs(value))), away)
+    t, x = block_means(time, values, blocks)
+    centred = t - t.mean()
+    power = np.sum(centred * centred)
+    slope = np.sum(x * centred, axis=-1) / power
+    start = x.mean(axis=-1) - slope * t.mean()
+    line = np.stack([start, slope])[..., None]
+    residual = x - (line[0] + line[1] * t)
+    many = np.maximum(independent(residual), 2.5)
+    variance = np.mean(residual * residual, axis=-1) * many / (many - 2)
+    error = np.sqrt(variance / many / (power / len(t)))
+    away = np.max(np.abs(values - (line[0] + line[1] * time)), axis=-1)
+    largest = np.max(np.abs(values), axis=-1)
+    return [Trend(*one) for one in np.stack([slope, error, largest, away], axis=-1).tolist()]
 
 
 def energy_trend(run: Run) -> Trend:

@@ -149,7 +149,7 @@ def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> 
     s, y = (at[keep] - time[0]) / (time[-1] - time[0]), np.log(largest[keep])
     residuals = {law: fit(s, y) for law, fit in _FITS.items()}
     nearest = min(residuals.values(), key=lambda found: float(found[0] @ found[0]))
-    count = max(independent(nearest[0]), float(FEWEST))
+    count = max(float(independent(nearest[0])), float(FEWEST))
     duration = float(time[-1] - time[0])
     fits = tuple(
         sorted(
@@ -231,6 +231,6 @@ def _exponent(s: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     x = np.log(np.maximum(s, 1e-12))
     (slope, start), x = np.polyfit(x, y, 1), x
     residual = y - (start + slope * x)
-    count = max(independent(residual), 2.5)
+    count = max(float(independent(residual)), 2.5)
     variance = float(residual @ residual) / len(y) * count / (count - 2)
     return float(slope), math.sqrt(variance / count / float(np.var(x)))

@@ -12,7 +12,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, get_args
@@ -27,6 +27,7 @@ from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.hdf5_errors import DAMAGE, reading
 from mbdkit.archive.layout import COUNTERS, FLOAT, INTEGER, TEXT, TIMINGS, Array
+from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.part_file import LIBVER, write_image
 from mbdkit.archive.run_writer import ArchiveNames, SharedForces, name_texts
 from mbdkit.archive.stored_run import Heading, StoredRun
@@ -145,10 +146,16 @@ def kept(finished: FinishedRun, store: Store) -> FinishedRun:
     """Return a run with the arrays that are kept, and those of names."""
     if store == "all":
         return finished
-    wanted: frozenset[str] = HISTORIES if store == "histories" else frozenset()
-    arrays = tuple(one for one in finished.layout if not one.grows or one.path in wanted)
-    keys = {one.key for one in arrays if one.grows}
+    arrays, keys = _kept_of(finished.layout, store)
     return replace(finished, layout=arrays, arrays={key: finished.arrays[key] for key in keys}, accuracy=None)
+
+
+@lru_cache(maxsize=16)
+def _kept_of(recorded: tuple[Array, ...], store: Store) -> tuple[tuple[Array, ...], frozenset[str]]:
+    """Return the arrays of a layout that are kept, and those of names; and the keys of those with rows."""
+    wanted: frozenset[str] = HISTORIES if store == "histories" else frozenset()
+    arrays = tuple(one for one in recorded if not one.grows or one.path in wanted)
+    return arrays, frozenset(one.key for one in arrays if one.grows)
 
 
 def write_block(path: Path, heading: BlockHeading, runs: Sequence[BlockRun]) -> None:
@@ -178,9 +185,14 @@ class _Writer:
         self.file, self.heading, self.runs = file, heading, runs
         self.has_summary = heading.store != "hashes"
         self.structures: dict[tuple[str, str, str], list[int]] = {}  # rows of the block by structure
+        rows: list[int] = []
+        last: FinishedRun | None = None
         for row, run in enumerate(runs):
             if run.result is not None:
-                self.structures.setdefault(_structure(run.result), []).append(row)
+                if last is None or not _is_alike(last, run.result):
+                    rows = self.structures.setdefault(_structure(run.result), [])
+                rows.append(row)
+                last = run.result
 
     def write(self) -> None:
         heading, now = self.heading, datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
@@ -355,6 +367,11 @@ def _structure(result: FinishedRun) -> tuple[str, str, str]:
     return _json(asdict(result.names)), _json([one.path for one in result.layout]), _json(shared)
 
 
+def _is_alike(one: FinishedRun, other: FinishedRun) -> bool:
+    """Return whether two runs share their structure, without comparing what is in it."""
+    return one.names is other.names and one.layout is other.layout and one.shared is other.shared is None
+
+
 def _json(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
 
@@ -492,7 +509,12 @@ class Block:
                 self.created_utc,
                 {**common, **json.loads(self.runs["plugins"][row])},
             )
-        return StoredRun(finished, heading, "" if self.store == "all" else self.store)
+            columns, described = self.columns("measures"), self.described()
+            names = [name for name in spec.measures if name in columns]
+            measured = MeasuredValues(
+                {name: float(columns[name][row]) for name in names}, {name: described[name][0] for name in names}
+            )
+        return StoredRun(finished, heading, "" if self.store == "all" else self.store, measured)
 
     def _finished(self, row: int) -> FinishedRun:
         runs, place = self.runs, int(self.runs["place"][row]) - 1

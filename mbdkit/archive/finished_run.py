@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
+from types import MappingProxyType
 
 import h5py
 import numpy as np
@@ -207,13 +208,24 @@ class ArrayHash:
         hashed = [one for one in recorded if one.grows and layout.is_hashed(one.path)]
         self._arrays = [(one.path, one.key, one.dtype) for one in hashed]
 
-    def of(self, arrays: Mapping[str, np.ndarray]) -> str:
-        """Return the hash of a run from its arrays by `layout.Array.key`; they are contiguous."""
-        digests: dict[str, str] = {}
+    def digest(self, array: np.ndarray) -> str:
+        """Return the digest of the numbers in a contiguous array."""
+        return sha256(array.data).hexdigest()
+
+    def of(self, arrays: Mapping[str, np.ndarray], known: Mapping[str, str] = MappingProxyType({})) -> str:
+        """Return the hash of a run from its arrays by `layout.Array.key`; they are contiguous.
+
+        Parameters
+        ----------
+        known
+            Digests that are known, by key: runs may share arrays.
+        """
+        digests = dict(known)
         lines = self._names.copy()
         for path, key, dtype in self._arrays:
             values = arrays[key]
             if key not in digests:
-                digests[key] = sha256(text_bytes(values) if dtype == layout.TEXT else values.data).hexdigest()
+                text = dtype == layout.TEXT
+                digests[key] = sha256(text_bytes(values)).hexdigest() if text else self.digest(values)
             lines.append(line(path, dtype, values.shape, digests[key]))
         return digest_lines(lines)

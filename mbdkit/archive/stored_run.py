@@ -14,6 +14,7 @@ from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.history import NotRecordedError, UnknownNameError
+from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import name_texts
 from mbdkit.archive.writer import ArchiveWriter
@@ -63,9 +64,14 @@ class StoredRun(Run):
         Its spec and origin.
     store
         What is kept of each run, if that is not everything; empty otherwise.
+    measured
+        Values of the measures in its spec.
     """
 
-    def __init__(self, finished: FinishedRun, heading: Heading, store: str = ""):
+    def __init__(
+        self, finished: FinishedRun, heading: Heading, store: str = "", measured: MeasuredValues | None = None
+    ):
+        self._measured = measured or MeasuredValues({}, {})
         self._finished, self._heading, self._store = finished, heading, store
         self._path = None
         self.cause = finished.cause
@@ -86,21 +92,39 @@ class StoredRun(Run):
         self._warnings, self._stats = finished.warnings, MappingProxyType(dict(finished.stats))
         self._misalignment_max = finished.misalignment_max
         self._redundancy = "" if finished.shared is None else finished.shared.redundancy
-        texts = name_texts(finished.names)
-        self._texts_of = {one.path: tuple(texts[one.path]) for one in finished.layout if not one.grows}
-        self._names = {**self._texts_of, "trajectory/body": tuple(finished.names.bodies)}
-        self._names["joints/joint"] = tuple(finished.names.joints)
-        self._keys = {one.path: one.key for one in finished.layout if one.grows}
+
+    @property
+    def finished(self) -> FinishedRun:
+        """The results."""
+        return self._finished
 
     @property
     def run_spec(self) -> RunSpec:
         """The spec of the run as a validated object."""
         return self._heading.spec
 
+    @cached_property
+    def _texts_of(self) -> dict[str, tuple[str, ...]]:
+        """Names along the axes, by path."""
+        texts = name_texts(self._finished.names)
+        return {one.path: tuple(texts[one.path]) for one in self._finished.layout if not one.grows}
+
+    @cached_property
+    def _names(self) -> dict[str, tuple[str, ...]]:  # type: ignore[override]
+        names = self._finished.names
+        return {**self._texts_of, "trajectory/body": tuple(names.bodies), "joints/joint": tuple(names.joints)}
+
+    def array(self, path: str) -> np.ndarray:
+        """Return a whole array as a read-only array."""
+        values = self.dataset(path).view()
+        values.flags.writeable = False
+        return values
+
     def dataset(self, path: str) -> np.ndarray:
         """Return an array of the run."""
-        if path in self._keys:
-            return self._finished.arrays[self._keys[path]]
+        array = layout.BY_PATH.get(path)
+        if array is not None and array.grows and array in self._finished.layout:
+            return self._finished.arrays[array.key]
         if path in self._texts_of:
             return np.array(self._texts_of[path], object)
         if path not in layout.BY_PATH:
@@ -108,6 +132,11 @@ class StoredRun(Run):
         if self._store:
             raise NotStoredError(path, self._store)
         raise NotRecordedError(path, self.format_version)
+
+    @property
+    def measures(self) -> MeasuredValues:
+        """Values of the measures in the spec of the run by name, each in its unit; nan where one is undefined."""
+        return self._measured
 
     @cached_property
     def accuracy(self) -> Accuracy | None:
@@ -139,6 +168,7 @@ class StoredRun(Run):
             judgement=finished.judgement,
             warnings=finished.warnings,
             accuracy=finished.accuracy,
+            measured=(lambda file: self.measures.to_json()) if self.measures else None,
         )
         assert file is not None
         file.attrs.modify("data_sha256", finished.data_sha256)

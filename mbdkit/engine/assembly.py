@@ -75,7 +75,18 @@ class AssembledState:
         return f"The start was made consistent; changes: {told}."
 
 
-def assemble(mechanism: Mechanism, t0: float = 0.0, compiled: CompiledMechanism | None = None) -> AssembledState:
+def search_for(mechanism: Mechanism, compiled: CompiledMechanism, t0: float) -> LeastChange:
+    """Return the solver of the assembly of a mechanism, which is the same for all its initial states."""
+    fixed = [name in mechanism.assembly.fix for name in mechanism.bodies]
+    return LeastChange(compiled, t0, np.repeat(np.array(fixed, dtype=bool), 3))
+
+
+def assemble(
+    mechanism: Mechanism,
+    t0: float = 0.0,
+    compiled: CompiledMechanism | None = None,
+    search: LeastChange | None = None,
+) -> AssembledState:
     """Correct the initial state of a mechanism so that it satisfies the constraints.
 
     The positions minimise the mass-weighted change subject to Phi(q, t0) = 0: Newton steps reduce the residuals to
@@ -91,6 +102,8 @@ def assemble(mechanism: Mechanism, t0: float = 0.0, compiled: CompiledMechanism 
         Start time [s].
     compiled
         The compiled mechanism, if it is available already.
+    search
+        The result of `search_for`, if it is available already.
 
     Returns
     -------
@@ -102,21 +115,19 @@ def assemble(mechanism: Mechanism, t0: float = 0.0, compiled: CompiledMechanism 
     SpecError
         If the constraints cannot be satisfied. The message names the joints and their remaining residuals.
     """
-    work = _Assembly(mechanism, compiled or compile_mechanism(mechanism), t0)
-    return work.run()
+    compiled = compiled or compile_mechanism(mechanism)
+    return _Assembly(mechanism, search or search_for(mechanism, compiled, t0)).run()
 
 
 class _Assembly:
     """The assembly of one mechanism."""
 
-    def __init__(self, mechanism: Mechanism, compiled: CompiledMechanism, t0: float):
-        self.mechanism, self.compiled, self.t0 = mechanism, compiled, t0
+    def __init__(self, mechanism: Mechanism, search: LeastChange):
+        self.mechanism, self.search, self.compiled, self.t0 = mechanism, search, search.compiled, search.t0
         bodies = mechanism.bodies.values()
         q = [(*body.position, body.angle) for body in bodies]
         v = [(*body.velocity, body.angular_velocity) for body in bodies]
         self.given_q, self.given_v = (np.array(x, dtype=float).reshape(-1, 3) for x in (q, v))
-        fixed = [name in mechanism.assembly.fix for name in mechanism.bodies]
-        self.search = LeastChange(compiled, t0, np.repeat(np.array(fixed, dtype=bool), 3))
 
     def run(self) -> AssembledState:
         self.check_motions()
@@ -187,24 +198,16 @@ class _Assembly:
 
     def report(self, q: np.ndarray, v: np.ndarray, phi: np.ndarray, rate: np.ndarray) -> AssembledState:
         q, v = q.reshape(-1, 3), v.reshape(-1, 3)
-        dq, dv = np.abs(q - self.given_q), np.abs(v - self.given_v)
-        names = tuple(self.mechanism.bodies)
-
-        def moved(values: np.ndarray) -> dict[str, float]:
-            return {name: float(x) for name, x in zip(names, values, strict=True)}
-
-        return AssembledState(
-            q=q,
-            v=v,
-            changed=bool(np.any(dq) or np.any(dv)),
-            moved_position=moved(np.hypot(dq[:, 0], dq[:, 1])),
-            moved_angle=moved(dq[:, 2]),
-            changed_velocity=moved(np.hypot(dv[:, 0], dv[:, 1])),
-            changed_rate=moved(dv[:, 2]),
-            residual=float(np.max(np.abs(phi), initial=0.0)),
-            velocity_residual=float(np.max(np.abs(rate), initial=0.0)),
-        )
+        change = np.abs(np.hstack([q - self.given_q, v - self.given_v]))
+        changed = bool(change.any())
+        moves = np.zeros((4, len(q)))
+        if changed:
+            moves[:] = (
+                np.hypot(change[:, 0], change[:, 1]), change[:, 2], np.hypot(change[:, 3], change[:, 4]), change[:, 5]
+            )  # fmt: skip
+        position, angle, velocity, spin = (dict(zip(self.mechanism.bodies, row, strict=True)) for row in moves.tolist())
+        return AssembledState(q, v, changed, position, angle, velocity, spin, _largest(phi), _largest(rate))
 
 
 def _largest(x: np.ndarray) -> float:
-    return float(np.max(np.abs(x), initial=0.0))
+    return float(np.abs(x).max(initial=0.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import marshal
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -177,6 +178,29 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         below=tuple(frozenset(b) for b in below),
         well_scaled=_is_well_scaled(mechanism),
     )
+
+
+def compiled_content(mechanism: Mechanism) -> bytes | None:
+    """Return all that `compile_mechanism` and the choice of bodies to hold depend on; None if it has no such form.
+
+    Mechanisms with equal contents differ in their initial states only; these count as content if a joint depends on
+    them. All bits of a number count, so that 0.0 and -0.0 differ.
+    """
+    posed = any(joint.point_moves_on_first or joint.angles() for joint in mechanism.joints.values())
+    bodies = [
+        (name, body.mass, body.inertia, (body.position, body.angle) if posed else None)
+        for name, body in mechanism.bodies.items()
+    ]
+    elements = [
+        (name, type(one).__name__, one.__dict__)
+        for kind in (mechanism.joints, mechanism.forces, mechanism.markers)
+        for name, one in kind.items()
+    ]
+    fixed = mechanism.assembly.fix
+    try:
+        return marshal.dumps((bodies, elements, len(mechanism.joints), tuple(mechanism.gravity), tuple(fixed)), 2)
+    except ValueError:  # a table of a motion, or the options of a force law
+        return None
 
 
 @dataclass(frozen=True)

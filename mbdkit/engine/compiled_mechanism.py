@@ -19,7 +19,9 @@ complement is denser than the whole system, so that the pivoted solver is used."
 
 def with_ground(x: np.ndarray) -> np.ndarray:
     """Return coordinates or velocities, (3 B,) or (B, 3), as a vector (3 (B + 1),) that ends with zeros for ground."""
-    return np.append(x, np.zeros(3))
+    with_it = np.zeros(x.size + 3)
+    with_it[:-3] = x.ravel()
+    return with_it
 
 
 @dataclass(frozen=True)

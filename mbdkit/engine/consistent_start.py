@@ -8,10 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.engine.assembly import AssembledState, assemble
-from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.assembly import AssembledState, assemble, search_for
+from mbdkit.engine.compile_mechanism import compile_mechanism, compiled_content
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
+from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.redundancy import without_redundancy
+from mbdkit.engine.self_stress import looped_rows
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import SpecError
@@ -104,15 +106,57 @@ def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0, end: float | None 
     MechanismAtStart
         The mechanism and its start, without working arrays.
     """
-    with within_double_precision():
+    return Starts().at_start(mechanism, t0, end)
+
+
+MOST_MECHANISMS = 8
+"""Number of compiled mechanisms that are kept for further starts."""
+
+
+@dataclass(frozen=True)
+class _Compiled:
+    """What mechanisms that differ in their initial states have in common: the solver of their assembly, for one."""
+
+    mechanism: CompiledMechanism
+    search: LeastChange
+    has_loops: bool
+
+    @classmethod
+    def of(cls, mechanism: Mechanism, t0: float) -> _Compiled:
         compiled = compile_mechanism(mechanism)
-        start = assemble(mechanism, t0, compiled)
-        poses = dict(zip(mechanism.bodies, start.q, strict=True))
+        return cls(compiled, search_for(mechanism, compiled, t0), len(looped_rows(compiled)) > 0)
 
-        def placed(name: str) -> Body:
-            x, y, angle = map(float, poses[name])
-            return mechanism.bodies[name].model_copy(update={"position": (x, y), "angle": angle})
 
-        check_springs(mechanism.forces, placed)
-        compiled = without_redundancy(compiled, t0, start.q.ravel(), start.v.ravel(), t0 if end is None else end)
-    return MechanismAtStart(compiled, with_ground(start.q), with_ground(start.v), start)
+class Starts:
+    """Makes starts consistent; mechanisms that differ in their initial states only are compiled once."""
+
+    def __init__(self) -> None:
+        self._compiled: dict[tuple[bytes, float], _Compiled] = {}
+
+    def at_start(self, mechanism: Mechanism, t0: float = 0.0, end: float | None = None) -> MechanismAtStart:
+        """Return a mechanism at its start; see `mechanism_at_start`."""
+        with within_double_precision():
+            found = self._found(mechanism, t0)
+            compiled = found.mechanism
+            start = assemble(mechanism, t0, compiled, found.search)
+            poses = dict(zip(mechanism.bodies, start.q, strict=True))
+
+            def placed(name: str) -> Body:
+                x, y, angle = map(float, poses[name])
+                return mechanism.bodies[name].model_copy(update={"position": (x, y), "angle": angle})
+
+            check_springs(mechanism.forces, placed)
+            if found.has_loops:
+                q, v = start.q.ravel(), start.v.ravel()
+                compiled = without_redundancy(compiled, t0, q, v, t0 if end is None else end)
+        return MechanismAtStart(compiled, with_ground(start.q), with_ground(start.v), start)
+
+    def _found(self, mechanism: Mechanism, t0: float) -> _Compiled:
+        content = compiled_content(mechanism)
+        if content is None:
+            return _Compiled.of(mechanism, t0)
+        key = content, t0
+        self._compiled[key] = found = self._compiled.pop(key, None) or _Compiled.of(mechanism, t0)
+        if len(self._compiled) > MOST_MECHANISMS:
+            self._compiled.pop(next(iter(self._compiled)))
+        return found

@@ -47,6 +47,7 @@ class JointSums:
 
     def sum(self, values: np.ndarray) -> np.ndarray:
         """Sum values (..., P, n) of pairs over each joint: (..., J, n)."""
-        out = np.zeros((self._joints, *values.shape[:-2], values.shape[-1]))
-        np.add.at(out, self.joint, np.moveaxis(values, -2, 0))
-        return np.moveaxis(out, 0, -2)
+        out = np.zeros((*values.shape[:-2], self._joints, values.shape[-1]))
+        for pair, joint in enumerate(self.joint.tolist()):  # in this order, so that sums have the same bits
+            out[..., joint, :] += values[..., pair, :]
+        return out

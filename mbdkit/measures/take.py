@@ -43,17 +43,22 @@ def describe(measure: DefinedMeasure, spec: RunSpec) -> Description:
     return Description(plugin.units, plugin.summary)
 
 
+def is_taken(measure: DefinedMeasure, spec: RunSpec) -> bool:
+    """Return whether a measure is taken of the runs of a spec."""
+    return not measure.of_base or measure.name in spec.measures
+
+
 def check_measures(spec: RunSpec) -> None:
     """Raise SpecError, with the key below ``measures``, if an expression of a run spec is not valid."""
     for measure in spec.defined_measures():
         try:
             describe(measure, spec)
         except SpecError as error:
-            raise spec.placed(error.located(prefix=path_text(("measures", *measure.place)))) from None
+            raise spec.placed(error.located(prefix=path_text(measure.place))) from None
 
 
 def take(measure: DefinedMeasure, run: Run, spec: RunSpec) -> float:
-    """Return the value of a measure for a run.
+    """Return the value of a measure for a run; nan if it is that of another base of a study.
 
     Parameters
     ----------
@@ -65,6 +70,8 @@ def take(measure: DefinedMeasure, run: Run, spec: RunSpec) -> float:
     PluginError
         If the measure of a plugin fails.
     """
+    if not is_taken(measure, spec):
+        return math.nan
     if measure.item is None:
         return MeasureExpression.parse(measure.expression, spec, measure.unit).of(run)
     plugin = measure.item.plugin

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,14 +19,32 @@ def mechanism_size(mechanism: Mechanism, position: np.ndarray) -> float:
     position
         (B, 3) array: centre of mass x, y [m] and angle [rad] of each of the B bodies, in the order of the mechanism.
     """
-    pose = dict(zip(mechanism.bodies, np.asarray(position, dtype=float), strict=True))
-    points = [row[:2] for row in pose.values()]
-    for joint in mechanism.joints.values():
-        for _, name, (x, y) in joint.attachments():
-            if name not in pose:
-                points.append(np.array([x, y]))
-                continue
-            px, py, angle = pose[name]
-            c, s = np.cos(angle), np.sin(angle)
-            points.append(np.array([px + c * x - s * y, py + s * x + c * y]))
-    return float(np.max(np.ptp(np.array(points), axis=0), initial=0.0)) if points else 0.0
+    return float(mechanism_sizes([mechanism], np.asarray(position, dtype=float)[None])[0])
+
+
+def mechanism_sizes(mechanisms: Sequence[Mechanism], positions: np.ndarray) -> np.ndarray:
+    """Return the sizes of R mechanisms with the same bodies, (R,); see `mechanism_size`.
+
+    Parameters
+    ----------
+    positions
+        (R, B, 3).
+    """
+    held = [_joint_points(mechanism) for mechanism in mechanisms]
+    bodies = held[0][0]
+    if any(other != bodies for other, _ in held):
+        return np.array([mechanism_size(*one) for one in zip(mechanisms, positions, strict=True)])
+    poses = np.concatenate([positions, np.zeros((len(positions), 1, 3))], axis=1)  # of ground
+    points = np.array([own for _, own in held]).reshape(len(held), -1, 2)
+    at, x, y = poses[:, bodies], points[..., 0], points[..., 1]
+    c, s = np.cos(at[..., 2]), np.sin(at[..., 2])
+    joints = np.stack([at[..., 0] + c * x - s * y, at[..., 1] + s * x + c * y], axis=-1)
+    every = np.concatenate([positions[..., :2], joints], axis=1)
+    return np.asarray(np.max(np.ptp(every, axis=1), axis=1)) if every.shape[1] else np.zeros(len(held))
+
+
+def _joint_points(mechanism: Mechanism) -> tuple[list[int], list[tuple[float, float]]]:
+    """Return the joint points in the frames of their bodies, and the numbers of these bodies; ground is the last."""
+    numbers = {name: number for number, name in enumerate(mechanism.bodies)}
+    found = [attached for joint in mechanism.joints.values() for attached in joint.attachments()]
+    return [numbers.get(name, len(numbers)) for _, name, _ in found], [point for *_, point in found]

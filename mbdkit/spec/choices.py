@@ -47,9 +47,8 @@ class Choice:
 
     def _named(self, data: Any) -> Any:
         """Return `data` unchanged; raise SpecError unless it is a mapping with a name."""
-        names = self.registry.names(self.kind)
         if not isinstance(data, Mapping):
-            example = data if isinstance(data, str) and data in names else "NAME"
+            example = data if isinstance(data, str) and data in self.registry.names(self.kind) else "NAME"
             problem, key = f"should be a mapping such as `{{name: {example}}}`, not {found(data)}", ""
         elif "name" not in data:
             problem, key = f"is missing: the name of the {self.kind}", "name"
@@ -57,7 +56,7 @@ class Choice:
             problem, key = f"should be text, not {found(data['name'])}", "name"
         else:
             return data
-        raise SpecError(f"{problem}; installed: {listed(names)}", key=key)
+        raise SpecError(f"{problem}; installed: {listed(self.registry.names(self.kind))}", key=key)
 
     def _tag(self, data: Any) -> str | None:
         if isinstance(data, BaseModel):  # during serialization

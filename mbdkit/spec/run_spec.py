@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, 
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.errors import PluginError, SpecError, blaming
 from mbdkit.mechanism.law_element import Law
-from mbdkit.plain_data import LONGEST_TITLE
+from mbdkit.plain_data import LONGEST_TITLE, canonical, canonical_text
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin, ModelPlugin
@@ -101,6 +101,8 @@ class RunSpec(StrictSpec):
     _mechanism: Any = PrivateAttr(default=None)
     _run_id: str = PrivateAttr(default="")
     _watched: Any = PrivateAttr(default=None)
+    _around_model: tuple[str, str] | None = PrivateAttr(default=None)
+    """The canonical JSON before and after the value of `model`, once it is needed."""
 
     def __init__(self, **data: Any):
         super().__init__(**asked(data))
@@ -192,6 +194,25 @@ class RunSpec(StrictSpec):
         spec._document, spec._mechanism, spec._watched = self._document, self._mechanism, self._watched
         return spec
 
+    def with_model(self, model: BaseModel) -> RunSpec:
+        """Return this spec with other parameters of its model, which are valid.
+
+        No other section is validated again, because none depends on the parameters of the model, unless these are
+        expressions.
+        """
+        assert not self.written
+        assert type(model) is type(self.model)
+        if self._around_model is None:
+            sections = canonical(self)
+            place = list(sections).index("model")
+            before, after = dict(list(sections.items())[:place]), dict(list(sections.items())[place + 1 :])
+            head, tail = canonical_text(before)[:-1], canonical_text(after)[1:]
+            self._around_model = head + "," * bool(before) + '"model":', "," * bool(after) + tail
+        spec = self.model_copy(update={"model": model})
+        spec._document, spec._mechanism, spec._run_id, spec._watched = None, None, "", None
+        spec._canonical = canonical_text(canonical(model)).join(self._around_model)
+        return spec
+
     @property
     def stabilized(self) -> Stabilization:
         """The stabilization, in the form that the engine uses."""
@@ -259,11 +280,12 @@ class RunSpec(StrictSpec):
         PluginError
             If the model plugin fails.
         """
-        if self._mechanism is None:
-            mechanism = self._build()
-            self._watched = self._parsed(mechanism)
-            self._mechanism = mechanism
-        built: Mechanism = self._mechanism
+        private = self.__pydantic_private__ or {}  # ten times faster than attributes, and called ten times for each run
+        built: Mechanism | None = private["_mechanism"]
+        if built is None:
+            built = self._build()
+            self._watched = self._parsed(built)
+            self._mechanism = built
         return built
 
     def watched(self) -> dict[str, RunExpression]:
@@ -274,7 +296,7 @@ class RunSpec(StrictSpec):
 
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:
         """Return the measures of the run."""
-        return tuple(defined(self.measures))
+        return tuple(defined(self.measures, ("measures",)))
 
     def _parsed(self, mechanism: Mechanism) -> dict[str, RunExpression]:
         if not self.events:

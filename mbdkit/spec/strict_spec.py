@@ -11,7 +11,7 @@ from pydantic import PrivateAttr, SerializerFunctionWrapHandler, model_serialize
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.parameters import Written, insert, parameter_values, with_expressions
-from mbdkit.plain_data import Path, canonical, plain, without_collection
+from mbdkit.plain_data import Path, canonical, canonical_text, plain, without_collection
 from mbdkit.spec.choices import registry_of
 from mbdkit.spec.registry_lookup import RegistryLookup
 from mbdkit.spec.sections import Section
@@ -87,9 +87,7 @@ class StrictSpec(Section):
         Names given by the user (bodies, joints, forces) keep their order, which is the order of the archive's arrays.
         """
         if not self._canonical:  # of a frozen model
-            self._canonical = json.dumps(
-                insert(canonical(self), self._written), separators=(",", ":"), ensure_ascii=False, allow_nan=False
-            )
+            self._canonical = canonical_text(insert(canonical(self), self._written))
         return self._canonical
 
     def sha256(self) -> str:

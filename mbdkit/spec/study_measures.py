@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ValidationError, WithJsonSchema
@@ -61,18 +61,21 @@ _FORMS = 'an expression such as "max(abs(joints.B.force))", {value: EXPRESSION, 
 
 @dataclass(frozen=True)
 class DefinedMeasure:
-    """A measure that a study spec defines.
+    """A measure that a run spec or a study spec defines.
 
     Parameters
     ----------
     name
         Name of its column.
     place
-        Key path of its definition in the study spec.
+        Key path of its definition in the spec.
     expression, unit
         Expression of a run, and the unit of its value; an empty unit follows from the expression.
     item, options
         Measure of a plugin and its options, instead of an expression.
+    of_base
+        Whether it stands in the base of a study, and not in the study itself. It is then taken of those runs whose
+        spec has it, because other families may have other bases.
     """
 
     name: str
@@ -81,6 +84,11 @@ class DefinedMeasure:
     unit: str = ""
     item: Registered | None = None
     options: BaseModel | None = None
+    of_base: bool = False
+
+    def is_like(self, other: DefinedMeasure) -> bool:
+        """Return whether another measure of this name has the same definition."""
+        return replace(other, place=self.place, of_base=self.of_base) == self
 
 
 def built_in(measures: Any) -> tuple[str, ...] | None:
@@ -90,21 +98,26 @@ def built_in(measures: Any) -> tuple[str, ...] | None:
     return None
 
 
-def defined(measures: Any) -> Iterator[DefinedMeasure]:
-    """Yield the measures that a study defines, and those of plugins that it names.
+def defined(measures: Any, above: Path = ()) -> Iterator[DefinedMeasure]:
+    """Yield the measures that a spec defines, and those of plugins that it names.
+
+    Parameters
+    ----------
+    above
+        Key path of `measures`, with which the places of measures and the keys of errors begin.
 
     Raises
     ------
     SpecError
-        If one is not valid, with its key below ``measures``.
+        If one is not valid.
     """
     if isinstance(measures, Mapping):
-        yield from _defined_in(measures, ())
+        yield from _defined_in(measures, above)
     for index, entry in enumerate(measures if isinstance(measures, list) else ()):
         if isinstance(entry, Mapping):
-            yield from _defined_in(entry, (index,))
+            yield from _defined_in(entry, (*above, index))
         elif entry not in BUILT_IN:
-            yield _of_plugin(entry, {"name": entry}, (index,))
+            yield _of_plugin(entry, {"name": entry}, (*above, index))
 
 
 def _defined_in(definitions: Mapping[str, Any], above: Path) -> Iterator[DefinedMeasure]:
@@ -153,7 +166,7 @@ def _of_plugin(name: str, definition: Mapping[str, Any], place: Path) -> Defined
         if wanted in BUILT_IN:
             message = f"'{wanted}' is a built-in measure, which is taken by its name alone: `measures: [{wanted}]`"
             raise SpecError(message, key=path_text(place))
-        known = [*(BUILT_IN if len(place) == 1 and isinstance(place[0], int) else ()), *installed.names("measure")]
+        known = [*(BUILT_IN if isinstance(place[-1], int) else ()), *installed.names("measure")]
         told = f"; known: {listed(known)}" if known else "; no installed plugin has any"
         hint = did_you_mean(wanted, known) or told
         raise SpecError(f"there is no measure '{wanted}'{hint}{installed.advice(wanted)}", key=path_text(place))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -9,8 +11,8 @@ from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_valid
 from pydantic_core import PydanticCustomError
 
 from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path, path_text
-from mbdkit.spec.reading import parse_key
+from mbdkit.plain_data import Path, copied, parse_path, path_text
+from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.sample_section import Sample, comparable
 from mbdkit.spec.sections import Section
 from mbdkit.spec.source_document import Document
@@ -297,5 +299,66 @@ class StudySpec(StrictSpec):
         return tuple(name for name in SECOND_RUN if name in (self.built_in_measures or ()))
 
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:
-        """Return the measures that the study defines by expressions or takes from plugins."""
-        return tuple(defined(self.measures))
+        """Return the measures that the study and its bases define by expressions or take from plugins.
+
+        Raises
+        ------
+        SpecError
+            If a measure of a base is not valid, or has the name of another measure.
+        """
+        found = {measure.name: measure for measure in defined(self.measures, ("measures",))}
+        for measure in self._measures_of_bases():
+            other = found.setdefault(measure.name, measure)
+            if not other.is_like(measure):
+                raise SpecError(
+                    f"'{measure.name}' is defined differently in {path_text(other.place)}; a column of the study has "
+                    "one definition, so choose another name",
+                    key=path_text(measure.place),
+                )
+        return tuple(found.values())
+
+    def _measures_of_bases(self) -> Iterator[DefinedMeasure]:
+        """Yield the measures of the base of each family, with the overrides of the study and of the family."""
+        families: dict[str, Family | None] = {**self.families} or {"": None}
+        for name, family in families.items():
+            base: Base | None = self.base
+            place: Path = ("base",)
+            keys: dict[Path, Any] = {("overrides", key): value for key, value in self.overrides.items()}
+            if family is not None:
+                if family.base is not None:
+                    base, place = family.base, ("families", name, "base")
+                keys |= {("families", name, "overrides", key): value for key, value in family.overrides.items()}
+            if not isinstance(base, Mapping):
+                continue  # a name or a file that is not read yet
+            yield from _measures_of(base, place, keys)
+
+    def placed(self, error: SpecError) -> SpecError:
+        """Return an error about this study with file and line of its key, which may be in the file of a base."""
+        path = parse_path(error.key)
+        for place, document in self._bases.items():
+            if document.file and path[: len(place)] == place:
+                return document.place(SpecError(error.message, key=path_text(path[len(place) :])))
+        return super().placed(error)
+
+
+def _measures_of(base: Mapping[str, Any], place: Path, overrides: Mapping[Path, Any]) -> Iterator[DefinedMeasure]:
+    """Yield the measures of a base.
+
+    Parameters
+    ----------
+    overrides
+        Values to set in the base, by their places in the study; the last part of a place is the dotted key.
+    """
+    data = {"measures": copied(base.get("measures") or {})}
+    above = dict.fromkeys(data["measures"], place) if isinstance(data["measures"], Mapping) else {}
+    for where, value in overrides.items():
+        path = parse_key(str(where[-1]))
+        if path[:1] == ("measures",):
+            put(data, path, value)
+            names = data["measures"] if len(path) == 1 and isinstance(value, Mapping) else path[1:2]
+            above |= dict.fromkeys(map(str, names), where[:-1])
+    if not isinstance(data["measures"], Mapping):
+        return  # refused in the spec of each run
+    for name, definition in data["measures"].items():
+        found = defined({name: definition}, (*above[name], "measures"))
+        yield from (replace(measure, of_base=True) for measure in found)

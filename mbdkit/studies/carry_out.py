@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tempfile
+import weakref
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
@@ -38,6 +40,17 @@ from mbdkit.text import counted, shown
 _LOG = logger_of(__name__)
 
 
+class _TemporaryFolder:
+    """A folder that is deleted with this object, or at the end of the process.
+
+    `tempfile.TemporaryDirectory` would raise a ResourceWarning, because nobody closes a study.
+    """
+
+    def __init__(self) -> None:
+        self.path = tempfile.mkdtemp(prefix="mbdkit-study-")
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+
+
 def load_study(folder: str | Path) -> Study:
     """Open the folder of a study without computing anything.
 
@@ -68,7 +81,7 @@ def _opened(
     *,
     computed: int = 0,
     unfinished: Sequence[str] = (),
-    keep: tempfile.TemporaryDirectory[str] | None = None,
+    keep: _TemporaryFolder | None = None,
 ) -> Study:
     """Open the folder of a study, whose study.yaml says how its runs are stored."""
     path = StudyFolder(folder).spec
@@ -153,8 +166,8 @@ def study(
     spec = spec if store is None else spec.stored_as(store)
     keep = None
     if out is None:
-        keep = tempfile.TemporaryDirectory(prefix="mbdkit-study-")
-        out = keep.name
+        keep = _TemporaryFolder()
+        out = keep.path
     folder = StudyFolder(Path(out))
     spec = settled_store(settled_sample(spec, folder, overwrite=overwrite), folder, overwrite=overwrite)
     try:

@@ -17,6 +17,7 @@ from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.known_runs import KnownRuns
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, worst_joint
 from mbdkit.studies.planned_points import PlannedPoint
+from mbdkit.studies.run_group import RunGroup
 from mbdkit.studies.study_index import Index, Row, quartiles
 from mbdkit.studies.tasks import Outcome
 
@@ -173,8 +174,9 @@ class _Collector:
             )
 
     def values(self, run: Run, reference: Run | None, run_id: str) -> dict[str, float]:
-        taken = {name: MEASURES[name].take(run, reference) for name in self.measures}
+        group = RunGroup([run], reference)
+        taken = {name: float(MEASURES[name].take(group)[0]) for name in self.measures}
         taken |= {measure.name: take(measure, run, self.known_runs.runs[run_id]) for measure in self.defined}
         if run.accuracy is not None:
-            taken |= {name: measure.take(run, reference) for name, measure in OF_CHECKED_RUNS.items()}
+            taken |= {name: float(measure.take(group)[0]) for name, measure in OF_CHECKED_RUNS.items()}
         return taken | {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}

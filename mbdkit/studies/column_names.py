@@ -6,6 +6,7 @@ import re
 
 from mbdkit.errors import SpecError
 from mbdkit.plain_data import Path, path_text
+from mbdkit.spec.reading import parse_key
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.planned_points import grids
 from mbdkit.studies.study_index import COLUMNS, axis_column
@@ -29,7 +30,10 @@ def check_column_names(spec: StudySpec) -> None:
     SpecError
         If a name cannot be stored, or two columns would have the same name.
     """
-    measures = {measure.name: ("measures", *measure.place) for measure in spec.defined_measures()}
+    try:
+        measures = {measure.name: measure.place for measure in spec.defined_measures()}
+    except SpecError as error:
+        raise spec.placed(error) from None
     for name, where in measures.items():
         if name in COLUMNS | _OF_TABLES:
             message = f"'{name}' is a column of the index of every study; choose another name for this measure"
@@ -42,6 +46,8 @@ def check_column_names(spec: StudySpec) -> None:
                 place: Path = (*grid.axes_place, number, key)
                 _check_text(spec, key, place, _CONTROL)
                 for value in values:
+                    for one in value.value if value.together else (key,):
+                        _check_sets_no_measure(spec, one, (*place, *value.place))
                     _check_text(spec, str(value.label), (*place, *value.place), _UNSTORED)
                 other = columns.setdefault(axis_column(key), key)
                 if axis_column(key) in measures:
@@ -51,12 +57,19 @@ def check_column_names(spec: StudySpec) -> None:
                     raise spec.placed(SpecError(why, key=path_text(place)))
         for key in grid.table:
             place = (*grid.table_place, key)
+            _check_sets_no_measure(spec, key, place)
             _check_text(spec, key, place, _CONTROL)
             if axis_column(key) in measures:
                 message = f"'{key}' is also a variable of this study; choose another name for the measure"
                 raise spec.placed(SpecError(message, key=path_text(measures[axis_column(key)])))
             if why := _refusal(key, columns.setdefault(axis_column(key), key)):
                 raise spec.placed(SpecError(why, key=path_text(place)))
+
+
+def _check_sets_no_measure(spec: StudySpec, key: str, place: Path) -> None:
+    if parse_key(key)[:1] == ("measures",):
+        message = "a measure is a column of the study, and cannot vary between its runs; define several measures"
+        raise spec.placed(SpecError(message, key=path_text(place)))
 
 
 def _refusal(key: str, other: str) -> str:

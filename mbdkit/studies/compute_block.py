@@ -9,30 +9,35 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from mbdkit.archive.blocks import BlockHeading, BlockRun, kept, write_block
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.stored_run import Heading, StoredRun
-from mbdkit.batch import Refused, refusal, simulate_batch
+from mbdkit.batch import CHUNK, Refused, refusal, simulate_batch
 from mbdkit.errors import ResourceError, SpecError
 from mbdkit.measures.take import Description, take
-from mbdkit.plain_data import path_text
+from mbdkit.plain_data import collecting_new_objects_only, path_text
 from mbdkit.provenance import plugins_of, surroundings
 from mbdkit.spec import RunSpec
-from mbdkit.spec.reading import put
 from mbdkit.spec.study_loading import load_study_spec
-from mbdkit.spec.study_measures import ERRORS
+from mbdkit.spec.study_measures import ERRORS, DefinedMeasure
 from mbdkit.spec.study_spec import StudySpec
+from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.studies.column_names import check_column_names
 from mbdkit.studies.defined_measures import describe_measures
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS
 from mbdkit.studies.planned_points import PlannedPoint, PlannedPoints
+from mbdkit.studies.run_group import RunGroup, places_by_group
 from mbdkit.studies.study_blocks import StudyBlocks, stored
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.verdict_lookup import check_verdict
 from mbdkit.terminal import say
+
+MISALIGNMENT = "misalignment_max"
+"""The measure that has a column of its own in blocks."""
 
 SAMPLES = 8
 """Runs of a study whose specs are validated before the first run; those of all others when they are computed."""
@@ -101,7 +106,7 @@ class BlockStudyPlan:
     def described(self) -> dict[str, tuple[str, str]]:
         """Unit and description of each measure."""
         built_in = {name: (MEASURES[name].units, MEASURES[name].long_name) for name in self.built_in}
-        built_in.pop("misalignment_max", None)  # it has a column of its own
+        built_in.pop(MISALIGNMENT, None)  # it has a column of its own
         defined = {name: (one.units, one.long_name) for name, one in self.defined.items()}
         checked = {name: (one.units, one.long_name) for name, one in OF_CHECKED_RUNS.items()}
         return built_in | defined | (checked if self.is_checked else {})
@@ -111,14 +116,30 @@ class BlockStudyPlan:
         """Whether errors of runs are estimated."""
         return any(point.spec.estimates_errors for point in self.samples[:1] if not point.lacking)
 
-    def measured(self, spec: RunSpec, finished: FinishedRun) -> dict[str, float]:
-        """Return the measures of a run."""
-        run = StoredRun(finished, Heading(spec, ""))
-        taken = {name: MEASURES[name].take(run, None) for name in self.built_in if name != "misalignment_max"}
-        taken |= {measure.name: take(measure, run, spec) for measure in self.spec.defined_measures()}
-        if finished.accuracy is not None:
-            taken |= {name: measure.take(run, None) for name, measure in OF_CHECKED_RUNS.items()}
+    def measured(self, runs: Sequence[StoredRun]) -> list[dict[str, float] | Refused]:
+        """Return the measures of runs by name, or why they could not be taken."""
+        taken: list[dict[str, float] | Refused] = [Refused("", "")] * len(runs)
+        for places in places_by_group([run.finished for run in runs]):
+            group = RunGroup([runs[place] for place in places])
+            columns = {name: MEASURES[name].take(group).tolist() for name in self.built_in if name != MISALIGNMENT}
+            for number, place in enumerate(places):
+                built_in = {name: column[number] for name, column in columns.items()}
+                try:
+                    taken[place] = built_in | self._of_one(runs[place])
+                except Exception as error:
+                    taken[place] = refusal(error)
         return taken
+
+    def _of_one(self, run: StoredRun) -> dict[str, float]:
+        """Return the measures that are taken of one run at a time."""
+        taken = {measure.name: take(measure, run, run.run_spec) for measure in self.user_measures}
+        checked = {} if run.accuracy is None else OF_CHECKED_RUNS
+        return taken | {name: measure.of(run) for name, measure in checked.items()}
+
+    @cached_property
+    def user_measures(self) -> tuple[DefinedMeasure, ...]:
+        """The measures that the study defines by expressions or takes from plugins."""
+        return self.spec.defined_measures()
 
 
 def plan_blocks(spec: StudySpec) -> BlockStudyPlan:
@@ -180,9 +201,13 @@ def compute_block(
     files = StudyFolder(Path(folder))
     plan = _plan(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
     skip = skip or {}
-    with _Mark(files, block) as mark:
-        members = [_member(plan.points[place], skip, mark) for place in plan.blocks.places(block)]
-        runs = [_stored(plan, member, result) for member, result in _results(members, mark, notify)]
+    with _Mark(files, block) as mark, collecting_new_objects_only():
+        varied = {grid.base_json: VariedSpecs(grid.base_json) for grid in plan.points.grids}
+        members = [_member(plan.points[place], varied, skip, mark) for place in plan.blocks.places(block)]
+        runs = []
+        results = _results(members, mark, notify)
+        while some := list(islice(results, CHUNK)):
+            runs += _stored(plan, some)
         heading = BlockHeading(
             plan.spec.sha256(), stored(plan.spec), surroundings(), plan.described, plan.spec.compress
         )
@@ -199,7 +224,7 @@ def _plan(study: str, changed: int) -> BlockStudyPlan:
     return BlockStudyPlan(spec)
 
 
-def _member(point: PlannedPoint, skip: Mapping[int, str], mark: _Mark) -> _Member:
+def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mapping[int, str], mark: _Mark) -> _Member:
     base, values = point.grid.base_json, {path_text(one.path): one.value for one in point.settings}
     if point.lacking:
         reason = f"not-installed: the distribution {point.lacking} is not installed."
@@ -207,11 +232,8 @@ def _member(point: PlannedPoint, skip: Mapping[int, str], mark: _Mark) -> _Membe
     if point.number in skip:
         return _Member(point, base, values, Refused("failed", skip[point.number]))
     mark.note(point.number)  # a model of a plugin may end the process
-    data = json.loads(base)
     try:
-        for one in point.settings:
-            put(data, one.path, one.value)
-        spec = RunSpec(**data)
+        spec = varied[base].spec([(one.path, one.value) for one in point.settings])
         spec.mechanism()
     except SpecError:
         try:
@@ -235,7 +257,23 @@ def _results(
         yield member, (member.spec if isinstance(member.spec, Refused) else next(results))
 
 
-def _stored(plan: BlockStudyPlan, member: _Member, result: FinishedRun | Refused) -> BlockRun:
+def _stored(plan: BlockStudyPlan, some: Sequence[tuple[_Member, FinishedRun | Refused]]) -> list[BlockRun]:
+    """Return what the block keeps of runs."""
+    finished = [
+        StoredRun(result, Heading(member.spec, ""))
+        for member, result in some
+        if isinstance(result, FinishedRun) and isinstance(member.spec, RunSpec)
+    ]
+    measured = iter(plan.measured(finished))
+    return [
+        _block_run(plan, member, result, next(measured) if isinstance(result, FinishedRun) else {})
+        for member, result in some
+    ]
+
+
+def _block_run(
+    plan: BlockStudyPlan, member: _Member, result: FinishedRun | Refused, measured: dict[str, float] | Refused
+) -> BlockRun:
     """Return what the block keeps of a run."""
     point, spec = member.point, member.spec
     if not isinstance(spec, RunSpec):
@@ -244,23 +282,17 @@ def _stored(plan: BlockStudyPlan, member: _Member, result: FinishedRun | Refused
     hashes = spec.sha256(), spec.run_id()
     if isinstance(result, Refused):
         return BlockRun(point.number, member.base, member.values, result.status, result.reason, *hashes)
-    status, reason = result.status, result.reason
-    measures: dict[str, float] | None = None
-    try:
-        measures = plan.measured(spec, result)
-    except Exception as error:
-        refused = refusal(error)
-        status, reason = refused.status, refused.reason
+    ending = measured if isinstance(measured, Refused) else result
     return BlockRun(
         point.number,
         member.base,
         member.values,
-        status,
-        reason,
+        ending.status,
+        ending.reason,
         *hashes,
         plugins=json.dumps(plugins_of(spec), separators=(",", ":")),
         result=kept(result, stored(plan.spec)),
-        measures=measures,
+        measures=None if isinstance(measured, Refused) else measured,
     )
 
 
@@ -272,6 +304,7 @@ class _Mark:
 
     def __init__(self, folder: StudyFolder, block: int):
         self.path, self.block = folder.mark(block), folder.block(block)
+        self.number = 0
 
     def __enter__(self) -> _Mark:
         self.handle = os.open(self.path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
@@ -304,8 +337,10 @@ class _Mark:
 
     def note(self, number: int) -> None:
         """Write the number of the run that is computed next."""
-        os.lseek(self.handle, 0, os.SEEK_SET)
-        os.write(self.handle, f"{number:8d}".encode())
+        if number != self.number:
+            os.lseek(self.handle, 0, os.SEEK_SET)
+            os.write(self.handle, f"{number:8d}".encode())
+            self.number = number
 
     def __exit__(self, *_: object) -> None:
         os.close(self.handle)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from mbdkit.errors import SpecError
-from mbdkit.measures.take import Description, describe
+from mbdkit.measures.take import Description, describe, is_taken
 from mbdkit.plain_data import path_text
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
@@ -30,6 +30,8 @@ def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> d
     first: dict[str, str] = {}
     for number, (label, run) in enumerate(runs if measures else ()):
         for measure in measures:
+            if not is_taken(measure, run):
+                continue
             try:
                 now = describe(measure, run)
             except SpecError as error:
@@ -51,4 +53,4 @@ def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> d
 
 def _placed(spec: StudySpec, measure: DefinedMeasure, error: SpecError) -> SpecError:
     """Return an error about a measure with the file and line of its definition."""
-    return spec.placed(error.located(prefix=path_text(("measures", *measure.place))))
+    return spec.placed(error.located(prefix=path_text(measure.place)))

@@ -1,4 +1,4 @@
-"""Measures: scalar results of each run of a study; nan if a run does not provide one."""
+"""Measures: scalar results of each run of a study, taken of many at once; nan if a run does not provide one."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.energy import Trend, energy_trend
+from mbdkit.analysis.energy import Trend, trends
 from mbdkit.analysis.reference import EVERY_ROW, LAST_ROW, carries_multipliers, common_rows, multiplier_error, offsets
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.errors import MbdkitError
-from mbdkit.mechanism.size import mechanism_size
+from mbdkit.mechanism.size import mechanism_sizes
+from mbdkit.studies.run_group import RunGroup
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -29,54 +30,74 @@ class Measure:
     units
         SI units.
     take
-        Function of a run and its reference run, or None if it has no reference, that returns the value.
+        Function of R runs that returns their values, (R,). The value of a run does not depend on the others.
     """
 
     units: str
     long_name: str
-    take: Callable[[Run, Run | None], float]
+    take: Callable[[RunGroup], np.ndarray]
+
+    def of(self, run: Run, reference: Run | None = None) -> float:
+        """Return the value of one run.
+
+        Parameters
+        ----------
+        reference
+            Its reference run, if it has one.
+        """
+        return float(self.take(RunGroup([run], reference))[0])
 
 
-def _largest(path: str) -> Callable[[Run, Run | None], float]:
-    def take(run: Run, reference: Run | None) -> float:
-        if not run.records(path):
-            return math.nan
-        return float(np.max(np.abs(run.array(path)), initial=0.0))
+def _one_by_one(take: Callable[[Run, Run | None], float]) -> Callable[[RunGroup], np.ndarray]:
+    """Return a measure that is taken of each run with its reference, or None if it has no reference."""
+    return lambda group: np.array([take(run, group.reference) for run in group.runs])
+
+
+def _largest_of(values: np.ndarray) -> np.ndarray:
+    """Return the largest of the values (R, ...) of each run, (R,); 0 if there are none."""
+    return np.asarray(np.max(values.reshape(len(values), -1), axis=1, initial=0.0))
+
+
+def _largest(path: str) -> Callable[[RunGroup], np.ndarray]:
+    def take(group: RunGroup) -> np.ndarray:
+        if not group.records(path):
+            return group.everywhere(math.nan)
+        return _largest_of(np.abs(group.array(path)))
 
     return take
 
 
-def _misalignment(run: Run, reference: Run | None) -> float:
-    return run.misalignment_max
+def _misalignment(group: RunGroup) -> np.ndarray:
+    return np.array([run.misalignment_max for run in group.runs])
 
 
-def _reaction(run: Run, reference: Run | None) -> float:
-    if not run.records("joints/reaction_force"):
-        return math.nan
-    return float(np.max(np.linalg.norm(run.array("joints/reaction_force"), axis=-1), initial=0.0))
+def _reaction(group: RunGroup) -> np.ndarray:
+    if not group.records("joints/reaction_force"):
+        return group.everywhere(math.nan)
+    return _largest_of(np.linalg.norm(group.array("joints/reaction_force"), axis=-1))
 
 
-def _largest_value(units: str) -> Callable[[Run, Run | None], float]:
+def _largest_value(units: str) -> Callable[[RunGroup], np.ndarray]:
     """Return the measure of the largest value of the force elements with these `units`; 0 if there are none."""
 
-    def take(run: Run, reference: Run | None) -> float:
+    def take(group: RunGroup) -> np.ndarray:
         try:
-            forces = run.forces
+            forces = group.first.forces
         except NotRecordedError:
-            return math.nan
-        chosen = [force.value for force in forces.values() if force.units == units]
-        return max((float(np.max(np.abs(value), initial=0.0)) for value in chosen), default=0.0)
+            return group.everywhere(math.nan)
+        chosen = [place for place, force in enumerate(forces.values()) if force.units == units]
+        return _largest_of(np.abs(group.array("forces/value")[:, :, chosen])) if chosen else group.everywhere(0.0)
 
     return take
 
 
-def _end_balance(run: Run, reference: Run | None) -> float:
-    if not run.records("energy/balance") or not len(run.time):
-        return math.nan
-    return float(run.energy.balance[-1])
+def _end_balance(group: RunGroup) -> np.ndarray:
+    if not group.records("energy/balance") or not len(group.time):
+        return group.everywhere(math.nan)
+    return group.array("energy/balance")[:, -1]
 
 
-def _error(part: slice, rows: slice) -> Callable[[Run, Run | None], float]:
+def _error(part: slice, rows: slice) -> Callable[[RunGroup], np.ndarray]:
     """Return the measure of the largest error of any body against the reference, over `rows` of the run."""
 
     def take(run: Run, reference: Run | None) -> float:
@@ -89,10 +110,10 @@ def _error(part: slice, rows: slice) -> Callable[[Run, Run | None], float]:
         difference = offsets(run, reference, rows)[..., part]
         return float(np.max(np.linalg.norm(difference, axis=-1), initial=0.0))
 
-    return take
+    return _one_by_one(take)
 
 
-def _rate_error(part: slice) -> Callable[[Run, Run | None], float]:
+def _rate_error(part: slice) -> Callable[[RunGroup], np.ndarray]:
     """Return the measure of the largest velocity error of any body, over the rows that both runs recorded."""
 
     def take(run: Run, reference: Run | None) -> float:
@@ -105,7 +126,7 @@ def _rate_error(part: slice) -> Callable[[Run, Run | None], float]:
         difference = (velocity[0][mine] - velocity[1][theirs])[..., part]
         return float(np.max(np.linalg.norm(difference, axis=-1), initial=0.0))
 
-    return take
+    return _one_by_one(take)
 
 
 def _multiplier_error(run: Run, reference: Run | None) -> float:
@@ -116,41 +137,43 @@ def _multiplier_error(run: Run, reference: Run | None) -> float:
     return multiplier_error(run, reference)
 
 
-def _own_multipliers(run: Run, reference: Run | None) -> float:
-    return float(carries_multipliers(run)) if run.records("constraints/multiplier") else math.nan
+def _own_multipliers(group: RunGroup) -> np.ndarray:
+    own = float(carries_multipliers(group.first)) if group.records("constraints/multiplier") else math.nan
+    return group.everywhere(own)
 
 
 @lru_cache(maxsize=1)
-def _trend_of(run: Run) -> Trend:
-    """Return the trend of the energy balance of a run, once for the measures that are based on it."""
-    return energy_trend(run)
+def _trends_of(group: RunGroup) -> list[Trend]:
+    """Return the trend of the energy balance of each run, once for the measures that are based on it."""
+    return trends(group.time, group.array("energy/balance"))
 
 
-def _trend(value: Callable[[Trend], float]) -> Callable[[Run, Run | None], float]:
+def _trend(value: Callable[[Trend], float]) -> Callable[[RunGroup], np.ndarray]:
     """Return a measure based on the trend of the energy balance; nan if the run failed or has too few rows."""
 
-    def take(run: Run, reference: Run | None) -> float:
-        if run.status != "complete" or not run.records("energy/balance"):
-            return math.nan
+    def take(group: RunGroup) -> np.ndarray:
+        if not group.complete.any() or not group.records("energy/balance"):
+            return group.everywhere(math.nan)
         try:
-            return value(_trend_of(run))
+            return np.where(group.complete, [value(one) for one in _trends_of(group)], math.nan)
         except ValueError:
-            return math.nan
+            return group.everywhere(math.nan)
 
     return take
 
 
-def _duration(run: Run, reference: Run | None) -> float:
-    return float(run.time[-1] - run.time[0]) if len(run.time) else math.nan
+def _duration(group: RunGroup) -> np.ndarray:
+    return group.everywhere(float(group.time[-1] - group.time[0]) if len(group.time) else math.nan)
 
 
-def _size(run: Run, reference: Run | None) -> float:
-    if not len(run.time):
-        return math.nan
+def _size(group: RunGroup) -> np.ndarray:
+    if not len(group.time):
+        return group.everywhere(math.nan)
     try:
-        return mechanism_size(run.run_spec.mechanism(), run.array("trajectory/position")[0])
+        mechanisms = [run.run_spec.mechanism() for run in group.runs]
     except MbdkitError:  # the plugin of its model is not installed here
-        return math.nan
+        return group.everywhere(math.nan)
+    return mechanism_sizes(mechanisms, np.stack([run.array("trajectory/position")[0] for run in group.runs]))
 
 
 _XY, _THETA = slice(0, 2), slice(2, 3)
@@ -200,7 +223,7 @@ MEASURES: Mapping[str, Measure] = {
         "1",
         "largest error of a multiplier in the rows that both runs recorded, relative to the largest one of its unit; "
         "multipliers of the method if it computes any, else index-1 multipliers",
-        _multiplier_error,
+        _one_by_one(_multiplier_error),
     ),
     "own_multipliers": Measure("1", "1 if the method computes multipliers itself, else 0", _own_multipliers),
     "energy_trend": Measure("W", "slope of the energy balance over time", _trend(lambda trend: trend.slope)),
@@ -236,16 +259,18 @@ def _angle_error(run: Run, reference: Run | None) -> float:
 
 #: Measures of runs whose spec has ``check: true``, in addition to those that the study asks for.
 OF_CHECKED_RUNS: Mapping[str, Measure] = {
-    "known_until": Measure("s", "time until which the estimated errors are known", _known_until),
+    "known_until": Measure("s", "time until which the estimated errors are known", _one_by_one(_known_until)),
     "reaction_error_share": Measure(
         "1",
         "largest estimated error of a reaction force until then, relative to the joint's largest force",
-        _reaction_error_share,
+        _one_by_one(_reaction_error_share),
     ),
     "position_error_estimate": Measure(
-        "m", "largest estimated error of the position of a body until then", _position_error
+        "m", "largest estimated error of the position of a body until then", _one_by_one(_position_error)
     ),
-    "angle_error_estimate": Measure("rad", "largest estimated error of the angle of a body until then", _angle_error),
+    "angle_error_estimate": Measure(
+        "rad", "largest estimated error of the angle of a body until then", _one_by_one(_angle_error)
+    ),
 }
 #: Measures that need a second run: units and description.
 SECOND: Mapping[str, tuple[str, str]] = {

@@ -284,10 +284,6 @@ class PlannedPoint:
 
     def _placed(self, error: SpecError, place: Path) -> SpecError:
         """Return an error with the file and line of its place in the study, or in the file of its base spec."""
-        base = self.grid.base_place
-        document = self.study._bases.get(base)
-        if document is not None and document.file and place[: len(base)] == base:
-            return document.place(error.located(prefix=path_text(place[len(base) :])))
         return self.study.placed(error.located(prefix=path_text(place)))
 
 

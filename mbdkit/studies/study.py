@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import operator
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -125,7 +124,7 @@ class Study(HtmlView):
     unfinished
         Reasons outside the study why runs or timings were not finished in the same call; the next call tries again.
     keep
-        Temporary folder to delete when the study is deleted.
+        An object that deletes the folder when it is deleted itself, if the folder is temporary.
 
     Raises
     ------
@@ -139,7 +138,7 @@ class Study(HtmlView):
         *,
         computed: int = 0,
         unfinished: Sequence[str] = (),
-        keep: tempfile.TemporaryDirectory[str] | None = None,
+        keep: object = None,
     ):
         self.computed = computed
         self.unfinished = tuple(unfinished)

@@ -31,7 +31,33 @@ class EnergyRecord:
         """
         if not len(kinetic):
             return
+        (new,) = EnergyRecord.of_runs(kinetic[None], others[:, None], balance[None])
         # np.max, since max would ignore nan
-        self.kinetic = float(np.max([self.kinetic, np.max(kinetic)]))
-        self.energy = float(np.max([self.energy, self.kinetic, np.max(np.abs(others))]))
-        self.balance = float(np.max([self.balance, np.max(np.abs(balance))]))
+        self.kinetic = float(np.max([self.kinetic, new.kinetic]))
+        self.energy = float(np.max([self.energy, self.kinetic, new.energy]))
+        self.balance = float(np.max([self.balance, new.balance]))
+
+    @classmethod
+    def of_runs(cls, kinetic: np.ndarray, others: np.ndarray, balance: np.ndarray) -> list[EnergyRecord]:
+        """Return the record of each of R runs.
+
+        Parameters
+        ----------
+        kinetic, balance
+            (R, T) kinetic energies and energy balances [J].
+        others
+            (K, R, T) other energies: potential, work, dissipated [J].
+        """
+        largest = np.max(kinetic, axis=1, initial=0.0)
+        energy = np.max(np.abs(others), axis=(0, 2), initial=0.0)
+        records = []
+        for values in zip(
+            largest.tolist(),
+            np.maximum(largest, energy).tolist(),
+            np.max(np.abs(balance), axis=1, initial=0.0).tolist(),
+            strict=True,
+        ):
+            record = cls()
+            record.kinetic, record.energy, record.balance = values
+            records.append(record)
+        return records

@@ -36,6 +36,7 @@ from tests.witness.double_pendulum import HORIZONTAL
 
 from .contenders import END, MUJOCO, G, end_of
 from .timing import take_turns
+from .whole_ensembles import whole_ensembles
 
 STEPS = 2000
 REPEATS = 9
@@ -240,6 +241,7 @@ def ensemble(console: Console) -> None:
         )  # fmt: skip
     console.print(table)
     _two_threads(console)
+    whole_ensembles(console)
 
 
 def _seconds(contender: Contender, steps: int) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from pathlib import Path
 from typing import Any
@@ -204,3 +205,73 @@ def test_what_is_not_a_number_is_the_fault_of_the_plugin(fallen: mbdkit.Study) -
     point = fallen.points[0]
     with fallen.run(point) as run, pytest.raises(mbdkit.PluginError, match="acme:wordy returned an object of type str"):
         take(DefinedMeasure("a", ("a",), item=item, options=named_options(item)(name="wordy")), run, point.spec)
+
+
+def of_base(**sections: Any) -> dict[str, Any]:
+    """Return a study of falls with the measures in its base."""
+    study = copy.deepcopy(FALL)
+    study["base"]["measures"] = study.pop("measures")
+    return study | sections
+
+
+@pytest.mark.parametrize("store", ["files", "all", "histories", "summary", "hashes"])
+def test_measures_of_the_base_are_columns_and_values_of_its_runs(store: Any, tmp_path: Path) -> None:
+    study = mbdkit.study(of_base(), out=tmp_path / "falls", store=store)
+    frame = study.to_frame()
+    assert list(frame["depth"]) == pytest.approx([500.0, 2000.0])
+    assert {name: one.units for name, one in study.measures.items()} == {"depth": "mm", "a_speed": "m/s"}
+    run = study.run(study.points[1])
+    assert run is not None
+    assert run.measures == {"depth": frame["depth"][1], "a_speed": frame["a_speed"][1]}
+    assert run.measures.units == {"depth": "mm", "a_speed": "m/s"}
+    if store in ("files", "all", "histories"):
+        assert "measures      depth 2000 mm\n" in run.summary()
+    if store == "all":
+        run.save(tmp_path / "run.h5")
+        assert mbdkit.load(tmp_path / "run.h5").measures == run.measures
+
+
+def test_a_measure_of_one_base_is_not_taken_of_the_runs_of_another(tmp_path: Path) -> None:
+    families = {
+        "falls": {"axes": [{"model.gravity": [[0.0, -1.0]]}]},
+        "swings": {"base": "pendulum", "overrides": {"time.end": 0.1}, "axes": [{"time.step": [0.01]}]},
+    }
+    study = of_base(families=families)
+    del study["axes"]
+    for store in ("files", "hashes"):
+        found = mbdkit.study(study, out=tmp_path / store, store=store)
+        assert list(found.to_frame()["depth"]) == pytest.approx([500.0, np.nan], nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("sections", "message"),
+    [
+        (
+            {"measures": {"depth": "final(ball.y)"}},
+            "base.measures.depth: 'depth' is defined differently in measures.depth; a column of the study has one",
+        ),
+        (
+            {"overrides": {"measures.depth": "final(bal.y)"}},
+            "overrides.measures.depth: there is no body or joint 'bal' (did you mean 'ball'?)",
+        ),
+        ({"axes": [{"measures.depth": ["a", "b"]}]}, "axes[0].measures.depth[0]: a measure is a column of the study"),
+        ({"base": {**FALL["base"], "measures": {"x": 3}}}, "base.measures.x: should be an expression such as"),
+    ],
+)
+@pytest.mark.parametrize("store", ["files", "summary"])
+def test_wrong_measures_of_a_base_are_refused_where_they_stand(
+    sections: dict[str, Any], message: str, store: Any, tmp_path: Path
+) -> None:
+    with pytest.raises(SpecError) as caught:
+        mbdkit.study(of_base(**sections), out=tmp_path / "falls", store=store)
+    assert message in str(caught.value)
+    assert not (tmp_path / "falls").exists()
+
+
+def test_a_measure_of_a_base_is_refused_with_the_file_of_the_base(tmp_path: Path) -> None:
+    base = {"mbdkit": 1, **FALL["base"], "measures": {"depth": "final(bal.y)"}}
+    (tmp_path / "fall.json").write_text(json.dumps(base, indent=1))
+    with pytest.raises(SpecError, match=r"fall\.json:\d+: measures\.depth: "):
+        mbdkit.study(
+            {"mbdkit_study": 1, "base": str(tmp_path / "fall.json"), "axes": FALL["axes"]}, out=tmp_path / "falls"
+        )

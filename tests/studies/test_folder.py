@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import os
 import subprocess
 import sys
 import threading
 import time
+import warnings
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -205,3 +207,18 @@ def test_parts_with_runs_in_common_are_kept_apart(held: str, asked: str, is_free
         with pytest.raises(ResourceError, match="running in this folder"), folder.locked():
             pass
     assert not list(copied.glob(".lock*"))
+
+
+def test_the_temporary_folder_of_a_study_is_deleted_with_it_without_a_warning() -> None:
+    study = mbdkit.ensemble(
+        {"mbdkit": 1, "model": {"name": "double-pendulum"}, "integrator": {"name": "rk4"},
+         "time": {"end": 0.02, "step": 0.01}},
+        {"model.angles.0": [0.0]},
+    )  # fmt: skip
+    folder = study.folder
+    assert folder.is_dir()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        del study
+        gc.collect()
+    assert not folder.exists()

@@ -44,9 +44,9 @@ def test_a_run_that_an_event_ended_has_no_error_against_a_reference_that_ended_e
     stop = {"low": {"when": "rod1.angle + pi/2", "action": "stop"}}
     time = {"end": 1.0, "step": 0.01}
     with mbdkit.run("pendulum", time=time) as whole, mbdkit.run("pendulum", time=time, events=stop) as stopped:
-        assert math.isnan(MEASURES["end_error"].take(stopped, whole))
-        assert MEASURES["end_error"].take(whole, whole) == 0.0
-        assert MEASURES["misalignment_max"].take(stopped, whole) > 0.0
+        assert math.isnan(MEASURES["end_error"].of(stopped, whole))
+        assert MEASURES["end_error"].of(whole, whole) == 0.0
+        assert MEASURES["misalignment_max"].of(stopped, whole) > 0.0
 
 
 def test_forces_and_powers_are_measured_where_they_are_recorded() -> None:
@@ -54,7 +54,7 @@ def test_forces_and_powers_are_measured_where_they_are_recorded() -> None:
     taken = ("reaction_force_max", "element_force_max", "element_torque_max", "driver_power_max")
     time = {"end": 1.0, "step": 0.01}
     with mbdkit.run(m, integrator={"name": "rk4"}, time=time) as run:
-        found = [MEASURES[name].take(run, None) for name in taken]
+        found = [MEASURES[name].of(run, None) for name in taken]
         assert found == [
             pytest.approx(np.max(np.linalg.norm(run.array("joints/reaction_force"), axis=-1)), rel=1e-14),
             np.max(np.abs(run.forces["spring"].value)),
@@ -62,4 +62,4 @@ def test_forces_and_powers_are_measured_where_they_are_recorded() -> None:
             np.max(np.abs(run.joints["motor"].driver_power)),
         ]
     with mbdkit.run(m, integrator={"name": "rk4"}, time=time, output={"quantities": []}) as run:
-        assert all(math.isnan(MEASURES[name].take(run, None)) for name in taken)
+        assert all(math.isnan(MEASURES[name].of(run, None)) for name in taken)

@@ -1,0 +1,63 @@
+"""Specs of many runs that differ in a few values: what these values do not concern is validated once."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mbdkit.plain_data import Path, copied, plain
+from mbdkit.spec.choices import registry_of
+from mbdkit.spec.reading import put
+from mbdkit.spec.registry_lookup import RegistryLookup
+from mbdkit.spec.run_spec import RunSpec
+
+
+class VariedSpecs:
+    """Makes run specs from a base by setting values in it.
+
+    If the values are parameters of the model, only the model is validated again: no other section of a valid spec
+    depends on them. All other values, and those that the model refuses, go through the validation of whole specs, whose
+    errors are raised.
+
+    Parameters
+    ----------
+    base
+        The spec before the values are set, as JSON.
+    """
+
+    def __init__(self, base: str):
+        self._base: dict[str, Any] = json.loads(base)
+        self._pattern: RunSpec | None = None
+        self._context = {"plugins": RegistryLookup(lambda: registry_of(RunSpec))}
+
+    def spec(self, values: Sequence[tuple[Path, Any]]) -> RunSpec:
+        """Return the spec with these values at their key paths.
+
+        Raises
+        ------
+        SpecError
+            If it is not valid.
+        """
+        in_model = all(path[:1] == ("model",) and len(path) > 1 and path[1] != "name" for path, _ in values)
+        if self._pattern is not None and in_model:
+            try:
+                return self._with_values(self._pattern, values)
+            except Exception:
+                self._pattern = None  # until the next valid spec
+        data = copied(self._base)
+        for path, value in values:
+            put(data, path, value)
+        spec = RunSpec(**data)
+        if in_model and not spec.parameters and not spec.written and spec.accuracy is None:
+            self._pattern = spec
+        return spec
+
+    def _with_values(self, pattern: RunSpec, values: Sequence[tuple[Path, Any]]) -> RunSpec:
+        model = self._base["model"]
+        assert isinstance(model, Mapping)
+        data = {"model": copied(model)}
+        for path, value in values:
+            put(data, path, value)
+        text = json.dumps(plain(data["model"]), allow_nan=False)
+        return pattern.with_model(type(pattern.model).model_validate_json(text, context=self._context))

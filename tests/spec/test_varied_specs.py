@@ -1,0 +1,75 @@
+"""Specs of runs that differ in a few values are those, or have the errors, that the validation of whole specs gives."""
+
+from __future__ import annotations
+
+import copy
+import json
+import random
+from typing import Any
+
+import pytest
+
+from mbdkit.errors import SpecError
+from mbdkit.plain_data import Path
+from mbdkit.spec import RunSpec
+from mbdkit.spec.loading import example_names, load_spec
+from mbdkit.spec.reading import put
+from mbdkit.spec.varied_specs import VariedSpecs
+
+ODD = (0, -0.0, 1, 1e-300, -1.5, 2.0**70, 1e308, True, None, "", "0.5*pi", "x", [1.0], {}, "double-pendulum")
+
+
+def numbers_in(value: Any, path: Path) -> list[Path]:
+    """Return the key paths of the numbers in plain data."""
+    if isinstance(value, dict):
+        return [one for key, item in value.items() for one in numbers_in(item, (*path, key))]
+    if isinstance(value, list):
+        return [one for index, item in enumerate(value) for one in numbers_in(item, (*path, index))]
+    return [path] if isinstance(value, int | float) and not isinstance(value, bool) else []
+
+
+def outcome(make: Any) -> tuple[Any, ...]:
+    """Return all that is known of a spec, or the error."""
+    try:
+        spec = make()
+        mechanism = spec.mechanism()
+    except SpecError as error:
+        return error.key, error.message
+    bodies, joints = dict(mechanism.bodies), dict(mechanism.joints)
+    return spec.canonical_json(), spec.sha256(), spec.run_id(), spec.model_dump_json(), bodies, joints
+
+
+@pytest.mark.parametrize("example", example_names())
+def test_specs_and_errors_are_those_of_whole_specs(example: str) -> None:
+    base = json.loads(load_spec(example).canonical_json())
+    text = json.dumps(base)
+    varied, dice = VariedSpecs(text), random.Random(example)
+    places = [*numbers_in(base["model"], ("model",)), ("time", "step"), ("model", "name"), ("model", "unknown")]
+    for _ in range(40):
+        values = []
+        for place in dice.sample(places, min(2, len(places))):
+            value = dice.choice(ODD) if dice.random() < 0.3 else dice.uniform(-2.0, 2.0)
+            values.append((place, value))
+
+        def whole(values: list[tuple[Path, Any]] = values) -> RunSpec:
+            data = json.loads(text)
+            for path, value in values:
+                put(data, path, copy.deepcopy(value))
+            return RunSpec(**data)
+
+        def shared(values: list[tuple[Path, Any]] = values) -> RunSpec:
+            return varied.spec(copy.deepcopy(values))
+
+        assert outcome(shared) == outcome(whole), values
+
+
+def test_values_of_the_model_do_not_validate_the_whole_spec(monkeypatch: pytest.MonkeyPatch) -> None:
+    base = {"mbdkit": 1, "model": {"name": "pendulum"}, "integrator": {"name": "rk4"}, "time": {"end": 1, "step": 0.1}}
+    base["model"] = {"name": "single-pendulum", "angle": 0.0}
+    varied = VariedSpecs(json.dumps(base))
+    varied.spec([(("model", "angle"), 0.5)])
+    monkeypatch.setattr("mbdkit.spec.varied_specs.RunSpec", None)
+    assert (
+        varied.spec([(("model", "angle"), 0.25)]).canonical_json()
+        == RunSpec(**base | {"model": {"name": "single-pendulum", "angle": 0.25}}).canonical_json()
+    )
