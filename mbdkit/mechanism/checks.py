@@ -8,7 +8,7 @@ from collections.abc import Callable, Container, Iterable, Mapping
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import GROUND, Body
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
-from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import Assembly
@@ -76,6 +76,27 @@ def check_tables(joints: Mapping[str, Joint], forces: Mapping[str, Force], start
             raise SpecError(
                 f"the table covers {first!r} s to {last!r} s, but the run goes from {start!r} s to {end!r} s",
                 key=f"{key}.table[0]",
+            )
+
+
+def check_centers(joints: Mapping[str, Joint], relative_angle: Callable[[str, str], float]) -> None:
+    """Raise a SpecError for the first moving center whose table does not cover the angle at the start.
+
+    Parameters
+    ----------
+    relative_angle
+        Returns the angle of a second body minus that of a first one [rad], at the start.
+    """
+    for name, joint in joints.items():
+        if not isinstance(joint, Revolute) or joint.center is None:
+            continue
+        angle = relative_angle(*joint.bodies)
+        if (outside := joint.center.outside(angle)) is not None:
+            key, table = outside
+            first, last = table.span
+            raise SpecError(
+                f"the table covers {first:.6g} rad to {last:.6g} rad, but the joint starts at {angle:.6g} rad",
+                key=f"model.joints.{name}.center.{key}.table[0]",
             )
 
 

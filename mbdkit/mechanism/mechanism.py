@@ -10,6 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 from mbdkit.errors import SpecError
 from mbdkit.html_view import HtmlView
 from mbdkit.mechanism import higher_layers
+from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import GROUND, Body, Element
 from mbdkit.mechanism.checks import check_known, check_mechanism, check_name, check_names, check_tables
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
@@ -126,7 +127,14 @@ class Mechanism(HtmlView):
         return name
 
     def revolute(
-        self, name: str, a: str, b: str, *, at: Pair | None = None, points: Sequence[Pair] | None = None
+        self,
+        name: str,
+        a: str,
+        b: str,
+        *,
+        at: Pair | None = None,
+        points: Sequence[Pair] | None = None,
+        center: Mapping[str, Any] | Center | None = None,
     ) -> None:
         """Connect bodies `a` and `b` by a revolute joint.
 
@@ -138,15 +146,24 @@ class Mechanism(HtmlView):
             Position of the joint (x, y) [m] in the global frame at the initial positions.
         points
             Alternative to `at`: position of the joint in the frames of a and of b, ((x, y), (x, y)) [m].
+        center
+            Displacement of a's point in a's frame as a function of angle_b - angle_a, ``{"x": ..., "y": ...}`` [m]:
+            numbers, expressions of `angle`, or tables ``{"table": [[angle, ...], [value, ...]]}``. With `at`, the
+            displaced point is there at the initial positions.
 
         Examples
         --------
         >>> m = Mechanism()
         >>> rod = m.body("rod", mass=2.0, inertia=0.375, position=(0.75, 0.0))
         >>> m.revolute("A", m.ground, rod, at=(0.0, 0.0))
+
+        A wheel of radius 0.3 m that rolls on the x axis:
+
+        >>> wheel = m.body("wheel", mass=1.0, inertia=0.045, position=(0.0, 0.3))
+        >>> m.revolute("rolls", m.ground, wheel, at=(0.0, 0.3), center={"x": "-0.3*angle"})
         """
         key = self._new(name, self.joints, "joints")
-        self.joints[name] = self._placed(Revolute, key, bodies=(a, b), points=points, at=at)
+        self.joints[name] = self._placed(Revolute, key, bodies=(a, b), points=points, at=at, center=center)
 
     def prismatic(
         self,
