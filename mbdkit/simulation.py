@@ -54,7 +54,7 @@ from mbdkit.run_preparation import (
     size_at_start,
     timetable,
 )
-from mbdkit.run_warnings import start_warnings
+from mbdkit.run_warnings import center_warnings, start_warnings
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.run_source import RunSource, Sections
 from mbdkit.stepping.compiled_stepper import CompiledStepper
@@ -594,6 +594,7 @@ class _Simulation:
         )
         ending = status, reason
         steps = None if stepper is None else stepper.evidence
+        self.warnings = (*self.warnings, *center_warnings(self.spec.mechanism(), self.recorder.reached))
         evidence = evidence_of_run(self.recorder, steps, ending, misalignment_max, self.size, self.warnings)
         errors = None
         if self.accuracy is not None:

@@ -16,7 +16,7 @@ from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import Body
-from mbdkit.mechanism.checks import check_springs
+from mbdkit.mechanism.checks import check_centers, check_springs
 from mbdkit.mechanism.mechanism import Mechanism
 
 
@@ -114,5 +114,6 @@ def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0, end: float | None 
             return mechanism.bodies[name].model_copy(update={"position": (x, y), "angle": angle})
 
         check_springs(mechanism.forces, placed)
+        check_centers(mechanism.joints, placed)
         compiled = without_redundancy(compiled, t0, start.q.ravel(), start.v.ravel(), t0 if end is None else end)
     return MechanismAtStart(compiled, with_ground(start.q), with_ground(start.v), start)

@@ -79,18 +79,19 @@ def check_tables(joints: Mapping[str, Joint], forces: Mapping[str, Force], start
             )
 
 
-def check_centers(joints: Mapping[str, Joint], relative_angle: Callable[[str, str], float]) -> None:
+def check_centers(joints: Mapping[str, Joint], placed: Callable[[str], Body]) -> None:
     """Raise a SpecError for the first moving center whose table does not cover the angle at the start.
 
     Parameters
     ----------
-    relative_angle
-        Returns the angle of a second body minus that of a first one [rad], at the start.
+    placed
+        Returns the body with a given name, at its position after assembly.
     """
     for name, joint in joints.items():
         if not isinstance(joint, Revolute) or joint.center is None:
             continue
-        angle = relative_angle(*joint.bodies)
+        a, b = (0.0 if body == GROUND else placed(body).angle for body in joint.bodies)
+        angle = b - a
         if (outside := joint.center.outside(angle)) is not None:
             key, table = outside
             first, last = table.span

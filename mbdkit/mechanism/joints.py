@@ -66,6 +66,7 @@ class JointBase(Between):
     mark: ClassVar[Mark] = "pin"
     is_driver: ClassVar[bool] = False
     """Whether the joint prescribes a motion."""
+
     @property
     def point_moves_on_first(self) -> bool:
         """Whether the second body's point moves in the first body's frame; the reaction then acts there."""
@@ -176,7 +177,8 @@ class Revolute(PointJoint, At):
             return separation
         x, y = self.center.at(angles[:, 1] - angles[:, 0]).T
         c, s = np.cos(angles[:, 0]), np.sin(angles[:, 0])
-        return separation - np.stack([c * x - s * y, s * x + c * y], axis=-1)
+        gap: np.ndarray = separation - np.stack([c * x - s * y, s * x + c * y], axis=-1)
+        return gap
 
 
 def _not_zero(value: Any) -> Any:

@@ -12,12 +12,13 @@ from mbdkit.html_view import HtmlView
 from mbdkit.mechanism import higher_layers
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import GROUND, Body, Element
-from mbdkit.mechanism.checks import check_known, check_mechanism, check_name, check_names, check_tables
+from mbdkit.mechanism.checks import check_centers, check_known, check_mechanism, check_name, check_names, check_tables
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Distance, Driver, Joint, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
+from mbdkit.mechanism.named_coordinates import NamedCoordinate, check_coordinates
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Point, Table
@@ -57,6 +58,10 @@ class Mechanism(HtmlView):
         The elements by name, in the order in which they were added.
     assembly : Assembly
         Settings for making the initial state consistent.
+    coordinates : dict
+        Quantities that have a name of their own, `NamedCoordinate` by name.
+    warnings : tuple of str
+        What a run of the mechanism should warn of, such as parts of a file that were left out; not part of a spec.
 
     Examples
     --------
@@ -75,6 +80,8 @@ class Mechanism(HtmlView):
         self.forces: dict[str, Force] = {}
         self.markers: dict[str, Marker] = {}
         self.assembly = Assembly()
+        self.coordinates: dict[str, NamedCoordinate] = {}
+        self.warnings: tuple[str, ...] = ()
 
     @property
     def ground(self) -> str:
@@ -501,6 +508,31 @@ class Mechanism(HtmlView):
         where = {"at": at} if point is None else {"at": at, "point": point}
         self.markers[name] = self._placed(Marker, key, body=body, **where)
 
+    def coordinate(self, name: str, of: str, *, scale: float = 1.0, offset: float = 0.0) -> None:
+        """Give a quantity a name, a sign and a zero of its own, such as those of the files that it is measured in.
+
+        Parameters
+        ----------
+        name
+            Name of the coordinate.
+        of
+            ``JOINT.angle`` (relative angle, or travel of a slide), ``BODY.x``, ``BODY.y``, ``BODY.angle``, ``MARKER.x``
+            or ``MARKER.y`` [rad or m].
+        scale, offset
+            The coordinate is ``scale * of + offset``.
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> shank = m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2))
+        >>> m.revolute("knee", m.ground, shank, at=(0.0, 0.0))
+        >>> m.coordinate("knee_flexion", "knee.angle", scale=-1.0)
+        """
+        key = self._new(name, self.coordinates, "coordinates")
+        one = _make(NamedCoordinate, key, of=of, scale=scale, offset=offset)
+        check_coordinates({name: one}, self.joints, self.bodies, self.markers)
+        self.coordinates[name] = one
+
     def hold(self, *bodies: str, tolerance: float = 1e-12) -> None:
         """Set the bodies that assembly does not move, and the tolerance of assembly.
 
@@ -562,6 +594,10 @@ class Mechanism(HtmlView):
             With the key path of the first error.
         """
         check_mechanism(self.bodies, self.joints, self.forces, self.markers, self.assembly)
+        check_centers(self.joints, self.bodies.__getitem__)
+        for name in self.coordinates:
+            check_name(name, f"model.coordinates.{name}")
+        check_coordinates(self.coordinates, self.joints, self.bodies, self.markers)
 
     def check_span(self, start: float, end: float) -> None:
         """Check that every table covers the times from `start` to `end` [s].
@@ -594,6 +630,11 @@ class Mechanism(HtmlView):
                 spec[kind] = {name: {"type": one.type, **_plain(one)} for name, one in elements.items()}
         if self.markers:
             spec["markers"] = {name: _plain(one) for name, one in self.markers.items()}
+        if self.coordinates:
+            spec["coordinates"] = {
+                name: one.of if one == NamedCoordinate(of=one.of) else _plain(one)
+                for name, one in self.coordinates.items()
+            }
         if self.assembly != Assembly():
             spec["assembly"] = _plain(self.assembly)
         return spec
@@ -605,8 +646,8 @@ class Mechanism(HtmlView):
         Parameters
         ----------
         spec
-            Mapping with the keys ``gravity``, ``bodies``, ``joints``, ``forces``, ``markers`` and ``assembly``;
-            ``name`` is optional and must be ``mechanism``.
+            Mapping with the keys ``gravity``, ``bodies``, ``joints``, ``forces``, ``markers``, ``coordinates`` and
+            ``assembly``; ``name`` is optional and must be ``mechanism``.
         parameters
             Named numbers, or expressions of each other, which the numbers in `spec` may be expressions of.
 
@@ -647,6 +688,7 @@ class Mechanism(HtmlView):
             name: mechanism._with_points(marker, f"model.markers.{name}") for name, marker in data.markers.items()
         }
         mechanism.assembly = data.assembly
+        mechanism.coordinates = dict(data.coordinates)
         mechanism.validate()
         return mechanism
 

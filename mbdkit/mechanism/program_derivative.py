@@ -1,7 +1,7 @@
 """The derivative of a program of a smooth expression, as a program.
 
-Forward-mode differentiation (`mbdkit.engine.kernels.motions`) gives two derivatives of a program. Applied to the program
-of the derivative as well, it gives three.
+Forward-mode differentiation (`mbdkit.engine.kernels.motions`) gives two derivatives of a program. Applied to the
+program of the derivative as well, it gives three.
 """
 
 from __future__ import annotations

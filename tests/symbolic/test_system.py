@@ -48,6 +48,11 @@ def every_element() -> Mechanism:
     m.prismatic("rail", "plate", "slider", points=((0.1, 0.2), (-0.1, 0.3)), axis=(0.6, 0.7))
     m.body("roller", mass=0.3, inertia=0.01, position=(2.2, 1.1), angle=0.7)
     m.point_on_line("slot", "plate", "roller", points=((0.2, 0.1), (0.04, -0.1)), axis=(-0.3, 0.8))
+    m.body("wheel", mass=0.5, inertia=0.03, position=(2.5, 1.4), angle=0.4)
+    heights = {"table": [[-1.0, 0.2, 1.1, 2.0], [0.1, -0.2, 0.3, 0.1]]}
+    m.revolute(
+        "rolls", "plate", "wheel", points=((0.1, 0.9), (0.05, -0.1)), center={"x": "0.3*sin(2*angle)", "y": heights}
+    )
     m.driver("cam", "plate", "slider", coordinate="x", motion={"table": [[0, 0.5, 1, 2, 3], [0.4, 0.5, 0.3, 0.2, 0.1]]})
     m.spring_damper(
         "s", "arm", "disc_2", points=((0.1, 0.2), (0.2, -0.3)), stiffness=31.0, damping=1.7, free_length=0.4

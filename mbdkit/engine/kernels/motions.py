@@ -1,10 +1,10 @@
 """Prescribed motions u(t), and functions of relative angles: postfix programs evaluated with second-order forward-mode
 automatic differentiation.
 
-Each stack entry is a jet: value, first and second derivative by the argument. The derivatives are therefore exact up to rounding
-errors. Jets are used instead of symbolic derivatives because they need no SymPy at run time, and a new expression
-requires no compilation. A table is a single instruction, a piecewise polynomial, whose data follow the constants of all
-programs in `values`.
+Each stack entry is a jet: value, first and second derivative by the argument. The derivatives are therefore exact up
+to rounding errors. Jets are used instead of symbolic derivatives because they need no SymPy at run time, and a new
+expression requires no compilation. A table is a single instruction, a piecewise polynomial, whose data follow the
+constants of all programs in `values`.
 
 The programs of the centers that move with an angle come after those of the motions, four for each center: x, its
 derivative, y, and its derivative. The second derivatives of the derivatives are the third ones, which tangents need.
