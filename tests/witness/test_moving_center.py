@@ -167,7 +167,7 @@ def test_kinematics_and_equilibrium_roll_as_well() -> None:
     phi = 0.4 * (B - R) / R + 2 * np.sin(moved.time)
     psi = -phi * R / (B - R)
     expected = (B - R) * np.stack([np.cos(psi), np.sin(psi)], axis=-1)
-    np.testing.assert_allclose(moved["disc"][:, :2], expected, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(moved["disc"].position[:, :2], expected, rtol=0, atol=1e-13)
     found = mbdkit.equilibrium(mbdkit.Mechanism.from_spec(bowl()))
     np.testing.assert_allclose(found["disc"][:2], [0.0, -(B - R)], rtol=0, atol=1e-12)
     assert found.stability == "stable"

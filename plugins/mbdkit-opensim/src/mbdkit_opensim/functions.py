@@ -2,21 +2,22 @@
 
 OpenSim's `SimmSpline` is the spline of Forsythe, Malcolm and Moler (Computer Methods for Mathematical Computations,
 1977): its third derivatives at the ends are those of the cubics through the first four and the last four points. Beyond
-their points, both splines of OpenSim continue as straight lines.
+its points, OpenSim continues it as a straight line. `NaturalCubicSpline` is an earlier name of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PPoly
+from scipy.interpolate import PPoly
 
 from mbdkit_opensim.osim_document import label_of, number_of, numbers_of, refused
 
-Values = Callable[[np.ndarray], np.ndarray]
+Center = float | str | dict[str, Any]
+"""A number, an expression of `angle`, or a table, for a center of `Mechanism.revolute`."""
 
 
 @dataclass(frozen=True)
@@ -106,10 +107,8 @@ def _through_points(element: Element, owner: str) -> Function:
     if len(x) == 2:
         slope = (y[1] - y[0]) / (x[1] - x[0])
         return Function((float(y[0] - slope * x[0]), float(slope)))
-    if element.tag == "SimmSpline":
+    if element.tag in ("SimmSpline", "NaturalCubicSpline"):
         return Function(None, simm_spline(x, y))
-    if element.tag == "NaturalCubicSpline":
-        return Function(None, CubicSpline(x, y, bc_type="natural"))
     raise refused(f"{owner} has a PiecewiseLinearFunction, whose slope jumps; use a SimmSpline")
 
 
@@ -131,7 +130,7 @@ def simm_spline(x: np.ndarray, y: np.ndarray) -> PPoly:
     return PPoly(np.array(coefficients), x)
 
 
-def center_of(parts: list[tuple[float, Function]], slope: float, offset: float, owner: str) -> float | str | dict:
+def center_of(parts: list[tuple[float, Function]], slope: float, offset: float, owner: str) -> Center:
     """Return a sum of functions of a coordinate as one of the angle of a joint, for `Mechanism.revolute`.
 
     Parameters
@@ -145,13 +144,13 @@ def center_of(parts: list[tuple[float, Function]], slope: float, offset: float, 
 
     Returns
     -------
-    float, str or dict
-        A number, an expression of `angle`, or a table whose cubic spline is the sum.
+    Center
+        The cubic spline of a table is the sum, to rounding.
     """
     parts = [(factor, function) for factor, function in parts if factor != 0.0]
     splines = [function.spline for _, function in parts if function.spline is not None]
     if not splines:
-        total = np.zeros(1)
+        total: np.ndarray = np.zeros(1)
         for factor, function in parts:
             total = np.polynomial.polynomial.polyadd(total, factor * np.array(function.polynomial))
         if not np.any(total[1:]):

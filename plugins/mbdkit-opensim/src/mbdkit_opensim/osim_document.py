@@ -39,7 +39,7 @@ def read_model(file: str) -> Element:
     try:
         if path.stat().st_size > LARGEST:
             raise refused(f"{path} has more than {LARGEST // 1_000_000} MB")
-        root = parse(path, forbid_dtd=True).getroot()
+        root: Element = parse(path, forbid_dtd=True).getroot()
     except OSError as error:
         raise refused(f"{path.absolute()} cannot be read: {error.strerror or error}") from None
     except DefusedXmlException:
