@@ -28,7 +28,7 @@ from mbdkit.recorder import archive_names
 from mbdkit.run_corners import check_jumps
 from mbdkit.run_evidence import evidence_of_run
 from mbdkit.run_preparation import caution, guards, make_method, optional_arrays, size_at_start, timetable
-from mbdkit.run_warnings import center_warnings, start_warnings
+from mbdkit.run_warnings import center_warnings, doubts, start_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Guards, Stretch, Timetable
 from mbdkit.stepping.lane_stepper import LaneResults, LaneStepper, suits_lanes, topology_of
@@ -264,8 +264,10 @@ class _Group:
         ending = "complete", ""
         angles = results.observed.joints[lane, :, :, 0]
         reached = np.stack([angles.min(axis=0), angles.max(axis=0)])
-        warnings = (*member.warnings, *center_warnings(member.spec.mechanism(), reached))
-        judgement = judge(evidence_of_run(extremes, results.evidence[lane], ending, worst, member.size, warnings))
+        mechanism = member.spec.mechanism()
+        warnings = (*member.warnings, *center_warnings(mechanism, reached))
+        questions = doubts(mechanism, warnings)
+        judgement = judge(evidence_of_run(extremes, results.evidence[lane], ending, worst, member.size, questions))
         if _LOG.isEnabledFor(logging.INFO):
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
         timings = {"setup_s": member.seconds, "wall_s": seconds[0], "cpu_s": seconds[1]}

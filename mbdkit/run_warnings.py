@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 from pydantic import BaseModel
@@ -63,6 +63,11 @@ def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
         "been closed in another way than meant (`mbdkit validate` lists all changes)"
     )
     return (warning,)
+
+
+def doubts(mechanism: Mechanism, warnings: Iterable[str]) -> tuple[str, ...]:
+    """Return the warnings of a run that question its result; what a model leaves out by design does not."""
+    return tuple(warning for warning in warnings if warning not in mechanism.warnings)
 
 
 def center_warnings(mechanism: Mechanism, reached: np.ndarray) -> tuple[str, ...]:

@@ -61,7 +61,8 @@ class Mechanism(HtmlView):
     coordinates : dict
         Quantities that have a name of their own, `NamedCoordinate` by name.
     warnings : tuple of str
-        What a run of the mechanism should warn of, such as parts of a file that were left out; not part of a spec.
+        What a run of the mechanism should tell, such as parts of a file that were left out. It does not change the
+        verdict, and is not part of a spec.
 
     Examples
     --------

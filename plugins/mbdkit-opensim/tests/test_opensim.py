@@ -213,7 +213,9 @@ def test_muscles_are_left_out_with_a_warning_of_the_run(tmp_path: Path) -> None:
     bodies = [osim.body("rod", 2.0, (0.3, 0.0, 0.0), 0.06)]
     joints = [osim.joint("PinJoint", "pin", "ground", "rod", "turn")]
     file = written(tmp_path, osim.document(bodies, joints, more=f"<ForceSet><objects>{forces}</objects></ForceSet>"))
-    muscles, contact = started(file, {}, {}).warnings
+    run = started(file, {}, {})
+    assert run.verdict == "unknown"
+    muscles, contact = run.warnings
     assert "has 9 Thelen2003Muscle" in muscles
     assert "muscle0, muscle1, muscle2, muscle3, muscle4, muscle5 and 3 more" in muscles
     assert "SmoothSphereHalfSpaceForce" in contact

@@ -12,7 +12,7 @@ import numpy as np
 from mbdkit import Mechanism, SpecError
 from mbdkit.text import did_you_mean, listed
 from mbdkit_opensim.frames import Frame, Frames
-from mbdkit_opensim.functions import center_of
+from mbdkit_opensim.functions import center_of, constant
 from mbdkit_opensim.osim_document import (
     flag_of,
     label_of,
@@ -194,19 +194,21 @@ class _Builder:
 
     def connect(self, name: str, parent: Frame, child: Frame, moved: PlanarJoint) -> None:
         """Add the joint between two bodies, and name its coordinates."""
-        label = moved.label
+        label, driven_by = moved.label, {term.coordinate for _, term in moved.moving}
         offset, slope = self.relative(parent, child, moved)
         rest = parent.place + sum(
             (parent.axes @ direction * term.value for direction, term in moved.directions if not term.varies),
             np.zeros(2),
         )
+        if moved.angle.varies and driven_by <= {moved.angle.coordinate}:  # where the center is at the coordinate 0
+            rest = rest + sum((parent.axes @ d * term.function(0.0) for d, term in moved.moving), np.zeros(2))
         points = ((rest - self.centres[parent.body]).tolist(), (child.place - self.centres[child.body]).tolist())
         between = (parent.body, child.body)
-        driven_by = {term.coordinate for _, term in moved.moving}
         if not moved.angle.varies and not moved.moving:
             self.result.weld(name, *between, points=points, angle=offset)
         elif moved.angle.varies and driven_by <= {moved.angle.coordinate}:
             directions = [(parent.axes @ direction, term.function) for direction, term in moved.moving]
+            directions += [(-direction, constant(function(0.0))) for direction, function in directions]
             center = {
                 key: center_of([(float(d[axis]), function) for d, function in directions], slope, offset, label)
                 for axis, key in enumerate("xy")
