@@ -194,39 +194,45 @@ class _Builder:
 
     def connect(self, name: str, parent: Frame, child: Frame, moved: PlanarJoint) -> None:
         """Add the joint between two bodies, and name its coordinates."""
-        label, driven_by = moved.label, {term.coordinate for _, term in moved.moving}
-        offset, slope = self.relative(parent, child, moved)
         rest = parent.place + sum(
             (parent.axes @ direction * term.value for direction, term in moved.directions if not term.varies),
             np.zeros(2),
         )
-        if moved.angle.varies and driven_by <= {moved.angle.coordinate}:  # where the center is at the coordinate 0
-            rest = rest + sum((parent.axes @ d * term.function(0.0) for d, term in moved.moving), np.zeros(2))
-        points = ((rest - self.centres[parent.body]).tolist(), (child.place - self.centres[child.body]).tolist())
-        between = (parent.body, child.body)
-        if not moved.angle.varies and not moved.moving:
-            self.result.weld(name, *between, points=points, angle=offset)
-        elif moved.angle.varies and driven_by <= {moved.angle.coordinate}:
-            directions = [(parent.axes @ direction, term.function) for direction, term in moved.moving]
-            directions += [(-direction, constant(function(0.0))) for direction, function in directions]
-            center = {
-                key: center_of([(float(d[axis]), function) for d, function in directions], slope, offset, label)
-                for axis, key in enumerate("xy")
-            }
-            self.result.revolute(name, *between, points=points, center=center if directions else None)
-            self.name_coordinate(moved.angle.coordinate, f"{name}.angle", slope, offset)
+        offset, _ = self.relative(parent, child, moved)
+        if moved.angle.varies and {term.coordinate for _, term in moved.moving} <= {moved.angle.coordinate}:
+            self.pin(name, parent, child, moved, rest)
+        elif not moved.angle.varies and not moved.moving:
+            self.result.weld(name, parent.body, child.body, points=self.points(parent, child, rest), angle=offset)
         elif not moved.angle.varies and len(moved.moving) == 1 and _is_linear(moved.moving[0][1]):
             direction, term = moved.moving[0]
-            axis = (parent.axes @ direction).tolist()
-            self.result.prismatic(name, *between, points=points, axis=axis, angle=offset)
+            axis, points = (parent.axes @ direction).tolist(), self.points(parent, child, rest)
+            self.result.prismatic(name, parent.body, child.body, points=points, axis=axis, angle=offset)
             self.name_coordinate(term.coordinate, f"{name}.angle", *_line(term))
         elif parent.body == "ground" and len(moved.coordinates) == 3 and all(_is_linear(t) for _, t in moved.moving):
             self.free(name, parent, child, moved, rest)
         else:
             raise refused(
-                f"{label} is not read: it is none of a pin, a pin whose center moves with its angle, a slide, a weld, "
-                "and a body that moves freely against the ground"
+                f"{moved.label} is not read: it is none of a pin, a pin whose center moves with its angle, a slide, a "
+                "weld, and a body that moves freely against the ground"
             )
+
+    def points(self, parent: Frame, child: Frame, place: np.ndarray) -> tuple[list[float], list[float]]:
+        """Return the points of a joint measured from the centres of mass, at a `place` in the parent's body."""
+        return (place - self.centres[parent.body]).tolist(), (child.place - self.centres[child.body]).tolist()
+
+    def pin(self, name: str, parent: Frame, child: Frame, moved: PlanarJoint, rest: np.ndarray) -> None:
+        """Add a revolute joint, whose fixed point is where a moving center is if the coordinate is 0."""
+        offset, slope = self.relative(parent, child, moved)
+        parts = [(parent.axes @ direction, term.function) for direction, term in moved.moving]
+        parts += [(-direction, constant(function(0.0))) for direction, function in parts]
+        rest = rest + sum((parent.axes @ d * term.function(0.0) for d, term in moved.moving), np.zeros(2))
+        center = {
+            key: center_of([(float(d[axis]), function) for d, function in parts], slope, offset, moved.label)
+            for axis, key in enumerate("xy")
+        }
+        points = self.points(parent, child, rest)
+        self.result.revolute(name, parent.body, child.body, points=points, center=center if parts else None)
+        self.name_coordinate(moved.angle.coordinate, f"{name}.angle", slope, offset)
 
     def free(self, name: str, parent: Frame, child: Frame, moved: PlanarJoint, rest: np.ndarray) -> None:
         """Name the coordinates of a body that moves freely: those of a marker at its frame, and its angle."""
