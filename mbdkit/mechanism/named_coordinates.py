@@ -64,7 +64,7 @@ def check_coordinates(
             hint = did_you_mean(quantity, offered) or f"; there are {listed(dict.fromkeys(offered))}"
             raise SpecError(f"'{owner}' has no '{quantity}'{hint}", key=f"{key}.of")
         raise SpecError(
-            f"there is no joint, body or marker '{owner}'; write JOINT.angle, BODY.x, BODY.y, BODY.angle, MARKER.x "
-            "or MARKER.y",
+            f"'{one.of}' names no quantity of a joint, body or marker; write JOINT.angle, BODY.x, BODY.y, BODY.angle, "
+            "MARKER.x or MARKER.y",
             key=f"{key}.of",
         )
