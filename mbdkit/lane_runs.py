@@ -27,7 +27,7 @@ from mbdkit.recorder import archive_names
 from mbdkit.run_corners import check_jumps
 from mbdkit.run_evidence import evidence_of_run
 from mbdkit.run_preparation import caution, guards, make_method, optional_arrays, timetable
-from mbdkit.run_warnings import start_warnings
+from mbdkit.run_warnings import center_warnings, doubts, start_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Guards, StepEvidence, Stretch, Timetable
 from mbdkit.stepping.lane_collocation import StagePivots
@@ -250,6 +250,8 @@ class _Group:
         with np.errstate(all="ignore"):  # in lost lanes
             arrays = {key: self._by_run(COLUMNS[key](states), key, len(members)) for key in self.row_keys}
             recorded = self._recorded(members, results, states)
+            coordinates = results.observed.joints[..., 0]
+            reached = np.stack([coordinates.min(axis=1), coordinates.max(axis=1)], axis=1)
         seconds = (time.perf_counter() - begin) / len(members), (time.process_time() - cpu) / len(members)
         finished: list[FinishedRun | None] = []
         for lane, member in enumerate(members):
@@ -258,7 +260,7 @@ class _Group:
                 continue
             own = {key: values[lane] for key, values in arrays.items()}
             own |= self._intervals(member.table, results, lane)
-            made = self._run(member, own, recorded[lane], results.evidence[lane])
+            made = self._run(member, own, recorded[lane], reached[lane], results.evidence[lane])
             counters = asdict(results.counters[lane])
             counters["factorizations"] += int(member.pivots is not None)  # that which chose them
             timings = {"setup_s": member.seconds, "wall_s": seconds[0], "cpu_s": seconds[1]}
@@ -342,17 +344,21 @@ class _Group:
         member: LaneMember,
         arrays: dict[str, np.ndarray],
         recorded: tuple[np.ndarray, _RecordedRun],
+        reached: np.ndarray,
         steps: StepEvidence,
     ) -> FinishedRun:
         """Judge a run and return it; its `stats` contain the time taken for that."""
         begin = time.perf_counter()
         worst, extremes = recorded
         ending = "complete", ""
-        judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, member.warnings))
+        mechanism = member.spec.mechanism()
+        warnings = (*member.warnings, *center_warnings(mechanism, reached))
+        questions = doubts(mechanism, warnings)
+        judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, questions))
         if _LOG.isEnabledFor(logging.INFO):
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
         data_sha256 = self.hash.of(arrays, self._known_digests)
         return FinishedRun(
             self.names, self.layout, arrays, None, *ending, {"finish_s": time.perf_counter() - begin},
-            np.asarray(worst, layout.FLOAT), judgement, member.warnings, data_sha256, member.start.assembled.describe(),
+            np.asarray(worst, layout.FLOAT), judgement, warnings, data_sha256, member.start.assembled.describe(),
         )  # fmt: skip

@@ -80,6 +80,8 @@ class Recorder:
 
     Attributes
     ----------
+    reached : (2, J) array
+        Smallest and largest recorded coordinate of each joint [rad or m].
     largest, largest_angle : (J,) arrays
         Largest misalignment [m] and angle misalignment [rad] of the recorded states.
     energies
@@ -100,6 +102,7 @@ class Recorder:
         self._start_energy: float | None = None
         self._refused = False
         self.largest, self.largest_angle = np.zeros((2, len(mechanism.joints)))
+        self.reached = np.tile([[np.inf], [-np.inf]], len(mechanism.joints))
         self.energies = EnergyRecord()
         self.last_time = workspace.t0
         self.kept: list[ObservedRows] | None = None
@@ -234,6 +237,10 @@ class Recorder:
         self.largest = np.maximum(self.largest, states.misalignment.max(axis=0, initial=0.0))
         peaks = np.abs(observed.phi).max(axis=0, keepdims=True)  # of each pair, and a joint has one pair with an angle
         self.largest_angle = np.maximum(self.largest_angle, self._joints.angle_misalignment(peaks)[0])
+        if len(observed.joints):
+            coordinates = observed.joints[:, :, 0]
+            self.reached[0] = np.minimum(self.reached[0], coordinates.min(axis=0))
+            self.reached[1] = np.maximum(self.reached[1], coordinates.max(axis=0))
         others = np.array([observed.potential, stretch.work, stretch.dissipated])
         self.last_time = float(stretch.time[-1])
         self.energies.add(observed.kinetic, others, states.balance)
@@ -283,6 +290,7 @@ class Recorder:
             "start_energy": self._start_energy,
             "largest": self.largest,
             "largest_angle": self.largest_angle,
+            "reached": self.reached,
             "energies": [energies.kinetic, energies.energy, energies.balance],
             "last_time": self.last_time,
             "near": self._observer.kept,
@@ -295,6 +303,7 @@ class Recorder:
         self._start_energy = float(state["start_energy"])
         fill(self.largest, state["largest"])
         fill(self.largest_angle, state["largest_angle"])
+        fill(self.reached, state["reached"])
         energies = self.energies
         energies.kinetic, energies.energy, energies.balance = map(float, state["energies"])
         self.last_time = float(state["last_time"])

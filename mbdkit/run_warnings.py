@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 
+import numpy as np
 from pydantic import BaseModel
 
 from mbdkit.engine.assembly import AssembledState
-from mbdkit.mechanism.joints import Driver
+from mbdkit.mechanism.joints import Driver, Revolute
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import evaluate, names_in
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.plain_data import Path, path_text
@@ -27,8 +29,8 @@ _ANGLE = re.compile(r"\[rad( or m)?\]")
 
 
 def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
-    """Return warnings about angles that look like degrees, a step longer than the run, and unused parameters."""
-    return (*_angles_in_degrees(spec), *_long_step(spec), *_unused_parameters(spec))
+    """Return the warnings of the model, and about angles in degrees, a step longer than the run, and parameters."""
+    return (*spec.mechanism().warnings, *_angles_in_degrees(spec), *_long_step(spec), *_unused_parameters(spec))
 
 
 def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
@@ -62,6 +64,34 @@ def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
         "been closed in another way than meant (`mbdkit validate` lists all changes)"
     )
     return (warning,)
+
+
+def doubts(mechanism: Mechanism, warnings: Iterable[str]) -> tuple[str, ...]:
+    """Return the warnings of a run that question its result; what a model leaves out by design does not."""
+    return tuple(warning for warning in warnings if warning not in mechanism.warnings)
+
+
+def center_warnings(mechanism: Mechanism, reached: np.ndarray) -> tuple[str, ...]:
+    """Return warnings about joints whose angle has left the tables of their moving centers.
+
+    Parameters
+    ----------
+    reached
+        (2, J) smallest and largest recorded coordinate of each joint [rad or m].
+    """
+    warnings = []
+    for (name, joint), (low, high) in zip(mechanism.joints.items(), reached.T.tolist(), strict=True):
+        if not isinstance(joint, Revolute) or joint.center is None:
+            continue
+        for angle in (low, high):
+            if math.isfinite(angle) and (outside := joint.center.outside(angle)) is not None:
+                key, table = outside
+                first, last = table.span
+                warnings.append(
+                    f"joint '{name}' turned to {angle:.6g} rad, beyond the table at model.joints.{name}.center.{key}, "
+                    f"which covers {first:.6g} rad to {last:.6g} rad and is continued there by its outer piece"
+                )
+    return tuple(warnings)
 
 
 def _angles_in_degrees(spec: RunSpec) -> Iterator[str]:

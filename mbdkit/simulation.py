@@ -54,7 +54,7 @@ from mbdkit.run_preparation import (
     size_at_start,
     timetable,
 )
-from mbdkit.run_warnings import start_warnings
+from mbdkit.run_warnings import center_warnings, doubts, start_warnings
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.run_source import RunSource, Sections
 from mbdkit.stepping.compiled_stepper import CompiledStepper
@@ -594,7 +594,10 @@ class _Simulation:
         )
         ending = status, reason
         steps = None if stepper is None else stepper.evidence
-        evidence = evidence_of_run(self.recorder, steps, ending, misalignment_max, self.size, self.warnings)
+        mechanism = self.spec.mechanism()
+        self.warnings = (*self.warnings, *center_warnings(mechanism, self.recorder.reached))
+        questions = doubts(mechanism, self.warnings)
+        evidence = evidence_of_run(self.recorder, steps, ending, misalignment_max, self.size, questions)
         errors = None
         if self.accuracy is not None:
             missed = missed_because(self.accuracy, self.tried, self.failure)

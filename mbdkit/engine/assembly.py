@@ -9,9 +9,11 @@ import numpy as np
 
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.kernels.motions import OF_CENTER
 from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.workspace import finite_motions
 from mbdkit.errors import SpecError
+from mbdkit.mechanism.joints import Revolute
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Table
 
@@ -150,9 +152,9 @@ class _Assembly:
         return self.report(q, v, phi, rate)
 
     def check_motions(self) -> None:
-        """Raise SpecError for the first driver or load whose motion is not finite at the start."""
+        """Raise SpecError for the first driver, load or moving center that is not finite at the start."""
         top, scratch = self.compiled.topology, self.search.scratch
-        if not self.compiled.motions:
+        if not len(scratch.u):
             return
         self.search.evaluate(self.given_q.ravel())
         if finite_motions(top, scratch.u):
@@ -163,7 +165,7 @@ class _Assembly:
         for name, force in self.mechanism.forces.items():
             value = getattr(force, "value", None)
             written += [(f"model.forces.{name}.value", x) for x in (value if isinstance(value, tuple) else [value])]
-        values = dict(zip(self.compiled.motions, scratch.u, strict=True))
+        values = dict(zip(self.compiled.motions, scratch.u, strict=False))  # those of moving centers follow
         for key, motion in written:
             if motion is not None and not np.all(np.isfinite(values[motion][: 3 if key.endswith("motion") else 1])):
                 if isinstance(motion, Table):
@@ -174,6 +176,30 @@ class _Assembly:
                 raise SpecError(
                     f"{motion!r} is not finite at the start, t = {self.t0:g} s; a driver also needs finite first and "
                     "second time derivatives",
+                    key=key,
+                )
+        self.check_centers()
+
+    def check_centers(self) -> None:
+        """Raise SpecError for the first moving center that is not finite at the start."""
+        top, u = self.compiled.topology, self.search.scratch.u
+        functions = [
+            (f"model.joints.{name}.center.{key}", function)
+            for name, joint in self.mechanism.joints.items()
+            if isinstance(joint, Revolute) and joint.center is not None
+            for key, function in joint.center.functions
+        ]
+        first = len(u) - OF_CENTER * len(top.centers)
+        for (key, function), jets in zip(functions, u[first:].reshape(-1, 2, 3), strict=True):
+            if not np.all(np.isfinite(jets)):
+                if isinstance(function, Table):
+                    raise SpecError(
+                        "the spline through this table is not finite: its values are too large or its angles too close",
+                        key=key,
+                    )
+                raise SpecError(
+                    f"{function!r} is not finite at the initial angle of the joint, or its first three derivatives are "
+                    "not",
                     key=key,
                 )
 

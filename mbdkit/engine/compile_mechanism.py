@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import marshal
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,10 +17,12 @@ from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.motions import OPCODES
 from mbdkit.engine.kernels.system import Topology
 from mbdkit.errors import SpecError
+from mbdkit.mechanism.angle_function import AngleFunction, Center, expression_of
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Pathway
+from mbdkit.mechanism.program_derivative import derivative_of
 from mbdkit.mechanism.time_expression import Expression, Program
 from mbdkit.mechanism.time_jets import curve_of
 from mbdkit.mechanism.values import Motion, Table
@@ -38,7 +40,10 @@ MOST_DISTANCES = 1 << 16
 
 
 class _Motions:
-    """Collects the programs of all motions of a mechanism in flat lists; equal motions share one number."""
+    """Collects the programs of all motions of a mechanism in flat lists; equal motions share one number.
+
+    The programs of moving centers come last; see `mbdkit.engine.kernels.motions`.
+    """
 
     def __init__(self) -> None:
         self.numbers: dict[Motion, int] = {}
@@ -47,21 +52,42 @@ class _Motions:
 
     def add(self, motion: Motion) -> int:
         if motion not in self.numbers:
-            program = self._program(motion)
-            self.ops += [OPCODES[name] for name, _ in program]
-            self.constants += [float(value) for _, value in program]
-            self.start.append(len(self.ops))
-            self.numbers[motion] = len(self.start) - 2
+            self.numbers[motion] = self._append(self._program(motion))
         return self.numbers[motion]
+
+    def add_center(self, center: Center) -> int:
+        """Append the programs of both components and their derivatives; return the number of the first."""
+        first = len(self.start) - 1
+        for _, function in center.functions:
+            for derivative in (False, True):
+                self._append(self._function_of_angle(function, derivative))
+        return first
+
+    def _append(self, program: Program) -> int:
+        self.ops += [OPCODES[name] for name, _ in program]
+        self.constants += [float(value) for _, value in program]
+        self.start.append(len(self.ops))
+        return len(self.start) - 2
+
+    def _function_of_angle(self, function: AngleFunction, derivative: bool) -> Program:
+        if isinstance(function, str):
+            program = expression_of(function).program
+            return derivative_of(program) if derivative else program
+        if not isinstance(function, Table):
+            return (("const", 0.0 if derivative else float(function)),)
+        return self._table(function, derivative=derivative)
+
+    def _table(self, table: Table, *, derivative: bool = False) -> Program:
+        begin = len(self.tables)
+        self.tables += _piecewise_polynomial(table, derivative=derivative)
+        return (("table", float(begin)),)
 
     def _program(self, motion: Motion) -> Program:
         if isinstance(motion, str):
             return Expression.parse(motion).program
         if not isinstance(motion, Table):
             return (("const", float(motion)),)
-        begin = len(self.tables)
-        self.tables += _piecewise_polynomial(motion)
-        return (("table", float(begin)),)
+        return self._table(motion)
 
     @property
     def values(self) -> list[float]:
@@ -70,12 +96,12 @@ class _Motions:
         return [x + len(self.ops) if op == OPCODES["table"] else x for op, x in ops] + self.tables
 
 
-def _piecewise_polynomial(table: Table) -> list[float]:
+def _piecewise_polynomial(table: Table, *, derivative: bool) -> list[float]:
     """Return the curve of a table for the kernel: numbers of pieces and coefficients, period, times, coefficients."""
     times = np.array(table.table[0])
     coefficients = np.full((len(times) - 1, 4), np.nan)  # reported later, by `check_motions` of assembly
     with np.errstate(all="ignore"), suppress(ValueError, np.linalg.LinAlgError):
-        curve = curve_of(table)
+        curve = curve_of(table).derivative() if derivative else curve_of(table)
         if np.all(np.isfinite(curve.c)):
             times, coefficients = curve.x, curve.c[::-1].T
     pieces, terms = coefficients.shape
@@ -100,6 +126,8 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
     ground = number["ground"] = len(bodies)
     motions = _Motions()
     pairs = _pairs(mechanism, number, motions)
+    forces = _Forces(mechanism, number, motions)
+    centered = _add_centers(pairs, motions)
     order, below = minimum_degree(neighbours([pair.bodies for pair in pairs], ground))
     place = {pair: k for k, pair in enumerate(order)}
 
@@ -113,7 +141,6 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
             row = pair.first_row + r
             rows.append(Row(place[written], r, f"{name}.{joint.rows[row]}", joint.units[row]))
 
-    forces = _Forces(mechanism, number, motions)
     mass = np.ones((len(bodies) + 1, 3))
     for i, body in enumerate(mechanism.bodies.values()):
         mass[i] = (body.mass, body.mass, 1.0 if body.inertia is None else body.inertia)
@@ -154,6 +181,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         joint_lines=np.array([joint.travel or (0.0,) * 6 for _, joint in joints], dtype=float).reshape(-1, 6),
         markers=np.array([number[marker.body] for marker in mechanism.markers.values()], dtype=np.int64),
         marker_points=np.array([marker.held for marker in mechanism.markers.values()], dtype=float).reshape(-1, 2),
+        centers=np.array([pair.bodies for pair in centered], dtype=np.int64).reshape(-1, 2),
         motion_start=np.array(motions.start, dtype=np.int64),
         motion_ops=np.array(motions.ops, dtype=np.int64),
         motion_values=np.array(motions.values, dtype=float),
@@ -214,6 +242,7 @@ class _Pair:
     bodies: tuple[int, int]
     parameters: Numbers
     motion: int = -1
+    center: Center | None = None
 
 
 def _pairs(mechanism: Mechanism, number: dict[str, int], motions: _Motions) -> list[_Pair]:
@@ -224,8 +253,19 @@ def _pairs(mechanism: Mechanism, number: dict[str, int], motions: _Motions) -> l
         for one in joint.constraints(mechanism.relative_angle(a, b)):
             motion = -1 if one.motion is None else motions.add(one.motion)
             numbers = (*one.points, *one.constants)
-            pairs.append(_Pair(j, one.first_row, one.rows, one.kind, (number[a], number[b]), numbers, motion))
+            ends = (number[a], number[b])
+            pairs.append(_Pair(j, one.first_row, one.rows, one.kind, ends, numbers, motion, one.center))
     return pairs
+
+
+def _add_centers(pairs: list[_Pair], motions: _Motions) -> list[_Pair]:
+    """Add the programs of moving centers after those of all motions; return the pairs that have one, in their order."""
+    centered = []
+    for k, pair in enumerate(pairs):
+        if pair.center is not None:
+            pairs[k] = replace(pair, motion=motions.add_center(pair.center))
+            centered.append(pairs[k])
+    return centered
 
 
 class _Forces:

@@ -165,7 +165,13 @@ class CompiledMechanism:
     def has_power(self) -> bool:
         """Whether loads, drivers, dampers or force laws are present, so that work and dissipated energy can change."""
         top = self.topology
-        return bool(len(top.loads) or np.any(top.pairs[:, 3] >= 0) or np.any(top.linear[:, 1]) or len(top.laws))
+        return bool(len(top.loads) or len(self.drives) or np.any(top.linear[:, 1]) or len(top.laws))
+
+    @property
+    def drives(self) -> np.ndarray:
+        """Numbers of the motions that drive constraints, in increasing order."""
+        motions = self.topology.pairs[:, 3]
+        return np.unique(motions[(motions >= 0) & (motions < len(self.motions))])
 
     @property
     def needs_pivots(self) -> bool:

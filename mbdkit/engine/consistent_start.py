@@ -18,7 +18,7 @@ from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import Body
-from mbdkit.mechanism.checks import check_springs
+from mbdkit.mechanism.checks import check_centers, check_springs
 from mbdkit.mechanism.mechanism import Mechanism
 
 
@@ -146,6 +146,7 @@ class Starts:
                 return mechanism.bodies[name].model_copy(update={"position": (x, y), "angle": angle})
 
             check_springs(mechanism.forces, placed)
+            check_centers(mechanism.joints, placed)
             if found.has_loops:
                 q, v = start.q.ravel(), start.v.ravel()
                 compiled = without_redundancy(compiled, t0, q, v, t0 if end is None else end)

@@ -22,7 +22,7 @@ from mbdkit.engine.elimination_order import (
 from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.kernels.lu import Factors, Pattern
-from mbdkit.engine.kernels.motions import MAX_DEPTH
+from mbdkit.engine.kernels.motions import MAX_DEPTH, OF_CENTER
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, Engine, Scatter, Scratch, Solver, Topology
 from mbdkit.engine.matrix_terms import MatrixTerms, matrix_terms
 from mbdkit.engine.stabilization import NONE, Stabilization
@@ -195,7 +195,7 @@ class Workspace:
     def unusable(self) -> str:
         """Return which force or motion was not finite when last evaluated, as a clause; empty if all were finite."""
         if not self.motions_are_finite():
-            return "the value of a driver or load is not finite"
+            return "the value of a driver, a load or a moving center is not finite"
         if force := self.unusable_law():
             return f"the law of force '{force}' gives no finite number"
         return ""
@@ -275,9 +275,10 @@ class Workspace:
 
 
 def finite_motions(top: Topology, u: np.ndarray) -> bool:
-    """Return whether all used values of `u` (motions, 3) are finite; derivatives are used for drivers only."""
+    """Return whether all used values of `u` (motions, 3) are finite; loads use no derivatives."""
     driven = np.unique(top.pairs[:, 3][top.pairs[:, 3] >= 0])
-    return bool(np.all(np.isfinite(u[:, 0])) and np.all(np.isfinite(u[driven])))
+    centers = u[len(u) - OF_CENTER * len(top.centers) :]
+    return all(bool(np.all(np.isfinite(x))) for x in (u[:, 0], u[driven], centers))
 
 
 def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Container, Iterable, Mapping
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import GROUND, Body
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
-from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import Assembly
@@ -76,6 +76,28 @@ def check_tables(joints: Mapping[str, Joint], forces: Mapping[str, Force], start
             raise SpecError(
                 f"the table covers {first!r} s to {last!r} s, but the run goes from {start!r} s to {end!r} s",
                 key=f"{key}.table[0]",
+            )
+
+
+def check_centers(joints: Mapping[str, Joint], placed: Callable[[str], Body]) -> None:
+    """Raise a SpecError for the first moving center whose table does not cover the angle at the start.
+
+    Parameters
+    ----------
+    placed
+        Returns the body with a given name, at its position after assembly.
+    """
+    for name, joint in joints.items():
+        if not isinstance(joint, Revolute) or joint.center is None:
+            continue
+        a, b = (0.0 if body == GROUND else placed(body).angle for body in joint.bodies)
+        angle = b - a
+        if (outside := joint.center.outside(angle)) is not None:
+            key, table = outside
+            first, last = table.span
+            raise SpecError(
+                f"the table covers {first:.6g} rad to {last:.6g} rad, but the joint starts at {angle:.6g} rad",
+                key=f"model.joints.{name}.center.{key}.table[0]",
             )
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from mbdkit.errors import SpecError
+from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import At, Attachment, Between, BetweenPoints, Body, FromTo
 from mbdkit.mechanism.values import Motion, Number, Point, Points, Positive
 
@@ -42,6 +43,8 @@ class Constraint:
         Up to two further parameters of the constraint; unused ones are zero.
     motion
         Prescribed function of time; None if there is none.
+    center
+        Displacement of the first body's point that depends on the relative angle; None if it does not move.
     """
 
     kind: str
@@ -50,6 +53,7 @@ class Constraint:
     points: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     constants: tuple[float, float] = (0.0, 0.0)
     motion: Motion | None = None
+    center: Center | None = None
 
 
 Travel = tuple[float, float, float, float, float, float]
@@ -62,10 +66,16 @@ class JointBase(Between):
     mark: ClassVar[Mark] = "pin"
     is_driver: ClassVar[bool] = False
     """Whether the joint prescribes a motion."""
-    joins_points: ClassVar[bool] = False
-    """Whether the joint makes its two points coincide."""
-    point_moves_on_first: ClassVar[bool] = False
-    """Whether the second body's point moves in the first body's frame; the reaction then acts at the moving point."""
+
+    @property
+    def point_moves_on_first(self) -> bool:
+        """Whether the second body's point moves in the first body's frame; the reaction then acts there."""
+        return False
+
+    @property
+    def joins_points(self) -> bool:
+        """Whether the joint makes its two points coincide."""
+        return False
 
     @property
     def travel(self) -> Travel | None:
@@ -90,15 +100,15 @@ class JointBase(Between):
         """
         raise NotImplementedError
 
-    def gap(self, separation: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    def gap(self, separation: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Return the misalignment of the joint as a vector, (F, 2) [m].
 
         Parameters
         ----------
         separation
             (F, 2) vector from the first body's point to the second body's point, in the global frame [m]; F instants.
-        angle
-            (F,) angle of the first body [rad].
+        angles
+            (F, 2) angles of the first and the second body [rad].
         """
         return separation
 
@@ -113,16 +123,62 @@ class PointJoint(JointBase, BetweenPoints):
 
 
 class Revolute(PointJoint, At):
-    """A pin: both points coincide, ``p_b - p_a = 0`` in the global frame."""
+    """A pin: both points coincide, ``p_b - p_a = 0`` in the global frame.
+
+    With `center`, the first body's point moves in that body's frame while the second body turns, as the centre of a
+    knee or of a rolling wheel does: ``p_b - p_a - R_a c(angle_b - angle_a) = 0``. The joint does no work, so that its
+    force F, where it has a component along the path of the center, comes with the torque ``-F . R_a c'`` on the second
+    body: the recorded reaction torque.
+    """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*At.ABSENT_BY_DEFAULT, "center")
 
     type: Literal["revolute"] = "revolute"
+    center: Center | None = None
+    """Displacement ``c = {x, y}`` of the first body's point from its place in `points`, in the frame of that body, as a
+    function of ``angle_b - angle_a``; by default, the point is fixed."""
     rows: ClassVar[tuple[str, ...]] = ("x", "y")
     units: ClassVar[tuple[str, ...]] = ("m", "m")
-    joins_points: ClassVar[bool] = True
+
+    @property
+    def joins_points(self) -> bool:
+        """Whether the joint makes its two points coincide."""
+        return self.center is None
+
+    @property
+    def point_moves_on_first(self) -> bool:
+        """Whether the second body's point moves in the first body's frame; the reaction then acts there."""
+        return self.center is not None
+
+    def angles(self) -> list[tuple[str, str]]:
+        """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
+        return [] if self.center is None else self.places()
 
     def constraints(self, initial_angle: float) -> list[Constraint]:
         """Return the constraints of the joint."""
-        return [Constraint("revolute", 0, 2, self.flat_points)]
+        kind = "revolute" if self.center is None else "moving_center"
+        return [Constraint(kind, 0, 2, self.flat_points, center=self.center)]
+
+    def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
+        """Return the joint with its points in the frames of the bodies; with `at`, the displaced point is there."""
+        joint = super().placed(bodies, key)
+        if self.at is None or self.center is None:
+            return joint
+        first, second = (bodies[name].angle if name in bodies else 0.0 for name in self.bodies)
+        (x, y), other = joint.ends
+        dx, dy = self.center.at_angle(second - first)
+        return joint.model_copy(update={"points": ((x - dx, y - dy), other)})
+
+    def gap(self, separation: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        """Return the misalignment of the joint as a vector, (F, 2) [m]."""
+        import numpy as np
+
+        if self.center is None:
+            return separation
+        x, y = self.center.at(angles[:, 1] - angles[:, 0]).T
+        c, s = np.cos(angles[:, 0]), np.sin(angles[:, 0])
+        gap: np.ndarray = separation - np.stack([c * x - s * y, s * x + c * y], axis=-1)
+        return gap
 
 
 def _not_zero(value: Any) -> Any:
@@ -174,7 +230,7 @@ class Distance(PointJoint, FromTo):
         except SpecError as error:
             raise error.located(prefix=f"{key}.to") from None
 
-    def gap(self, separation: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    def gap(self, separation: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Return the misalignment of the joint as a vector, (F, 2) [m]."""
         import numpy as np
 
@@ -189,7 +245,11 @@ class SlidingJoint(PointJoint, At):
     axis: Point
     """Direction of the line in a's frame; only the direction of this vector is used."""
     mark: ClassVar[Mark] = "slide"
-    point_moves_on_first: ClassVar[bool] = True
+
+    @property
+    def point_moves_on_first(self) -> bool:
+        """Whether the second body's point moves in the first body's frame; the reaction then acts there."""
+        return True
 
     @model_validator(mode="after")
     def _axis_has_a_direction(self) -> SlidingJoint:
@@ -215,11 +275,12 @@ class SlidingJoint(PointJoint, At):
         """Return the constraint that holds the point on the line, the first row of the joint."""
         return Constraint("point_on_line", 0, 1, self.flat_points, self.direction)
 
-    def gap(self, separation: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    def gap(self, separation: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Return the misalignment of the joint as a vector, (F, 2) [m]."""
         import numpy as np
 
         x, y = self.direction
+        angle = angles[:, 0]
         normal = np.stack([-np.sin(angle) * x - np.cos(angle) * y, np.cos(angle) * x - np.sin(angle) * y], axis=-1)
         gap: np.ndarray = np.sum(separation * normal, axis=-1, keepdims=True) * normal
         return gap
@@ -269,7 +330,11 @@ class Weld(PointJoint, At):
     rows: ClassVar[tuple[str, ...]] = ("x", "y", "angle")
     units: ClassVar[tuple[str, ...]] = ("m", "m", "rad")
     mark: ClassVar[Mark] = "weld"
-    joins_points: ClassVar[bool] = True
+
+    @property
+    def joins_points(self) -> bool:
+        """Whether the joint makes its two points coincide."""
+        return True
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
@@ -300,7 +365,11 @@ class Driver(JointBase):
     """For `x` and `y`: ``[[0, 0], b's point in b's frame]`` [m]; by default, b's origin is driven."""
     mark: ClassVar[Mark] = "none"
     is_driver: ClassVar[bool] = True
-    point_moves_on_first: ClassVar[bool] = True
+
+    @property
+    def point_moves_on_first(self) -> bool:
+        """Whether the second body's point moves in the first body's frame; the reaction then acts there."""
+        return True
 
     @model_validator(mode="after")
     def _points_fit_the_coordinate(self) -> Driver:

@@ -10,13 +10,15 @@ from pydantic import TypeAdapter, ValidationError
 from mbdkit.errors import SpecError
 from mbdkit.html_view import HtmlView
 from mbdkit.mechanism import higher_layers
+from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import GROUND, Body, Element
-from mbdkit.mechanism.checks import check_known, check_mechanism, check_name, check_names, check_tables
+from mbdkit.mechanism.checks import check_centers, check_known, check_mechanism, check_name, check_names, check_tables
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Distance, Driver, Joint, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
+from mbdkit.mechanism.named_coordinates import NamedCoordinate, check_coordinates
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Point, Table
@@ -56,6 +58,11 @@ class Mechanism(HtmlView):
         The elements by name, in the order in which they were added.
     assembly : Assembly
         Settings for making the initial state consistent.
+    coordinates : dict
+        Quantities that have a name of their own, `NamedCoordinate` by name.
+    warnings : tuple of str
+        What a run of the mechanism should tell, such as parts of a file that were left out. It does not change the
+        verdict, and is not part of a spec.
 
     Examples
     --------
@@ -74,6 +81,8 @@ class Mechanism(HtmlView):
         self.forces: dict[str, Force] = {}
         self.markers: dict[str, Marker] = {}
         self.assembly = Assembly()
+        self.coordinates: dict[str, NamedCoordinate] = {}
+        self.warnings: tuple[str, ...] = ()
 
     @property
     def ground(self) -> str:
@@ -126,7 +135,14 @@ class Mechanism(HtmlView):
         return name
 
     def revolute(
-        self, name: str, a: str, b: str, *, at: Pair | None = None, points: Sequence[Pair] | None = None
+        self,
+        name: str,
+        a: str,
+        b: str,
+        *,
+        at: Pair | None = None,
+        points: Sequence[Pair] | None = None,
+        center: Mapping[str, Any] | Center | None = None,
     ) -> None:
         """Connect bodies `a` and `b` by a revolute joint.
 
@@ -138,15 +154,24 @@ class Mechanism(HtmlView):
             Position of the joint (x, y) [m] in the global frame at the initial positions.
         points
             Alternative to `at`: position of the joint in the frames of a and of b, ((x, y), (x, y)) [m].
+        center
+            Displacement of a's point in a's frame as a function of angle_b - angle_a, ``{"x": ..., "y": ...}`` [m]:
+            numbers, expressions of `angle`, or tables ``{"table": [[angle, ...], [value, ...]]}``. With `at`, the
+            displaced point is there at the initial positions.
 
         Examples
         --------
         >>> m = Mechanism()
         >>> rod = m.body("rod", mass=2.0, inertia=0.375, position=(0.75, 0.0))
         >>> m.revolute("A", m.ground, rod, at=(0.0, 0.0))
+
+        A wheel of radius 0.3 m that rolls on the x axis:
+
+        >>> wheel = m.body("wheel", mass=1.0, inertia=0.045, position=(0.0, 0.3))
+        >>> m.revolute("rolls", m.ground, wheel, at=(0.0, 0.3), center={"x": "-0.3*angle"})
         """
         key = self._new(name, self.joints, "joints")
-        self.joints[name] = self._placed(Revolute, key, bodies=(a, b), points=points, at=at)
+        self.joints[name] = self._placed(Revolute, key, bodies=(a, b), points=points, at=at, center=center)
 
     def prismatic(
         self,
@@ -484,6 +509,31 @@ class Mechanism(HtmlView):
         where = {"at": at} if point is None else {"at": at, "point": point}
         self.markers[name] = self._placed(Marker, key, body=body, **where)
 
+    def coordinate(self, name: str, of: str, *, scale: float = 1.0, offset: float = 0.0) -> None:
+        """Give a quantity a name, a sign and a zero of its own, such as those of the files that it is measured in.
+
+        Parameters
+        ----------
+        name
+            Name of the coordinate.
+        of
+            ``JOINT.angle`` (relative angle, or travel of a slide), ``BODY.x``, ``BODY.y``, ``BODY.angle``, ``MARKER.x``
+            or ``MARKER.y`` [rad or m].
+        scale, offset
+            The coordinate is ``scale * of + offset``.
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> shank = m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2))
+        >>> m.revolute("knee", m.ground, shank, at=(0.0, 0.0))
+        >>> m.coordinate("knee_flexion", "knee.angle", scale=-1.0)
+        """
+        key = self._new(name, self.coordinates, "coordinates")
+        one = _make(NamedCoordinate, key, of=of, scale=scale, offset=offset)
+        check_coordinates({name: one}, self.joints, self.bodies, self.markers)
+        self.coordinates[name] = one
+
     def hold(self, *bodies: str, tolerance: float = 1e-12) -> None:
         """Set the bodies that assembly does not move, and the tolerance of assembly.
 
@@ -545,6 +595,10 @@ class Mechanism(HtmlView):
             With the key path of the first error.
         """
         check_mechanism(self.bodies, self.joints, self.forces, self.markers, self.assembly)
+        check_centers(self.joints, self.bodies.__getitem__)
+        for name in self.coordinates:
+            check_name(name, f"model.coordinates.{name}")
+        check_coordinates(self.coordinates, self.joints, self.bodies, self.markers)
 
     def check_span(self, start: float, end: float) -> None:
         """Check that every table covers the times from `start` to `end` [s].
@@ -577,6 +631,11 @@ class Mechanism(HtmlView):
                 spec[kind] = {name: {"type": one.type, **_plain(one)} for name, one in elements.items()}
         if self.markers:
             spec["markers"] = {name: _plain(one) for name, one in self.markers.items()}
+        if self.coordinates:
+            spec["coordinates"] = {
+                name: one.of if one == NamedCoordinate(of=one.of) else _plain(one)
+                for name, one in self.coordinates.items()
+            }
         if self.assembly != Assembly():
             spec["assembly"] = _plain(self.assembly)
         return spec
@@ -588,8 +647,8 @@ class Mechanism(HtmlView):
         Parameters
         ----------
         spec
-            Mapping with the keys ``gravity``, ``bodies``, ``joints``, ``forces``, ``markers`` and ``assembly``;
-            ``name`` is optional and must be ``mechanism``.
+            Mapping with the keys ``gravity``, ``bodies``, ``joints``, ``forces``, ``markers``, ``coordinates`` and
+            ``assembly``; ``name`` is optional and must be ``mechanism``.
         parameters
             Named numbers, or expressions of each other, which the numbers in `spec` may be expressions of.
 
@@ -630,6 +689,7 @@ class Mechanism(HtmlView):
             name: mechanism._with_points(marker, f"model.markers.{name}") for name, marker in data.markers.items()
         }
         mechanism.assembly = data.assembly
+        mechanism.coordinates = dict(data.coordinates)
         mechanism.validate()
         return mechanism
 

@@ -10,6 +10,7 @@ from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.markers import Marker
+from mbdkit.mechanism.named_coordinates import AnyNamedCoordinate
 from mbdkit.mechanism.values import Point, Positive, sequence
 from mbdkit.strict_model import StrictModel
 
@@ -26,7 +27,7 @@ class Assembly(StrictModel):
 class MechanismData(StrictModel):
     """Data of the model `mechanism`: gravity, named bodies, joints, forces and markers, and assembly."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("markers",)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("markers", "coordinates")
 
     gravity: Point = (0.0, -9.81)
     """Gravitational acceleration (x, y) [m/s^2]."""
@@ -38,5 +39,7 @@ class MechanismData(StrictModel):
     """Force elements by name."""
     markers: dict[str, Marker] = Field(default_factory=dict)
     """Points of bodies whose positions and velocities are recorded, by name."""
+    coordinates: dict[str, AnyNamedCoordinate] = Field(default_factory=dict)
+    """Names of quantities, such as ``knee_angle: knee.angle`` or ``knee_angle: {of: knee.angle, scale: -1}``."""
     assembly: Assembly = Assembly()
     """Settings for making the initial state consistent."""

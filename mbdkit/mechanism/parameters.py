@@ -19,6 +19,7 @@ from pydantic import ValidationError
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism import higher_layers
+from mbdkit.mechanism.angle_function import AngleCompiler, AngleExpressionError
 from mbdkit.mechanism.key_path import walk
 from mbdkit.mechanism.law_element import PluginLookup
 from mbdkit.mechanism.time_expression import FUNCTIONS, Compiler, ExpressionError
@@ -31,7 +32,9 @@ Validated = TypeVar("Validated")
 Values = Mapping[str, float]
 Written = dict[Path, str]
 """Expressions by key path."""
-Kind = Literal["number", "whole number", "function of time"]
+Kind = Literal["number", "whole number", "function of time", "function of an angle"]
+
+_COMPILERS: Mapping[Kind, type[Compiler]] = {"function of time": Compiler, "function of an angle": AngleCompiler}
 
 RESERVED = frozenset({"t", "pi", *FUNCTIONS})
 
@@ -232,7 +235,7 @@ def _replacements(
             continue
         text = details["input"]
         if isinstance(inner, ExpressionError) and isinstance(text, str) and values:
-            yield path, text, "function of time"
+            yield path, text, "function of an angle" if isinstance(inner, AngleExpressionError) else "function of time"
         elif details["type"] == "float_type" and _is_expression(text, values):
             yield path, text, "number"
         elif details["type"] == "int_type" and _is_expression(text, values):
@@ -247,15 +250,16 @@ def _is_expression(text: Any, values: Values) -> bool:
 
 
 def _value(text: str, kind: Kind, values: Values, path: Path) -> float | int | str:
-    """Return the value of an expression, or a function of time with the values of the parameters in it."""
+    """Return the value of an expression, or a function of time or an angle with the values of the parameters in it."""
     try:
-        if kind != "function of time":
+        if kind not in _COMPILERS:
             value = evaluate(text, values)
             return int(value) if kind == "whole number" and value.is_integer() else value
-        Compiler(text, values).program()
+        _COMPILERS[kind](text, values).program()
     except SpecError as error:
         raise error.located(prefix=path_text(path)) from None
-    return _NAME.sub(lambda match: f"({values[match[0]]!r})" if match[0] in values else match[0], text)
+    known = {name: value for name, value in values.items() if name != _COMPILERS[kind].variable}
+    return _NAME.sub(lambda match: f"({known[match[0]]!r})" if match[0] in known else match[0], text)
 
 
 def _at(data: Any, path: Path) -> Any:

@@ -142,15 +142,21 @@ class Expression:
 @lru_cache(maxsize=4096)
 def _parse(text: str) -> Expression:
     program = tuple(Compiler(text).program())
-    depth = height = 0
-    for operation, _ in program:
-        height += 1 if operation in ("const", "t") else -1 if operation in _BINARY else 0
-        depth = max(depth, height)
+    depth = depth_of(program)
     if depth > MAX_DEPTH:
         raise SpecError(
             f"the expression needs {depth} intermediate values at once, more than {MAX_DEPTH}; use less nesting"
         )
     return Expression(text, program, depth)
+
+
+def depth_of(program: Program) -> int:
+    """Return the largest number of operands on the stack of a program."""
+    depth = height = 0
+    for operation, _ in program:
+        height += 1 if operation in ("const", "t") else -1 if operation in _BINARY else 0
+        depth = max(depth, height)
+    return depth
 
 
 class Compiler:
@@ -169,10 +175,16 @@ class Compiler:
         Description of an expression and its operands, for error messages.
     hint
         Text appended to the message of a syntax error.
+    variable
+        Name of the argument, which the instruction ``t`` pushes.
+    error
+        Type of the errors raised for a place in the text.
     """
 
     wanted = "an expression of t, which consists of numbers, t, pi"
     hint = ""
+    variable = "t"
+    error = ExpressionError
 
     def __init__(self, text: str, parameters: Mapping[str, float] | None = None):
         self.parameters: Mapping[str, float] = parameters or {}
@@ -209,7 +221,7 @@ class Compiler:
         """Raise SpecError with the message and the position in the text."""
         column = place if isinstance(place, int) else getattr(place, "col_offset", 0)
         shown = self.source if len(self.source) <= 60 else self.source[max(column - 30, 0) :][:60] + "..."
-        raise ExpressionError(f"{message} (position {column + self.shift + 1} of '{shown}')")
+        raise self.error(f"{message} (position {column + self.shift + 1} of '{shown}')")
 
     def segment(self, node: ast.expr) -> str:
         """Return the text of a node, at most 40 characters."""
@@ -222,7 +234,7 @@ class Compiler:
         match node:
             case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
                 return self.constant(lambda: float(value), node)
-            case ast.Name(id="t"):
+            case ast.Name(id=name) if name == self.variable:
                 return [("t", 0.0)]
             case ast.Name(id="pi"):
                 return [("const", math.pi)]
@@ -244,9 +256,9 @@ class Compiler:
         """Return the program of any other operand; subclasses may add operands, this class rejects them all."""
         if isinstance(node, ast.Name):
             name = self.segment(node)
-            known = ["t", "pi", *FUNCTIONS, *self.parameters]
-            hint = TIME.get(name) or did_you_mean(name, known)
-            hint = hint or f"; known: {listed(['t', 'pi', *self.parameters])} and functions"
+            known = [self.variable, "pi", *FUNCTIONS, *self.parameters]
+            hint = (TIME.get(name) if self.variable == "t" else "") or did_you_mean(name, known)
+            hint = hint or f"; known: {listed([self.variable, 'pi', *self.parameters])} and functions"
             self.refuse(f"unknown name '{name}'{hint}", node)
         self.refuse(
             f"'{self.segment(node)}' is not part of {self.wanted}, + - * / **, "

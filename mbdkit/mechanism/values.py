@@ -50,26 +50,31 @@ def _motion(value: Any) -> Any:
     """Accept finite numbers and valid expressions of time, and convert mappings to tables."""
     if isinstance(value, str):
         Expression.parse(value)
-    elif isinstance(value, Mapping):
-        if "table" not in value or not {*value} <= {"table", *_TABLE_OPTIONS}:
+        return value
+    wanted = 'a number, an expression of t such as "0.5*sin(2*pi*t)", or {table: [[t, ...], [value, ...]]}'
+    return number_or_table(value, Table, wanted)
+
+
+def number_or_table(value: Any, kind: type[Table], wanted: str) -> Any:
+    """Accept finite numbers and tables of a kind, and convert mappings to tables; `wanted` is part of the message."""
+    if isinstance(value, Mapping):
+        choices = {key: get_args(kind.model_fields[key].annotation) for key in ("interpolation", "ends")}
+        if "table" not in value or not {*value} <= {"table", *choices}:
             raise SpecError(
-                "should be {table: [[t, ...], [value, ...]]}, with the options interpolation and ends, not a mapping "
+                f"should be {{table: {kind.COLUMNS}}}, with the options interpolation and ends, not a mapping "
                 f"with the keys {_shown([*value])}"
             )
-        options = {key: option for key, option in value.items() if key in _TABLE_OPTIONS}
+        options = {key: option for key, option in value.items() if key in choices}
         for key, option in options.items():
-            if option not in (known := get_args(_TABLE_OPTIONS[key])):
+            if option not in (known := choices[key]):
                 hint = did_you_mean(option, known) if isinstance(option, str) else ""
                 raise SpecError(f"should be {listed(known, 'or')}, not {_shown(option)}{hint}", key=key)
-        return _consistent(Table(table=columns_of(value["table"], "table"), **options))
-    elif isinstance(value, Table):
+        return _consistent(kind(table=kind.columns(value["table"], "table"), **options))
+    if isinstance(value, kind):
         return _consistent(value)
-    elif isinstance(value, bool) or not isinstance(value, int | float):
-        raise SpecError(
-            'should be a number, an expression of t such as "0.5*sin(2*pi*t)", or {table: [[t, ...], [value, ...]]}, '
-            f"not {_shown(value)}"
-        )
-    elif not abs(value) <= sys.float_info.max:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise SpecError(f"should be {wanted}, not {_shown(value)}")
+    if not abs(value) <= sys.float_info.max:
         raise SpecError(f"should be a finite number, not {value!r}")
     return value
 
@@ -150,7 +155,6 @@ Points = Annotated[tuple[Point, Point], BeforeValidator(pair("two points, one in
 BodyPair = Annotated[tuple[str, str], BeforeValidator(pair("two body names [first, second]"))]
 Interpolation = Literal["cubic", "quintic", "linear"]
 Ends = Literal["natural", "clamped", "periodic", "not-a-knot"]
-_TABLE_OPTIONS: Mapping[str, Any] = {"interpolation": Interpolation, "ends": Ends}
 Columns = Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidator(columns_of)]
 
 
@@ -163,6 +167,8 @@ class Table(StrictModel):
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("interpolation", "ends")
+    COLUMNS: ClassVar[str] = "[[t, ...], [value, ...]]"
+    """The form of `table`, for messages."""
 
     table: Columns
     """Strictly increasing times [s] and the value at each time: ``[[t, ...], [value, ...]]``."""
@@ -173,6 +179,11 @@ class Table(StrictModel):
     `natural` (no curvature at the ends; a quintic spline: no third and fourth derivative), `clamped` (no rate there; a
     quintic spline: no rate and no second derivative), or `periodic`: the table repeats, its first and last values
     are equal, and it may be shorter than the run."""
+
+    @staticmethod
+    def columns(value: Any, key: str = "") -> Any:
+        """Return the two columns of a table as tuples of floats; see `columns_of`."""
+        return columns_of(value, key)
 
     @property
     def span(self) -> tuple[float, float]:

@@ -242,7 +242,7 @@ class _Sketch:
         elif joint.mark != "none" and ends:
             moving = [index for index in ends if self.owner[index] != GROUND]
             marks = {"pin": self.pins, "slide": self.sliders, "weld": self.welds}[joint.mark]
-            place = ends[1] if joint.mark == "slide" else moving[0] if moving else ends[0]
+            place = ends[1] if joint.point_moves_on_first else moving[0] if moving else ends[0]
             marks.append(place)
             if len(moving) == 2:
                 self.moving.append(Trace(name, place))

@@ -75,7 +75,8 @@ def _gaps_of(mechanism: Mechanism, drawing: Drawing, poses: Array) -> Gaps:
         gap = _world(poses, b, joint.points[1]) - _world(poses, a, joint.points[0])
         names.append(name)
         ends.append((found[0], found[1]))
-        vectors.append(joint.gap(gap, poses[:, a, 2] if a >= 0 else np.zeros(len(poses))))
+        angles = [poses[:, body, 2] if body >= 0 else np.zeros(len(poses)) for body in (a, b)]
+        vectors.append(joint.gap(gap, np.stack(angles, axis=-1)))
     stacked = np.stack(vectors, axis=1) if vectors else np.zeros((len(poses), 0, 2))
     return Gaps(tuple(names), tuple(ends), stacked)
 

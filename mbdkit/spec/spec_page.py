@@ -11,11 +11,13 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
+from mbdkit.mechanism.angle_function import AngleTable
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
+from mbdkit.mechanism.named_coordinates import NamedCoordinate
 from mbdkit.mechanism.pathways import Coordinate, RelativeAngle, TwoPoints
 from mbdkit.mechanism.values import Table
 from mbdkit.registry.catalogue import Registered, Registry
@@ -75,7 +77,10 @@ def page(installed: Registry) -> str:
             "Instead of a table, a motion, torque or force may be a number, or an expression of `t` and the "
             "parameters. The page `mechanism` lists operators and functions."
         ),
+        *_model("### Functions of an angle", AngleTable),
+        "Instead of a table, a `center` may have a number, or an expression of `angle` and the parameters.",
         *_model("### `markers`", Marker),
+        *_model("### `coordinates`", NamedCoordinate),
         *_model("### `assembly`", Assembly),
         "## Other models",
         *(part for item in installed.of_kind("model") if item.name != "mechanism" for part in _item(item)),

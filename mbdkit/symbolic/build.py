@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import cache
 from typing import Any
@@ -18,6 +18,7 @@ import sympy as sp
 from sympy.core.function import UndefinedFunction
 
 from mbdkit.errors import SpecError
+from mbdkit.mechanism.angle_function import Center, expression_of
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.force_law import ExpressionLaw
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
@@ -166,7 +167,7 @@ class _Builder:
             for one in joint.constraints(self.mechanism.relative_angle(*joint.bodies)):
                 terms = _constraint_terms(one.kind)
                 jet = None if one.motion is None else _jet(one.motion)
-                here = self.values(a, b, self.constraint_parameters(name, joint.bodies, one), jet)
+                here = self.values(a, b, self.constraint_parameters(name, joint.bodies, one), jet, one.center)
                 for place in range(one.rows):
                     constraints.append(terms["phi"][place].xreplace(here))
                     gamma.append(terms["gamma"][place].xreplace(here))
@@ -275,7 +276,12 @@ class _Builder:
     # ---- symbols of the definitions replaced by those of the mechanism ---------------------------------------------
 
     def values(
-        self, a: int, b: int, parameters: Sequence[sp.Expr], motion: Jet | None = None
+        self,
+        a: int,
+        b: int,
+        parameters: Sequence[sp.Expr],
+        motion: Jet | None = None,
+        center: Center | None = None,
     ) -> dict[sp.Symbol, sp.Expr]:
         """Return the replacement of each symbol of the definitions in an element between bodies `a` and `b`."""
         at_rest = [sp.Integer(0)] * 3
@@ -288,6 +294,8 @@ class _Builder:
         values |= zip(d.PARAMETERS, parameters, strict=False)
         if motion is not None:
             values |= zip(d.MOTION, motion, strict=True)
+        if center is not None:
+            values |= _center_values(center, q[5] - q[2])
         for symbol, expr in d.INTERMEDIATES.items():
             values[symbol] = expr.xreplace(values)
         return values
@@ -333,7 +341,16 @@ def _number(value: float) -> sp.Expr:
     return sp.Integer(int(value)) if value.is_integer() else sp.Float(repr(value), 17)
 
 
-def _jet(motion: Any) -> Jet:
+def _center_values(center: Center, angle: sp.Expr) -> dict[sp.Symbol, sp.Expr]:
+    """Return the displacement of a moving center and its first two derivatives at a relative angle."""
+    values: dict[sp.Symbol, sp.Expr] = {}
+    for symbols, (_, function) in zip(d.CENTER, center.functions, strict=True):
+        jet = _jet(function, expression_of)
+        values |= {symbol: x.xreplace({TIME: angle}) for symbol, x in zip(symbols, jet, strict=False)}
+    return values
+
+
+def _jet(motion: Any, parse: Callable[[str], Expression] = Expression.parse) -> Jet:
     """Return the value and the first two time derivatives of a motion: a number, an expression in t, or a table."""
     if isinstance(motion, Table):
         value = _spline(motion)
@@ -342,7 +359,7 @@ def _jet(motion: Any) -> Jet:
         return jet if within is None else tuple(one.xreplace({TIME: within}) for one in jet)
     if not isinstance(motion, str):
         return _number(motion), sp.Integer(0), sp.Integer(0)
-    value = Expression.parse(motion).to_sympy()
+    value = parse(motion).to_sympy()
     value = value.xreplace({x: _angle(float(x)) for x in value.atoms(sp.Float)})
     smooth = value.rewrite(sp.Piecewise) if value.has(*_KINKED) else value
     return value, smooth.diff(TIME), smooth.diff(TIME, 2)

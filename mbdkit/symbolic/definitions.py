@@ -28,6 +28,11 @@ nx, ny = sp.symbols("nx ny", real=True)
 """Global components of the normal of a line whose direction in the frame of the first body is ``(p4, p5)``."""
 gx, gy, length = sp.symbols("gx gy length", positive=True)
 """The gap ``p_b - p_a`` and its norm."""
+CENTER = (sp.symbols("cx0:4", real=True), sp.symbols("cy0:4", real=True))
+"""Displacement (x, y) of a moving point in the frame of the first body, and its first three derivatives by the relative
+angle ``theta_b - theta_a``."""
+_TURNED = (sp.symbols("hx0:4", real=True), sp.symbols("hy0:4", real=True))
+"""Global components of these vectors."""
 
 INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
     ax: ca * PARAMETERS[0] - sa * PARAMETERS[1],
@@ -39,6 +44,8 @@ INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
     gx: xb + bx - xa - ax,
     gy: yb + by - ya - ay,
     length: sp.sqrt(gx**2 + gy**2),
+    **{hx: ca * cx - sa * cy for hx, cx, cy in zip(_TURNED[0], *CENTER, strict=True)},
+    **{hy: sa * cx + ca * cy for hy, cx, cy in zip(_TURNED[1], *CENTER, strict=True)},
 }
 """Named intermediate quantities, each in terms of coordinates, parameters and earlier ones."""
 
@@ -61,6 +68,10 @@ _DERIVATIVES: dict[sp.Symbol, dict[sp.Symbol, sp.Expr]] = {
 _DERIVATIVES[length] = {
     q: (gx * _DERIVATIVES[gx].get(q, 0) + gy * _DERIVATIVES[gy].get(q, 0)) / length for q in BODY_COORDINATES
 }
+for _i in range(3):  # turned with the first body, and changed with the relative angle
+    (_hx, _hy), (_next_hx, _next_hy) = ((_TURNED[0][_k], _TURNED[1][_k]) for _k in (_i, _i + 1))
+    _DERIVATIVES[_hx] = {tha: -_hy - _next_hx, thb: _next_hx}
+    _DERIVATIVES[_hy] = {tha: _hx - _next_hy, thb: _next_hy}
 
 
 def differentiate(expr: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
@@ -106,6 +117,11 @@ CONSTRAINTS = (
     ),
     ConstraintKind(
         "fixed_angle", (thb - tha - PARAMETERS[4],), "Phi = theta_b - theta_a - angle", (("phi", r"\varphi"),)
+    ),
+    ConstraintKind(
+        "moving_center",
+        (gx - _TURNED[0][0], gy - _TURNED[1][0]),
+        "Phi = p_b - p_a - c, c in a's frame a function of theta_b - theta_a",
     ),
 )
 

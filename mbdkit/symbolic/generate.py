@@ -22,11 +22,13 @@ HEADER = '''"""Element kernels, generated from the definitions by ``python -m mb
 Each element kernel writes the values of element `k` into row `k` of its output arrays; each ``constraint_*`` function
 calls the kernels of all pairs of constraint rows. Arguments:
 
-k : index of the element; a, b : first and second body; m : index of the motion that drives the element
+k : index of the element; a, b : first and second body; m : index of the motion that drives the element, or of the
+    first of the four functions of the relative angle that move its center: x, its derivative, y, and its derivative
 pairs : (P, 4) kind, first body, second body and motion of each pair of constraint rows
 q, v, acc : (3 (B + 1),) coordinates x, y, theta of every body, velocities and accelerations; ground comes last
 cs : (B + 1, 2) cosine and sine of every theta
-p : (K, 6) parameters, points in body frames first; u : (motions, 3) value, rate and second derivative of each motion
+p : (K, 6) parameters, points in body frames first
+u : (motions, 3) value, first and second derivative of each motion by time, and of each other function by the angle
 lam : (K, 2) multipliers
 
 The columns of a Jacobian are (x_a, y_a, theta_a, x_b, y_b, theta_b). A Jacobian of two rows is stored row by row in 12
@@ -69,6 +71,10 @@ _READS = {
     "cb": "cs[b, 0]",
     "sb": "cs[b, 1]",
     **{name: f"u[m, {i}]" for i, name in enumerate(("u_value", "u_dot", "u_ddot"))},
+    **{f"cx{i}": f"u[m, {i}]" for i in range(3)},
+    **{f"cy{i}": f"u[m + 2, {i}]" for i in range(3)},
+    "cx3": "u[m + 1, 2]",
+    "cy3": "u[m + 3, 2]",
     **{f"p{i}": f"p[k, {i}]" for i in range(6)},
     **{f"lam{i}": f"lam[k, {i}]" for i in range(2)},
 }

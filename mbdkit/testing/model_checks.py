@@ -156,7 +156,7 @@ def drivers(model: ModelUnderTest) -> Result:
     if not driven:
         raise Skip("it has no drivers")
     top = compiled.topology
-    wanted = sorted({int(x) for x in top.pairs[:, 3] if x >= 0})
+    wanted = compiled.drives.tolist()
     times = np.linspace(0.0, END, 2001)
     values = np.empty((len(times), len(top.motion_start) - 1, 3))
     stack = np.zeros((MAX_DEPTH, 3))

@@ -22,6 +22,19 @@ def test_the_length_of_a_gap_is_the_recorded_misalignment(example):
             np.testing.assert_allclose(length, run.joints[name].misalignment, rtol=1e-9, atol=ROUND_OFF)
 
 
+def test_the_gap_of_a_moving_center_is_the_recorded_misalignment():
+    m = mbdkit.Mechanism()
+    base = m.body("base", mass=1.0, inertia=0.3, position=(0.4, 0.0))
+    disc = m.body("disc", mass=1.0, inertia=0.1, position=(0.9, 0.1), angle=0.3, angular_velocity=4.0)
+    m.revolute("pivot", m.ground, base, at=(0.0, 0.0))
+    m.revolute("rolls", base, disc, at=(0.9, 0.0), center={"x": "-0.2*angle", "y": "0.1*cos(angle)"})
+    with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 2, "step": 0.02}) as run:
+        drawing, poses = draw_spec(run.spec, tuple(run.bodies)), run.array("trajectory/position")
+        length = np.hypot(*gaps(run.spec, drawing, poses).vectors[:, 1].T)
+        assert length.max() > 1e-6
+        np.testing.assert_allclose(length, run.joints["rolls"].misalignment, rtol=1e-8, atol=ROUND_OFF)
+
+
 def test_the_ends_of_a_gap_are_the_joints_points(make_run):
     run = make_run(rods=3)
     drawing, poses = draw_spec(run.spec, tuple(run.bodies)), run.array("trajectory/position")

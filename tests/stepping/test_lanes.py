@@ -46,12 +46,26 @@ def with_laws(rng: np.random.Generator) -> Mechanism:
     return m
 
 
+def rolling(rng: np.random.Generator) -> Mechanism:
+    """Return a disc that rolls on a swinging body: a center moves with the angle, by a table and an expression."""
+    m = Mechanism()
+    base = m.body("base", mass=1.0, inertia=0.3, position=(0.4, -0.2), angle=float(rng.uniform(-0.1, 0.1)))
+    m.revolute("pivot", m.ground, base, at=(0.0, 0.0))
+    disc = m.body("disc", mass=float(rng.uniform(1, 2)), inertia=0.1, position=(0.5, 0.1), angular_velocity=1.0)
+    heights = [0.0, float(rng.uniform(0.01, 0.02)), 0.03, 0.02, 0.0]
+    center = {"x": f"-{rng.uniform(0.1, 0.2)}*sin(angle)", "y": {"table": [[-2.0, -1.0, 0.1, 1.0, 2.0], heights]}}
+    m.revolute("rolls", base, disc, at=(0.5, 0.1), center=center)
+    m.driver("lift", m.ground, m.body("weight", mass=1.0), coordinate="y", motion="0.1*sin(t)")
+    return m
+
+
 KINDS = {
     "chain": chain,
     "ladder": ladder,
     "driven frame": driven_frame,
     "slides": slides,
     "laws": with_laws,
+    "rolling": rolling,
     "springs": lambda rng: driven_chain(float(rng.uniform(10, 50)), float(rng.uniform(0.1, 1))),
 }
 

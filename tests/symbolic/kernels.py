@@ -25,7 +25,7 @@ class Element:
     def __init__(self, kind: str, first: int, second: int, seed: int):
         rng = np.random.default_rng(seed)
         self.kind, self.first, self.second = kind, first, second
-        self.rows = 2 if kind == "revolute" else 1
+        self.rows = 2 if kind in ("revolute", "moving_center") else 1
         self.q, self.v, self.acc = rng.normal(size=(3, 9))
         for x in (self.q, self.v, self.acc):
             x[6:] = 0.0
@@ -33,6 +33,7 @@ class Element:
         self.p[0, 4] = 0.5 + rng.random()
         self.u = rng.normal(size=(1, 3))
         self.lam = rng.normal(size=(1, 2))
+        self.center = rng.normal(size=(2, 5)) if kind == "moving_center" else None
 
     @property
     def columns(self) -> list[int]:
@@ -42,9 +43,26 @@ class Element:
     def _call(self, kernel: str, q: Any, *arguments: Any) -> None:
         cs = np.column_stack([np.cos(q[2::3]), np.sin(q[2::3])])
         function = getattr(element_kernels, f"{self.kind}_{kernel}").py_func
+        if self.center is not None:  # the first of the arrays is that of the motions
+            arguments = (*arguments[:-1], (self.center_at(q), *arguments[-1][1:]))
         before, after = arguments[:-1], arguments[-1]
         motion = (0,) if self.kind in element_kernels.CONSTRAINT_KINDS else ()
         function(0, self.first, self.second, *motion, q, *before, cs, self.p, *after)
+
+    def center_at(self, q: Any) -> np.ndarray:
+        """Return the jets (4, 3) of a center x, its derivative, y and its derivative at the relative angle.
+
+        Both components are polynomials of degree four, so that all derivatives by the angle matter.
+        """
+        angle = q[3 * self.second + 2] - q[3 * self.first + 2]
+        jets = np.zeros((4, 3), dtype=q.dtype)
+        for axis, coefficients in enumerate(self.center):
+            for order in range(4):
+                value = np.polyval(np.polyder(coefficients, order), angle)
+                for row in (0, 1):
+                    if 0 <= order - row < 3:
+                        jets[2 * axis + row, order - row] = value
+        return jets
 
     def position(self, q: Any, u: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return Phi (r,) and Phi_t (r,)."""

@@ -92,3 +92,14 @@ def test_a_point_pendulum_needs_the_centripetal_acceleration() -> None:
     e = Element("revolute", GROUND, 0, 7)
     _, gamma = e.acceleration(e.q, e.v, e.u)
     assert_close(gamma, e.v[2] ** 2 * turn(e.q[2]) @ e.p[0, 2:4])
+
+
+@ends
+@pytest.mark.parametrize("seed", range(3))
+def test_a_moving_center_is_the_gap_to_a_point_displaced_with_the_first_body(ends: tuple[int, int], seed: int) -> None:
+    e = Element("moving_center", *ends, seed)
+    phi, phi_t = e.position(e.q, e.u)
+    first, second = (e.q[3 * body + 2] for body in ends)
+    c = [np.polyval(coefficients, second - first) for coefficients in e.center]
+    assert_close(phi, point(e, ends[1], 2) - point(e, ends[0], 0) - turn(first) @ c)
+    assert not np.any(phi_t)

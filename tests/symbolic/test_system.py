@@ -121,13 +121,30 @@ def engine(m: Mechanism, t: float, q: np.ndarray, v: np.ndarray) -> dict[str, np
 @forms
 @pytest.mark.parametrize("seed", STATES)
 def test_the_numbers_of_the_system_are_those_of_the_compiled_engine(name: str, numbers: bool, seed: int) -> None:
-    m = MECHANISMS[name]()
+    assert_same_numbers(MECHANISMS[name](), numbers, seed)
+
+
+def assert_same_numbers(m: Mechanism, numbers: bool, seed: int) -> None:
     q, v = random_state(m, seed)
     found, expected = m.to_sympy(numbers=numbers).evaluate(T, q[:-3], v[:-3]), engine(m, T, q, v)
     assert found.keys() == expected.keys()
     for array, value in expected.items():
         scale = np.max(np.abs(value))
         np.testing.assert_allclose(found[array], value, rtol=0, atol=1e-13 * scale, err_msg=array)
+
+
+@forms
+def test_moving_centers_are_those_of_the_compiled_engine(numbers: bool) -> None:
+    m = Mechanism()
+    m.body("plate", mass=1.0, inertia=0.3, position=(0.6, 0.5), angle=0.2)
+    m.body("wheel", mass=0.5, inertia=0.03, position=(0.5, 0.4), angle=0.4)
+    m.revolute("pivot", m.ground, "plate", points=((0, 0), (-0.5, -0.4)), center={"y": "0.1*angle**2 + 0.2"})
+    heights = {"table": [[-1.0, 0.2, 1.1, 2.0], [0.1, -0.2, 0.3, 0.1]]}
+    center = {"x": "0.3*sin(2*angle)", "y": heights}
+    m.revolute("rolls", "plate", "wheel", points=((0.1, 0.9), (0.05, -0.1)), center=center)
+    m.driver("lift", m.ground, m.body("weight", mass=1.0), coordinate="y", motion="0.1*sin(t)")
+    for seed in STATES:
+        assert_same_numbers(m, numbers, seed)
 
 
 def test_the_double_pendulum_prints_the_index_1_system_of_two_rods_on_pins() -> None:

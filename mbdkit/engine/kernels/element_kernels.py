@@ -3,11 +3,13 @@
 Each element kernel writes the values of element `k` into row `k` of its output arrays; each ``constraint_*`` function
 calls the kernels of all pairs of constraint rows. Arguments:
 
-k : index of the element; a, b : first and second body; m : index of the motion that drives the element
+k : index of the element; a, b : first and second body; m : index of the motion that drives the element, or of the
+    first of the four functions of the relative angle that move its center: x, its derivative, y, and its derivative
 pairs : (P, 4) kind, first body, second body and motion of each pair of constraint rows
 q, v, acc : (3 (B + 1),) coordinates x, y, theta of every body, velocities and accelerations; ground comes last
 cs : (B + 1, 2) cosine and sine of every theta
-p : (K, 6) parameters, points in body frames first; u : (motions, 3) value, rate and second derivative of each motion
+p : (K, 6) parameters, points in body frames first
+u : (motions, 3) value, first and second derivative of each motion by time, and of each other function by the angle
 lam : (K, 2) multipliers
 
 The columns of a Jacobian are (x_a, y_a, theta_a, x_b, y_b, theta_b). A Jacobian of two rows is stored row by row in 12
@@ -23,7 +25,7 @@ from mbdkit.engine.jit.decorators import subkernel
 
 
 
-CONSTRAINT_KINDS = ('revolute', 'distance', 'driver_angle', 'driver_x', 'driver_y', 'point_on_line', 'fixed_angle')
+CONSTRAINT_KINDS = ('revolute', 'distance', 'driver_angle', 'driver_x', 'driver_y', 'point_on_line', 'fixed_angle', 'moving_center')
 
 
 PATHWAY_KINDS = ('two_points', 'relative_angle', 'coordinate_x', 'coordinate_y')
@@ -37,6 +39,7 @@ JACOBIAN_ENTRIES = {
     "driver_y": (0, 1, 2, 3, 4, 5),
     "point_on_line": (0, 1, 2, 3, 4, 5),
     "fixed_angle": (2, 5),
+    "moving_center": (0, 2, 3, 5, 7, 8, 10, 11),
 }
 
 
@@ -48,6 +51,7 @@ STIFFNESS_ENTRIES = {
     "driver_y": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
     "point_on_line": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
     "fixed_angle": (),
+    "moving_center": (14, 17, 32, 35),
 }
 
 
@@ -59,6 +63,7 @@ GAMMA_V_ENTRIES = {
     "driver_y": (0, 1, 2, 3, 4, 5),
     "point_on_line": (0, 1, 2, 3, 4, 5),
     "fixed_angle": (),
+    "moving_center": (2, 5, 8, 11),
 }
 
 
@@ -70,6 +75,7 @@ RESIDUAL_Q_ENTRIES = {
     "driver_y": (0, 1, 2, 3, 4, 5),
     "point_on_line": (0, 1, 2, 3, 4, 5),
     "fixed_angle": (),
+    "moving_center": (2, 5, 8, 11),
 }
 
 
@@ -951,6 +957,148 @@ def fixed_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, re
 
 
 @subkernel
+def moving_center_position(k, a, b, m, q, cs, p, u, phi, phi_t):
+    """Phi = p_b - p_a - c, c in a's frame a function of theta_b - theta_a, and Phi_t."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    cx0 = u[m, 0]
+    cy0 = u[m + 2, 0]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    hx0 = ca*cx0 - cy0*sa
+    hy0 = ca*cy0 + cx0*sa
+    phi[k, 0] = gx - hx0
+    phi[k, 1] = gy - hy0
+
+
+@subkernel
+def moving_center_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
+    """Jacobian Phi_q and right-hand side gamma of Phi_q a = gamma."""
+    wa = v[3*a+2]
+    wb = v[3*b+2]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    cx0 = u[m, 0]
+    cx1 = u[m, 1]
+    cx2 = u[m, 2]
+    cy0 = u[m + 2, 0]
+    cy1 = u[m + 2, 1]
+    cy2 = u[m + 2, 2]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    hx0 = ca*cx0 - cy0*sa
+    hx1 = ca*cx1 - cy1*sa
+    hx2 = ca*cx2 - cy2*sa
+    hy0 = ca*cy0 + cx0*sa
+    hy1 = ca*cy1 + cx1*sa
+    hy2 = ca*cy2 + cx2*sa
+    t0 = hx1 + hy0
+    t1 = -hy1
+    t2 = hx0 + t1
+    t3 = wa - wb
+    jac[k, 0] = -1.0
+    jac[k, 2] = ay + t0
+    jac[k, 3] = 1.0
+    jac[k, 5] = -by - hx1
+    jac[k, 7] = -1.0
+    jac[k, 8] = -ax - t2
+    jac[k, 10] = 1.0
+    jac[k, 11] = bx + t1
+    gamma[k, 0] = -wa*(ax*wa + t2*wa - t3*(hx2 + hy1)) - wb*(-bx*wb + hx2*t3 + hy1*wa)
+    gamma[k, 1] = -wa*(ay*wa + t0*wa + t3*(hx1 - hy2)) + wb*(by*wb + hx1*wa - hy2*t3)
+
+
+@subkernel
+def moving_center_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
+    """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
+    wa = v[3*a+2]
+    wb = v[3*b+2]
+    ala = acc[3*a+2]
+    alb = acc[3*b+2]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    cx0 = u[m, 0]
+    cx1 = u[m, 1]
+    cx2 = u[m, 2]
+    cy0 = u[m + 2, 0]
+    cy1 = u[m + 2, 1]
+    cy2 = u[m + 2, 2]
+    cx3 = u[m + 1, 2]
+    cy3 = u[m + 3, 2]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    lam0 = lam[k, 0]
+    lam1 = lam[k, 1]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    hx0 = ca*cx0 - cy0*sa
+    hx1 = ca*cx1 - cy1*sa
+    hx2 = ca*cx2 - cy2*sa
+    hx3 = ca*cx3 - cy3*sa
+    hy0 = ca*cy0 + cx0*sa
+    hy1 = ca*cy1 + cx1*sa
+    hy2 = ca*cy2 + cx2*sa
+    hy3 = ca*cy3 + cx3*sa
+    t0 = hx1 + hy0
+    t1 = hx2 + hy1
+    t2 = lam0*t1
+    t3 = hx0 - hy1
+    t4 = -hy2
+    t5 = hx1 + t4
+    t6 = lam1*t5
+    t7 = hx2*lam0 + hy2*lam1
+    t8 = wa - wb
+    t9 = t1*wa
+    t10 = (wa*wa)
+    t11 = ala - alb
+    t12 = -t8
+    t13 = (wb*wb)
+    t14 = 2*t12
+    t15 = t14*wa
+    t16 = (t8*t8)
+    stiff[k, 14] = ax*lam0 + ay*lam1 + lam0*t3 + lam1*t0 - t2 + t6
+    stiff[k, 17] = -hx1*lam1 + hy1*lam0 + t7
+    stiff[k, 32] = t2 - t6
+    stiff[k, 35] = -bx*lam0 - by*lam1 - t7
+    gamma_v[k, 2] = -ax*wa + t1*t8 - t1*wb - t3*wa - wa*(ax + hx0 - hx2 - 2*hy1)
+    gamma_v[k, 5] = bx*wb - hx2*t8 - hy1*wa - t9 + wb*(bx + hx2)
+    gamma_v[k, 8] = -ay*wa - t0*wa - t5*t8 + t5*wb - wa*(ay + 2*hx1 + hy0 + t4)
+    gamma_v[k, 11] = by*wb + hx1*wa - hy2*t8 + t5*wa + wb*(by + hy2)
+    res_q[k, 2] = ala*ax + ala*t3 - ay*t10 - t0*t10 - t1*t11 + 2*t12*t5*wa - t12*t8*(hx3 + hy2)
+    res_q[k, 5] = ala*hy1 - alb*bx + by*t13 + hx1*t10 + hx2*t11 - hx3*t16 + hy2*t15
+    res_q[k, 8] = ala*ay + ala*t0 + ax*t10 + t10*t3 + t11*t5 + t14*t9 - t16*(hx2 - hy3)
+    res_q[k, 11] = -ala*hx1 - alb*by - bx*t13 - hx2*t15 + hy1*t10 + hy2*t11 + hy3*t12*t8
+
+
+@subkernel
 def constraint_positions(pairs, p, q, cs, u, phi, phi_t):
     """Evaluate Phi and Phi_t of every pair: (P, 2) arrays."""
     for k in range(len(pairs)):
@@ -967,8 +1115,10 @@ def constraint_positions(pairs, p, q, cs, u, phi, phi_t):
             driver_y_position(k, a, b, m, q, cs, p, u, phi, phi_t)
         elif kind == 5:
             point_on_line_position(k, a, b, m, q, cs, p, u, phi, phi_t)
-        else:
+        elif kind == 6:
             fixed_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t)
+        else:
+            moving_center_position(k, a, b, m, q, cs, p, u, phi, phi_t)
 
 
 @subkernel
@@ -988,8 +1138,10 @@ def constraint_accelerations(pairs, p, q, v, cs, u, jac, gamma):
             driver_y_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
         elif kind == 5:
             point_on_line_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
-        else:
+        elif kind == 6:
             fixed_angle_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
+        else:
+            moving_center_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
 
 
 @subkernel
@@ -1009,8 +1161,10 @@ def constraint_tangents(pairs, p, q, v, acc, cs, u, lam, stiff, gamma_v, res_q):
             driver_y_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
         elif kind == 5:
             point_on_line_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
-        else:
+        elif kind == 6:
             fixed_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
+        else:
+            moving_center_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
 
 
 @subkernel

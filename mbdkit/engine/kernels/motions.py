@@ -1,9 +1,13 @@
-"""Prescribed motions u(t): postfix programs evaluated with second-order forward-mode automatic differentiation.
+"""Prescribed motions u(t), and functions of relative angles: postfix programs evaluated with second-order forward-mode
+automatic differentiation.
 
-Each stack entry is a jet: value, first and second derivative by t. The derivatives are therefore exact up to rounding
-errors. Jets are used instead of symbolic derivatives because they need no SymPy at run time, and a new expression
-requires no compilation. A table is a single instruction, a piecewise polynomial, whose data follow the constants of all
-programs in `values`.
+Each stack entry is a jet: value, first and second derivative by the argument. The derivatives are therefore exact up
+to rounding errors. Jets are used instead of symbolic derivatives because they need no SymPy at run time, and a new
+expression requires no compilation. A table is a single instruction, a piecewise polynomial, whose data follow the
+constants of all programs in `values`.
+
+The programs of the centers that move with an angle come after those of the motions, four for each center: x, its
+derivative, y, and its derivative. The second derivatives of the derivatives are the third ones, which tangents need.
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ from math import acos, asin, atan, atan2, cos, exp, log, sin, sqrt, tan, tanh
 from numba.extending import overload
 
 from mbdkit.engine.jit.decorators import kernel, subkernel
+from mbdkit.engine.jit.lane_arrays import LaneArray
 from mbdkit.engine.jit.lane_types import LaneReal, number_in, put_in
 from mbdkit.engine.jit.lane_width import WIDTH
 
@@ -24,6 +29,8 @@ OPCODES = {name: code for code, name in enumerate(_NAMES)}
 """Code of each instruction. ``pow`` has its exponent on the stack; ``powi`` has a constant exponent in `values`."""
 MAX_DEPTH = 32
 """Number of stack entries that a program may use."""
+OF_CENTER = 4
+"""Number of programs of a center."""
 
 (
     _CONST, _T, _ADD, _SUB, _MUL, _DIV, _NEG, _POW, _POWI, _SIN, _COS, _TAN, _ASIN, _ACOS, _ATAN,
@@ -151,73 +158,133 @@ def _piecewise_polynomial(t, values, start):
 
 
 @subkernel
-def evaluate_motions(t, ptr, ops, values, stack, u):
-    """Evaluate every motion at time `t`.
+def _evaluate(i, t, ptr, ops, values, stack, u):
+    """Evaluate program `i` at the argument `t`; the other arguments as of `evaluate_motions`."""
+    top = 0
+    for j in range(ptr[i], ptr[i + 1]):
+        op = ops[j]
+        if op == _CONST:
+            stack[top, 0], stack[top, 1], stack[top, 2] = values[j], 0.0, 0.0
+            top += 1
+        elif op == _T:
+            stack[top, 0], stack[top, 1], stack[top, 2] = t, 1.0, 0.0
+            top += 1
+        elif op == _TABLE:
+            stack[top, 0], stack[top, 1], stack[top, 2] = _piecewise_polynomial(t, values, int(values[j]))
+            top += 1
+        elif op in (_ADD, _SUB, _MUL, _DIV, _POW, _ATAN2, _MIN, _MAX):
+            top -= 1
+            a, b = stack[top - 1], stack[top]
+            a[0], a[1], a[2] = _binary(op, a[0], a[1], a[2], b[0], b[1], b[2])
+        else:
+            a = stack[top - 1]
+            if op == _POWI:
+                f, d1, d2 = _power(a[0], values[j])
+            else:
+                f, d1, d2 = _unary(op, a[0])
+            # chain rule: (f(a))' = f' a' and (f(a))'' = f'' a'^2 + f' a''
+            a[0], a[1], a[2] = f, d1 * a[1], d2 * a[1] * a[1] + d1 * a[2]
+    u[i, 0], u[i, 1], u[i, 2] = stack[0, 0], stack[0, 1], stack[0, 2]
+
+
+@subkernel
+def evaluate_motions(t, count, ptr, ops, values, stack, u):
+    """Evaluate the first `count` programs at time `t`.
 
     Parameters
     ----------
     t : float
         Time [s].
+    count : int
+        Number of motions.
     ptr, ops, values
-        The program of motion i is ``ops[ptr[i]:ptr[i+1]]``, with one constant per instruction at the same index of
-        `values`. The constant of a table is the index in `values` at which its data begin.
+        Program i is ``ops[ptr[i]:ptr[i+1]]``, with one constant per instruction at the same index of `values`. The
+        constant of a table is the index in `values` at which its data begin.
     stack : (MAX_DEPTH, 3) array
         Scratch.
     u : (motions, 3) array
         Receives value, first and second derivative by time.
     """
-    for i in range(len(ptr) - 1):
-        top = 0
-        for j in range(ptr[i], ptr[i + 1]):
-            op = ops[j]
-            if op == _CONST:
-                stack[top, 0], stack[top, 1], stack[top, 2] = values[j], 0.0, 0.0
-                top += 1
-            elif op == _T:
-                stack[top, 0], stack[top, 1], stack[top, 2] = t, 1.0, 0.0
-                top += 1
-            elif op == _TABLE:
-                stack[top, 0], stack[top, 1], stack[top, 2] = _piecewise_polynomial(t, values, int(values[j]))
-                top += 1
-            elif op in (_ADD, _SUB, _MUL, _DIV, _POW, _ATAN2, _MIN, _MAX):
-                top -= 1
-                a, b = stack[top - 1], stack[top]
-                a[0], a[1], a[2] = _binary(op, a[0], a[1], a[2], b[0], b[1], b[2])
-            else:
-                a = stack[top - 1]
-                if op == _POWI:
-                    f, d1, d2 = _power(a[0], values[j])
-                else:
-                    f, d1, d2 = _unary(op, a[0])
-                # chain rule: (f(a))' = f' a' and (f(a))'' = f'' a'^2 + f' a''
-                a[0], a[1], a[2] = f, d1 * a[1], d2 * a[1] * a[1] + d1 * a[2]
-        u[i, 0], u[i, 1], u[i, 2] = stack[0, 0], stack[0, 1], stack[0, 2]
+    for i in range(count):
+        _evaluate(i, t, ptr, ops, values, stack, u)
 
 
 @subkernel
-def _motions_in_lanes(t, ptr, ops, values, stack, u):
+def _motions_in_lanes(t, count, ptr, ops, values, stack, u):
     """Evaluate every motion for one lane after another; `values` are (WIDTH, N), `stack` (MAX_DEPTH + motions, 3)."""
     results = stack[MAX_DEPTH:]
-    for lane in range(WIDTH if len(ptr) > 1 else 0):
-        evaluate_motions(number_in(t, lane), ptr, ops, values[lane], stack, results)
-        for m in range(len(ptr) - 1):
+    for lane in range(WIDTH if count > 0 else 0):
+        evaluate_motions(number_in(t, lane), count, ptr, ops, values[lane], stack, results)
+        for m in range(count):
             for i in range(3):
                 u[m, i] = put_in(u[m, i], lane, results[m, i])
 
 
-def motions(t, ptr, ops, values, stack, u):
+def motions(t, count, ptr, ops, values, stack, u):
     """Evaluate every motion at time `t`, see `evaluate_motions`; also in lanes."""
-    evaluate_motions(t, ptr, ops, values, stack, u)
+    evaluate_motions(t, count, ptr, ops, values, stack, u)
 
 
 @overload(motions)
-def _motions(t, ptr, ops, values, stack, u):
+def _motions(t, count, ptr, ops, values, stack, u):
     evaluate = _motions_in_lanes if isinstance(t, LaneReal) else evaluate_motions
-    return lambda t, ptr, ops, values, stack, u: evaluate(t, ptr, ops, values, stack, u)
+    return lambda t, count, ptr, ops, values, stack, u: evaluate(t, count, ptr, ops, values, stack, u)
+
+
+@subkernel
+def _center(angle, first, ptr, ops, values, stack, u):
+    """Evaluate the programs of the center that begin with program `first`, at a relative angle [rad]."""
+    for i in range(first, first + OF_CENTER):
+        _evaluate(i, angle, ptr, ops, values, stack, u)
+
+
+@subkernel
+def _centers_one_by_one(q, bodies, ptr, ops, values, stack, u):
+    """Evaluate the centers of one run; see `centers`."""
+    first = len(ptr) - 1 - OF_CENTER * len(bodies)
+    for c in range(len(bodies)):
+        angle = q[3 * bodies[c, 1] + 2] - q[3 * bodies[c, 0] + 2]
+        _center(angle, first + OF_CENTER * c, ptr, ops, values, stack, u)
+
+
+@subkernel
+def _centers_in_lanes(q, bodies, ptr, ops, values, stack, u):
+    """Evaluate the centers for one lane after another; see `_motions_in_lanes`."""
+    results = stack[MAX_DEPTH:]
+    begin = len(ptr) - 1 - OF_CENTER * len(bodies)
+    for c in range(len(bodies)):
+        first = begin + OF_CENTER * c
+        for lane in range(WIDTH):
+            angle = number_in(q[3 * bodies[c, 1] + 2], lane) - number_in(q[3 * bodies[c, 0] + 2], lane)
+            _center(angle, first, ptr, ops, values[lane], stack, results)
+            for m in range(first, first + OF_CENTER):
+                for i in range(3):
+                    u[m, i] = put_in(u[m, i], lane, results[m, i])
+
+
+def centers(q, bodies, ptr, ops, values, stack, u):
+    """Evaluate the centers that move with the angle of the second body relative to the first; also in lanes.
+
+    Parameters
+    ----------
+    q : (3 (B + 1),) array
+        Positions.
+    bodies : (C, 2) array
+        First and second body of each center.
+    ptr, ops, values, stack, u
+        See `evaluate_motions`.
+    """
+    _centers_one_by_one(q, bodies, ptr, ops, values, stack, u)
+
+
+@overload(centers)
+def _centers(q, bodies, ptr, ops, values, stack, u):
+    evaluate = _centers_in_lanes if isinstance(q, LaneArray) else _centers_one_by_one
+    return lambda q, bodies, ptr, ops, values, stack, u: evaluate(q, bodies, ptr, ops, values, stack, u)
 
 
 @kernel
 def motions_at(times, ptr, ops, values, stack, u):
-    """Evaluate every motion at `times` (T,) into `u` (T, motions, 3); see `evaluate_motions`."""
+    """Evaluate every program at `times` (T,) into `u` (T, motions, 3); see `evaluate_motions`."""
     for row in range(len(times)):
-        evaluate_motions(times[row], ptr, ops, values, stack, u[row])
+        evaluate_motions(times[row], len(ptr) - 1, ptr, ops, values, stack, u[row])

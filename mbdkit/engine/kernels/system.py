@@ -32,7 +32,7 @@ from mbdkit.engine.kernels.constraints import (
     turn_bodies,
 )
 from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, solve_refined
-from mbdkit.engine.kernels.motions import motions
+from mbdkit.engine.kernels.motions import OF_CENTER, centers, motions
 from mbdkit.engine.kernels.schur import Schur
 from mbdkit.engine.kernels.schur import factor as schur_factor
 from mbdkit.engine.kernels.schur import solve as schur_solve
@@ -60,7 +60,7 @@ class Topology(NamedTuple):
     gravity: RealVector
     """(2,) gravity [m/s^2]."""
     pairs: IntMatrix
-    """(P, 4) kind, first body, second body, motion (-1: none)."""
+    """(P, 4) kind, first body, second body, motion or first function of a moving center (-1: none)."""
     rows: IntVector
     """(P,) number of rows that are solved for, 0, 1 or 2."""
     length: RealVector
@@ -101,6 +101,9 @@ class Topology(NamedTuple):
     """(K,) body of each marker."""
     marker_points: RealMatrix
     """(K, 2) marker in the frame of its body [m]."""
+    centers: IntMatrix
+    """(C, 2) first and second body of each center that moves with their relative angle; see
+    `mbdkit.engine.kernels.motions`."""
     motion_start: IntVector
     """Start of the program of each motion; see `mbdkit.engine.kernels.motions.evaluate_motions`."""
     motion_ops: IntVector
@@ -122,7 +125,8 @@ class Scratch(NamedTuple):
     cs: RealMatrix
     """(B + 1, 2) cosine and sine of every angle."""
     u: RealMatrix
-    """(motions, 3) value, first and second time derivative of each motion."""
+    """(motions, 3) value, first and second derivative of each motion by time, then of the functions of each moving
+    center by the angle."""
     stack: RealMatrix
     """Stack of `evaluate_motions`."""
     force: RealVector
@@ -225,10 +229,13 @@ load_engine = bundle_loader(lambda: example_of(Engine))
 
 @inlined
 def prepare(top, w, t, q):
-    """Evaluate the quantities that all elements share at a time and position: motions, cosines and sines."""
+    """Evaluate the quantities that all elements share at a time and position: motions, centers, cosines and sines."""
     w.time[0] = t
     at = min(max(t, w.sides[0]), w.sides[1])
-    motions(at, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
+    count = len(top.motion_start) - 1 - OF_CENTER * len(top.centers)
+    motions(at, count, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
+    if len(top.centers) > 0:
+        centers(q, top.centers, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
     turn_bodies(q, w.cs)
 
 

@@ -1,0 +1,139 @@
+"""Functions of a relative angle, which move the center of a joint: numbers, expressions of `angle`, and tables."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+from pydantic import BeforeValidator
+
+from mbdkit.mechanism.program_derivative import KINKED, derivative_of
+from mbdkit.mechanism.time_expression import MAX_DEPTH, Compiler, Expression, ExpressionError, depth_of
+from mbdkit.mechanism.values import Number, Table, columns_of, number_or_table
+from mbdkit.strict_model import StrictModel
+from mbdkit.text import listed
+
+if TYPE_CHECKING:
+    import numpy as np
+
+WANTED = 'a number, an expression of angle such as "0.02*sin(angle)", or {table: [[angle, ...], [value, ...]]}'
+
+
+class AngleExpressionError(ExpressionError):
+    """An expression of an angle that is not valid."""
+
+
+class AngleCompiler(Compiler):
+    """Compiles an expression of `angle`; in the program, the instruction ``t`` pushes the angle."""
+
+    wanted = "an expression of angle, which consists of numbers, angle, pi"
+    variable = "angle"
+    error = AngleExpressionError
+
+
+def _columns(value: Any, key: str = "") -> Any:
+    return columns_of(value, key, at="angles", shown="angle, value")
+
+
+class AngleTable(Table):
+    """A function of the relative angle, given by points and interpolated by a cubic or quintic spline.
+
+    The joint must be within the table at the start of a run. Where it leaves the table later, the outer pieces continue
+    the curve, and the run has a warning. Steps do not end at the points: the third derivative of a cubic spline jumps
+    there, and the fifth one of a quintic spline, which methods of higher order notice.
+    """
+
+    COLUMNS: ClassVar[str] = "[[angle, ...], [value, ...]]"
+
+    table: Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidator(_columns)]
+    """Strictly increasing angles [rad] and the value at each angle [m]: ``[[angle, ...], [value, ...]]``."""
+    interpolation: Literal["cubic", "quintic"] = "cubic"
+    """A cubic or quintic spline, with two or four continuous derivatives."""
+
+    @staticmethod
+    def columns(value: Any, key: str = "") -> Any:
+        """Return the two columns of a table as tuples of floats; see `columns_of`."""
+        return _columns(value, key)
+
+
+def _angle_function(value: Any) -> Any:
+    """Accept finite numbers and valid expressions of `angle`, and convert mappings to tables."""
+    if isinstance(value, str):
+        expression_of(value)
+        return value
+    if isinstance(value, Table) and not isinstance(value, AngleTable):
+        value = value.model_dump(exclude_unset=True)
+    return number_or_table(value, AngleTable, WANTED)
+
+
+AngleFunction = Annotated[Number | str | AngleTable, BeforeValidator(_angle_function)]
+"""A function of a relative angle [rad]: a number, an expression of `angle`, or a table."""
+
+
+class Center(StrictModel):
+    """The displacement of the first body's point of a joint, as a function of ``angle_b - angle_a``."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("x", "y")
+
+    x: AngleFunction = 0.0
+    """Component along the x axis of the first body [m]: number, expression of `angle`, or table."""
+    y: AngleFunction = 0.0
+    """Component along the y axis of the first body [m]: number, expression of `angle`, or table."""
+
+    @property
+    def functions(self) -> tuple[tuple[str, AngleFunction], ...]:
+        """Key and function of both components."""
+        return ("x", self.x), ("y", self.y)
+
+    def at(self, angles: np.ndarray) -> np.ndarray:
+        """Return the displacement (F, 2) [m] at relative angles (F,) [rad]."""
+        import numpy as np
+
+        return np.stack([value_at(function, angles) for _, function in self.functions], axis=-1)
+
+    def at_angle(self, angle: float) -> tuple[float, float]:
+        """Return the displacement (x, y) [m] at a relative angle [rad]."""
+        import numpy as np
+
+        x, y = self.at(np.array([angle])).tolist()[0]
+        return x, y
+
+    def outside(self, angle: float) -> tuple[str, AngleTable] | None:
+        """Return key and table of the first component whose table does not cover a relative angle [rad]."""
+        for key, function in self.functions:
+            if isinstance(function, AngleTable) and not function.period:
+                first, last = function.span
+                if not first <= angle <= last:
+                    return key, function
+        return None
+
+
+def value_at(function: AngleFunction, angles: np.ndarray) -> np.ndarray:
+    """Return a function of an angle at `angles` (F,) [rad]."""
+    import numpy as np
+
+    from mbdkit.mechanism.time_jets import curve_of, jet_and_switches
+
+    if isinstance(function, str):
+        return jet_and_switches(expression_of(function).program, angles)[0].value
+    if isinstance(function, AngleTable):
+        values: np.ndarray = curve_of(function)(angles)
+        return values
+    return np.full(len(angles), float(function))
+
+
+@lru_cache(maxsize=1024)
+def expression_of(text: str) -> Expression:
+    """Return an expression of `angle`, with `t` in its program; raises SpecError with the position of an error."""
+    program = tuple(AngleCompiler(text).program())
+    if kinks := sorted({operation for operation, _ in program if operation in KINKED}):
+        raise AngleExpressionError(
+            f"{listed(kinks, 'and')} cannot be used here: a derivative jumps, and a center must move smoothly"
+        )
+    depth = max(depth_of(program), depth_of(derivative_of(program)))
+    if depth > MAX_DEPTH:
+        raise AngleExpressionError(
+            f"the expression and its derivative need {depth} intermediate values at once, more than {MAX_DEPTH}; use "
+            "less nesting, or a table"
+        )
+    return Expression(text, program, depth)

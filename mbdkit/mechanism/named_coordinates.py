@@ -1,0 +1,70 @@
+"""Names of coordinates of a mechanism, such as ``knee_angle_r``, in the sign and from the zero of their users."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Mapping
+from typing import Annotated, Any, ClassVar
+
+from pydantic import BeforeValidator
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.values import Number
+from mbdkit.strict_model import StrictModel
+from mbdkit.text import did_you_mean, listed
+
+OF_JOINT, OF_BODY, OF_MARKER = ("angle",), ("x", "y", "angle"), ("x", "y")
+
+
+class NamedCoordinate(StrictModel):
+    """A quantity with a name of its own: ``scale * of + offset``.
+
+    The force or torque of the coordinate is conjugate to it: that of the quantity, divided by `scale`.
+    """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("scale", "offset")
+
+    of: str
+    """The quantity: `JOINT.angle` (the relative angle [rad], or the travel of a slide [m]), `BODY.x`, `BODY.y` [m] of
+    the centre of mass, `BODY.angle` [rad], `MARKER.x` or `MARKER.y` [m]."""
+    scale: Number = 1.0
+    """Change of the coordinate per change of the quantity; not zero."""
+    offset: Number = 0.0
+    """The coordinate where the quantity is zero [rad or m]."""
+
+
+def _named(value: Any) -> Any:
+    """Accept the quantity alone."""
+    return {"of": value} if isinstance(value, str) else value
+
+
+AnyNamedCoordinate = Annotated[NamedCoordinate, BeforeValidator(_named)]
+
+
+def check_coordinates(
+    coordinates: Mapping[str, NamedCoordinate],
+    joints: Container[str],
+    bodies: Container[str],
+    markers: Container[str],
+) -> None:
+    """Raise a SpecError for the first coordinate whose quantity does not exist."""
+    for name, one in coordinates.items():
+        key = f"model.coordinates.{name}"
+        if one.scale == 0:
+            raise SpecError("should not be zero", key=f"{key}.scale")
+        owner, _, quantity = one.of.rpartition(".")
+        offered = [
+            *(OF_JOINT if owner in joints else ()),
+            *(OF_BODY if owner in bodies and owner != GROUND else ()),
+            *(OF_MARKER if owner in markers else ()),
+        ]
+        if quantity in offered:
+            continue
+        if offered:
+            hint = did_you_mean(quantity, offered) or f"; there are {listed(dict.fromkeys(offered))}"
+            raise SpecError(f"'{owner}' has no '{quantity}'{hint}", key=f"{key}.of")
+        raise SpecError(
+            f"'{one.of}' names no quantity of a joint, body or marker; write JOINT.angle, BODY.x, BODY.y, BODY.angle, "
+            "MARKER.x or MARKER.y",
+            key=f"{key}.of",
+        )

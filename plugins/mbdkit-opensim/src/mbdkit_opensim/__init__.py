@@ -1,0 +1,43 @@
+"""Planar models of OpenSim for mbdkit: the model `opensim` reads an `.osim` file."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+import mbdkit
+from mbdkit_opensim.building import build_mechanism
+
+mbdkit_api = 1
+
+REFERENCES = (
+    """@article{seth2018,
+  author = {Seth, Ajay and Hicks, Jennifer L. and Uchida, Thomas K. and others},
+  title = {{OpenSim}: Simulating musculoskeletal dynamics and neuromuscular control to study human and animal movement},
+  journal = {PLOS Computational Biology}, volume = {14}, number = {7}, pages = {e1006223}, year = {2018},
+  doi = {10.1371/journal.pcbi.1006223}}""",
+)
+
+
+class OpenSimOptions(BaseModel):
+    """File and start."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+    file: str
+    """Path of the `.osim` file, in the format of OpenSim 4; relative to the current folder."""
+    initial: dict[str, float] = Field(default_factory=dict)
+    """Initial values of coordinates by name [rad or m]; by default, those of the file."""
+    speeds: dict[str, float] = Field(default_factory=dict)
+    """Initial speeds of coordinates by name [rad/s or m/s]; by default, those of the file."""
+
+
+def build(options: OpenSimOptions) -> mbdkit.Mechanism:
+    """Return the mechanism of the file; bodies, joints, markers and coordinates have the names of the file."""
+    return build_mechanism(options.file, options.initial, options.speeds)
+
+
+@mbdkit.hookimpl
+def mbdkit_models() -> list[mbdkit.ModelPlugin]:
+    """Register the model."""
+    summary = "The sagittal plane of an OpenSim model: pins, slides, welds, moving centres; without muscles."
+    return [mbdkit.ModelPlugin("opensim", summary, OpenSimOptions, build, REFERENCES)]

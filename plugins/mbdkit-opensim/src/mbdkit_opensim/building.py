@@ -1,0 +1,276 @@
+"""Build a mechanism from the model of an `.osim` file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from mbdkit import Mechanism, SpecError
+from mbdkit.text import did_you_mean, listed
+from mbdkit_opensim.frames import Frame, Frames
+from mbdkit_opensim.functions import center_of, constant
+from mbdkit_opensim.osim_document import (
+    flag_of,
+    label_of,
+    name_of,
+    number_of,
+    numbers_of,
+    objects_of,
+    read_model,
+    refused,
+    text_of,
+)
+from mbdkit_opensim.planar_joints import Coordinate, PlanarJoint, Term, coordinates_of, planar_joint
+
+LEFT_OUT = ("ForceSet", "ContactGeometrySet", "ControllerSet")
+"""Sets of a model that are left out, with a warning."""
+
+MOST_NAMED = 6
+"""Components of a class that a warning names."""
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """Position (2,) [m], angle [rad], velocity (2,) [m/s] and angular velocity [rad/s] of a body's frame."""
+
+    place: np.ndarray
+    angle: float
+    velocity: np.ndarray
+    spin: float
+
+    def point(self, local: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return position and velocity of a point of the frame (2,) that moves with `velocity` (2,) in it."""
+        turned = _rotation(self.angle)
+        arm = turned @ local
+        across = self.spin * np.array([-arm[1], arm[0]])
+        return self.place + arm, self.velocity + across + turned @ velocity
+
+
+def build_mechanism(file: str, initial: Mapping[str, float], speeds: Mapping[str, float]) -> Mechanism:
+    """Return the mechanism of an `.osim` file.
+
+    Parameters
+    ----------
+    file
+        Path of the file.
+    initial, speeds
+        Values [m or rad] and speeds at the start by name of coordinate, in place of those of the file.
+
+    Raises
+    ------
+    SpecError
+        If the file is not a planar model, with the name of the component, or a coordinate does not exist.
+    """
+    return _Builder(read_model(file), initial, speeds).mechanism()
+
+
+class _Builder:
+    """Places the bodies of a model one after another, from the ground outwards."""
+
+    def __init__(self, model: Element, initial: Mapping[str, float], speeds: Mapping[str, float]):
+        self.model, self.initial, self.speeds = model, initial, speeds
+        gravity = numbers_of(model, "gravity", 3, "0 -9.80665 0")
+        if gravity[2] != 0.0:
+            raise refused("gravity has a component along z, out of the plane")
+        for tag, known in (("length_units", "meters"), ("force_units", "N")):
+            if (unit := text_of(model, tag, known)) != known:
+                raise refused(f"<{tag}> is '{unit}', not '{known}'")
+        self.result = Mechanism(gravity[:2].tolist(), name=name_of(model))
+        self.bodies = {name_of(body): body for body in objects_of(model, "BodySet")}
+        self.centres = {name: numbers_of(body, "mass_center", 3, "0 0 0")[:2] for name, body in self.bodies.items()}
+        self.centres["ground"] = np.zeros(2)
+        self.frames = Frames(self.bodies, model)
+        self.poses = {"ground": _Pose(np.zeros(2), 0.0, np.zeros(2), 0.0)}
+
+    def mechanism(self) -> Mechanism:
+        self.refuse_constraints()
+        joints = list(objects_of(self.model, "JointSet"))
+        self.check_names(joints)
+        waiting = [(joint, *self.ends(joint)) for joint in joints]
+        while waiting:
+            ready = [one for one in waiting if one[1].body in self.poses]
+            if not ready:
+                raise refused(f"{label_of(waiting[0][0])} is not connected to the ground")
+            waiting = [one for one in waiting if one[1].body not in self.poses]
+            for joint, parent, child in ready:
+                self.add(joint, parent, child)
+        if loose := [name for name in self.bodies if name not in self.poses]:
+            raise refused(f"body '{loose[0]}' has no joint, so it could move out of the plane")
+        for marker in objects_of(self.model, "MarkerSet"):
+            body, place = self.frames.of_marker(marker)
+            self.result.marker(name_of(marker), body, point=(place - self.centres[body]).tolist())
+        self.result.warnings = tuple(self.left_out(joints))
+        return self.result
+
+    def ends(self, joint: Element) -> tuple[Frame, Frame]:
+        """Return the parent and the child frame of a joint."""
+        return self.frames.of_joint(joint, "socket_parent_frame"), self.frames.of_joint(joint, "socket_child_frame")
+
+    def refuse_constraints(self) -> None:
+        """Raise SpecError for components that change the motion and are not read."""
+        for one in objects_of(self.model, "ConstraintSet"):
+            if text_of(one, "isEnforced", "true").lower() != "false":
+                raise refused(f"{label_of(one)} is a constraint, which is not read; remove it or switch it off")
+        for one in self.model.iterfind("components/*"):
+            if one.tag == "Body" or one.tag.endswith(("Joint", "Constraint")):
+                raise refused(f"{label_of(one)} stands outside of BodySet, JointSet and ConstraintSet")
+
+    def check_names(self, joints: list[Element]) -> None:
+        """Raise SpecError for a value of a coordinate that does not exist."""
+        known = [name_of(one) for joint in joints for one in joint.iterfind("coordinates/Coordinate")]
+        for key, values in (("initial", self.initial), ("speeds", self.speeds)):
+            for name in values:
+                if name not in known:
+                    hint = did_you_mean(name, known) or f"; there are {listed(known)}"
+                    raise SpecError(f"there is no coordinate '{name}'{hint}", key=f"model.{key}.{name}")
+
+    def left_out(self, joints: list[Element]) -> list[str]:
+        """Return warnings that name what is left out."""
+        dropped: dict[str, list[str]] = {}
+        for group in LEFT_OUT:
+            for one in objects_of(self.model, group):
+                dropped.setdefault(one.tag, []).append(name_of(one))
+        for one in self.model.iterfind("components/*"):
+            dropped.setdefault(one.tag, []).append(name_of(one))
+        sentences = []
+        for kind, names in dropped.items():
+            more = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
+            shown = listed([*names[:MOST_NAMED], *more], "and")
+            sentences.append(f"the model of OpenSim has {len(names)} {kind}, which the mechanism leaves out: {shown}")
+        held = [
+            name_of(one)
+            for joint in joints
+            for one in joint.iterfind("coordinates/Coordinate")
+            if flag_of(one, "prescribed")
+        ]
+        if held:
+            sentences.append(f"the prescribed motion of {listed(held, 'and')} is left out: these coordinates are free")
+        return sentences
+
+    def add(self, joint: Element, parent: Frame, child: Frame) -> None:
+        """Add the child body of a joint, and the joint."""
+        label = label_of(joint)
+        if child.body == "ground" or child.body in self.poses:
+            raise refused(f"{label} closes a loop at '{child.body}'; make its child a body that no other joint holds")
+        if parent.side != child.side:
+            raise refused(f"{label} is not planar: it turns the z axis of '{child.body}' around")
+        moved = planar_joint(joint, coordinates_of(joint, self.initial, self.speeds))
+        self.place(child, parent, moved)
+        self.connect(name_of(joint), parent, child, moved)
+
+    def place(self, child: Frame, parent: Frame, moved: PlanarJoint) -> None:
+        """Add the child body at its position at the start."""
+        angle, slope = self.relative(parent, child, moved)
+        turned = 0.0 if moved.angle.coordinate is None else moved.angle.coordinate.value
+        spin = 0.0 if moved.angle.coordinate is None else slope * moved.angle.coordinate.speed
+        local, drift = parent.place.copy(), np.zeros(2)
+        for direction, term in moved.directions:
+            local = local + parent.axes @ direction * term.value
+            drift = drift + parent.axes @ direction * term.rate
+        base = self.poses[parent.body]
+        place, velocity = base.point(local, drift)
+        now = _Pose(place, base.angle + angle + slope * turned, velocity, base.spin + spin)
+        origin, speed = now.point(-child.place, np.zeros(2))
+        self.poses[child.body] = _Pose(origin, now.angle, speed, now.spin)
+        body = self.bodies[child.body]
+        centre, motion = self.poses[child.body].point(self.centres[child.body], np.zeros(2))
+        inertia = float(numbers_of(body, "inertia", 6, "0 0 0 0 0 0")[2])
+        if (mass := number_of(body, "mass", "0")) <= 0:
+            raise refused(f"body '{child.body}' has no mass; weld it to another body in OpenSim, or give it one")
+        angles = {"angle": now.angle, "angular_velocity": now.spin} if inertia else {}
+        self.result.body(
+            child.body, mass=mass, inertia=inertia or None, position=centre.tolist(), velocity=motion.tolist(), **angles
+        )
+
+    def relative(self, parent: Frame, child: Frame, moved: PlanarJoint) -> tuple[float, float]:
+        """Return offset and slope of the relative angle of the bodies as a function of the coordinate of the joint."""
+        intercept, *slope = moved.angle.function.polynomial or (0.0,)
+        between = _angle(parent.axes) - _angle(child.axes)
+        return between + parent.side * intercept, parent.side * (slope[0] if slope else 0.0)
+
+    def connect(self, name: str, parent: Frame, child: Frame, moved: PlanarJoint) -> None:
+        """Add the joint between two bodies, and name its coordinates."""
+        rest = parent.place + sum(
+            (parent.axes @ direction * term.value for direction, term in moved.directions if not term.varies),
+            np.zeros(2),
+        )
+        offset, _ = self.relative(parent, child, moved)
+        if moved.angle.varies and {term.coordinate for _, term in moved.moving} <= {moved.angle.coordinate}:
+            self.pin(name, parent, child, moved, rest)
+        elif not moved.angle.varies and not moved.moving:
+            self.result.weld(name, parent.body, child.body, points=self.points(parent, child, rest), angle=offset)
+        elif not moved.angle.varies and len(moved.moving) == 1 and _is_linear(moved.moving[0][1]):
+            direction, term = moved.moving[0]
+            axis, points = (parent.axes @ direction).tolist(), self.points(parent, child, rest)
+            self.result.prismatic(name, parent.body, child.body, points=points, axis=axis, angle=offset)
+            self.name_coordinate(term.coordinate, f"{name}.angle", *_line(term))
+        elif parent.body == "ground" and len(moved.coordinates) == 3 and all(_is_linear(t) for _, t in moved.moving):
+            self.free(name, parent, child, moved, rest)
+        else:
+            raise refused(
+                f"{moved.label} is not read: it is none of a pin, a pin whose center moves with its angle, a slide, a "
+                "weld, and a body that moves freely against the ground"
+            )
+
+    def points(self, parent: Frame, child: Frame, place: np.ndarray) -> tuple[list[float], list[float]]:
+        """Return the points of a joint measured from the centres of mass, at a `place` in the parent's body."""
+        return (place - self.centres[parent.body]).tolist(), (child.place - self.centres[child.body]).tolist()
+
+    def pin(self, name: str, parent: Frame, child: Frame, moved: PlanarJoint, rest: np.ndarray) -> None:
+        """Add a revolute joint, whose fixed point is where a moving center is if the coordinate is 0."""
+        offset, slope = self.relative(parent, child, moved)
+        parts = [(parent.axes @ direction, term.function) for direction, term in moved.moving]
+        parts += [(-direction, constant(function(0.0))) for direction, function in parts]
+        rest = rest + sum((parent.axes @ d * term.function(0.0) for d, term in moved.moving), np.zeros(2))
+        center = {
+            key: center_of([(float(d[axis]), function) for d, function in parts], slope, offset, moved.label)
+            for axis, key in enumerate("xy")
+        }
+        points = self.points(parent, child, rest)
+        self.result.revolute(name, parent.body, child.body, points=points, center=center if parts else None)
+        self.name_coordinate(moved.angle.coordinate, f"{name}.angle", slope, offset)
+
+    def free(self, name: str, parent: Frame, child: Frame, moved: PlanarJoint, rest: np.ndarray) -> None:
+        """Name the coordinates of a body that moves freely: those of a marker at its frame, and its angle."""
+        marker = name if all(name_of(one) != name for one in objects_of(self.model, "MarkerSet")) else f"{name}_frame"
+        self.result.marker(marker, child.body, point=(child.place - self.centres[child.body]).tolist())
+        for direction, term in moved.moving:
+            axis = parent.axes @ direction
+            along = int(np.argmax(np.abs(axis)))
+            if abs(axis[1 - along]) > 1e-9:
+                raise refused(f"{moved.label} is not read: its displacements are not along the axes of the ground")
+            slope, offset = _line(term)
+            sign = float(np.sign(axis[along]))
+            self.name_coordinate(term.coordinate, f"{marker}.{'xy'[along]}", sign * slope, sign * offset + rest[along])
+        offset, slope = self.relative(parent, child, moved)
+        self.name_coordinate(moved.angle.coordinate, f"{child.body}.angle", slope, offset)
+
+    def name_coordinate(self, coordinate: Coordinate | None, of: str, slope: float, offset: float) -> None:
+        """Name the quantity `of`, which is ``slope * coordinate + offset``, after the coordinate."""
+        assert coordinate is not None, "only a free coordinate moves a joint"
+        self.result.coordinate(coordinate.name, of, scale=1.0 / slope, offset=-float(offset) / slope)
+
+
+def _is_linear(term: Term) -> bool:
+    return term.function.spline is None and term.function.degree == 1
+
+
+def _line(term: Term) -> tuple[float, float]:
+    """Return slope and offset of a linear term."""
+    assert term.function.polynomial is not None
+    offset, slope, *_ = term.function.polynomial
+    return slope, offset
+
+
+def _rotation(angle: float) -> np.ndarray:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
+def _angle(axes: np.ndarray) -> float:
+    """Return the angle of the first axis [rad]."""
+    return math.atan2(axes[1, 0], axes[0, 0])

@@ -1,0 +1,104 @@
+"""Frames of an `.osim` file in the sagittal plane: x forward, y up, z to the right, as OpenSim orients its models.
+
+A frame lies in the plane if its z axis is that of its body, or opposite to it. Offsets along z are left out: they do
+not matter to motion in the plane.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from mbdkit_opensim.osim_document import label_of, last_part, name_of, numbers_of, refused, text_of
+
+FLAT = 1e-9
+"""Sine of an angle between axes below which they are parallel."""
+
+DEEPEST = 50
+"""Frames that may be offset from each other in a row."""
+
+
+def turn(angles: np.ndarray) -> np.ndarray:
+    """Return the rotation of body-fixed angles about x, y and z [rad], (3, 3)."""
+    result = np.eye(3)
+    for axis, angle in enumerate(angles.tolist()):
+        result = result @ about(np.eye(3)[axis], angle)
+    return result
+
+
+def about(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Return the rotation about a unit vector by an angle [rad], (3, 3)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    result: np.ndarray = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
+    return result
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame in the plane of a body: its place in the body, (2,) [m], and its axes as columns, (2, 2).
+
+    The determinant of `axes` is -1 if its z axis is opposite to that of the body.
+    """
+
+    body: str
+    place: np.ndarray
+    axes: np.ndarray
+
+    @property
+    def side(self) -> float:
+        """1, or -1 if the z axis is opposite to that of the body."""
+        return 1.0 if np.linalg.det(self.axes) > 0 else -1.0
+
+
+class Frames:
+    """The frames of a model by name, those of a joint first."""
+
+    def __init__(self, bodies: Mapping[str, Element], model: Element):
+        self.bodies = bodies
+        self.shared = _offsets(model.iterfind(".//BodySet//PhysicalOffsetFrame"))
+        self.shared |= _offsets(model.iterfind("Ground//PhysicalOffsetFrame"))
+
+    def of_joint(self, joint: Element, socket: str) -> Frame:
+        """Return the parent or child frame of a joint; raises SpecError if it does not lie in the plane."""
+        local = _offsets(joint.iterfind("frames/PhysicalOffsetFrame"))
+        path = text_of(joint, socket)
+        return self._planar(self._resolved(path, self.shared | local, joint), joint, socket)
+
+    def of_marker(self, marker: Element) -> tuple[str, np.ndarray]:
+        """Return the body of a marker, and its place in the body, (2,) [m]."""
+        body, place, axes = self._resolved(text_of(marker, "socket_parent_frame"), self.shared, marker)
+        return body, (place + axes @ numbers_of(marker, "location", 3, "0 0 0"))[:2]
+
+    def _resolved(self, path: str, known: Mapping[str, Element], owner: Element) -> tuple[str, np.ndarray, np.ndarray]:
+        """Return body, place (3,) and axes (3, 3) of a frame."""
+        place, axes = np.zeros(3), np.eye(3)
+        for _ in range(DEEPEST):
+            name = last_part(path)
+            if name == "ground" or (name in self.bodies and name not in known):
+                return name, place, axes
+            if name not in known:
+                raise refused(f"{label_of(owner)} refers to the frame '{path}', which does not exist")
+            offset = known[name]
+            own = turn(numbers_of(offset, "orientation", 3, "0 0 0"))
+            place = numbers_of(offset, "translation", 3, "0 0 0") + own @ place
+            axes = own @ axes
+            path = text_of(offset, "socket_parent")
+        raise refused(f"{label_of(owner)}: more than {DEEPEST} frames are offset from each other")
+
+    def _planar(self, found: tuple[str, np.ndarray, np.ndarray], joint: Element, socket: str) -> Frame:
+        body, place, axes = found
+        if math.hypot(axes[0, 2], axes[1, 2]) > FLAT:
+            raise refused(
+                f"{label_of(joint)} is not planar: the z axis of its {socket.split('_')[1]} frame does not point along "
+                f"the z axis of {body}"
+            )
+        return Frame(body, place[:2], axes[:2, :2])
+
+
+def _offsets(elements: object) -> dict[str, Element]:
+    return {name_of(element): element for element in elements}  # type: ignore[attr-defined]

@@ -1,0 +1,105 @@
+"""Read an `.osim` file: XML of a stranger, without entities and external references, as elements with typed access."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree.ElementTree import Element, ParseError
+
+import numpy as np
+from defusedxml.common import DefusedXmlException
+from defusedxml.ElementTree import parse
+
+from mbdkit import SpecError
+
+OLDEST = 30_500
+"""First version of the format that describes joints by frames, as OpenSim 4 writes it."""
+
+LARGEST = 50_000_000
+"""Largest file that is read [bytes]; the models of full bodies have below 5 MB."""
+
+KEY = "model.file"
+
+
+def refused(message: str) -> SpecError:
+    """Return the error of a file that cannot be read or is not planar."""
+    return SpecError(message, key=KEY)
+
+
+def read_model(file: str) -> Element:
+    """Return the element `Model` of a file.
+
+    Raises
+    ------
+    SpecError
+        If it cannot be read, or is not a model in the format of OpenSim 4.
+    """
+    path = Path(file).expanduser()
+    try:
+        if path.stat().st_size > LARGEST:
+            raise refused(f"{path} has more than {LARGEST // 1_000_000} MB")
+        root: Element = parse(path, forbid_dtd=True).getroot()
+    except OSError as error:
+        raise refused(f"{path.absolute()} cannot be read: {error.strerror or error}") from None
+    except DefusedXmlException:
+        raise refused(f"{path} contains a document type definition or entities, which are not read") from None
+    except (ParseError, ValueError) as error:
+        raise refused(f"{path} is not XML: {error}") from None
+    if root.tag != "OpenSimDocument":
+        raise refused(f"{path} is not a file of OpenSim: its root is <{root.tag}>, not <OpenSimDocument>")
+    version = root.get("Version", "")
+    if not version.isdecimal() or int(version) < OLDEST:
+        raise refused(f"{path} has the format of OpenSim 3 or earlier; open it in OpenSim 4 and save it again")
+    model = root.find("Model")
+    if model is None:
+        raise refused(f"{path} contains no <Model>")
+    return model
+
+
+def name_of(element: Element) -> str:
+    """Return the name of a component; the class if it has none."""
+    return element.get("name") or element.tag
+
+
+def label_of(element: Element) -> str:
+    """Return class and name of a component, for messages."""
+    return f"{element.tag} '{name_of(element)}'"
+
+
+def text_of(element: Element, tag: str, default: str = "") -> str:
+    """Return the text of a property."""
+    return (element.findtext(tag) or default).strip()
+
+
+def numbers_of(element: Element, tag: str, count: int | None, default: str = "") -> np.ndarray:
+    """Return the numbers of a property; raises SpecError unless there are `count` finite ones."""
+    words = text_of(element, tag, default).split()
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        values = [math.nan]
+    if not all(map(math.isfinite, values)) or (count is not None and len(values) != count):
+        wanted = "finite numbers" if count is None else "a finite number" if count == 1 else f"{count} finite numbers"
+        raise refused(f"{label_of(element)}: <{tag}> should be {wanted}, not '{' '.join(words)[:60]}'")
+    return np.array(values)
+
+
+def number_of(element: Element, tag: str, default: str = "") -> float:
+    """Return a number of a property."""
+    return float(numbers_of(element, tag, 1, default)[0])
+
+
+def flag_of(element: Element, tag: str) -> bool:
+    """Return a property that is true or false; false by default."""
+    return text_of(element, tag, "false").lower() == "true"
+
+
+def objects_of(model: Element, group: str) -> Iterator[Element]:
+    """Yield the members of a set of a model, such as `BodySet`."""
+    yield from model.iterfind(f"{group}/objects/*")
+
+
+def last_part(path: str) -> str:
+    """Return the name of a component from its path, such as ``thigh`` of ``/bodyset/thigh``."""
+    return path.rstrip("/").rsplit("/", 1)[-1]

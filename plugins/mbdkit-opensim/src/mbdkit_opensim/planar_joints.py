@@ -1,0 +1,180 @@
+"""Joints of an `.osim` file as motions in the plane of their parent frame: an angle and a displacement.
+
+The child frame is turned by ``angle`` and displaced by ``x, y`` in the parent frame. Each of the three is a function of
+at most one coordinate; what moves out of the plane is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from mbdkit_opensim.frames import FLAT, about
+from mbdkit_opensim.functions import Function, constant, function_in
+from mbdkit_opensim.osim_document import flag_of, label_of, name_of, number_of, numbers_of, refused, text_of
+
+IDENTITY = Function((0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """A coordinate of a file: name, value and speed at the start, and whether it stays at its value."""
+
+    name: str
+    value: float
+    speed: float
+    locked: bool
+
+
+@dataclass(frozen=True)
+class Term:
+    """A function of a coordinate; None for a constant."""
+
+    function: Function
+    coordinate: Coordinate | None = None
+
+    @property
+    def value(self) -> float:
+        """The value at the start."""
+        return self.function(0.0 if self.coordinate is None else self.coordinate.value)
+
+    @property
+    def rate(self) -> float:
+        """Its rate at the start."""
+        if self.coordinate is None:
+            return 0.0
+        return self.function.slope(self.coordinate.value) * self.coordinate.speed
+
+    @property
+    def varies(self) -> bool:
+        """Whether it changes in a motion."""
+        return self.coordinate is not None and (self.function.spline is not None or self.function.degree > 0)
+
+    def held(self) -> Term:
+        """Return the term as a constant if its coordinate is locked, or its function is constant."""
+        if self.coordinate is None or (self.varies and not self.coordinate.locked):
+            return self
+        return Term(constant(self.value))
+
+
+@dataclass(frozen=True)
+class PlanarJoint:
+    """A joint in the plane of its parent frame.
+
+    Attributes
+    ----------
+    label
+        Class and name, for messages.
+    angle
+        Angle of the child frame [rad]; a linear function.
+    directions
+        Unit vectors (2,) of displacements, with the terms that move along them [m].
+    """
+
+    label: str
+    angle: Term
+    directions: tuple[tuple[np.ndarray, Term], ...]
+
+    @property
+    def moving(self) -> list[tuple[np.ndarray, Term]]:
+        """The displacements that change in a motion."""
+        return [one for one in self.directions if one[1].varies]
+
+    @property
+    def coordinates(self) -> list[Coordinate]:
+        """The free coordinates, that of the angle first."""
+        terms = [self.angle, *(term for _, term in self.directions)]
+        found = {term.coordinate.name: term.coordinate for term in terms if term.varies and term.coordinate}
+        return list(found.values())
+
+
+def coordinates_of(joint: Element, values: Mapping[str, float], speeds: Mapping[str, float]) -> list[Coordinate]:
+    """Return the coordinates of a joint, with values that replace those of the file."""
+    found = []
+    for one in joint.iterfind("coordinates/Coordinate"):
+        name = name_of(one)
+        value = values.get(name, number_of(one, "default_value", "0"))
+        speed = speeds.get(name, number_of(one, "default_speed_value", "0"))
+        found.append(Coordinate(name, value, speed, flag_of(one, "locked")))
+    return found
+
+
+def planar_joint(joint: Element, coordinates: list[Coordinate]) -> PlanarJoint:
+    """Return a joint as a motion in the plane; raises SpecError if it leaves the plane or is of another class."""
+    label = label_of(joint)
+    x, y = np.eye(2)
+    free = [Term(IDENTITY, one).held() for one in coordinates]
+    nothing = Term(constant(0.0))
+    expected = {"WeldJoint": 0, "PinJoint": 1, "SliderJoint": 1, "PlanarJoint": 3}
+    if joint.tag in expected and len(free) != expected[joint.tag]:
+        raise refused(f"{label} should have {expected[joint.tag]} coordinates, not {len(free)}")
+    match joint.tag:
+        case "WeldJoint":
+            return PlanarJoint(label, nothing, ())
+        case "PinJoint":
+            return PlanarJoint(label, free[0], ())
+        case "SliderJoint":
+            return PlanarJoint(label, nothing, ((x, free[0]),))
+        case "PlanarJoint":
+            return PlanarJoint(label, free[0], ((x, free[1]), (y, free[2])))
+        case "CustomJoint":
+            return _custom(joint, {one.name: one for one in coordinates})
+    raise refused(f"{label} is not planar, or its class is not known here")
+
+
+def _custom(joint: Element, coordinates: Mapping[str, Coordinate]) -> PlanarJoint:
+    """Return a joint with a spatial transform: rotations about three axes, one after another, and displacements."""
+    label = label_of(joint)
+    axes = {name_of(one): one for one in joint.iterfind("SpatialTransform/TransformAxis")}
+    angle, turned = Term(constant(0.0)), np.eye(3)
+    for name in ("rotation1", "rotation2", "rotation3"):
+        if name not in axes:
+            continue
+        axis, term = _axis_and_term(axes[name], coordinates, f"{name} of {label}")
+        if not term.varies:
+            turned = turned @ about(axis, term.value)
+            continue
+        along = float((turned @ axis)[2])
+        if abs(abs(along) - 1.0) > FLAT:
+            raise refused(
+                f"{label} is not planar: {name} turns about {axis.tolist()}; lock its coordinate or remove it"
+            )
+        if angle.varies:
+            raise refused(f"{label} turns about the z axis twice")
+        if term.function.degree != 1 or term.function.spline is not None:
+            raise refused(f"{label} is not read: {name} is not a linear function of its coordinate")
+        angle = Term(term.function.times(math.copysign(1.0, along)), term.coordinate)
+    if math.hypot(turned[0, 2], turned[1, 2]) > FLAT or turned[2, 2] < 0:
+        raise refused(f"{label} is not planar: its constant rotations turn the z axis")
+    fixed = math.atan2(turned[1, 0], turned[0, 0])
+    intercept, *slope = angle.function.polynomial or (0.0,)
+    angle = Term(Function((intercept + fixed, *slope)), angle.coordinate)
+    directions = []
+    for name in ("translation1", "translation2", "translation3"):
+        if name not in axes:
+            continue
+        axis, term = _axis_and_term(axes[name], coordinates, f"{name} of {label}")
+        if term.varies and abs(axis[2]) > FLAT:
+            raise refused(
+                f"{label} is not planar: {name} moves along {axis.tolist()}; lock its coordinate or remove it"
+            )
+        directions.append((axis[:2], term))
+    return PlanarJoint(label, angle, tuple(directions))
+
+
+def _axis_and_term(element: Element, coordinates: Mapping[str, Coordinate], owner: str) -> tuple[np.ndarray, Term]:
+    names = text_of(element, "coordinates").split()
+    axis = numbers_of(element, "axis", 3)
+    length = float(np.linalg.norm(axis))
+    if length == 0:
+        raise refused(f"{owner} has no axis")
+    function = function_in(element, owner)
+    if len(names) > 1:
+        raise refused(f"{owner} depends on several coordinates")
+    if names and names[0] not in coordinates:
+        raise refused(f"{owner} depends on '{names[0]}', which is no coordinate of the joint")
+    return axis / length, Term(function, coordinates[names[0]] if names else None).held()

@@ -1,0 +1,62 @@
+"""Coordinates with names: which quantities they may stand for, and their form in a spec."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from mbdkit import Mechanism, SpecError
+from mbdkit.mechanism.named_coordinates import NamedCoordinate
+
+MODEL: dict[str, Any] = {
+    "name": "mechanism",
+    "bodies": {"shank": {"mass": 3.0, "inertia": 0.05, "position": [0.0, -0.2]}},
+    "joints": {"knee": {"type": "revolute", "bodies": ["ground", "shank"], "at": [0, 0]}},
+    "markers": {"ankle": {"body": "shank", "point": [0.0, -0.2]}},
+}
+
+
+def test_a_coordinate_is_a_quantity_or_one_with_scale_and_offset() -> None:
+    names = {"flexion": {"of": "knee.angle", "scale": "-2*half", "offset": "degrees(90)"}, "height": "ankle.y"}
+    m = Mechanism.from_spec(MODEL | {"coordinates": names}, {"half": 0.5})
+    assert m.coordinates == {
+        "flexion": NamedCoordinate(of="knee.angle", scale=-1.0, offset=1.5707963267948966),
+        "height": NamedCoordinate(of="ankle.y"),
+    }
+    assert m.to_spec()["coordinates"]["height"] == "ankle.y"
+    assert Mechanism.from_spec(m.to_spec()).coordinates == m.coordinates
+
+
+def test_the_builder_adds_the_same() -> None:
+    m = Mechanism.from_spec(MODEL)
+    m.coordinate("flexion", "knee.angle", scale=-1.0)
+    m.coordinate("height", "shank.y")
+    assert m.coordinates["flexion"] == NamedCoordinate(of="knee.angle", scale=-1.0)
+    with pytest.raises(SpecError, match="the name 'height' is already in use"):
+        m.coordinate("height", "ankle.y")
+
+
+@pytest.mark.parametrize(
+    ("one", "key", "message"),
+    [
+        ("knee.angel", "of", "'knee' has no 'angel' (did you mean 'angle'?)"),
+        ("knee.x", "of", "'knee' has no 'x'; there are angle"),
+        ("foot.x", "of", "'foot.x' names no quantity"),
+        ("knee", "of", "'knee' names no quantity of a joint, body or marker"),
+        ("ground.x", "of", "'ground.x' names no quantity"),
+        ({"of": "knee.angle", "scale": 0}, "scale", "should not be zero"),
+        ({"scale": 1.0}, "of", "is missing"),
+        ({"of": "knee.angle", "sign": -1}, "sign", "unknown key"),
+    ],
+)
+def test_a_wrong_coordinate_is_refused_by_its_key(one: Any, key: str, message: str) -> None:
+    with pytest.raises(SpecError) as error:
+        Mechanism.from_spec(MODEL | {"coordinates": {"c": one}})
+    assert error.value.key == f"model.coordinates.c.{key}"
+    assert message in str(error.value)
+
+
+def test_the_name_of_a_coordinate_has_no_dots() -> None:
+    with pytest.raises(SpecError, match=r"without '/', '\.'"):
+        Mechanism.from_spec(MODEL | {"coordinates": {"a.b": "knee.angle"}})
