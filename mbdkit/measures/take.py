@@ -11,7 +11,7 @@ from mbdkit.errors import PluginError, SpecError, blaming
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.plain_data import path_text
 from mbdkit.registry.items import MeasurePlugin
-from mbdkit.spec import RunSpec
+from mbdkit.spec import InverseSpec, RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.text import message_of
 
@@ -27,7 +27,7 @@ class Description:
     long_name: str
 
 
-def describe(measure: DefinedMeasure, spec: RunSpec) -> Description:
+def describe(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> Description:
     """Check a measure for the runs of a spec, and return its unit and description.
 
     Raises
@@ -43,7 +43,7 @@ def describe(measure: DefinedMeasure, spec: RunSpec) -> Description:
     return Description(plugin.units, plugin.summary)
 
 
-def check_measures(spec: RunSpec) -> None:
+def check_measures(spec: RunSpec | InverseSpec) -> None:
     """Raise SpecError, with the key below ``measures``, if an expression of a run spec is not valid."""
     for measure in spec.defined_measures():
         try:
@@ -52,7 +52,7 @@ def check_measures(spec: RunSpec) -> None:
             raise spec.placed(error.located(prefix=path_text(("measures", *measure.place)))) from None
 
 
-def take(measure: DefinedMeasure, run: Run, spec: RunSpec) -> float:
+def take(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> float:
     """Return the value of a measure for a run.
 
     Parameters
@@ -78,7 +78,7 @@ def take(measure: DefinedMeasure, run: Run, spec: RunSpec) -> float:
             raise PluginError(f"measure {measure.item.id} returned an object of type {what}, not a number") from None
 
 
-def take_all(run: Run, spec: RunSpec) -> MeasuredValues:
+def take_all(run: Run, spec: RunSpec | InverseSpec) -> MeasuredValues:
     """Return the values of the measures of a run spec; nan, with the reason, where the measure of a plugin fails."""
     values, units, reasons = {}, {}, {}
     for measure in spec.defined_measures():
