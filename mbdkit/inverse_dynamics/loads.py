@@ -9,13 +9,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from mbdkit.errors import SpecError
-from mbdkit.inverse_dynamics.measured import column_values, source_table
+from mbdkit.inverse_dynamics.measured import source_table, unit_factor
 from mbdkit.inverse_dynamics.quantities import GROUND
 from mbdkit.inverse_dynamics.quantity_names import QuantityNames
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.inverse_dynamics.tables import Table
 from mbdkit.spec import InverseSpec
-from mbdkit.spec.inverse_sections import Load
+from mbdkit.spec.inverse_sections import ColumnOfTable, Load
 from mbdkit.text import shown
 
 
@@ -113,26 +113,37 @@ def _series(spec: InverseSpec, names: QuantityNames, key: str, load: Load, of_mo
     force, torque, point = np.zeros((len(time), 2)), np.zeros(len(time)), None
     if load.force is not None:
         for axis, column in enumerate(load.force):
-            force[:, axis] = column_values(table, column, "N", f"{key}.force[{axis}]")
-            _require_values(table, column.column, force[:, axis])
+            force[:, axis] = _required(table, column, "N", f"{key}.force[{axis}]")
     if load.torque is not None:
-        torque = column_values(table, load.torque, "N m", f"{key}.torque")
-        _require_values(table, load.torque.column, torque)
+        torque = _required(table, load.torque, "N m", f"{key}.torque")
     if load.point is not None:
-        point = np.empty_like(force)
         acts = np.any(force != 0, axis=1)
+        point = np.empty_like(force)
         for axis, column in enumerate(load.point):
-            x = column_values(table, column, "m", f"{key}.point[{axis}]")
-            _require_values(table, column.column, np.where(acts, x, 0.0))
-            known = np.flatnonzero(~np.isnan(x))  # a point is undefined where there is no force
-            point[:, axis] = np.interp(time, time[known], x[known]) if known.size else 0.0
+            point[:, axis] = _required(table, column, "m", f"{key}.point[{axis}]", acts)
     return LoadSeries(time, body, force, point, frame, torque, load.interpolation == "cubic")
 
 
-def _require_values(table: Table, heading: str, values: np.ndarray) -> None:
-    missing = np.flatnonzero(np.isnan(values))
+def _required(
+    table: Table, column: ColumnOfTable | float, unit: str, key: str, needed: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the values of a load, (R,), in the SI `unit`; raise SpecError if one is missing.
+
+    Parameters
+    ----------
+    needed
+        (R,) rows in which the value matters; others may be missing, as the point of application of no force.
+    """
+    if isinstance(column, float):
+        return np.full(len(table), column)
+    values = unit_factor(column, table, unit, key) * table.column(column.column, f"{key}.column")
+    absent = np.isnan(values)
+    missing = np.flatnonzero(absent if needed is None else absent & needed)
     if missing.size:
-        raise table.error(f"column '{shown(heading)}': the value of the load is missing", row=int(missing[0]))
+        raise table.error(f"column '{shown(column.column)}': the value of the load is missing", row=int(missing[0]))
+    known = np.flatnonzero(~absent)
+    rows = np.arange(len(values))
+    return np.interp(rows, known, values[known]) if known.size else np.zeros(len(values))
 
 
 def loads_on(motion: Motion, series: Mapping[str, LoadSeries], bodies: tuple[str, ...]) -> Loads:

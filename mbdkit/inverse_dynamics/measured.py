@@ -88,7 +88,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
     _require_all_or_none(motion, columns, has_derivatives)
     for place, (name, column) in enumerate(columns.items()):
         key, unit = f"motion.columns.{name}", quantities.quantities[place].unit
-        factor = _factor(column, table, unit, key)
+        factor = unit_factor(column, table, unit, key)
         raw[:, place] = factor * table.column(column.column, f"{key}.column")[kept]
         values[:, place] = _bridged(time, raw[:, place], motion.gaps, (table, column.column, kept))
         if unit == "rad":
@@ -108,11 +108,6 @@ def source_table(section: MeasuredMotion | Load, folder: Path, key: str) -> Tabl
     if section.data is not None:
         return table_of(section.data, f"{key}.data")
     return None if section.file is None else read_table(folder / section.file, f"{key}.file")
-
-
-def column_values(table: Table, column: ColumnOfTable, unit: str, key: str) -> np.ndarray:
-    """Return the numbers of a column, (T,), in the SI `unit`; gaps are nan."""
-    return _factor(column, table, unit, key) * table.column(column.column, f"{key}.column")
 
 
 def _columns(motion: MeasuredMotion, table: Table, names: QuantityNames) -> Mapping[str, ObservedColumn]:
@@ -147,7 +142,7 @@ def _require_all_or_none(
         )
 
 
-def _factor(column: ColumnOfTable, table: Table, unit: str, key: str) -> float:
+def unit_factor(column: ColumnOfTable, table: Table, unit: str, key: str) -> float:
     """Return the factor from the unit of a column to the SI `unit`."""
     wanted = read_unit(SI[unit])
     if column.unit is None:

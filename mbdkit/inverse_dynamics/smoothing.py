@@ -60,9 +60,7 @@ def smoothed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> Smoothed:
     if isinstance(how, QuinticSpline):
         return _of_spline(quintic_spline(time, series), time)
     if isinstance(how, SmoothingSpline):
-        columns = [_of_spline(make_smoothing_spline(time, x, lam=how.parameter), time) for x in series.T]
-        parts = ([getattr(one, name) for one in columns] for name in ("value", "rate", "acceleration"))
-        return Smoothed(*(np.column_stack(part) for part in parts))
+        return _smoothing_spline(time, series, how.parameter)
     if isinstance(how, Butterworth):
         filtered = _butterworth(time, series, how)
         return _of_spline(quintic_spline(time, filtered), time)
@@ -97,6 +95,24 @@ def local_derivatives(time: np.ndarray, series: np.ndarray) -> tuple[np.ndarray,
     near = series[rows] - series[:, None]  # the weights of a derivative sum to zero; this avoids cancellation
     rate, acceleration = np.einsum("tsd,tsk->dtk", weights, near)
     return rate, acceleration
+
+
+def _smoothing_spline(time: np.ndarray, series: np.ndarray, parameter: float | None) -> Smoothed:
+    unit = float((time[-1] - time[0]) / (len(time) - 1))  # SciPy's solution needs intervals of about 1
+    scaled = (time - time[0]) / unit
+    weight = None if parameter is None else parameter / unit**3
+    columns = []
+    for x in series.T:
+        try:
+            columns.append(_of_spline(make_smoothing_spline(scaled, x, lam=weight), scaled))
+        except (ValueError, np.linalg.LinAlgError):
+            raise SpecError(
+                "cross-validation finds no parameter of the spline for these data; give `parameter`", key=KEY
+            ) from None
+    value, rate, acceleration = (
+        np.column_stack([getattr(one, name) for one in columns]) for name in ("value", "rate", "acceleration")
+    )
+    return Smoothed(value, rate / unit, acceleration / unit**2)
 
 
 def _interval(time: np.ndarray) -> float:

@@ -60,7 +60,10 @@ class ObservedColumn(ColumnOfTable):
         return self
 
 
-Column = Annotated[ColumnOfTable, BeforeValidator(_as_column, json_schema_input_type=ColumnOfTable | str)]
+Column = Annotated[
+    ColumnOfTable | float, BeforeValidator(_as_column, json_schema_input_type=ColumnOfTable | str | float)
+]
+"""A column of a table, or one SI value for all times."""
 Observed = Annotated[ObservedColumn, BeforeValidator(_as_column, json_schema_input_type=ObservedColumn | str)]
 
 
@@ -179,9 +182,9 @@ class Load(Section):
     time: Named = "time"
     """Heading of the column with the times [s]."""
     force: tuple[Column, Column] | None = None
-    """Columns of the force (x, y) on the body, in the global frame."""
+    """Columns of the force (x, y) on the body, in the global frame; a number is a constant component [N]."""
     point: tuple[Column, Column] | None = None
-    """Columns of its point of application; by default, the body's centre of mass."""
+    """Columns of its point of application, or numbers [m]; by default, the body's centre of mass."""
     point_frame: Named = GROUND
     """Body in whose frame the point is given; by default, the global frame."""
     torque: Column | None = None

@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
 
 from mbdkit.errors import SpecError
+from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.checks import check_name
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.spec.choices import Choice
@@ -20,7 +21,8 @@ from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
 
 def _named(sections: dict[str, Any]) -> dict[str, Any]:
     for name in sections:
-        check_name(name, name)
+        if name != GROUND:  # a natural name of a load
+            check_name(name, name)
     return sections
 
 
