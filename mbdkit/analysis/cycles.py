@@ -49,8 +49,7 @@ def normalized(time: np.ndarray, values: np.ndarray, starts: np.ndarray) -> Norm
     """Return a quantity (T,) over the cycles between consecutive `starts` (N + 1,) [s], linearly interpolated."""
     percent = np.linspace(0.0, 100.0, POINTS)
     cycles = [
-        np.interp(begin + (end - begin) * percent / 100.0, time, values)
-        for begin, end in pairwise(starts.tolist())
+        np.interp(begin + (end - begin) * percent / 100.0, time, values) for begin, end in pairwise(starts.tolist())
     ]
     return Normalized(percent, np.array(cycles))
 

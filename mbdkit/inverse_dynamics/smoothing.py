@@ -130,10 +130,13 @@ def _interval(time: np.ndarray) -> float:
     return mean
 
 
-def _check_cutoff(cutoff: float, interval: float) -> None:
-    if cutoff * interval >= 0.5:
+def _check_cutoff(given: float, once: float, interval: float) -> None:
+    """Raise SpecError if the cutoff `once` of a single pass, for the cutoff `given`, is too high for the rows."""
+    highest = 0.5 / interval * given / once
+    if given >= highest:
         raise SpecError(
-            f"{cutoff:g} Hz is not below half the rate of the rows, {0.5 / interval:.4g} Hz", key=f"{KEY}.cutoff"
+            f"{given:g} Hz is too high: with {1 / interval:.6g} rows a second, it should be below {highest:.4g} Hz",
+            key=f"{KEY}.cutoff",
         )
 
 
@@ -141,7 +144,7 @@ def _butterworth(time: np.ndarray, series: np.ndarray, how: Butterworth) -> np.n
     interval = _interval(time)
     # each of the two passes has -1.5 dB at the cutoff
     once = how.cutoff / (2**0.5 - 1) ** (0.5 / how.order)
-    _check_cutoff(once, interval)
+    _check_cutoff(how.cutoff, once, interval)
     b, a = butter(how.order, once, fs=1.0 / interval)
     duration = 2.0 / how.cutoff if how.padding is None else how.padding
     padding = min(int(np.ceil(duration / interval)), len(time) - 1)
@@ -161,7 +164,7 @@ def _opensim(time: np.ndarray, series: np.ndarray, how: OpenSimFilter) -> Smooth
     even = times[0] + interval * np.arange(int(np.floor((times[-1] - times[0]) / interval + 1e-6)) + 1)
     if len(even) != len(times) or np.max(np.abs(even - times)) > 1e-9 * interval * len(times):
         padded = quintic_spline(times, padded)(np.minimum(even, times[-1]))
-    _check_cutoff(how.cutoff, interval)
+    _check_cutoff(how.cutoff, how.cutoff, interval)
     b, a = butter(3, how.cutoff, fs=1.0 / interval)
     for _ in range(2):  # forward, and backward on the reversed series
         padded = _third_order_pass(b, a, padded)[::-1]
