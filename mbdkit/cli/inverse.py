@@ -70,7 +70,7 @@ def workload(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Print the workload of joints and actuators: peaks, impulses, work.
+    """Print the workload of joints: peaks, impulses and work.
 
     With --load, also of each contact and each cycle; --json has the cycles from 0 to
     100 % with their mean and deviation. Drivers of a forward run count as actuators.

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mbdkit.inverse_dynamics.quantities import AXES, Coordinate, Point, Quantity, RelativeAngle, Shortening, Travel
+from mbdkit.inverse_dynamics.mechanism_quantities import (
+    AXES,
+    Coordinate,
+    Point,
+    Quantity,
+    RelativeAngle,
+    Shortening,
+    Travel,
+)
 from mbdkit.inverse_dynamics.quantity_names import QuantityNames
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import InverseSpec

@@ -19,7 +19,7 @@ from mbdkit.inverse_dynamics.actuators import NamedActuator
 from mbdkit.inverse_dynamics.fit import Fitter
 from mbdkit.inverse_dynamics.loads import Loads
 from mbdkit.inverse_dynamics.manifold import Directions
-from mbdkit.inverse_dynamics.quantities import Quantities
+from mbdkit.inverse_dynamics.mechanism_quantities import Quantities
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.text import counted
 

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from mbdkit.errors import SpecError
 from mbdkit.inverse_dynamics.measured import source_table, unit_factor
-from mbdkit.inverse_dynamics.quantities import GROUND
+from mbdkit.inverse_dynamics.mechanism_quantities import GROUND
 from mbdkit.inverse_dynamics.quantity_names import QuantityNames
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.inverse_dynamics.tables import Table

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from mbdkit.archive.reader import load
 from mbdkit.errors import SpecError
 from mbdkit.inverse_dynamics.fit import Target
-from mbdkit.inverse_dynamics.quantities import Quantities, Quantity
+from mbdkit.inverse_dynamics.mechanism_quantities import Quantities, Quantity
 from mbdkit.inverse_dynamics.quantity_names import QuantityNames
 from mbdkit.inverse_dynamics.tables import Table, read_table, table_of
 from mbdkit.spec import InverseSpec

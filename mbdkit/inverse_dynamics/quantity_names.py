@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from mbdkit.errors import SpecError
-from mbdkit.inverse_dynamics.quantities import (
+from mbdkit.inverse_dynamics.mechanism_quantities import (
     AXES,
     GROUND,
     Coordinate,

@@ -16,7 +16,7 @@ import numpy as np
 from mbdkit.inverse_dynamics.fit import Fitter, Target
 from mbdkit.inverse_dynamics.manifold import Directions, Manifold
 from mbdkit.inverse_dynamics.measured import Measured
-from mbdkit.inverse_dynamics.quantities import Quantities, Quantity
+from mbdkit.inverse_dynamics.mechanism_quantities import Quantities, Quantity
 from mbdkit.inverse_dynamics.smoothing import smoothed
 from mbdkit.spec.inverse_sections import Smoothing
 
