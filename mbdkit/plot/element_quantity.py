@@ -100,7 +100,8 @@ def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
     """
     time, acting = np.asarray(run.time), list(run.actuators.values())
     forces = [] if acting and not run.records("forces/value") else list(run.forces.values())
-    columns = [column for column, one in enumerate([*forces, *acting]) if one.units == unit]
+    units = [one.units for one in forces] + [one.units for one in acting]
+    columns = [column for column, given in enumerate(units) if given == unit]
     data: Any = run.dataset("forces/value") if forces else np.zeros((len(time), 0))
     if acting:
         data = np.column_stack([data[:], run.array("actuators/value")])
