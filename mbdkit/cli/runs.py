@@ -124,7 +124,7 @@ def _check_accuracy(accuracy: float) -> None:
 
 
 def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -> None:
-    """Check a spec of a run, a study or inverse dynamics without running it.
+    """Check a spec of any kind without running it.
 
     The mechanism is built and its start made consistent; changes of the start are
     printed. Of a study, the specs of all runs are checked, or of a few if it is
