@@ -13,10 +13,12 @@ from mbdkit.mechanism import higher_layers
 
 if TYPE_CHECKING:
     from mbdkit import plot
+    from mbdkit.analysis.workload import Workload, workload
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.errors import MbdkitError, PluginError, ResourceError, RunError, SpecError, StepError
+    from mbdkit.inverse_dynamics.inverse_run import inverse
     from mbdkit.mechanics.equilibrium import Equilibrium, equilibrium
     from mbdkit.mechanics.kinematics import Kinematics, kinematics
     from mbdkit.mechanics.modes import Linearization, Modes, linearize, modes
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
     from mbdkit.resuming import resume
     from mbdkit.simulation import run
-    from mbdkit.spec import RunSpec, StudySpec
+    from mbdkit.spec import InverseSpec, RunSpec, StudySpec
     from mbdkit.studies.carry_out import ensemble, load_study, study
     from mbdkit.studies.study import Study
 
@@ -46,6 +48,7 @@ __all__ = [
     "FunctionLaw",
     "ImplicitRungeKutta",
     "IntegratorPlugin",
+    "InverseSpec",
     "Kinematics",
     "Linearization",
     "MbdkitError",
@@ -65,10 +68,12 @@ __all__ = [
     "Study",
     "StudyPlugin",
     "StudySpec",
+    "Workload",
     "__version__",
     "ensemble",
     "equilibrium",
     "hookimpl",
+    "inverse",
     "kinematics",
     "linearize",
     "load",
@@ -78,6 +83,7 @@ __all__ = [
     "resume",
     "run",
     "study",
+    "workload",
 ]
 
 _HOME = {
@@ -90,6 +96,7 @@ _HOME = {
     "FunctionLaw": "mbdkit.mechanism.force_law",
     "ImplicitRungeKutta": "mbdkit.methods.kinds",
     "IntegratorPlugin": "mbdkit.registry.items",
+    "InverseSpec": "mbdkit.spec",
     "Kinematics": "mbdkit.mechanics.kinematics",
     "Linearization": "mbdkit.mechanics.modes",
     "MbdkitError": "mbdkit.errors",
@@ -112,6 +119,7 @@ _HOME = {
     "StudySpec": "mbdkit.spec",
     "equilibrium": "mbdkit.mechanics.equilibrium",
     "hookimpl": "mbdkit.registry.hookspecs",
+    "inverse": "mbdkit.inverse_dynamics.inverse_run",
     "kinematics": "mbdkit.mechanics.kinematics",
     "linearize": "mbdkit.mechanics.modes",
     "load": "mbdkit.archive.reader",
@@ -121,6 +129,8 @@ _HOME = {
     "resume": "mbdkit.resuming",
     "run": "mbdkit.simulation",
     "study": "mbdkit.studies.carry_out",
+    "workload": "mbdkit.analysis.workload",
+    "Workload": "mbdkit.analysis.workload",
 }
 
 

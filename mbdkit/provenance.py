@@ -9,7 +9,9 @@ import sys
 from functools import cache
 from importlib.metadata import version
 
+from mbdkit.registry.catalogue import Registered
 from mbdkit.spec import RunSpec
+from mbdkit.spec.model_spec import ModelSpec
 
 
 @cache
@@ -36,10 +38,20 @@ def surroundings() -> dict[str, str | int | float]:
     }
 
 
+def model_provenance(spec: ModelSpec) -> dict[str, str | int | float]:
+    """Return the versions, platform, command and plugins of a computation without an integrator."""
+    return {**surroundings(), **_plugins({"model": spec.model_item}, spec)}
+
+
 def plugins_of(spec: RunSpec) -> dict[str, str]:
     """Return the plugins of a run and their versions."""
+    return _plugins({"model": spec.model_item, "integrator": spec.integrator_item}, spec)
+
+
+def _plugins(items: dict[str, Registered], spec: ModelSpec) -> dict[str, str]:
+    """Return the given plugins, and those of the force laws of a spec, with their versions."""
     found: dict[str, str] = {}
-    for kind, item in (("model", spec.model_item), ("integrator", spec.integrator_item)):
+    for kind, item in items.items():
         found[kind] = item.id
         found[f"{kind}_distribution"] = item.origin.distribution
         found[f"{kind}_version"] = item.origin.version

@@ -257,7 +257,7 @@ class _Checker:
                 self.say(f"{path} is not a dimension scale")
         else:
             self.scales(array, dataset)
-        unknown_is_nan = array.group == "accuracy"
+        unknown_is_nan = array.group in layout.MAY_BE_UNKNOWN
         if self.status != "running" and dtype == layout.FLOAT and not unknown_is_nan:
             bad = sum(int(np.count_nonzero(~np.isfinite(block))) for block in blocks(dataset))
             if bad:
@@ -291,7 +291,7 @@ class _Checker:
         time = self.file["trajectory/time"][:]
         if np.any(np.diff(time) <= 0):
             self.say("trajectory/time does not increase from row to row")
-        for group in ("joints", "forces", "markers", "constraints", "energy", "accuracy"):
+        for group in ("joints", "forces", "markers", "constraints", "energy", "accuracy", *layout.INVERSE_GROUPS):
             if f"{group}/time" in self.file and not np.array_equal(self.file[f"{group}/time"][:], time):
                 self.say(f"{group}/time differs from trajectory/time")
         elapsed = self.file.get("trajectory/elapsed_s")

@@ -198,6 +198,45 @@ class MarkerHistory(View):
         self.body = body
 
 
+class ObservedHistory(View):
+    """One observed quantity of a measured motion: as measured, and as the fitted mechanism has it."""
+
+    raw = Column("motion/raw")
+    fitted = Column("motion/fitted")
+    residual = Column("motion/residual")
+
+    def __init__(self, source: Source, name: str, index: int, units: str):
+        super().__init__(source, name, index)
+        #: Unit of the quantity: ``m`` or ``rad``.
+        self.units = units
+
+
+class ActuatorHistory(View):
+    """Value and power of one actuator, in inverse dynamics."""
+
+    value = Column("actuators/value")
+    power = Column("actuators/power")
+
+    def __init__(self, source: Source, name: str, index: int, units: str):
+        super().__init__(source, name, index)
+        #: Unit of `value`: ``N`` or ``N m``.
+        self.units = units
+
+
+class LoadHistory(View):
+    """One measured load, in inverse dynamics; force and point of application are in the global frame."""
+
+    force = Column("loads/force")
+    point = Column("loads/point")
+    torque = Column("loads/torque")
+    power = Column("loads/power")
+
+    def __init__(self, source: Source, name: str, index: int, body: str):
+        super().__init__(source, name, index)
+        #: Body that the load acts on.
+        self.body = body
+
+
 class ConstraintHistory(View):
     """Residuals and multipliers of one constraint row."""
 
@@ -374,3 +413,21 @@ class ConstraintHistories(Histories[ConstraintHistory]):
     """The constraints of a run by name."""
 
     what = "constraint"
+
+
+class ObservedHistories(Histories[ObservedHistory]):
+    """The observed quantities of a measured motion by name."""
+
+    what = "observed quantity"
+
+
+class ActuatorHistories(Histories[ActuatorHistory]):
+    """The actuators of inverse dynamics by name."""
+
+    what = "actuator"
+
+
+class LoadHistories(Histories[LoadHistory]):
+    """The measured loads of inverse dynamics by name."""
+
+    what = "load"

@@ -186,9 +186,18 @@ def _accuracy_names(name: str, what: str, dim: str = "") -> Array:
     return Array(f"accuracy/{name}", (dim or name,), "1", what, TEXT, optional=True)
 
 
+def _measured(path: str, dims: tuple[str, ...], units: str, what: str, row_units: str = "") -> Array:
+    return Array(path, dims, units, what, row_units=row_units, optional=True, since="1.1")
+
+
+def _measured_names(path: str, what: str, dim: str = "") -> Array:
+    return Array(path, (dim or path.partition("/")[2],), "1", what, TEXT, optional=True, since="1.1")
+
+
 _TBC = ("time", "body", "coordinate")
 _TJ = ("time", "joint")
 _TM = ("time", "constraint")
+_TK = ("time", "observed")
 _T = ("time",)
 _N = ("interval",)
 _E = ("event",)
@@ -396,7 +405,46 @@ LAYOUT: tuple[Array, ...] = (
     ),
     _accuracy("reaction_error", _TJ, "N", "estimated norm of the error of reaction_force so far, nan where unknown"),
     _accuracy("torque_error", _TJ, "N m", "estimated error of reaction_torque so far, nan where unknown"),
+    _measured("motion/time", _T, "s", "time of the recorded row"),
+    _measured_names("motion/observed", "name of the observed quantity"),
+    _measured_names("motion/row_units", "units of raw, fitted and residual, row by row", "observed"),
+    _measured_names("motion/joint", "name of the joint"),
+    _measured("motion/raw", _TK, MIXED, "measured value, nan in a gap", "row_units"),
+    _measured("motion/fitted", _TK, MIXED, "value of the fitted mechanism, before smoothing", "row_units"),
+    _measured("motion/residual", _TK, MIXED, "raw - fitted", "row_units"),
+    _measured(
+        "motion/raw_misalignment",
+        _TJ,
+        "m",
+        "misalignment of the joint if the data alone place the bodies, nan where they do not",
+    ),
+    _measured("actuators/time", _T, "s", "time of the recorded row"),
+    _measured_names("actuators/actuator", "name of the actuator"),
+    _measured_names("actuators/row_units", "units of value, row by row", "actuator"),
+    _measured(
+        "actuators/value",
+        ("time", "actuator"),
+        MIXED,
+        "torque on the second body, positive counter-clockwise; force along a travel or a coordinate; tension between "
+        "two points",
+        "row_units",
+    ),
+    _measured("actuators/power", ("time", "actuator"), "W", "power that the actuator supplies to the bodies"),
+    _measured("loads/time", _T, "s", "time of the recorded row"),
+    _measured_names("loads/load", "name of the measured load"),
+    _measured_names("loads/axis", "axis of the global frame"),
+    _measured_names("loads/body", "body that the load acts on", "load"),
+    _measured("loads/force", ("time", "load", "axis"), "N", "force on the body, global frame"),
+    _measured("loads/point", ("time", "load", "axis"), "m", "point of application, global frame"),
+    _measured("loads/torque", ("time", "load"), "N m", "free torque on the body, positive counter-clockwise"),
+    _measured("loads/power", ("time", "load"), "W", "power that the load supplies to the body"),
 )
+
+#: Groups whose numbers may be nan: unknown errors, and gaps in measured data.
+MAY_BE_UNKNOWN = ("accuracy", "motion")
+
+#: Groups of inverse dynamics; those without elements are absent.
+INVERSE_GROUPS = ("motion", "actuators", "loads")
 
 #: Paths of the arrays of events; all of them are present if the spec has events.
 EVENTS = tuple(array.path for array in LAYOUT if array.group == "events")
@@ -422,10 +470,21 @@ CORRECTIONS: Mapping[str, tuple[str, ...]] = {
 ALWAYS = frozenset(("joints/joint", "joints/first_body", "joints/second_body"))
 
 BY_PATH: Mapping[str, Array] = {array.path: array for array in LAYOUT}
-GROUPS = ("trajectory", "joints", "forces", "markers", "constraints", "energy", "steps", "events", "accuracy")
+GROUPS = (
+    "trajectory",
+    "joints",
+    "forces",
+    "markers",
+    "constraints",
+    "energy",
+    "steps",
+    "events",
+    "accuracy",
+    *INVERSE_GROUPS,
+)
 
 #: Groups that exist only if the mechanism has such elements.
-ELEMENTS = frozenset({"forces", "markers"})
+ELEMENTS = frozenset({"forces", "markers", "actuators", "loads"})
 
 
 def is_timing(path: str) -> bool:

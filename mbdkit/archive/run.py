@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import h5py
 import numpy as np
@@ -16,6 +16,8 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.history import (
+    ActuatorHistories,
+    ActuatorHistory,
     BodyHistories,
     BodyHistory,
     ConstraintHistories,
@@ -26,9 +28,13 @@ from mbdkit.archive.history import (
     ForceHistory,
     JointHistories,
     JointHistory,
+    LoadHistories,
+    LoadHistory,
     MarkerHistories,
     MarkerHistory,
     NotRecordedError,
+    ObservedHistories,
+    ObservedHistory,
     Steps,
     UnknownNameError,
 )
@@ -38,7 +44,9 @@ from mbdkit.archive.part_file import write_image
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.errors import MbdkitError, RunError, SpecError
 from mbdkit.html_view import HtmlView
-from mbdkit.spec import RunSpec
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.spec import InverseSpec, RunSpec
+from mbdkit.spec.inverse_spec import is_inverse, refused_as_run
 from mbdkit.trust.criteria import LEVELS, Level
 
 if TYPE_CHECKING:
@@ -95,6 +103,12 @@ class Run(HtmlView):
                         "markers/body",
                         "constraints/constraint",
                         "constraints/row_units",
+                        "motion/observed",
+                        "motion/row_units",
+                        "actuators/actuator",
+                        "actuators/row_units",
+                        "loads/load",
+                        "loads/body",
                     )
                     if name in file
                 }
@@ -226,9 +240,22 @@ class Run(HtmlView):
         Raises
         ------
         SpecError
-            If a plugin that it names is not installed.
+            If a plugin that it names is not installed, or if it is a spec of inverse dynamics.
         """
+        if self.kind == "inverse":
+            raise refused_as_run()
         return RunSpec(**self.spec)
+
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """The mechanism that the model of the spec builds.
+
+        Raises
+        ------
+        SpecError
+            If a plugin that the spec names is not installed.
+        """
+        return (InverseSpec(**self.spec) if self.kind == "inverse" else self.run_spec).mechanism()
 
     @cached_property
     def stats(self) -> Mapping[str, int | float]:
@@ -239,6 +266,11 @@ class Run(HtmlView):
     def provenance(self) -> Mapping[str, str | int | float]:
         """Versions, platform and command."""
         return self._provenance
+
+    @property
+    def kind(self) -> Literal["forward", "inverse"]:
+        """``forward`` for the integration of a motion, ``inverse`` for inverse dynamics of a measured one."""
+        return "inverse" if is_inverse(self.spec) else "forward"
 
     @property
     def time(self) -> np.ndarray:
@@ -361,6 +393,48 @@ class Run(HtmlView):
             names,
             lambda name, index: MarkerHistory(self, name, index, bodies[index]),
         )
+
+    @cached_property
+    def motion(self) -> ObservedHistories:
+        """Observed quantities of the measured motion by name; empty unless this is inverse dynamics."""
+        names = self._names.get("motion/observed", ())
+        units = self._texts("motion/row_units", names)
+        return ObservedHistories(names, lambda name, index: ObservedHistory(self, name, index, units[index]))
+
+    @property
+    def raw_misalignment(self) -> np.ndarray:
+        """Misalignment of each joint if the measured data alone place the bodies, (T, J) [m]; nan where they do not.
+
+        Raises
+        ------
+        MbdkitError
+            If this is not inverse dynamics.
+        """
+        return self.array("motion/raw_misalignment")
+
+    @cached_property
+    def actuators(self) -> ActuatorHistories:
+        """Values and powers of the actuators by name; empty unless this is inverse dynamics.
+
+        Examples
+        --------
+        >>> import mbdkit
+        >>> t = [0.01 * i for i in range(11)]
+        >>> motion = {"data": {"time": t, "tilt": t}, "columns": {"J1.angle": "tilt"}}
+        >>> run = mbdkit.inverse({"mbdkit": 1, "model": {"name": "single-pendulum"}, "motion": motion})
+        >>> list(run.actuators), run.actuators["J1"].units
+        (['J1'], 'N m')
+        """
+        names = self._names.get("actuators/actuator", ())
+        units = self._texts("actuators/row_units", names)
+        return ActuatorHistories(names, lambda name, index: ActuatorHistory(self, name, index, units[index]))
+
+    @cached_property
+    def loads(self) -> LoadHistories:
+        """Measured loads by name; empty unless this is inverse dynamics."""
+        names = self._names.get("loads/load", ())
+        bodies = self._texts("loads/body", names)
+        return LoadHistories(names, lambda name, index: LoadHistory(self, name, index, bodies[index]))
 
     def _texts(self, path: str, elements: Sequence[str]) -> Sequence[str]:
         """Return the text of each of the `elements` in an array; empty texts if the archive lacks them."""

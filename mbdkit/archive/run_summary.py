@@ -66,7 +66,8 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
             run.redundancy and f"{run.redundancy}; reactions are not unique, those of least norm recorded",
         ),
         ("start", _start(run)),
-        ("integrator", _method(spec)),
+        ("integrator", _method(spec) if run.kind == "forward" else ""),
+        ("smoothing", _smoothing(spec)),
         ("stabilization", _stabilization(run)),
         *(("warning", warning) for warning in run.warnings if warning not in run.verdict_reasons),
         ("time", _time(run)),
@@ -75,6 +76,9 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("singularity", _singularity(run)),
         ("energy", _energy(run)),
         ("drivers", _drivers(run)),
+        ("fit", _fit(run)),
+        ("raw data", _raw_misalignment(run)),
+        ("actuators", _actuators(run)),
         ("events", _events(run)),
         *_measures(run),
         ("counters", _counters(run.stats)),
@@ -217,7 +221,7 @@ def _time(run: Run) -> str:
     if rows == 0:
         return "no row recorded"
     steps = run.stats.get("steps")
-    taken = "" if steps is None else f", {counted(int(steps), 'step')}"
+    taken = "" if steps is None or run.kind == "inverse" else f", {counted(int(steps), 'step')}"
     return f"{run.time[0]:g} to {run.time[-1]:g} s{taken}, {counted(rows, 'row')}"
 
 
@@ -288,6 +292,48 @@ def _drivers(run: Run) -> str:
             row, column = np.unravel_index(int(np.nanargmax(size)), size.shape)
             found.append(f"largest {name} {largest:.4g} {unit}, of {run.drivers[column]} at {run.time[row]:.4g} s")
     return "; ".join(found)
+
+
+def _smoothing(spec: Mapping[str, Any]) -> str:
+    """Return the smoothing of a measured motion and its options; empty for a run."""
+    chosen = spec.get("motion", {}).get("smooth", {})
+    words = [f"{key} {value}" for key, value in chosen.items() if key != "name" and value is not None]
+    return ", ".join([*([str(chosen["name"])] if chosen else []), *words])
+
+
+def _fit(run: Run) -> str:
+    """Return the root mean square of the residuals of each observed quantity, the largest first."""
+    found = []
+    for name, one in run.motion.items():
+        known = one.residual[np.isfinite(one.residual)]
+        found.append((float(np.sqrt(np.mean(known**2))) if known.size else math.nan, name, one.units))
+    found.sort(reverse=True)
+    told = ", ".join(f"{name} {size:.3g} {units}" for size, name, units in found[:JOINTS_NAMED])
+    more = f", {len(found) - JOINTS_NAMED} more" if len(found) > JOINTS_NAMED else ""
+    return f"residuals (rms) {told}{more}" if found else ""
+
+
+def _raw_misalignment(run: Run) -> str:
+    """Return the largest misalignment of the measured data; empty if they determine no gap."""
+    if not run.records("motion/raw_misalignment"):
+        return ""
+    gaps = run.raw_misalignment
+    largest = np.max(np.where(np.isfinite(gaps), gaps, -1.0), axis=0, initial=-1.0)
+    order = [int(k) for k in np.argsort(-largest, kind="stable")[:JOINTS_NAMED] if largest[k] >= 0]
+    told = ", ".join(f"{run.joint_names[k]} {largest[k]:.2g} m" for k in order)
+    return f"misaligned by at most {told}" if told else ""
+
+
+def _actuators(run: Run) -> str:
+    """Return the largest value of each actuator and its time, the largest first."""
+    peaks = []
+    for name, one in run.actuators.items():
+        row = int(np.argmax(np.abs(one.value)))
+        peaks.append((abs(float(one.value[row])), f"{name} {one.value[row]:.4g} {one.units} at {run.time[row]:.4g} s"))
+    peaks.sort(key=lambda peak: -peak[0])
+    return "; ".join(text for _, text in peaks[:JOINTS_NAMED]) + (
+        f"; {len(peaks) - JOINTS_NAMED} more" if len(peaks) > JOINTS_NAMED else ""
+    )
 
 
 def _events(run: Run) -> str:

@@ -46,6 +46,12 @@ class ArchiveNames:
         Unit of the length of every force element, ``m`` or ``rad``.
     markers, marker_bodies
         Names of the markers, and the body of each.
+    observed, observed_units
+        Names of the observed quantities of a measured motion, and the unit of each, ``m`` or ``rad``.
+    actuators, actuator_units
+        Names of the actuators, and the unit of the value of each, ``N`` or ``N m``.
+    loads, load_bodies
+        Names of the measured loads, and the body of each.
     """
 
     bodies: Sequence[str]
@@ -59,6 +65,12 @@ class ArchiveNames:
     force_units: Sequence[str] = ()
     markers: Sequence[str] = ()
     marker_bodies: Sequence[str] = ()
+    observed: Sequence[str] = ()
+    observed_units: Sequence[str] = ()
+    actuators: Sequence[str] = ()
+    actuator_units: Sequence[str] = ()
+    loads: Sequence[str] = ()
+    load_bodies: Sequence[str] = ()
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -71,6 +83,9 @@ class ArchiveNames:
             "constraint": len(self.constraints),
             "force": len(self.forces),
             "marker": len(self.markers),
+            "observed": len(self.observed),
+            "actuator": len(self.actuators),
+            "load": len(self.loads),
         }
 
     def present(self, quantities: frozenset[str]) -> frozenset[str]:
@@ -273,8 +288,8 @@ def name_texts(names: ArchiveNames) -> dict[str, Sequence[str]]:
         **{f"{group}/row_units": ("m", "m", "rad") for group in ("trajectory", "events")},
         **{f"{group}/velocity_row_units": rates for group in ("trajectory", "events")},
         "trajectory/acceleration_row_units": [f"{rate}^2" for rate in rates],
-        "joints/joint": names.joints,
-        **{f"{group}/axis": layout.AXES for group in ("joints", "markers")},
+        **{f"{group}/joint": names.joints for group in ("joints", "motion")},
+        **{f"{group}/axis": layout.AXES for group in ("joints", "markers", "loads")},
         "joints/first_body": [first for first, _ in names.joint_bodies],
         "joints/second_body": [second for _, second in names.joint_bodies],
         "joints/angle_row_units": names.joint_units or ["rad"] * len(names.joints),
@@ -286,6 +301,12 @@ def name_texts(names: ArchiveNames) -> dict[str, Sequence[str]]:
         "forces/value_row_units": [layout.MULTIPLIER_UNITS[unit] for unit in names.force_units],
         "markers/marker": names.markers,
         "markers/body": names.marker_bodies,
+        "motion/observed": names.observed,
+        "motion/row_units": names.observed_units,
+        "actuators/actuator": names.actuators,
+        "actuators/row_units": names.actuator_units,
+        "loads/load": names.loads,
+        "loads/body": names.load_bodies,
         "constraints/constraint": names.constraints,
         "constraints/row_units": units,
         "constraints/velocity_row_units": [layout.RATE_UNITS[unit] for unit in units],

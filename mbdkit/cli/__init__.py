@@ -16,6 +16,7 @@ import typer
 from mbdkit.cli.archives import archive_app
 from mbdkit.cli.common_options import PLAIN, Debug
 from mbdkit.cli.guide import guide
+from mbdkit.cli.inverse import inverse, workload
 from mbdkit.cli.mechanics import equilibrium, kinematics, modes
 from mbdkit.cli.pictures import animate, plot, report
 from mbdkit.cli.plugins import plugins_app
@@ -55,7 +56,9 @@ def mbdkit(
     """
 
 
-for command in (run, validate, equilibrium, modes, kinematics, study, plot, animate, report, rerun, guide):
+for command in (
+    run, validate, inverse, workload, equilibrium, modes, kinematics, study, plot, animate, report, rerun, guide,
+):  # fmt: skip
     app.command(cls=StudyCommand if command is study else None)(command)
 for name, group in {
     "schema": schema_app,

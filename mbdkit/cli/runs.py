@@ -13,6 +13,7 @@ import typer
 
 from mbdkit import terminal
 from mbdkit.cli.common_options import AnySpecName, Archive, AsJson, Debug, Overwrite, Quiet, Set, SpecNameOrNone
+from mbdkit.cli.inverse import validate_inverse
 from mbdkit.cli.output_paths import check_new, stem
 from mbdkit.progress_bars import progress_bar
 from mbdkit.terminal import say, show, show_json, silence
@@ -123,7 +124,7 @@ def _check_accuracy(accuracy: float) -> None:
 
 
 def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -> None:
-    """Check a run spec or a study spec without running it.
+    """Check a spec of any kind without running it.
 
     The mechanism is built and its start made consistent; changes of the start are
     printed. Of a study, the specs of all runs are checked, or of a few if it is
@@ -131,6 +132,8 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
     base of every run.
     """
     from mbdkit.spec import load_spec
+    from mbdkit.spec.inverse_spec import is_inverse
+    from mbdkit.spec.source_document import Document
     from mbdkit.spec.study_loading import load_study_spec, recognized
 
     source, is_study = recognized(spec)
@@ -146,6 +149,9 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
         else:
             told = plan_summary(study, plan_study(study))
         show(f"{spec}: this study is valid\n{told}")
+        return
+    if isinstance(source, Document) and is_inverse(source.data):
+        validate_inverse(source, spec, assignments or [])
         return
     checked = load_spec(source, assignments or ())
     from mbdkit.run_corners import check_jumps
@@ -229,6 +235,8 @@ def rerun(
 
     with load(archive) as before:
         check_plugins_of(archive, before.provenance)
+        if before.kind == "inverse":
+            raise SpecError("this is inverse dynamics: repeat it from its spec with `mbdkit inverse`", file=archive)
         try:
             checked = load_spec(before.spec)
         except SpecError as error:

@@ -37,6 +37,17 @@ def schema_study(debug: Debug = False) -> None:
     show_json(study_schema(), indent=2)
 
 
+@schema_app.command("inverse")
+def schema_inverse(debug: Debug = False) -> None:
+    """Print the JSON schema of a spec of inverse dynamics.
+
+    It contains the options of all installed models and force laws.
+    """
+    from mbdkit.spec.schema import inverse_schema
+
+    show_json(inverse_schema(), indent=2)
+
+
 @examples_app.callback(invoke_without_command=True)
 def examples(context: typer.Context, debug: Debug = False) -> None:
     """List the packaged examples, specs and notebooks.

@@ -27,6 +27,31 @@ class SingularState:
     unknown: int
 
 
+@dataclass(frozen=True)
+class GivenForces:
+    """Accelerations and constraint forces that more than the mechanism causes, as with actuators.
+
+    Attributes
+    ----------
+    acceleration
+        (T, 3 (B + 1)), ground last.
+    lam, reactions
+        (T, P, 2) and (T, P, 3), as in `Observed`; those of redundant joints are shared afterwards.
+    """
+
+    acceleration: np.ndarray
+    lam: np.ndarray
+    reactions: np.ndarray
+
+    def replace(self, out: Observed, part: slice) -> None:
+        """Write the states of `part` into `out`."""
+        out.acc[part], out.lam[part], out.reactions[part] = (
+            self.acceleration[part],
+            self.lam[part],
+            self.reactions[part],
+        )
+
+
 class StateObserver:
     """Computes accelerations, reactions, forces, markers, energies and the distance to singularity at states of a run.
 
@@ -62,7 +87,9 @@ class StateObserver:
         """Return arrays for the results of `observe`, for T = `states`."""
         return Observed.zeros(states, self.workspace.mechanism.topology)
 
-    def observe(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, out: Observed) -> SingularState | None:
+    def observe(
+        self, times: np.ndarray, q: np.ndarray, v: np.ndarray, out: Observed, given: GivenForces | None = None
+    ) -> SingularState | None:
         """Evaluate states in order and write the results into `out`; stop at a state without unique accelerations.
 
         If the elimination with the current pivots fails at a state, that state is tried again with new pivots.
@@ -75,6 +102,8 @@ class StateObserver:
             (T, 3 (B + 1)) positions and velocities, ground last; C-contiguous.
         out
             Receives the values of T states.
+        given
+            Accelerations and constraint forces of the states, if they are not those of the mechanism alone.
 
         Returns
         -------
@@ -90,10 +119,13 @@ class StateObserver:
             part = slice(done, end)
             stress, rows = self._self_stress(end - done), out.rows(part)
             status, reached = observe(self.workspace.engine, times[part], q[part], v[part], rows, stress, self._near)
+            new = slice(done, done + reached)
+            if given is not None:
+                given.replace(out, new)
             if self._directions and reached:
-                new = slice(done, done + reached)
                 self._note_gaps(new, q[new], out.rows(new), stress.rows(slice(0, reached)))
                 self._share(out.rows(new), stress.rows(slice(0, reached)))
+            if reached and (self._directions or given is not None):
                 observe_joints(self.workspace.engine, times[new], q[new], out.rows(new))
             done += reached
             return int(status)

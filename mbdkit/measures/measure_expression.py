@@ -22,7 +22,7 @@ from mbdkit.errors import SpecError
 from mbdkit.events.event_expression import Code, Quantity, RunCompiler
 from mbdkit.measures.measured_quantities import ATTRIBUTES, is_over_time, is_vector, recorded, unit_of
 from mbdkit.mechanism.time_expression import FUNCTIONS, Program
-from mbdkit.spec import RunSpec
+from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import QUANTITIES
 from mbdkit.text import did_you_mean, listed
 from mbdkit.units import Unit, read_unit
@@ -115,7 +115,7 @@ class MeasureExpression:
     unit: Unit
 
     @staticmethod
-    def parse(text: str, spec: RunSpec, unit: str = "") -> MeasureExpression:
+    def parse(text: str, spec: ModelSpec, unit: str = "") -> MeasureExpression:
         """Parse an expression for the runs of a spec.
 
         Parameters
@@ -189,7 +189,7 @@ class SeriesExpression(MeasureExpression):
     """An expression with one number per recorded row, such as ``abs(joints.B.force)``."""
 
     @staticmethod
-    def parse(text: str, spec: RunSpec, unit: str = "") -> SeriesExpression:
+    def parse(text: str, spec: ModelSpec, unit: str = "") -> SeriesExpression:
         """Parse an expression for the runs of a spec, without its parameters, whose values may differ between runs.
 
         Raises
@@ -257,10 +257,10 @@ class _MeasureCompiler(RunCompiler):
         "markers.NAME.position, events.NAME.time, energy.total"
     )
 
-    def __init__(self, text: str, spec: RunSpec, parameters: Mapping[str, float] | None = None):
+    def __init__(self, text: str, spec: ModelSpec, parameters: Mapping[str, float] | None = None):
         self.spec = spec
         super().__init__(text, spec.mechanism(), spec.numbers if parameters is None else parameters)
-        self.known["events"] = list(spec.events)
+        self.known["events"] = list(spec.event_names)
 
     def measure(self) -> tuple[Program, _Value]:
         """Return the program and its value, which is one number; raise SpecError otherwise."""
@@ -309,8 +309,7 @@ class _MeasureCompiler(RunCompiler):
 
     def get(self, quantity: Quantity) -> Code:
         """Return the program that pushes a checked quantity."""
-        chosen = self.spec.output.quantities
-        if quantity.kind in QUANTITIES and chosen != "all" and quantity.kind not in chosen:
+        if quantity.kind in QUANTITIES and quantity.kind not in self.spec.recorded:
             raise SpecError(
                 f"this expression needs {quantity.kind}, which the runs do not record; add '{quantity.kind}' to "
                 "`output.quantities`"
@@ -346,9 +345,9 @@ class _MeasureCompiler(RunCompiler):
             self.refuse("the second argument of 'at' is one time, such as 0.5 or events.NAME.time", node.args[1])
         if not time.is_number and time.unit is not None and not time.unit.is_like(_SECOND):
             self.refuse(f"the second argument of 'at' is a time, but it has the unit {time.unit}", node.args[1])
-        start, end = self.spec.time.start, self.spec.time.final
-        if len(when) == 1 and when[0][0] == "const" and not start <= when[0][1] <= end:
-            self.refuse(f"the run goes from {start:g} s to {end:g} s", node.args[1])
+        span = self.spec.span
+        if span and len(when) == 1 and when[0][0] == "const" and not span[0] <= when[0][1] <= span[1]:
+            self.refuse(f"the run goes from {span[0]:g} s to {span[1]:g} s", node.args[1])
         code = self.reduced("at", program, node)
         code[-1:-1] = when
         return code

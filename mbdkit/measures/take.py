@@ -11,7 +11,7 @@ from mbdkit.errors import PluginError, SpecError, blaming
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.plain_data import path_text
 from mbdkit.registry.items import MeasurePlugin
-from mbdkit.spec import RunSpec
+from mbdkit.spec import InverseSpec, RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.text import message_of
 
@@ -27,7 +27,7 @@ class Description:
     long_name: str
 
 
-def describe(measure: DefinedMeasure, spec: RunSpec) -> Description:
+def describe(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> Description:
     """Check a measure for the runs of a spec, and return its unit and description.
 
     Raises
@@ -43,12 +43,12 @@ def describe(measure: DefinedMeasure, spec: RunSpec) -> Description:
     return Description(plugin.units, plugin.summary)
 
 
-def is_taken(measure: DefinedMeasure, spec: RunSpec) -> bool:
+def is_taken(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> bool:
     """Return whether a measure is taken of the runs of a spec."""
     return not measure.of_base or measure.name in spec.measures
 
 
-def check_measures(spec: RunSpec) -> None:
+def check_measures(spec: RunSpec | InverseSpec) -> None:
     """Raise SpecError, with the key below ``measures``, if an expression of a run spec is not valid."""
     for measure in spec.defined_measures():
         try:
@@ -57,7 +57,7 @@ def check_measures(spec: RunSpec) -> None:
             raise spec.placed(error.located(prefix=path_text(measure.place))) from None
 
 
-def take(measure: DefinedMeasure, run: Run, spec: RunSpec) -> float:
+def take(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> float:
     """Return the value of a measure for a run; nan if it is that of another base of a study.
 
     Parameters
@@ -85,7 +85,7 @@ def take(measure: DefinedMeasure, run: Run, spec: RunSpec) -> float:
             raise PluginError(f"measure {measure.item.id} returned an object of type {what}, not a number") from None
 
 
-def take_all(run: Run, spec: RunSpec) -> MeasuredValues:
+def take_all(run: Run, spec: RunSpec | InverseSpec) -> MeasuredValues:
     """Return the values of the measures of a run spec; nan, with the reason, where the measure of a plugin fails."""
     values, units, reasons = {}, {}, {}
     for measure in spec.defined_measures():

@@ -9,40 +9,45 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import SpecError, StepError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.run_preparation import build
-from mbdkit.spec import RunSpec, load_spec
+from mbdkit.spec import InverseSpec, RunSpec, load_spec
+from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.stepping.warm_up import ensure_compiled
 
 UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
 """Sections that a spec requires but these analyses do not use; added to a bare `Mechanism`."""
 
 
 @dataclass(frozen=True)
-class PreparedMechanism:
-    """A mechanism at its consistent start, with its spec."""
+class AssembledMechanism:
+    """A mechanism at its consistent start, with the spec that has its model."""
 
-    spec: RunSpec
+    spec: ModelSpec
     workspace: Workspace
     equations: EquationsOfMotion
 
     @classmethod
-    def of(cls, source: Any, overrides: Iterable[str] = (), **sections: Any) -> PreparedMechanism:
-        """Prepare a mechanism from any source that `mbdkit.run` accepts; a `Mechanism` needs no other sections.
+    def at(cls, spec: InverseSpec, start: float, end: float) -> AssembledMechanism:
+        """Assemble the mechanism of a spec of inverse dynamics for a motion between two times [s].
 
         Raises
         ------
         SpecError
-            If the input is wrong, or the joints cannot be closed.
+            If a motion of the model does not cover these times, or the joints cannot be closed.
         """
-        if isinstance(source, Mechanism):
-            sections = UNUSED | sections
-        spec = load_spec(source, overrides, **sections)
-        workspace, _ = build(spec)
-        workspace = replace(workspace, stabilization=NONE)  # Baumgarte terms would change the equations
+        mechanism = spec.mechanism()
+        ensure_compiled()
+        try:
+            mechanism.check_span(start, end)
+            workspace, _ = workspace_at_start(mechanism, start, end)
+        except SpecError as error:
+            raise spec.placed(error if error.key.startswith("model") else error.located(prefix="model")) from error
         return cls(spec, workspace, EquationsOfMotion(workspace))
 
     @property
@@ -73,3 +78,26 @@ class PreparedMechanism:
             yield
         except StepError as error:
             raise self.error(f"the equations of motion cannot be solved in this position: {error}") from error
+
+
+@dataclass(frozen=True)
+class PreparedMechanism(AssembledMechanism):
+    """A mechanism at the consistent start of a run, with the spec of the run."""
+
+    spec: RunSpec
+
+    @classmethod
+    def of(cls, source: Any, overrides: Iterable[str] = (), **sections: Any) -> PreparedMechanism:
+        """Prepare a mechanism from any source that `mbdkit.run` accepts; a `Mechanism` needs no other sections.
+
+        Raises
+        ------
+        SpecError
+            If the input is wrong, or the joints cannot be closed.
+        """
+        if isinstance(source, Mechanism):
+            sections = UNUSED | sections
+        spec = load_spec(source, overrides, **sections)
+        workspace, _ = build(spec)
+        workspace = replace(workspace, stabilization=NONE)  # Baumgarte terms would change the equations
+        return cls(spec, workspace, EquationsOfMotion(workspace))

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from mbdkit.spec.inverse_spec import is_inverse
+
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
@@ -48,7 +50,11 @@ def caption(run: Run) -> Caption:
 
 
 def method(spec: Mapping[str, Any]) -> str:
-    """Return the integrator of a spec with its main options, such as ``gauss, 2 stages``."""
+    """Return the integrator of a spec with its main options, such as ``gauss, 2 stages``, or that there is none."""
+    if is_inverse(spec):
+        smooth = spec["motion"].get("smooth", {})
+        cutoff = f" {smooth['cutoff']:g} Hz" if "cutoff" in smooth else ""
+        return f"inverse dynamics, smoothing {smooth.get('name', 'none')}{cutoff}"
     integrator = spec.get("integrator", {})
     words = [str(integrator.get("name", ""))]
     if integrator.get("stages") is not None:

@@ -85,18 +85,29 @@ class ElementQuantity:
         return replace(self, elements=elements, data=part, errors=errors)
 
 
+def has_elements(run: Run) -> bool:
+    """Return whether a run recorded force elements, or has actuators."""
+    return run.records("forces/value") or bool(run.actuators)
+
+
 def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
-    """Return the values of the force elements with a unit, ``N`` or ``N m``; of none if the mechanism has none.
+    """Return the values of the force elements and actuators with a unit, ``N`` or ``N m``; of none if there are none.
 
     Raises
     ------
     NotRecordedError
-        The run did not record force elements.
+        The run did not record force elements, and has no actuators.
     """
-    columns = [column for column, force in enumerate(run.forces.values()) if force.units == unit]
-    time = np.asarray(run.time)
-    data: Any = run.dataset("forces/value") if columns else np.zeros((len(time), 0))
-    quantity = ElementQuantity(name, unit, tuple(run.forces), bands(time, data))
+    time, acting = np.asarray(run.time), list(run.actuators.values())
+    forces = [] if acting and not run.records("forces/value") else list(run.forces.values())
+    units = [one.units for one in forces] + [one.units for one in acting]
+    columns = [column for column, given in enumerate(units) if given == unit]
+    data: Any = run.dataset("forces/value") if forces else np.zeros((len(time), 0))
+    if acting:
+        data = np.column_stack([data[:], run.array("actuators/value")])
+    taken = [force.name for force in forces]
+    names = taken + [f"{one.name} (actuator)" if one.name in taken else one.name for one in acting]
+    quantity = ElementQuantity(name, unit, tuple(names), bands(time, data))
     return replace(quantity, elements=()) if not columns else quantity.only(columns)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from mbdkit.analysis.verdict import Axis, Figure
 from mbdkit.errors import SpecError
-from mbdkit.plot.element_quantity import MOST, Names, draw_elements, element_chart, element_values, picked
+from mbdkit.plot.element_quantity import MOST, Names, draw_elements, element_chart, element_values, has_elements, picked
 from mbdkit.plot.panel import Panel
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def panels(run: Run) -> list[Panel]:
 
 def charts(run: Run) -> list[Figure]:
     """Return the chart of the forces, if there are any."""
-    if not run.records("forces/value"):
+    if not has_elements(run):
         return []
     return [chart(run)] if element_values(run, "N", "force").elements else []
 

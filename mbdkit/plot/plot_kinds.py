@@ -22,8 +22,8 @@ PLOT_KINDS: dict[str, str] = {
     "drift": "misalignment of the joints on a logarithmic axis",
     "energy": "energies and their balance",
     "reactions": "reaction forces and torques of the joints",
-    "torques": "torques of joints, drivers and force elements",
-    "forces": "forces of springs, dampers, laws and loads",
+    "torques": "torques of joints, drivers, force elements and actuators",
+    "forces": "forces of springs, dampers, laws, loads and actuators",
 }
 """What each kind of plot shows, by name."""
 

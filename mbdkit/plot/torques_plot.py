@@ -18,6 +18,7 @@ from mbdkit.plot.element_quantity import (
     draw_elements,
     element_chart,
     element_values,
+    has_elements,
     picked,
 )
 from mbdkit.plot.joint_quantity import reaction_force, reaction_torque
@@ -88,7 +89,7 @@ def carried_torque(run: Run, force: ElementQuantity) -> ElementQuantity | None:
 def _carried_by_any(run: Run) -> ElementQuantity:
     """Return the torques of joints that carry any, and of force elements."""
     of_joints = carried_torque(run, reaction_force(run))
-    of_elements = element_values(run, "N m", "torque") if run.records("forces/value") else None
+    of_elements = element_values(run, "N m", "torque") if has_elements(run) else None
     parts = [part for part in (of_joints, of_elements) if part is not None]
     return _joined(parts) if parts else reaction_torque(run).only([])
 

@@ -12,6 +12,7 @@ from mbdkit.plot.caption import plain_name
 from mbdkit.registry.catalogue import Kind, Registered
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.registry.manager import registry
+from mbdkit.spec.inverse_spec import is_inverse
 from mbdkit.text import listed
 
 _EQUATIONS = (
@@ -21,6 +22,12 @@ _EQUATIONS = (
 _UNSTABILIZED = (
     "No stabilization is used: the constraints hold at acceleration level only, so integration errors appear as "
     "misalignment, the distance between the two points of a joint."
+)
+_INVERSE = (
+    "Inverse dynamics: in each frame of the measured motion, the mechanism is fitted to the observed quantities by "
+    "weighted least squares with all constraints satisfied; independent coordinates of the fitted motion are smoothed "
+    "and differentiated, and velocities and accelerations of all bodies follow from the constraints. The equations of "
+    "motion are then solved for the values of the actuators and the multipliers."
 )
 
 
@@ -43,7 +50,10 @@ def methods(specs: Iterable[Mapping[str, Any]], sources: Iterable[str] = ()) -> 
         Further BibTeX entries, such as those of a packaged study.
     """
     specs = list(specs)
-    paragraphs = [_EQUATIONS, _stabilization(specs)]
+    forward = [spec for spec in specs if not is_inverse(spec)]
+    paragraphs = [_EQUATIONS, _stabilization(forward)] if forward else []
+    if len(forward) < len(specs):
+        paragraphs.append(_INVERSE)
     references = [_own_reference(), *sources]
     for kind in ("model", "integrator"):
         for name, options in _used(specs, kind).items():
@@ -60,6 +70,8 @@ def _used(specs: Iterable[Mapping[str, Any]], kind: str) -> dict[str, list[dict[
     """Return the names in a section of the specs, each with its distinct options."""
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for spec in specs:
+        if kind not in spec:  # inverse dynamics has no integrator
+            continue
         options = {key: value for key, value in spec[kind].items() if key != "name"} if kind == "integrator" else {}
         found.setdefault(str(spec[kind]["name"]), {}).setdefault(json.dumps(options, sort_keys=True), options)
     return {name: list(options.values()) for name, options in found.items()}

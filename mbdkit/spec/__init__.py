@@ -1,12 +1,14 @@
 """Specs of runs and studies: reading from YAML, TOML, JSON, a dict or a Mechanism, and strict validation."""
 
-from mbdkit.spec.loading import example_names, example_text, load_spec
+from mbdkit.spec.inverse_spec import InverseSpec
+from mbdkit.spec.loading import example_names, example_text, load_inverse_spec, load_spec
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.sections import Limits, Output, Time
 from mbdkit.spec.study_loading import load_study_spec, study_names
 from mbdkit.spec.study_spec import StudySpec
 
 __all__ = [
+    "InverseSpec",
     "Limits",
     "Output",
     "RunSpec",
@@ -14,6 +16,7 @@ __all__ = [
     "Time",
     "example_names",
     "example_text",
+    "load_inverse_spec",
     "load_spec",
     "load_study_spec",
     "study_names",

@@ -1,4 +1,4 @@
-"""Loading of run specs from files, examples, mappings and mechanisms."""
+"""Loading of specs of runs and of inverse dynamics from files, examples, mappings and mechanisms."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import importlib.resources
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, TypeVar
 
 from mbdkit.errors import SpecError
 from mbdkit.plain_data import copied
+from mbdkit.spec.inverse_spec import InverseSpec, is_inverse, refused_as_run
+from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import read_file, read_stdin, read_text, set_value
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.source_document import Document
@@ -17,8 +19,7 @@ from mbdkit.text import did_you_mean, listed
 
 VERSION = 1
 
-_OMITTED = RunSpec.ABSENT_BY_DEFAULT
-"""Keys that a copy of a spec omits by default: `check: false` is no statement of the user, as it is in a file."""
+S = TypeVar("S", bound=ModelSpec)
 
 
 def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> RunSpec:
@@ -39,7 +40,28 @@ def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> Ru
     SpecError
         If the spec is not valid, with the file, line and key path if known.
     """
-    if isinstance(source, RunSpec) and not sections and not tuple(overrides):
+    return _loaded(RunSpec, source, overrides, sections)
+
+
+def load_inverse_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> InverseSpec:
+    """Load and validate a spec of inverse dynamics, build its mechanism, and return the spec.
+
+    Parameters
+    ----------
+    source, overrides, sections
+        As for `load_spec`; the source may also be an `InverseSpec`.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, with the file, line and key path if known.
+    """
+    return _loaded(InverseSpec, source, overrides, sections)
+
+
+def _loaded(kind: type[S], source: Any, overrides: Iterable[str], sections: Mapping[str, Any]) -> S:
+    """Return the validated spec of one kind from any source."""
+    if isinstance(source, kind) and not sections and not tuple(overrides):
         source.mechanism()
         return source
     document = read_source(source)
@@ -48,10 +70,12 @@ def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> Ru
         raise document.place(SpecError(message, key="mbdkit_study"))
     document.data |= sections
     document.keywords = frozenset(sections)
+    if kind is RunSpec and is_inverse(document.data):
+        raise document.place(refused_as_run())
     for assignment in overrides:
         set_value(document, assignment)
     try:
-        spec = RunSpec(**document.data)
+        spec = kind(**document.data)
         spec.mechanism()
     except SpecError as error:
         raise document.place(error) from None
@@ -85,11 +109,13 @@ def _examples() -> Any:
 
 def read_source(source: Any) -> Document:
     """Read `source` into a document without validation; see `load_spec` for the kinds of source."""
-    if isinstance(source, RunSpec):
-        default = {name: info.get_default(call_default_factory=True) for name, info in RunSpec.model_fields.items()}
+    if isinstance(source, ModelSpec):
+        fields, omitted = type(source).model_fields, source.ABSENT_BY_DEFAULT
+        default = {name: info.get_default(call_default_factory=True) for name, info in fields.items()}
         values = source.sections()
+        # keys that a copy omits by default: `check: false` is no statement of the user, as it is in a file
         return Document(
-            {name: value for name, value in values.items() if name not in _OMITTED or value != default[name]}
+            {name: value for name, value in values.items() if name not in omitted or value != default[name]}
         )
     if isinstance(source, Mapping):
         return Document(copied(source))

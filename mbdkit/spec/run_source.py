@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypedDict
 
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.spec.inverse_spec import InverseSpec
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_spec import StudySpec
 
@@ -15,6 +16,9 @@ Section: TypeAlias = Mapping[str, object]
 
 RunSource: TypeAlias = str | Path | Mapping[str, object] | RunSpec | Mechanism
 """A file, the name of a packaged example, a mapping, a validated spec, or a mechanism."""
+
+InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec
+"""A file, a mapping, or a validated spec of inverse dynamics."""
 
 StudySource: TypeAlias = str | Path | Mapping[str, object] | StudySpec
 """A file, the name of a packaged study, a mapping, or a validated spec."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -11,17 +10,16 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, 
 
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.errors import PluginError, SpecError, blaming
-from mbdkit.mechanism.law_element import Law
-from mbdkit.plain_data import LONGEST_TITLE, canonical, canonical_text
+from mbdkit.plain_data import canonical, canonical_text
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of
-from mbdkit.registry.items import Claims, IntegratorPlugin, ModelPlugin
+from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.spec.asked_accuracy import LARGEST, SMALLEST, asked
 from mbdkit.spec.choices import Choice, choice_of
+from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import LARGEST_COUNT, Event, Limits, Output, Time, named_events
 from mbdkit.spec.stabilization_section import UNSTABILIZED, stabilization_of
 from mbdkit.spec.stabilization_section import Choice as StabilizationChoice
-from mbdkit.spec.strict_spec import StrictSpec
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
 from mbdkit.text import listed
 
@@ -34,7 +32,7 @@ _CHOSEN: tuple[Kind, ...] = ("model", "integrator")
 """Kinds of plugin that a run spec selects by name."""
 
 
-class RunSpec(StrictSpec):
+class RunSpec(ModelSpec):
     """The complete input of a run; equal specs give equal runs.
 
     `name` selects one of the installed models and integrators; its options are further keys of the same mapping.
@@ -46,7 +44,6 @@ class RunSpec(StrictSpec):
     """
 
     model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
-    EXPRESSIONS_IN: ClassVar[str] = "model"
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
         "parameters",
         "events",
@@ -56,17 +53,7 @@ class RunSpec(StrictSpec):
         "choose",
         "impacts",
     )
-    """Keys that the canonical form omits by default, so that specs written before they existed keep hash and run id."""
 
-    mbdkit: Literal[1]
-    """Version of the spec format."""
-    title: Annotated[str, Field(max_length=LONGEST_TITLE)] = ""
-    """Title of the run, free text."""
-    parameters: dict[str, float | str] = Field(default_factory=dict)
-    """Named numbers. Any number of the model may be an expression of them, such as `0.5*crank`, and so may motions,
-    events and, in any order, other parameters. Angles may be written as `degrees(45)`."""
-    model: Annotated[BaseModel, Choice("model")]
-    """The model: its name and its parameters."""
     formulation: Literal["index-1", "index-2", "index-3", "ggl"] = "index-1"
     """Equations of motion with constraints on accelerations (index-1), velocities (index-2), positions (index-3), or on
     positions and velocities (ggl)."""
@@ -98,8 +85,6 @@ class RunSpec(StrictSpec):
     """Whether the rate of a driver may jump: `refuse` reports it as an error of the motion; `allow` changes velocities
     there by the smallest impulse that satisfies the constraints, whose work is recorded."""
 
-    _mechanism: Any = PrivateAttr(default=None)
-    _run_id: str = PrivateAttr(default="")
     _watched: Any = PrivateAttr(default=None)
     _around_model: tuple[str, str] | None = PrivateAttr(default=None)
     """The canonical JSON before and after the value of `model`, once it is needed."""
@@ -230,21 +215,9 @@ class RunSpec(StrictSpec):
         return f"integrators that support it: {listed(able)}" if able else "no installed integrator supports it"
 
     @property
-    def model_item(self) -> Registered:
-        """The registry entry of the model, including its origin."""
-        return item_of(self.model)
-
-    @property
     def integrator_item(self) -> Registered:
         """The registry entry of the integrator, including its origin."""
         return item_of(self.integrator)
-
-    @property
-    def model_plugin(self) -> ModelPlugin:
-        """The model plugin."""
-        plugin = self.model_item.plugin
-        assert isinstance(plugin, ModelPlugin)
-        return plugin
 
     @property
     def integrator_plugin(self) -> IntegratorPlugin:
@@ -252,12 +225,6 @@ class RunSpec(StrictSpec):
         plugin = self.integrator_item.plugin
         assert isinstance(plugin, IntegratorPlugin)
         return plugin
-
-    @property
-    def force_law_items(self) -> list[Registered]:
-        """The registry entries of the force laws that the mechanism uses, without duplicates, sorted by long name."""
-        laws = {item_of(force) for force in self.mechanism().forces.values() if isinstance(force, Law)}
-        return sorted(laws, key=lambda item: item.id)
 
     @property
     def claims(self) -> Claims:
@@ -270,24 +237,6 @@ class RunSpec(StrictSpec):
             )
         return claims
 
-    def mechanism(self) -> Mechanism:
-        """Return the mechanism that the model builds from its parameters; it is built once and cached.
-
-        Raises
-        ------
-        SpecError
-            If the parameters do not define a valid mechanism, or if an event refers to an unknown quantity.
-        PluginError
-            If the model plugin fails.
-        """
-        private = self.__pydantic_private__ or {}  # ten times faster than attributes, and called ten times for each run
-        built: Mechanism | None = private["_mechanism"]
-        if built is None:
-            built = self._build()
-            self._watched = self._parsed(built)
-            self._mechanism = built
-        return built
-
     def watched(self) -> dict[str, RunExpression]:
         """Return the parsed expressions of the events by name; raises the errors of `mechanism`."""
         self.mechanism()
@@ -297,6 +246,29 @@ class RunSpec(StrictSpec):
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:
         """Return the measures of the run."""
         return tuple(defined(self.measures, ("measures",)))
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Start and end of the run [s]."""
+        return self.time.start, self.time.final
+
+    @property
+    def recorded(self) -> frozenset[str]:
+        """Groups of quantities that the run records in addition to the trajectory."""
+        return self.output.recorded
+
+    @property
+    def event_names(self) -> tuple[str, ...]:
+        """Names of the events."""
+        return tuple(self.events)
+
+    @property
+    def items(self) -> list[Registered]:
+        """The registry entries of the model, the integrator and the force laws."""
+        return [self.model_item, self.integrator_item, *self.force_law_items]
+
+    def _accept(self, mechanism: Mechanism) -> None:
+        self._watched = self._parsed(mechanism)
 
     def _parsed(self, mechanism: Mechanism) -> dict[str, RunExpression]:
         if not self.events:
@@ -310,39 +282,6 @@ class RunSpec(StrictSpec):
             except SpecError as error:
                 raise SpecError(error.message, key=f"events.{name}.when") from None
         return parsed
-
-    def _build(self) -> Mechanism:
-        from mbdkit.mechanism.mechanism import Mechanism
-
-        try:
-            with blaming(f"model {self.model_item.id} failed to build"):
-                mechanism: Any = self._built()
-            if isinstance(mechanism, Mechanism):
-                mechanism.check_span(self.time.start, self.time.final)
-        except SpecError as error:
-            raise error if error.key.startswith("model") else error.located(prefix="model") from None
-        if not isinstance(mechanism, Mechanism):
-            raise PluginError(f"model {self.model_item.id} built {type(mechanism).__name__}, not a Mechanism")
-        return mechanism
-
-    def _built(self) -> Any:
-        try:
-            return self.model_plugin.build(self.model)
-        except ArithmeticError:
-            if self.model_item.origin.distribution != "mbdkit":
-                raise
-            raise SpecError("a parameter is so large or so small that numbers overflow", key="model") from None
-
-    def run_id(self) -> str:
-        """Return 16 hexadecimal digits that identify this spec and the versions of the plugins it uses."""
-        if not self._run_id:
-            self._run_id = self._identifier()
-        return self._run_id
-
-    def _identifier(self) -> str:
-        items = [self.model_item, self.integrator_item, *self.force_law_items]
-        used = [f"{item.id}=={item.origin.version}" for item in items]
-        return hashlib.sha256("\n".join([self.canonical_json(), *used]).encode()).hexdigest()[:16]
 
 
 def spec_type(installed: Registry) -> type[RunSpec]:

@@ -1,4 +1,4 @@
-"""JSON schemas of the run and study specs, for editors and other tools."""
+"""JSON schemas of the specs of runs, studies and inverse dynamics, for editors and other tools."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pydantic.json_schema import models_json_schema
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import registry
+from mbdkit.spec.inverse_spec import inverse_spec_type
 from mbdkit.spec.law_options import law_element
 from mbdkit.spec.run_spec import spec_type
 from mbdkit.spec.study_spec import StudySpec
@@ -32,19 +33,37 @@ def run_schema(installed: Registry | None = None) -> dict[str, Any]:
         Registry of the models, integrators and force laws to include; by default, all that are installed.
     """
     chosen = installed if installed is not None else registry()
+    schema = _model_schema(spec_type(chosen), chosen)
+    schema["required"].remove("integrator")
+    schema["anyOf"] = [{"required": ["integrator"]}, {"required": ["accuracy"]}]
+    return {"$schema": DRAFT, **_described(schema)}
+
+
+def inverse_schema(installed: Registry | None = None) -> dict[str, Any]:
+    """Return the JSON schema (draft 2020-12) of the spec of inverse dynamics.
+
+    Parameters
+    ----------
+    installed
+        Registry of the models and force laws to include; by default, all that are installed.
+    """
+    chosen = installed if installed is not None else registry()
+    return {"$schema": DRAFT, **_described(_model_schema(inverse_spec_type(chosen), chosen))}
+
+
+def _model_schema(spec: type[BaseModel], chosen: Registry) -> dict[str, Any]:
+    """Return the schema of a spec with a model."""
     laws = [law_element(item) for item in chosen.of_kind("force-law")]
-    models: list[type[BaseModel]] = [spec_type(chosen), Law, *laws]
+    models: list[type[BaseModel]] = [spec, Law, *laws]
     references, whole = models_json_schema([(model, "validation") for model in models])
     definitions = whole["$defs"]
     names = [references[model, "validation"]["$ref"].rpartition("/")[2] for model in models]
     schema = definitions.pop(names[0])
-    schema["required"].remove("integrator")
-    schema["anyOf"] = [{"required": ["integrator"]}, {"required": ["accuracy"]}]
     if laws:  # an element of type law must use one of the installed laws
         definitions[names[1]] = {"oneOf": [{"$ref": f"#/$defs/{name}"} for name in names[2:]]}
     schema = {"$defs": definitions, **schema}
     _allow_expressions(schema)
-    return {"$schema": DRAFT, **_described(schema)}
+    return schema
 
 
 def _allow_expressions(schema: dict[str, Any]) -> None:
@@ -88,7 +107,11 @@ def _described(schema: dict[str, Any]) -> dict[str, Any]:
     return schema | {"description": schema["description"].partition("\n\nRaises")[0]}
 
 
-SCHEMAS: dict[str, Callable[[Registry], dict[str, Any]]] = {"run": run_schema, "study": study_schema}
+SCHEMAS: dict[str, Callable[[Registry], dict[str, Any]]] = {
+    "run": run_schema,
+    "study": study_schema,
+    "inverse": inverse_schema,
+}
 
 
 def builtin_schema_text(kind: str) -> str:

@@ -1,0 +1,330 @@
+"""Workload of joints and actuators: peaks, root mean squares, impulses, loading rates, powers and work."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.analysis.cycles import Normalized, contacts, normalized
+from mbdkit.archive.history import UnknownNameError
+from mbdkit.archive.run_summary import ROUND_OFF
+from mbdkit.errors import SpecError
+from mbdkit.text import table
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+
+@dataclass(frozen=True)
+class Load:
+    """How a force or torque loads what carries it, over a stretch of time.
+
+    Attributes
+    ----------
+    units
+        N for forces, N m for torques.
+    peak, peak_time
+        Largest magnitude and its time [s].
+    rms
+        Root of the mean square over time.
+    impulse
+        Integral of the magnitude over time [N s or N m s].
+    loading_rate
+        Largest rate at which the magnitude rises [N/s or N m/s].
+    """
+
+    units: str
+    peak: float
+    peak_time: float
+    rms: float
+    impulse: float
+    loading_rate: float
+
+
+@dataclass(frozen=True)
+class Work:
+    """Power over a stretch of time.
+
+    Attributes
+    ----------
+    peak_power, least_power
+        Largest and smallest power [W].
+    positive, negative
+        Integrals of the positive and of the negative part of the power [J].
+    """
+
+    peak_power: float
+    least_power: float
+    positive: float
+    negative: float
+
+
+@dataclass(frozen=True)
+class ElementWorkload:
+    """Workload of one joint or actuator.
+
+    Attributes
+    ----------
+    name, kind
+        Name, and ``joint`` or ``actuator``; drivers of a forward run count as actuators.
+    load
+        Magnitude of the reaction force of a joint; force or torque of an actuator.
+    torque
+        Reaction torque of a joint that carries one; None otherwise.
+    work
+        Work of an actuator; None for joints, which do none.
+    """
+
+    name: str
+    kind: str
+    load: Load
+    torque: Load | None = None
+    work: Work | None = None
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Workload in a part of the motion.
+
+    Attributes
+    ----------
+    name
+        ``cycle 1``, ``contact 1`` and so on.
+    start, end
+        Time that it covers [s].
+    elements
+        Workload of each joint and actuator in this time.
+    """
+
+    name: str
+    start: float
+    end: float
+    elements: tuple[ElementWorkload, ...]
+
+
+@dataclass(frozen=True)
+class _Series:
+    """Quantities of one joint or actuator over time, each (T,): a force or torque, its power, a further torque."""
+
+    name: str
+    kind: str
+    units: str
+    value: np.ndarray
+    torque: np.ndarray | None = None
+    power: np.ndarray | None = None
+
+    def within(self, time: np.ndarray, start: float, end: float) -> ElementWorkload:
+        """Return the workload between two times; values there are interpolated."""
+        inside = time[(time > start) & (time < end)]
+        t = np.concatenate([[start], inside, [end]])
+
+        def at(values: np.ndarray) -> np.ndarray:
+            return np.asarray(np.interp(t, time, values))
+
+        return ElementWorkload(
+            self.name,
+            self.kind,
+            _load(t, at(self.value), self.units),
+            None if self.torque is None else _load(t, at(self.torque), "N m"),
+            None if self.power is None else _work(t, at(self.power)),
+        )
+
+
+@dataclass(frozen=True)
+class Workload:
+    """Workload of a run.
+
+    Attributes
+    ----------
+    start, end
+        Time that it covers [s].
+    elements
+        Workload of each joint and actuator over this time.
+    phases
+        The same for each cycle and each contact, if cycles were asked for.
+    cycles
+        Forces of joints and values of actuators over 0 to 100 % of the cycles, by name; empty without cycles. Where a
+        joint and an actuator have the same name, the entry is that of the actuator.
+    """
+
+    start: float
+    end: float
+    elements: tuple[ElementWorkload, ...]
+    phases: tuple[Phase, ...] = ()
+    cycles: Mapping[str, Normalized] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> ElementWorkload:
+        """Return the workload of a joint or actuator; of the actuator, if both have the name."""
+        found = [one for one in self.elements if one.name == name]
+        if not found:
+            raise UnknownNameError("joint or actuator", name, [one.name for one in self.elements])
+        return found[-1]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all numbers as plain values; cycles as mean and deviation at 0, 1, ... 100 %."""
+        return {
+            "start": self.start,
+            "end": self.end,
+            "elements": [asdict(one) for one in self.elements],
+            "phases": [asdict(one) for one in self.phases],
+            "cycles": {name: _cycle_data(one) for name, one in self.cycles.items()},
+        }
+
+    def text(self) -> str:
+        """Return the workload as tables of plain text."""
+        whole = Phase("whole motion", self.start, self.end, self.elements)
+        return "\n\n".join(_phase_text(phase) for phase in (whole, *self.phases))
+
+
+def workload(
+    run: Run, *, cycles: Sequence[float] | None = None, load: str | None = None, threshold: float = 20.0
+) -> Workload:
+    """Compute the workload of the joints and actuators of a run.
+
+    Between rows, quantities are straight lines; loading rates are the slopes of these lines.
+
+    Parameters
+    ----------
+    cycles
+        Times at which cycles begin, the end of the last one included [s].
+    load
+        Instead of `cycles`, a measured load of inverse dynamics: a cycle begins where its magnitude rises to
+        `threshold`, as at heel strike, and the contact of the cycle ends where it falls below it.
+    threshold
+        Force [N], for `load`.
+
+    Returns
+    -------
+    Workload
+        Numbers of every joint and actuator over the whole run, and in each cycle and contact. In a forward run, its
+        drivers count as actuators.
+
+    Raises
+    ------
+    SpecError
+        If the run has less than two rows, cycles do not increase or lie outside the run, or the load never reaches the
+        threshold.
+
+    Examples
+    --------
+    >>> import mbdkit
+    >>> run = mbdkit.run("double-pendulum", time={"end": 1.0, "step": 0.001})
+    >>> found = mbdkit.workload(run)
+    >>> found["J1"].load.units, found["J1"].load.peak > found["J1"].load.rms
+    ('N', True)
+    """
+    time = run.time
+    if len(time) < 2:
+        raise SpecError("a workload needs a run with at least two rows")
+    every = _series_of(run)
+    start, end = float(time[0]), float(time[-1])
+
+    def between(begin: float, until: float) -> tuple[ElementWorkload, ...]:
+        return tuple(one.within(time, begin, until) for one in every)
+
+    starts, parts = _parts(run, cycles, load, threshold)
+    phases = tuple(Phase(name, begin, until, between(begin, until)) for name, begin, until in parts)
+    over = {one.name: normalized(time, one.value, starts) for one in every} if len(starts) > 1 else {}
+    return Workload(start, end, between(start, end), phases, over)
+
+
+def _parts(
+    run: Run, cycles: Sequence[float] | None, load: str | None, threshold: float
+) -> tuple[np.ndarray, list[tuple[str, float, float]]]:
+    """Return the starts of cycles, and name, start and end of each cycle and contact."""
+    off = np.zeros(0)
+    if load is not None:
+        starts, off = contacts(run, load, threshold)
+    else:
+        starts = np.array([] if cycles is None else cycles, dtype=float)
+        if np.any(np.diff(starts) <= 0) or np.any((starts < run.time[0]) | (starts > run.time[-1])):
+            raise SpecError("cycles should begin at increasing times within the run", key="cycles")
+    parts = []
+    for number, begin in enumerate(starts.tolist(), 1):
+        ends = off[off > begin]
+        if ends.size:
+            parts.append((f"contact {number}", begin, float(ends[0])))
+        if number < len(starts):
+            parts.append((f"cycle {number}", begin, float(starts[number])))
+    return starts, parts
+
+
+def _series_of(run: Run) -> list[_Series]:
+    """Return the joints that carry something, and the actuators or drivers of a run."""
+    drivers = () if run.kind == "inverse" else run.drivers
+    found = []
+    for name, joint in run.joints.items():
+        force, torque = np.linalg.norm(joint.reaction_force, axis=1), joint.reaction_torque
+        if name in drivers:
+            is_torque = joint.angle_units == "rad"
+            value, units = (torque, "N m") if is_torque else (force, "N")
+            found.append(_Series(name, "actuator", units, value, power=joint.driver_power))
+        else:
+            carries = np.max(np.abs(torque)) > ROUND_OFF * np.max(force)
+            found.append(_Series(name, "joint", "N", force, torque if carries else None))
+    for name, one in run.actuators.items():
+        found.append(_Series(name, "actuator", one.units, one.value, power=one.power))
+    return found
+
+
+def _load(time: np.ndarray, values: np.ndarray, units: str) -> Load:
+    size = np.abs(values)
+    row, length = int(np.argmax(size)), float(time[-1] - time[0])
+    step = np.diff(time)
+    # exact for straight lines between the rows, where the square is a parabola
+    squares = step * (size[:-1] ** 2 + size[:-1] * size[1:] + size[1:] ** 2) / 3
+    return Load(
+        units,
+        float(size[row]),
+        float(time[row]),
+        math.sqrt(float(np.sum(squares)) / length),
+        float(np.trapezoid(size, time)),
+        float(max(0.0, np.max(np.diff(size)[step > 0] / step[step > 0]))),
+    )
+
+
+def _work(time: np.ndarray, power: np.ndarray) -> Work:
+    positive, negative = (float(np.trapezoid(part, time)) for part in (np.maximum(power, 0), np.minimum(power, 0)))
+    return Work(float(np.max(power)), float(np.min(power)), positive, negative)
+
+
+def _cycle_data(one: Normalized) -> dict[str, Any]:
+    deviation = [None if math.isnan(x) else x for x in one.deviation.tolist()]
+    return {"mean": one.mean.tolist(), "deviation": deviation}
+
+
+_HEADS = ("", "PEAK", "AT [s]", "RMS", "IMPULSE", "LOADING RATE", "PEAK POWER", "WORK DONE", "WORK ABSORBED")
+
+
+def _phase_text(phase: Phase) -> str:
+    rows = [row for one in phase.elements for row in _rows(one)]
+    return f"{phase.name}, {phase.start:.6g} to {phase.end:.6g} s\n{table([_HEADS, *rows], indent='  ')}"
+
+
+def _rows(one: ElementWorkload) -> list[tuple[str, ...]]:
+    """Return the rows of one element in the table: its force, or value, and its torque."""
+    work = one.work
+    powers = ("", "", "")
+    if work is not None:
+        most = max(work.peak_power, work.least_power, key=abs)
+        powers = (f"{most:.4g} W", f"{work.positive:.4g} J", f"{-work.negative:.4g} J")
+    kind = "" if one.kind == "joint" else " (actuator)"
+    rows = [(f"{one.name}{kind}", *_numbers(one.load), *powers)]
+    if one.torque is not None:
+        rows.append((f"{one.name} (torque)", *_numbers(one.torque), "", "", ""))
+    return rows
+
+
+def _numbers(load: Load) -> tuple[str, ...]:
+    unit = load.units
+    return (
+        f"{load.peak:.4g} {unit}",
+        f"{load.peak_time:.4g}",
+        f"{load.rms:.4g} {unit}",
+        f"{load.impulse:.4g} {unit} s",
+        f"{load.loading_rate:.4g} {unit}/s",
+    )

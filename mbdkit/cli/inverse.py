@@ -1,0 +1,104 @@
+"""Commands of inverse dynamics: `inverse` and `workload`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbdkit.cli.common_options import Archive, AsJson, Debug, Overwrite, Quiet, Set
+from mbdkit.cli.output_paths import check_new, stem
+from mbdkit.terminal import say, show, show_json
+from mbdkit.text import counted
+
+if TYPE_CHECKING:
+    from mbdkit.spec.source_document import Document
+
+
+def inverse(
+    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, or - for stdin.")],
+    *,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE.h5", help="The archive; by default ./SPEC.h5.")
+    ] = None,
+    assignments: Set = None,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Compute joint and actuator forces from a measured motion.
+
+    The mechanism is fitted to the measured columns of the spec, with its joints
+    closed to rounding, the motion is smoothed, and the equations of motion are solved
+    for the actuators and the reactions. See `mbdkit guide inverse`.
+    """
+    from mbdkit.spec import load_inverse_spec
+
+    checked = load_inverse_spec(spec, assignments or ())
+    path = output if output is not None else Path(f"{stem(spec)}.h5")
+    check_new(path, spec, overwrite)
+    from mbdkit.inverse_dynamics.inverse_run import compute_run
+
+    with compute_run(checked, path=path, overwrite=overwrite) as result:
+        if as_json:
+            show_json(
+                {
+                    "path": str(result.path),
+                    "status": result.status,
+                    "verdict": result.verdict,
+                    "warnings": result.warnings,
+                    "run_id": result.run_id,
+                    "stats": dict(result.stats),
+                    "misalignment_max": result.misalignment_max,
+                }
+            )
+        elif not quiet:
+            show(result.summary())
+        if as_json or quiet:
+            for warning in result.warnings:
+                say(f"warning: {warning}")
+
+
+def workload(
+    archive: Archive,
+    load: Annotated[
+        str | None, typer.Option("--load", metavar="LOAD", help="Begin a cycle where this load rises to the threshold.")
+    ] = None,
+    threshold: Annotated[float, typer.Option("--threshold", metavar="N", help="Force of contact [N].")] = 20.0,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Print the workload of joints: peaks, impulses and work.
+
+    With --load, also of each contact and each cycle; --json has the cycles from 0 to
+    100 % with their mean and deviation. Drivers of a forward run count as actuators.
+    """
+    from mbdkit.analysis.workload import workload as of
+    from mbdkit.archive.archive_check import blaming_damage
+    from mbdkit.archive.reader import load as opened
+
+    with blaming_damage(archive), opened(archive) as run:
+        found = of(run, load=load, threshold=threshold)
+        if as_json:
+            show_json(found.to_dict())
+        else:
+            show(found.text())
+
+
+def validate_inverse(source: str | Document, name: str, assignments: list[str]) -> None:
+    """Check a spec of inverse dynamics and its data, and tell what it would compute."""
+    from mbdkit.inverse_dynamics.compute import InverseProblem
+    from mbdkit.spec import load_inverse_spec
+
+    spec = load_inverse_spec(source, assignments)
+    problem = InverseProblem.of(spec)
+    measured, time = problem.measured, problem.measured.time
+    show(f"{name}: this spec of inverse dynamics is valid")
+    show(f"model        {spec.model_item.id}: {spec.mechanism().description()}")
+    show(f"freedom      {problem.prepared.workspace.mechanism.freedoms()}")
+    show(f"motion       {counted(len(time), 'row')} from {time[0]:g} to {time[-1]:g} s: {', '.join(measured.names)}")
+    if problem.loads:
+        show(f"loads        {', '.join(problem.loads)}")
+    show(f"actuators    {', '.join(one.name for one in problem.actuators) or 'none'}")

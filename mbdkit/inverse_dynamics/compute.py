@@ -1,0 +1,182 @@
+"""Inverse dynamics of a spec: from the measured motion to the forces of actuators and joints, as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.errors import SpecError
+from mbdkit.inverse_dynamics.actuators import NamedActuator, actuators_of
+from mbdkit.inverse_dynamics.dynamics import Dynamics, largest_unbalanced, solve_dynamics
+from mbdkit.inverse_dynamics.fit import Fitter
+from mbdkit.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_loads
+from mbdkit.inverse_dynamics.manifold import Manifold
+from mbdkit.inverse_dynamics.measured import Measured, read_motion
+from mbdkit.inverse_dynamics.quantity_names import QuantityNames
+from mbdkit.inverse_dynamics.reduced_motion import Motion, motion_of_derivatives, smoothed_motion
+from mbdkit.mechanics.source import AssembledMechanism
+from mbdkit.spec import InverseSpec
+from mbdkit.text import counted, listed
+
+
+@dataclass(frozen=True)
+class InverseProblem:
+    """A spec with its mechanism and all that it names: nothing is computed yet.
+
+    Attributes
+    ----------
+    spec
+        The spec.
+    prepared
+        Its mechanism, assembled for the time of the motion.
+    fitter
+        Fits the mechanism to data; holds its manifold.
+    names
+        Quantities of the mechanism by name.
+    measured
+        The measured motion.
+    loads
+        The measured loads by name.
+    actuators
+        The actuators, residual ones last.
+    """
+
+    spec: InverseSpec
+    prepared: AssembledMechanism
+    fitter: Fitter
+    names: QuantityNames
+    measured: Measured
+    loads: dict[str, LoadSeries]
+    actuators: list[NamedActuator]
+
+    @classmethod
+    def of(cls, spec: InverseSpec) -> InverseProblem:
+        """Read the data of a spec and assemble its mechanism.
+
+        Raises
+        ------
+        SpecError
+            If the data, or names in the spec, are wrong, with the file and line, or the key.
+        """
+        names = QuantityNames(spec.mechanism())
+        try:
+            measured, table = read_motion(spec, names)
+            loads = read_loads(spec, names, table)
+            observed = dict(zip(measured.names, measured.quantities.quantities, strict=True))
+            actuators = actuators_of(spec, names, observed)
+        except SpecError as error:
+            raise spec.placed(error) from error
+        prepared = AssembledMechanism.at(spec, float(measured.time[0]), float(measured.time[-1]))
+        fitter = Fitter(Manifold(prepared), prepared.workspace.mechanism.bodies)
+        return cls(spec, prepared, fitter, names, measured, loads, actuators)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The mechanism fitted to a measured motion in T frames.
+
+    Attributes
+    ----------
+    measured
+        The motion, angles continued from the turn of the first pose.
+    q
+        (T, n) poses that satisfy the constraints.
+    """
+
+    measured: Measured
+    q: np.ndarray
+
+    @property
+    def values(self) -> np.ndarray:
+        """(T, K) values of the observed quantities."""
+        return self.measured.quantities.values(self.q)
+
+    @property
+    def residual(self) -> np.ndarray:
+        """(T, K) raw - fitted values; nan in gaps."""
+        left: np.ndarray = self.measured.raw - self.values
+        return left
+
+
+@dataclass(frozen=True)
+class Inverse:
+    """The result of inverse dynamics in T frames."""
+
+    problem: InverseProblem
+    fitted: Fitted
+    motion: Motion
+    loads: Loads
+    dynamics: Dynamics
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings about the result, as sentences."""
+        told = []
+        problem, motion, dynamics = self.problem, self.motion, self.dynamics
+        if len(motion.coordinates) > 1:
+            when = listed([f"{motion.time[begin]:.6g} s" for begin, _ in motion.coordinates[1:]], "and")
+            told.append(
+                f"no independent coordinates determine the motion well all the time, so they change at t = {when}; "
+                "smoothing may leave small jumps there."
+            )
+        if dynamics.surplus:
+            told.append(
+                f"{counted(len(problem.actuators), 'actuator')} drive "
+                f"{counted(len(problem.actuators) - dynamics.surplus, 'degree')} of freedom, so their values are not "
+                "unique: the sum of (weight * value)^2 is least, torques divided by the characteristic length "
+                f"({problem.fitter.manifold.length:.4g} m)."
+            )
+        if problem.spec.unbalanced == "report" and np.any(dynamics.unbalanced):
+            worst = largest_unbalanced(dynamics, problem.fitter.bodies)
+            told.append(f"the actuators cannot produce the motion: {worst} stay unbalanced, by least squares.")
+        return tuple(told)
+
+
+def fit(problem: InverseProblem) -> Fitted:
+    """Fit the mechanism to the measured motion.
+
+    Raises
+    ------
+    SpecError
+        If the columns do not determine the motion; the message names the bodies that nothing observes.
+    RunError
+        If no pose is found.
+    """
+    fitter, measured = problem.fitter, problem.measured
+    target, start = measured.target, problem.prepared.equations.q0
+    columns = "motion.columns"
+    fitter.require_observed(target.rows(slice(0, 1)), start[None], columns)
+    first, values = fitter.first_pose(target, start)
+    measured = measured.turned(values)
+    q = fitter.poses(measured.target, first)
+    fitter.require_observed(measured.target, q, columns)
+    return Fitted(measured, q)
+
+
+def compute(problem: InverseProblem) -> Inverse:
+    """Compute the forces of actuators and joints.
+
+    Raises
+    ------
+    SpecError
+        If the input is wrong, with the file and line of its key.
+    RunError
+        If no pose fits the data, or the mechanism passes a singular position.
+    """
+    try:
+        fitted = fit(problem)
+        motion = _motion(problem, fitted)
+        loads = loads_on(motion, problem.loads, problem.fitter.bodies)
+        report = problem.spec.unbalanced == "report"
+        dynamics = solve_dynamics(problem.fitter, motion, loads, problem.actuators, report=report)
+    except SpecError as error:
+        raise problem.spec.placed(error) from error
+    return Inverse(problem, fitted, motion, loads, dynamics)
+
+
+def _motion(problem: InverseProblem, fitted: Fitted) -> Motion:
+    fitter, measured = problem.fitter, fitted.measured
+    if measured.derivatives is not None:
+        return motion_of_derivatives(fitter.manifold, measured, fitted.q)
+    return smoothed_motion(fitter, measured, fitted.q, problem.names.candidates(), problem.spec.motion.smooth)

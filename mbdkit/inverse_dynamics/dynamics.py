@@ -1,0 +1,132 @@
+"""Forces of actuators and joints that produce a given motion: the equations of motion solved for them in each frame.
+
+    M a + Phi_q^T lambda = Q + Q_loads + B u
+
+with the values u of the actuators and the multipliers lambda as unknowns. The projection on the free directions N of
+the mechanism gives ``N^T B u = N^T (M a - Q - Q_loads)``; then lambda balances what is left. No mass is divided by, so
+that light bodies do no harm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.errors import RunError, SpecError
+from mbdkit.inverse_dynamics.actuators import NamedActuator
+from mbdkit.inverse_dynamics.fit import Fitter
+from mbdkit.inverse_dynamics.loads import Loads
+from mbdkit.inverse_dynamics.manifold import Directions
+from mbdkit.inverse_dynamics.mechanism_quantities import Quantities
+from mbdkit.inverse_dynamics.reduced_motion import Motion
+from mbdkit.text import counted
+
+WEAK = 1e-8
+"""Effect of the actuators on a free direction below which, relative to the largest effect, they do not drive it."""
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """What produces a motion in T frames.
+
+    Attributes
+    ----------
+    value, power
+        (T, U) values [N, N m] and powers [W] of the actuators.
+    lam
+        (T, m) multipliers of the independent rows.
+    unbalanced
+        (T, n) generalized forces that the actuators leave unbalanced.
+    surplus
+        Number of actuators beyond the degrees of freedom that they drive.
+    """
+
+    value: np.ndarray
+    power: np.ndarray
+    lam: np.ndarray
+    unbalanced: np.ndarray
+    surplus: int
+
+
+def solve_dynamics(
+    fitter: Fitter, motion: Motion, loads: Loads, actuators: Sequence[NamedActuator], *, report: bool = False
+) -> Dynamics:
+    """Return the forces that produce a motion.
+
+    Parameters
+    ----------
+    report
+        Whether actuators that cannot produce the motion are accepted; the unbalanced forces are then least.
+
+    Raises
+    ------
+    SpecError
+        If the actuators cannot produce the motion; the message names bodies that nothing drives.
+    RunError
+        If the mechanism passes a singular position, where reactions are not determined.
+    """
+    manifold = fitter.manifold
+    frames = manifold.frames(motion.time, motion.q, motion.v, forces=True)
+    directions = manifold.directions(frames.jacobian)
+    _require_regular(directions, motion)
+    needed = manifold.mass * motion.a - frames.force - loads.generalized
+    columns = np.swapaxes(Quantities([one.quantity for one in actuators]).jacobian(motion.q), 1, 2)  # (T, n, U)
+    free = np.swapaxes(directions.free * manifold.scale[:, None], 1, 2)  # (T, f, n)
+    weight = np.array([one.weight / (manifold.length if one.unit == "N m" else 1.0) for one in actuators])
+    effect = (free @ columns) / weight
+    rank = _rank(fitter, directions, effect, motion, report)
+    right = (free @ needed[..., None])[..., 0]
+    inverse = np.linalg.pinv(effect, rcond=WEAK)
+    scaled = (inverse @ right[..., None])[..., 0]
+    scaled += (inverse @ (right - (effect @ scaled[..., None])[..., 0])[..., None])[..., 0]  # rounding errors
+    value = scaled / weight
+    pushed = (columns @ value[..., None])[..., 0]
+    left = right - (effect @ scaled[..., None])[..., 0]
+    unbalanced = (directions.free @ left[..., None])[..., 0] / np.where(manifold.scale > 0, manifold.scale, 1.0)
+    lam = directions.multipliers(pushed - needed)
+    power = value * (np.swapaxes(columns, 1, 2) @ motion.v[..., None])[..., 0]
+    return Dynamics(value, power, lam, unbalanced, len(actuators) - rank)
+
+
+def _require_regular(directions: Directions, motion: Motion) -> None:
+    singular = np.flatnonzero(directions.singular())
+    if singular.size:
+        raise RunError(
+            f"the mechanism is in a singular position at t = {motion.time[singular[0]]:.6g} s, where the forces of its "
+            "joints are not determined; leave it out with `time.start` and `time.end`"
+        )
+
+
+def _rank(fitter: Fitter, directions: Directions, effect: np.ndarray, motion: Motion, report: bool) -> int:
+    """Return the number of free directions that the actuators drive in all frames."""
+    freedoms = directions.free.shape[2]
+    if not freedoms:
+        return 0
+    vectors, values, _ = np.linalg.svd(effect, full_matrices=True)
+    largest = np.max(values, axis=1, initial=0.0)
+    ranks = np.sum(values > WEAK * largest[:, None], axis=1)
+    frame = int(np.argmin(ranks))
+    rank = int(ranks[frame])
+    if rank < freedoms and not report:
+        undriven = directions.free[frame] @ vectors[frame][:, rank:]
+        where = "" if np.all(ranks == rank) else f" at t = {motion.time[frame]:.6g} s"
+        missing = freedoms - rank
+        raise SpecError(
+            f"no actuator drives {fitter.names_of(np.abs(undriven).max(axis=1))}{where}: "
+            f"{counted(effect.shape[2], 'actuator')} for {counted(freedoms, 'degree')} of freedom; add "
+            f"{counted(missing, 'actuator')}, or use `unbalanced: report` to see what stays unbalanced",
+            key="actuators",
+        )
+    return rank
+
+
+def largest_unbalanced(dynamics: Dynamics, bodies: Sequence[str]) -> str:
+    """Return a clause on the largest unbalanced force and torque, with their bodies."""
+    parts = np.abs(dynamics.unbalanced).reshape(len(dynamics.unbalanced), -1, 3)
+    force, torque = np.hypot(parts[..., 0], parts[..., 1]).max(axis=0), parts[..., 2].max(axis=0)
+    return (
+        f"at most {force.max():.4g} N on {bodies[int(np.argmax(force))]} and {torque.max():.4g} N m on "
+        f"{bodies[int(np.argmax(torque))]}"
+    )

@@ -1,0 +1,214 @@
+"""Fit of a mechanism to measured quantities: weighted Gauss-Newton iteration on the constraint manifold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.errors import RunError, SpecError
+from mbdkit.inverse_dynamics.manifold import Manifold
+from mbdkit.inverse_dynamics.mechanism_quantities import Quantities
+from mbdkit.text import listed
+
+MOST_ITERATIONS = 200
+ROUND_OFF = 1e-13
+"""Scaled step below which an iteration has converged."""
+
+STAGNANT = 1e-8
+"""Scaled step below which an iteration may end because its steps no longer shrink."""
+
+SETTLED = 1e-3
+"""Scaled step below which the pose of a key frame is good enough to start from."""
+
+LONGEST = 0.5
+"""Longest scaled step of an iteration, and longest change of the pose between key frames."""
+
+KEYS = 400
+"""Number of key frames that are fitted one after the other, unless the pose changes too much between them."""
+
+UNSEEN = 1e-7
+"""Share of the best observed free direction below which a direction counts as not observed."""
+
+MOVES = 1e-3
+"""Share of the largest component of a direction from which on a coordinate is named."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a mechanism is fitted to in T frames.
+
+    Attributes
+    ----------
+    time
+        (T,) [s].
+    quantities
+        The K observed quantities.
+    values
+        (T, K) their measured values [m, rad].
+    root_weight
+        (K,) square roots of the weights of the squared residuals.
+    """
+
+    time: np.ndarray
+    quantities: Quantities
+    values: np.ndarray
+    root_weight: np.ndarray
+
+    def rows(self, part: slice | np.ndarray) -> Target:
+        """Return some of the frames."""
+        return Target(self.time[part], self.quantities, self.values[part], self.root_weight)
+
+
+class Fitter:
+    """Fits a mechanism to targets.
+
+    Parameters
+    ----------
+    manifold
+        The constraints of the mechanism.
+    bodies
+        Names of its bodies.
+    """
+
+    def __init__(self, manifold: Manifold, bodies: tuple[str, ...]):
+        self.manifold, self.bodies = manifold, bodies
+
+    def first_pose(self, target: Target, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pose (n,) of the first frame, and the values (K,) of angles there, continued to its turn.
+
+        Parameters
+        ----------
+        start
+            (n,) pose from which the search begins.
+        """
+        first, is_angle = target.rows(slice(0, 1)), target.quantities.is_angle
+        q = start[None]
+        for _ in range(3):
+            q = self._converged(first, q)
+            turns = np.round((target.quantities.values(q) - first.values) / (2 * np.pi)) * is_angle
+            if not np.any(turns):
+                break
+            first = Target(first.time, first.quantities, first.values + 2 * np.pi * turns, first.root_weight)
+        return q[0], first.values[0]
+
+    def poses(self, target: Target, first: np.ndarray) -> np.ndarray:
+        """Return the poses (T, n) that fit a target best, beginning with the pose `first` (n,).
+
+        Key frames are fitted one after the other, each from the one before, and the frames between them at once, from
+        poses between those of the key frames.
+
+        Raises
+        ------
+        RunError
+            If no pose is found.
+        """
+        count = len(target.time)
+        keys, poses, stride = [0], [first], max(1, count // KEYS)
+        while keys[-1] < count - 1:
+            following = min(keys[-1] + stride, count - 1)
+            pose, moved = self._following(target, following, poses[-1])
+            if moved > LONGEST and following > keys[-1] + 1:
+                stride = max(1, (following - keys[-1]) // 2)
+                continue
+            keys.append(following)
+            poses.append(pose)
+            stride = min(max(1, count // KEYS), 2 * stride)
+        known = np.array(poses)
+        start = np.empty((count, self.manifold.n))
+        for place in range(self.manifold.n):
+            start[:, place] = np.interp(np.arange(count), keys, known[:, place])
+        return self.refined(target, start)
+
+    def refined(self, target: Target, start: np.ndarray) -> np.ndarray:
+        """Return the poses (T, n) that fit a target best, near the poses `start` (T, n)."""
+        return self._converged(target, start)
+
+    def _following(self, target: Target, frame: int, start: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the pose of a key frame, and how far it is from `start`, the pose of the one before."""
+        one, q = target.rows(slice(frame, frame + 1)), start[None]
+        for _ in range(MOST_ITERATIONS):
+            step = self._step(one, q)
+            q = q + step
+            if self._size(step)[0] < SETTLED:
+                break
+        return q[0], float(self._size(q - start)[0])
+
+    def _converged(self, target: Target, start: np.ndarray) -> np.ndarray:
+        """Return the poses at which the iteration has converged; all frames at once."""
+        q, active, before = start.copy(), np.arange(len(start)), np.full(len(start), np.inf)
+        for _ in range(MOST_ITERATIONS):
+            step = self._step(target.rows(active), q[active])
+            q[active] += step
+            size = self._size(step)
+            done = (size <= ROUND_OFF) | ((size >= 0.5 * before[active]) & (size < STAGNANT))
+            before[active] = size
+            active = active[~done]
+            if not active.size:
+                return q
+        raise RunError(
+            f"the mechanism cannot be fitted to the motion at t = {target.time[active[0]]:.6g} s: the iteration does "
+            "not converge; the measured values may belong to another configuration, or to a singular position"
+        )
+
+    def _step(self, target: Target, q: np.ndarray) -> np.ndarray:
+        """Return the Gauss-Newton step (T, n), shortened to `LONGEST`."""
+        frames = self.manifold.frames(target.time, q)
+        directions = self.manifold.directions(frames.jacobian)
+        observed = target.quantities.jacobian(q) * target.root_weight[:, None]
+        values = (target.values - target.quantities.values(q)) * target.root_weight
+        try:
+            step = directions.least_squares(-frames.phi, observed, values)
+        except np.linalg.LinAlgError:
+            raise RunError(
+                f"the mechanism is in a singular position near t = {target.time[0]:.6g} s, where the motion that fits "
+                "the data is not unique"
+            ) from None
+        size = self._size(step)
+        shortened: np.ndarray = step * np.minimum(1.0, LONGEST / np.maximum(size, LONGEST))[:, None]
+        return shortened
+
+    def _size(self, step: np.ndarray) -> np.ndarray:
+        """Return the largest scaled change of a coordinate in each frame, (T,)."""
+        scale = self.manifold.scale
+        sizes: np.ndarray = np.max(np.abs(step) / np.where(scale > 0, scale, 1.0), axis=1)
+        return sizes
+
+    def require_observed(self, target: Target, q: np.ndarray, key: str) -> None:
+        """Raise SpecError if the quantities do not determine the poses `q` (T, n) of all frames.
+
+        The message names the bodies that move in a free direction that no quantity sees.
+        """
+        jacobian = self.manifold.frames(target.time, q).jacobian
+        free = self.manifold.directions(jacobian).free
+        if not free.shape[2]:
+            return
+        seen = (target.quantities.jacobian(q) * self.manifold.scale) @ free
+        _, values, vectors = np.linalg.svd(seen, full_matrices=True)
+        least = values[:, -1] if values.shape[1] == free.shape[2] else np.zeros(len(q))
+        blind = np.flatnonzero(least <= UNSEEN * np.max(values, axis=1, initial=0.0))
+        if not blind.size:
+            return
+        frame = int(blind[0])
+        most = np.max(values[frame], initial=0.0)
+        unseen = np.array([i >= values.shape[1] or values[frame, i] <= UNSEEN * most for i in range(free.shape[2])])
+        moves = np.abs(free[frame] @ vectors[frame, unseen].T).max(axis=1)
+        named = self.names_of(moves)
+        where = "" if blind.size == len(q) else f" at t = {target.time[frame]:.6g} s"
+        raise SpecError(
+            f"nothing observes {named}{where}: {int(unseen.sum())} of {free.shape[2]} degrees of freedom "
+            f"{'is' if unseen.sum() == 1 else 'are'} not determined by the columns; add columns, or drivers to the "
+            "model",
+            key=key,
+        )
+
+    def names_of(self, moves: np.ndarray) -> str:
+        """Return the bodies, with their coordinates, whose scaled components `moves` (n,) are not small."""
+        parts = moves.reshape(-1, 3) > MOVES * np.max(moves)
+        words = ("x", "y", "angle")
+        found = [
+            f"{name} ({listed([word for word, moving in zip(words, part, strict=True) if moving])})"
+            for name, part in zip(self.bodies, parts, strict=True)
+            if np.any(part)
+        ]
+        return listed(found[:6], "" if len(found) > 6 else "and") + (f" and {len(found) - 6} more" if found[6:] else "")

@@ -1,0 +1,99 @@
+"""`mbdkit.inverse`: inverse dynamics of a spec, with its result as a run."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+from mbdkit.archive.part_file import check_target
+from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
+from mbdkit.inverse_dynamics.compute import InverseProblem, compute
+from mbdkit.inverse_dynamics.record import archive_of
+from mbdkit.logs import logger_of
+from mbdkit.measures.take import check_measures
+from mbdkit.spec import InverseSpec, load_inverse_spec
+from mbdkit.spec.run_source import InverseSource
+
+_LOG = logger_of(__name__)
+
+
+def inverse(
+    source: InverseSource, *, archive: str | Path | None = None, overwrite: bool = False, **sections: Any
+) -> Run:
+    """Compute the forces of actuators and joints that produce a measured motion.
+
+    The mechanism is fitted to the measured columns at each time, with its constraints satisfied to rounding; the fitted
+    motion is smoothed as the spec says; and the equations of motion are solved for the values of the actuators and the
+    reactions of the joints.
+
+    Parameters
+    ----------
+    source
+        A file, a mapping, or an InverseSpec. Relative names of data files count from the folder of the spec, or from
+        the current folder.
+    archive
+        File to which the result is written; by default, it is kept in memory.
+    overwrite
+        Whether an existing archive may be replaced.
+    **sections
+        Sections of the spec, such as ``motion={...}``; they replace those of `source`.
+
+    Returns
+    -------
+    Run
+        The result, with ``run.kind == "inverse"``: all quantities of a run, and `Run.motion`, `Run.actuators` and
+        `Run.loads`, with one row for each row of the motion.
+
+    Raises
+    ------
+    SpecError
+        If the spec or its data are wrong: the message names the key, or the file, line and column.
+    RunError
+        If no pose of the mechanism fits the data, or the mechanism passes a singular position.
+
+    Examples
+    --------
+    The torque that swings a pendulum by 0.5 rad:
+
+    >>> import mbdkit, numpy as np
+    >>> m = mbdkit.Mechanism()
+    >>> rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.0, -0.5))
+    >>> m.revolute("hip", m.ground, rod, at=(0, 0))
+    >>> t = np.linspace(0.0, 2.0, 201)
+    >>> motion = {"data": {"time": t, "hip": 0.5 * np.sin(3 * t)}, "columns": {"hip.angle": "hip"}}
+    >>> run = mbdkit.inverse({"mbdkit": 1, "model": m.to_spec(), "motion": motion})
+    >>> exact = -0.35 * 4.5 * np.sin(3 * t) + 0.5 * 9.81 * np.sin(0.5 * np.sin(3 * t))
+    >>> bool(np.max(np.abs(run.actuators["hip"].value - exact)[2:-2]) < 1e-5)
+    True
+    """
+    spec = load_inverse_spec(source, (), **sections)
+    return compute_run(spec, path=None if archive is None else Path(archive), overwrite=overwrite)
+
+
+def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool = False) -> Run:
+    """Compute a validated spec; see `inverse`.
+
+    Parameters
+    ----------
+    path
+        Final name of the archive; None keeps it in memory.
+    overwrite
+        Whether an existing archive may be replaced.
+    """
+    begin = time.perf_counter()
+    if path is not None:
+        check_target(path, overwrite=overwrite)
+    check_measures(spec)
+    problem = InverseProblem.of(spec)
+    setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
+    result = compute(problem)
+    for warning in result.warnings:
+        _LOG.warning("%s", warning)
+    timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+    file = archive_of(result, path, overwrite=overwrite, timings=timings)
+    if file is not None:
+        return Run(file)
+    assert path is not None
+    return load(path)

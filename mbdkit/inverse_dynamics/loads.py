@@ -1,0 +1,193 @@
+"""Measured loads: forces with a moving point of application, and free torques, in the frames of a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from mbdkit.errors import SpecError
+from mbdkit.inverse_dynamics.measured import source_table, unit_factor
+from mbdkit.inverse_dynamics.mechanism_quantities import GROUND
+from mbdkit.inverse_dynamics.quantity_names import QuantityNames
+from mbdkit.inverse_dynamics.reduced_motion import Motion
+from mbdkit.inverse_dynamics.tables import Table
+from mbdkit.spec import InverseSpec
+from mbdkit.spec.inverse_sections import ColumnOfTable, Load
+from mbdkit.text import shown
+
+
+@dataclass(frozen=True)
+class LoadSeries:
+    """A load as measured, at its own times (R,).
+
+    Attributes
+    ----------
+    time
+        (R,) [s].
+    body
+        Number of the body that it acts on.
+    force
+        (R, 2) force in the global frame [N].
+    point
+        (R, 2) point of application in the frame of `frame` [m]; None for the body's centre of mass.
+    frame
+        Number of the body in whose frame the point is given, `GROUND` for the global frame.
+    torque
+        (R,) free torque [N m].
+    is_cubic
+        Whether values between these times are those of a cubic spline instead of straight lines.
+    """
+
+    time: np.ndarray
+    body: int
+    force: np.ndarray
+    point: np.ndarray | None
+    frame: int
+    torque: np.ndarray
+    is_cubic: bool
+
+    def at(self, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return values (R, ...) of the load interpolated to `times` (T,)."""
+        if np.array_equal(times, self.time):
+            return values
+        if self.is_cubic:
+            return np.asarray(CubicSpline(self.time, values, axis=0)(times))
+        columns = values.reshape(len(self.time), -1)
+        found = np.column_stack([np.interp(times, self.time, column) for column in columns.T])
+        return found.reshape(len(times), *values.shape[1:])
+
+
+@dataclass(frozen=True)
+class Loads:
+    """L loads in T frames.
+
+    Attributes
+    ----------
+    names, bodies
+        Names of the loads, and of the bodies that they act on.
+    force, point, torque
+        (T, L, 2) [N], (T, L, 2) in the global frame [m], (T, L) [N m].
+    generalized
+        (T, n) sum of the generalized forces.
+    power
+        (T, L) power that each load supplies to its body [W].
+    """
+
+    names: tuple[str, ...]
+    bodies: tuple[str, ...]
+    force: np.ndarray
+    point: np.ndarray
+    torque: np.ndarray
+    generalized: np.ndarray
+    power: np.ndarray
+
+
+def read_loads(spec: InverseSpec, names: QuantityNames, of_motion: Table | None) -> dict[str, LoadSeries]:
+    """Return the loads of a spec by name.
+
+    Parameters
+    ----------
+    of_motion
+        The table of the motion, which loads without a file or data are read from.
+
+    Raises
+    ------
+    SpecError
+        If a table lacks a column, or has a gap.
+    """
+    return {name: _series(spec, names, f"loads.{name}", load, of_motion) for name, load in spec.loads.items()}
+
+
+def _series(spec: InverseSpec, names: QuantityNames, key: str, load: Load, of_motion: Table | None) -> LoadSeries:
+    body = names.body(load.body, f"{key}.body")
+    frame = names.body(load.point_frame, f"{key}.point_frame", may_be_ground=True)
+    table = source_table(load, spec.folder, key) or of_motion
+    if table is None:
+        raise SpecError(
+            "is missing: the motion is no table, so that the load needs a `file` or `data`", key=f"{key}.file"
+        )
+    time = table.times(load.time, f"{key}.time")
+    force, torque, point = np.zeros((len(time), 2)), np.zeros(len(time)), None
+    if load.force is not None:
+        for axis, column in enumerate(load.force):
+            force[:, axis] = _required(table, column, "N", f"{key}.force[{axis}]")
+    if load.torque is not None:
+        torque = _required(table, load.torque, "N m", f"{key}.torque")
+    if load.point is not None:
+        acts = np.any(force != 0, axis=1)
+        point = np.empty_like(force)
+        for axis, column in enumerate(load.point):
+            point[:, axis] = _required(table, column, "m", f"{key}.point[{axis}]", acts)
+    return LoadSeries(time, body, force, point, frame, torque, load.interpolation == "cubic")
+
+
+def _required(
+    table: Table, column: ColumnOfTable | float, unit: str, key: str, needed: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the values of a load, (R,), in the SI `unit`; raise SpecError if one is missing.
+
+    Parameters
+    ----------
+    needed
+        (R,) rows in which the value matters; others may be missing, as the point of application of no force.
+    """
+    if isinstance(column, float):
+        return np.full(len(table), column)
+    values = unit_factor(column, table, unit, key) * table.column(column.column, f"{key}.column")
+    absent = np.isnan(values)
+    missing = np.flatnonzero(absent if needed is None else absent & needed)
+    if missing.size:
+        raise table.error(f"column '{shown(column.column)}': the value of the load is missing", row=int(missing[0]))
+    known = np.flatnonzero(~absent)
+    rows = np.arange(len(values))
+    return np.interp(rows, known, values[known]) if known.size else np.zeros(len(values))
+
+
+def loads_on(motion: Motion, series: Mapping[str, LoadSeries], bodies: tuple[str, ...]) -> Loads:
+    """Return the loads in the frames of a motion.
+
+    Raises
+    ------
+    SpecError
+        If a load is not known during the whole motion.
+    """
+    time, q, v = motion.time, motion.q, motion.v
+    count = len(series)
+    force, point = np.zeros((2, len(time), count, 2))
+    torque, power = np.zeros((2, len(time), count))
+    generalized = np.zeros_like(q)
+    for place, (name, one) in enumerate(series.items()):
+        slack = 1e-9 * max(abs(time[0]), abs(time[-1]))
+        if one.time[0] > time[0] + slack or one.time[-1] < time[-1] - slack:
+            raise SpecError(
+                f"is known from {one.time[0]:.6g} to {one.time[-1]:.6g} s, but the motion lasts from {time[0]:.6g} to "
+                f"{time[-1]:.6g} s; cut it with `time.start` and `time.end`",
+                key=f"loads.{name}",
+            )
+        force[:, place], torque[:, place] = one.at(time, one.force), one.at(time, one.torque)
+        point[:, place] = _global_point(one, time, q)
+        body = 3 * one.body
+        arm = point[:, place] - q[:, body : body + 2]
+        own = np.zeros_like(q)
+        own[:, body : body + 2] = force[:, place]
+        own[:, body + 2] = arm[:, 0] * force[:, place, 1] - arm[:, 1] * force[:, place, 0] + torque[:, place]
+        generalized += own
+        power[:, place] = np.sum(own * v, axis=1)
+    on = tuple(bodies[one.body] for one in series.values())
+    return Loads(tuple(series), on, force, point, torque, generalized, power)
+
+
+def _global_point(one: LoadSeries, time: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Return the point of application (T, 2) in the global frame."""
+    if one.point is None:
+        return q[:, 3 * one.body : 3 * one.body + 2]
+    given = one.at(time, one.point)
+    if one.frame == GROUND:
+        return given
+    place = 3 * one.frame
+    c, s = np.cos(q[:, place + 2]), np.sin(q[:, place + 2])
+    x, y = c * given[:, 0] - s * given[:, 1], s * given[:, 0] + c * given[:, 1]
+    return np.column_stack([q[:, place] + x, q[:, place + 1] + y])

@@ -1,0 +1,136 @@
+"""States of a mechanism on its constraint manifold, many frames at once: terms, free directions, least squares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.kernels.frames import Frames, Reactions, evaluate_frames, reactions_in_frames
+from mbdkit.mechanics.source import AssembledMechanism
+
+DEPENDENT = 1e-9
+"""Constraint rows whose independent part is below this share of the largest count as dependent: a singular position."""
+
+
+class Manifold:
+    """The constraints and forces of a mechanism, evaluated in frames.
+
+    Parameters
+    ----------
+    prepared
+        The mechanism at its start.
+
+    Attributes
+    ----------
+    n, m
+        Number of coordinates and of independent constraint rows.
+    scale : (n,) array
+        Size of a change of each coordinate that counts as one: the characteristic length [m], or 1 rad. Angles of
+        point masses, which have no meaning, are 0.
+    """
+
+    def __init__(self, prepared: AssembledMechanism):
+        equations: EquationsOfMotion = prepared.equations
+        self.n, self.m = equations.n, equations.m
+        self.mass = np.where(prepared.held, 0.0, equations.mass)
+        self.length = prepared.workspace.mechanism.length
+        self.scale = np.where(prepared.held, 0.0, np.tile([self.length, self.length, 1.0], self.n // 3))
+        self.held = int(np.sum(prepared.held))
+        self.freedoms = prepared.freedoms
+        self._equations, self._pairs = equations, len(prepared.workspace.mechanism.topology.pairs)
+
+    def frames(self, times: np.ndarray, q: np.ndarray, v: np.ndarray | None = None, *, forces: bool = False) -> Frames:
+        """Return the terms of the equations of motion at positions `q` and velocities `v` (T, n); at rest by default.
+
+        Parameters
+        ----------
+        forces
+            Whether the applied forces are evaluated.
+        """
+        out = Frames.zeros(len(times), self.n, self.m)
+        v = np.zeros_like(q) if v is None else v
+        given = (np.ascontiguousarray(x, dtype=float) for x in (times, q, v))
+        evaluate_frames(self._equations.address, *given, forces, out)
+        return out
+
+    def reactions(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, lam: np.ndarray) -> Reactions:
+        """Return the reactions of the multipliers `lam` (T, m) of the independent rows, residuals, and powers."""
+        out = Reactions.zeros(len(times), self._pairs)
+        given = (np.ascontiguousarray(x, dtype=float) for x in (times, q, v, lam))
+        reactions_in_frames(self._equations.address, *given, out)
+        return out
+
+    def directions(self, jacobian: np.ndarray) -> Directions:
+        """Return the constrained and the free directions of positions with this Jacobian Phi_q (T, m, n)."""
+        scaled = np.swapaxes(jacobian * self.scale, 1, 2)
+        if not self.held:
+            q, r = np.linalg.qr(scaled, mode="complete")
+            return Directions(self.scale, q[:, :, : self.m], q[:, :, self.m :], r[:, : self.m])
+        own = self.scale > 0  # angles of point masses are no directions at all
+        q, r = np.linalg.qr(scaled[:, own], mode="complete")
+        whole = np.zeros((len(jacobian), self.n, q.shape[2]))
+        whole[:, own] = q
+        return Directions(self.scale, whole[:, :, : self.m], whole[:, :, self.m :], r[:, : self.m])
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Orthonormal directions of scaled coordinates in T frames, f of which are free.
+
+    Attributes
+    ----------
+    scale
+        (n,) sizes of the coordinates, see `Manifold`.
+    held, free
+        (T, n, m) directions that the constraints hold, and (T, n, f) directions that they leave free.
+    triangle
+        (T, m, m) upper triangular matrix R with ``(Phi_q scale)^T = held R``.
+    """
+
+    scale: np.ndarray
+    held: np.ndarray
+    free: np.ndarray
+    triangle: np.ndarray
+
+    def singular(self) -> np.ndarray:
+        """Return the frames, (T,) bool, in which rows of the constraints depend on each other."""
+        if not self.triangle.shape[1]:
+            return np.zeros(len(self.triangle), dtype=bool)
+        pivots = np.abs(np.diagonal(self.triangle, axis1=1, axis2=2))
+        bad: np.ndarray = np.min(pivots, axis=1) <= DEPENDENT * np.max(pivots, axis=1)
+        return bad
+
+    def displacement(self, rows: np.ndarray) -> np.ndarray:
+        """Return the least scaled displacements (T, n) that change the constraint rows by `rows` (T, m)."""
+        if not rows.shape[1]:
+            return np.zeros((len(rows), len(self.scale)))
+        along = np.linalg.solve(np.swapaxes(self.triangle, 1, 2), rows[..., None])
+        return (self.held @ along)[..., 0]
+
+    def multipliers(self, force: np.ndarray) -> np.ndarray:
+        """Return lam (T, m) for which ``Phi_q^T lam`` is the held part of a generalized force (T, n)."""
+        if not self.triangle.shape[1]:
+            return np.zeros((len(force), 0))
+        held = np.swapaxes(self.held, 1, 2) @ (force * self.scale)[..., None]
+        found: np.ndarray = np.linalg.solve(self.triangle, held)[..., 0]
+        return found
+
+    def least_squares(self, rows: np.ndarray, observed: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return x (T, n) with ``Phi_q x = rows`` for which the norm of ``observed x - values`` is least.
+
+        Parameters
+        ----------
+        rows
+            (T, m) right side of the constraints.
+        observed, values
+            (T, k, n) and (T, k); the free directions that `observed` does not see do not move.
+        """
+        x = self.displacement(rows)
+        if self.free.shape[2]:
+            seen = (observed * self.scale) @ self.free
+            rest = values - ((observed * self.scale) @ x[..., None])[..., 0]
+            x = x + (self.free @ (np.linalg.pinv(seen, rcond=1e-12) @ rest[..., None]))[..., 0]
+        moved: np.ndarray = x * self.scale
+        return moved

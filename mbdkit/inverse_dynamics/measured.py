@@ -1,0 +1,244 @@
+"""The measured motion of a spec: reads its table, converts units, and checks times, gaps and columns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from mbdkit.archive.reader import load
+from mbdkit.errors import SpecError
+from mbdkit.inverse_dynamics.fit import Target
+from mbdkit.inverse_dynamics.mechanism_quantities import Quantities, Quantity
+from mbdkit.inverse_dynamics.quantity_names import QuantityNames
+from mbdkit.inverse_dynamics.tables import Table, read_table, table_of
+from mbdkit.spec import InverseSpec
+from mbdkit.spec.inverse_sections import ColumnOfTable, Gaps, Load, MeasuredMotion, ObservedColumn
+from mbdkit.text import counted, listed, shown
+from mbdkit.units import read_unit
+
+SI = {"m": "m", "rad": "rad", "N": "N", "N m": "N m"}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A measured motion in SI units.
+
+    Attributes
+    ----------
+    time
+        (T,) [s].
+    names
+        Names of the K observed quantities.
+    quantities
+        The quantities.
+    raw
+        (T, K) values as measured, angles continued over turns; gaps are nan.
+    values
+        (T, K) the same, with gaps bridged.
+    weight
+        (K,) weights of the squared residuals.
+    derivatives
+        (2, T, K) measured rates and accelerations; None if the columns have none.
+    """
+
+    time: np.ndarray
+    names: tuple[str, ...]
+    quantities: Quantities
+    raw: np.ndarray
+    values: np.ndarray
+    weight: np.ndarray
+    derivatives: np.ndarray | None = None
+
+    @property
+    def target(self) -> Target:
+        """The values as a target of a fit."""
+        return Target(self.time, self.quantities, self.values, np.sqrt(self.weight))
+
+    def turned(self, first: np.ndarray) -> Measured:
+        """Return the motion with whole turns added to angles, so that it begins with the values `first` (K,)."""
+        by = first - self.values[0]
+        return replace(self, raw=self.raw + by, values=self.values + by)
+
+
+def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Table | None]:
+    """Return the measured motion of a spec, and the table that it was read from, if it is one.
+
+    Raises
+    ------
+    SpecError
+        If the table lacks a column, holds something else than numbers, has gaps that may not be bridged, or no rows.
+    """
+    motion = spec.motion
+    if motion.file is not None and Path(motion.file).suffix.lower() == ".h5":
+        return _of_run(spec, names, spec.folder / motion.file), None
+    table = source_table(motion, spec.folder, "motion")
+    assert table is not None
+    columns = _columns(motion, table, names)
+    time, kept = _times(spec, table)
+    quantities = Quantities([names.find(name, f"motion.columns.{name}") for name in columns])
+    raw = np.empty((len(time), len(columns)))
+    values = raw.copy()
+    derivatives = np.empty((2, *raw.shape))
+    has_derivatives = [column.rate is not None for column in columns.values()]
+    _require_all_or_none(motion, columns, has_derivatives)
+    for place, (name, column) in enumerate(columns.items()):
+        key, unit = f"motion.columns.{name}", quantities.quantities[place].unit
+        factor = unit_factor(column, table, unit, key)
+        raw[:, place] = factor * table.column(column.column, f"{key}.column")[kept]
+        values[:, place] = _bridged(time, raw[:, place], motion.gaps, (table, column.column, kept))
+        if unit == "rad":
+            values[:, place] = np.unwrap(values[:, place])
+            raw[:, place] = np.where(np.isnan(raw[:, place]), np.nan, values[:, place])
+        for order, heading in enumerate((column.rate, column.acceleration)):
+            if heading is not None:
+                given = factor * table.column(heading, f"{key}.{('rate', 'acceleration')[order]}")[kept]
+                derivatives[order, :, place] = _bridged(time, given, None, (table, heading, kept))
+    weight = np.array([column.weight for column in columns.values()])
+    measured = Measured(time, tuple(columns), quantities, raw, values, weight)
+    return (replace(measured, derivatives=derivatives) if all(has_derivatives) else measured), table
+
+
+def source_table(section: MeasuredMotion | Load, folder: Path, key: str) -> Table | None:
+    """Return the table of a section; None if it names none."""
+    if section.data is not None:
+        return table_of(section.data, f"{key}.data")
+    return None if section.file is None else read_table(folder / section.file, f"{key}.file")
+
+
+def _columns(motion: MeasuredMotion, table: Table, names: QuantityNames) -> Mapping[str, ObservedColumn]:
+    if motion.columns is not None:
+        return motion.columns
+    found = {heading: ObservedColumn(column=heading) for heading in table.headings if names.knows(heading)}
+    if not found:
+        raise SpecError(
+            f"is missing: no heading of {table.name} is a quantity of the mechanism, such as JOINT.angle or BODY.x",
+            key="motion.columns",
+        )
+    return found
+
+
+def _require_all_or_none(
+    motion: MeasuredMotion, columns: Mapping[str, ObservedColumn], has_derivatives: list[bool]
+) -> None:
+    """Raise SpecError if only some columns have derivatives, or if they are to be smoothed."""
+    if not any(has_derivatives):
+        return
+    if motion.smooth.name != "none":
+        raise SpecError(
+            f"is `{motion.smooth.name}`, but the columns have measured derivatives, which are used only without "
+            "smoothing",
+            key="motion.smooth",
+        )
+    lacking = [name for name, has in zip(columns, has_derivatives, strict=True) if not has]
+    if lacking:
+        raise SpecError(
+            "is missing: either all columns have `rate` and `acceleration`, or none",
+            key=f"motion.columns.{lacking[0]}.rate",
+        )
+
+
+def unit_factor(column: ColumnOfTable, table: Table, unit: str, key: str) -> float:
+    """Return the factor from the unit of a column to the SI `unit`."""
+    wanted = read_unit(SI[unit])
+    if column.unit is None:
+        stated = {"rad": "deg" if table.in_degrees else "rad", "m": table.length_unit}.get(unit, unit)
+        given = read_unit(stated)
+    else:
+        given = read_unit(column.unit)
+    if not given.is_like(wanted) or (unit == "rad") != (given.text in ("rad", "deg")):
+        what = {"rad": "an angle (rad, deg)", "m": "a length (m, mm)", "N": "a force (N)", "N m": "a torque (N m)"}
+        raise SpecError(f"'{given.text}' is not a unit of {what[unit]}", key=f"{key}.unit")
+    return given.factor
+
+
+def _times(spec: InverseSpec, table: Table) -> tuple[np.ndarray, np.ndarray]:
+    """Return the times within the span of the spec, and the rows of the table that they belong to."""
+    every = table.times(spec.motion.time, "motion.time")
+    return every[kept := rows_within(spec, every)], kept
+
+
+def rows_within(spec: InverseSpec, times: np.ndarray) -> np.ndarray:
+    """Return the rows whose times are within the span of the spec; raise SpecError if there are none."""
+    start = -math.inf if spec.time.start is None else spec.time.start
+    end = math.inf if spec.time.end is None else spec.time.end
+    kept = np.flatnonzero((times >= start) & (times <= end))
+    if not kept.size:
+        raise SpecError(
+            f"leaves no row of the motion, which lasts from {times[0]:.6g} to {times[-1]:.6g} s", key="time"
+        )
+    return kept
+
+
+def _bridged(
+    time: np.ndarray, values: np.ndarray, gaps: Gaps | None, where: tuple[Table, str, np.ndarray]
+) -> np.ndarray:
+    """Return the values of a column with its gaps bridged; raise SpecError if one may not be bridged."""
+    missing = np.isnan(values)
+    if not np.any(missing):
+        return values
+    table, heading, rows = where
+    known = np.flatnonzero(~missing)
+    first = int(np.flatnonzero(missing)[0])
+    column = f"column '{shown(heading)}'"
+    if gaps is None:
+        raise table.error(
+            f"{column}: the value is missing ({counted(int(missing.sum()), 'row')} without a value); give "
+            "`motion.gaps: {longest: SECONDS}` to bridge gaps",
+            row=int(rows[first]),
+        )
+    if not known.size or missing[0] or missing[-1]:
+        at = first if missing[0] else int(known[-1]) + 1
+        raise table.error(f"{column}: a gap at an end of the motion cannot be bridged", row=int(rows[at]))
+    widths = np.diff(time[known])
+    worst = int(np.argmax(np.where(np.diff(known) > 1, widths, 0.0)))
+    if widths[worst] > gaps.longest:
+        raise table.error(
+            f"{column}: a gap of {widths[worst]:.4g} s is longer than `motion.gaps.longest` allows "
+            f"({gaps.longest:.4g} s)",
+            row=int(rows[known[worst] + 1]),
+        )
+    filled = values.copy()
+    if gaps.interpolation == "linear" or known.size < 4:
+        filled[missing] = np.interp(time[missing], time[known], values[known])
+    else:
+        filled[missing] = CubicSpline(time[known], values[known])(time[missing])
+    return filled
+
+
+def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
+    """Return the motion in the archive of a run: of all its bodies, or of the quantities named as columns.
+
+    Rates and accelerations are those of the run, unless the motion is to be smoothed.
+    """
+    motion = spec.motion
+    if not path.is_file():
+        raise SpecError(f"there is no such file: {shown(str(path))}", key="motion.file")
+    with load(path) as run:
+        kept = rows_within(spec, run.time)
+        time, archived = run.time[kept], list(run.bodies)
+        arrays = [run.array(f"trajectory/{name}")[kept] for name in ("position", "velocity", "acceleration")]
+    bodies = list(names.mechanism.bodies)
+    missing = [name for name in bodies if name not in archived]
+    if missing:
+        raise SpecError(f"{shown(path.name)} has no body {listed(missing)} of the model", key="motion.file")
+    places = [archived.index(name) for name in bodies]
+    q, v, a = (array[:, places].reshape(len(time), -1) for array in arrays)
+    found: dict[str, Quantity]
+    if motion.columns is None:
+        wanted = {f"{name}.{axis}": 1.0 for name in bodies for axis in ("x", "y", "angle")}
+    else:
+        wanted = {name: column.weight for name, column in motion.columns.items()}
+    found = {name: names.find(name, f"motion.columns.{name}") for name in wanted}
+    quantities = Quantities(list(found.values()))
+    values = quantities.values(q)
+    jacobian = quantities.jacobian(q)
+    rate = (jacobian @ v[..., None])[..., 0]
+    acceleration = (jacobian @ a[..., None])[..., 0] + quantities.curvature(q, v)
+    derivatives = np.stack([rate, acceleration]) if motion.smooth.name == "none" else None
+    weight = np.array(list(wanted.values()))
+    return Measured(time, tuple(found), quantities, values, values, weight, derivatives)

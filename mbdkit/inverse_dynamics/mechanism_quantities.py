@@ -1,0 +1,257 @@
+"""Quantities of a mechanism that are linear in its coordinates or follow a point: values, Jacobians, curvature.
+
+Observed quantities, independent coordinates and actuators are all such quantities h(q). Arrays of states are (T, n)
+with n = 3 B coordinates x, y, angle of the bodies, without ground.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+GROUND = -1
+"""Number of the ground among the bodies."""
+
+AXES = ("x", "y", "angle")
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of a body, in its frame [m]."""
+
+    body: int
+    x: float
+    y: float
+
+    def arm(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the vector (x, y) from the body's origin to the point in the global frame, each (T,)."""
+        if self.body == GROUND:
+            return np.full(len(q), self.x), np.full(len(q), self.y)
+        c, s = np.cos(q[:, 3 * self.body + 2]), np.sin(q[:, 3 * self.body + 2])
+        return c * self.x - s * self.y, s * self.x + c * self.y
+
+    def position(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the position (x, y) in the global frame, each (T,)."""
+        x, y = self.arm(q)
+        return (x, y) if self.body == GROUND else (x + q[:, 3 * self.body], y + q[:, 3 * self.body + 1])
+
+    def add_force(self, q: np.ndarray, fx: np.ndarray, fy: np.ndarray, out: np.ndarray) -> None:
+        """Add the generalized force of a force (T,) at this point to `out` (T, n)."""
+        if self.body == GROUND:
+            return
+        x, y = self.arm(q)
+        place = 3 * self.body
+        out[:, place] += fx
+        out[:, place + 1] += fy
+        out[:, place + 2] += x * fy - y * fx
+
+    def curvature(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the acceleration (x, y) of the point where the accelerations of the coordinates are zero."""
+        x, y = self.arm(q)
+        square = 0.0 if self.body == GROUND else v[:, 3 * self.body + 2] ** 2
+        return -square * x, -square * y
+
+
+class Quantity:
+    """A quantity h(q) of a mechanism."""
+
+    unit: Literal["m", "rad"]
+
+    def value(self, q: np.ndarray) -> np.ndarray:
+        """Return h (T,) [m or rad]."""
+        raise NotImplementedError
+
+    def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
+        """Add the gradient of h to `out` (T, n)."""
+        raise NotImplementedError
+
+    def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the second time derivative of h (T,) where the accelerations of the coordinates are zero."""
+        return np.zeros(len(q))
+
+
+@dataclass(frozen=True)
+class Coordinate(Quantity):
+    """A coordinate of a body: 0 for x, 1 for y, 2 for the angle."""
+
+    body: int
+    axis: int
+
+    @property
+    def unit(self) -> Literal["m", "rad"]:  # type: ignore[override]
+        """Unit of the coordinate."""
+        return "rad" if self.axis == 2 else "m"
+
+    def value(self, q: np.ndarray) -> np.ndarray:
+        """Return the coordinate."""
+        return q[:, 3 * self.body + self.axis]
+
+    def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
+        """Add 1 at the place of the coordinate."""
+        out[:, 3 * self.body + self.axis] += 1.0
+
+
+@dataclass(frozen=True)
+class RelativeAngle(Quantity):
+    """The angle of the second body relative to the first, ``angle_b - angle_a``."""
+
+    a: int
+    b: int
+    unit = "rad"
+
+    def value(self, q: np.ndarray) -> np.ndarray:
+        """Return the angle."""
+        angle: np.ndarray = _angle(q, self.b) - _angle(q, self.a)
+        return angle
+
+    def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
+        """Add 1 for the second body and -1 for the first."""
+        for body, sign in ((self.a, -1.0), (self.b, 1.0)):
+            if body != GROUND:
+                out[:, 3 * body + 2] += sign
+
+
+@dataclass(frozen=True)
+class MarkerCoordinate(Quantity):
+    """A coordinate of a point of a body in the global frame: 0 for x, 1 for y."""
+
+    point: Point
+    axis: int
+    unit = "m"
+
+    def value(self, q: np.ndarray) -> np.ndarray:
+        """Return the coordinate."""
+        return self.point.position(q)[self.axis]
+
+    def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
+        """Add the gradient: that of a unit force at the point."""
+        one = np.ones(len(q))
+        self.point.add_force(q, one * (self.axis == 0), one * (self.axis == 1), out)
+
+    def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the centripetal acceleration along the axis."""
+        return self.point.curvature(q, v)[self.axis]
+
+
+@dataclass(frozen=True)
+class Travel(Quantity):
+    """Distance of the second body's point from the first body's point along a direction that is fixed in the first."""
+
+    first: Point
+    second: Point
+    direction: tuple[float, float]
+    unit = "m"
+
+    def _along(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return Point(self.first.body, *self.direction).arm(q)
+
+    def _between(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        (ax, ay), (bx, by) = self.first.position(q), self.second.position(q)
+        return bx - ax, by - ay
+
+    def value(self, q: np.ndarray) -> np.ndarray:
+        """Return the travel."""
+        (ex, ey), (ux, uy) = self._along(q), self._between(q)
+        travel: np.ndarray = ex * ux + ey * uy
+        return travel
+
+    def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
+        """Add the gradient: that of unit forces at the points, and of the direction's turning."""
+        (ex, ey), (ux, uy) = self._along(q), self._between(q)
+        self.second.add_force(q, ex, ey, out)
+        self.first.add_force(q, -ex, -ey, out)
+        if self.first.body != GROUND:
+            out[:, 3 * self.first.body + 2] += ex * uy - ey * ux
+
+    def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the second derivative where accelerations of the coordinates are zero."""
+        (ex, ey), (ux, uy) = self._along(q), self._between(q)
+        spin = np.zeros(len(q)) if self.first.body == GROUND else v[:, 3 * self.first.body + 2]
+        (ax, ay), (bx, by) = (_point_velocity(point, q, v) for point in (self.first, self.second))
+        (cx, cy), (dx, dy) = self.first.curvature(q, v), self.second.curvature(q, v)
+        turning = 2 * spin * (ex * (by - ay) - ey * (bx - ax))
+        rate: np.ndarray = ex * (dx - cx) + ey * (dy - cy) + turning - spin**2 * (ex * ux + ey * uy)
+        return rate
+
+
+@dataclass(frozen=True)
+class Shortening(Quantity):
+    """The negative distance of two points: its generalized force is a tension that pulls them together."""
+
+    first: Point
+    second: Point
+    unit = "m"
+
+    def _apart(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        (ax, ay), (bx, by) = self.first.position(q), self.second.position(q)
+        length = np.hypot(bx - ax, by - ay)
+        safe = np.where(length > 0, length, 1.0)
+        return (bx - ax) / safe, (by - ay) / safe, length
+
+    def value(self, q: np.ndarray) -> np.ndarray:
+        """Return the negative distance."""
+        length: np.ndarray = -self._apart(q)[2]
+        return length
+
+    def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
+        """Add the generalized force of a unit tension."""
+        ex, ey, _ = self._apart(q)
+        self.first.add_force(q, ex, ey, out)
+        self.second.add_force(q, -ex, -ey, out)
+
+
+def _angle(q: np.ndarray, body: int) -> np.ndarray:
+    return np.zeros(len(q)) if body == GROUND else q[:, 3 * body + 2]
+
+
+def _point_velocity(point: Point, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    if point.body == GROUND:
+        return np.zeros(len(q)), np.zeros(len(q))
+    x, y = point.arm(q)
+    place = 3 * point.body
+    return v[:, place] - v[:, place + 2] * y, v[:, place + 1] + v[:, place + 2] * x
+
+
+class Quantities:
+    """Several quantities, evaluated together.
+
+    Parameters
+    ----------
+    quantities
+        The K quantities.
+    """
+
+    def __init__(self, quantities: Sequence[Quantity]):
+        self.quantities = tuple(quantities)
+        self.is_angle = np.array([one.unit == "rad" for one in self.quantities], dtype=bool)
+
+    def __len__(self) -> int:
+        return len(self.quantities)
+
+    def only(self, places: Sequence[int]) -> Quantities:
+        """Return some of the quantities."""
+        return Quantities([self.quantities[place] for place in places])
+
+    def values(self, q: np.ndarray) -> np.ndarray:
+        """Return the values (T, K)."""
+        out = np.empty((len(q), len(self)))
+        for place, one in enumerate(self.quantities):
+            out[:, place] = one.value(q)
+        return out
+
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Return the Jacobian (T, K, n)."""
+        out = np.zeros((len(q), len(self), q.shape[1]))
+        for place, one in enumerate(self.quantities):
+            one.add_gradient(q, out[:, place])
+        return out
+
+    def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the second time derivatives (T, K) where the accelerations of the coordinates are zero."""
+        out = np.empty((len(q), len(self)))
+        for place, one in enumerate(self.quantities):
+            out[:, place] = one.curvature(q, v)
+        return out

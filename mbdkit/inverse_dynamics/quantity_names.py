@@ -1,0 +1,128 @@
+"""Names of quantities of a mechanism: JOINT.angle, BODY.x, BODY.y, BODY.angle, MARKER.x and MARKER.y."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from mbdkit.errors import SpecError
+from mbdkit.inverse_dynamics.mechanism_quantities import (
+    AXES,
+    GROUND,
+    Coordinate,
+    MarkerCoordinate,
+    Point,
+    Quantity,
+    RelativeAngle,
+    Travel,
+)
+from mbdkit.mechanism.joints import JointBase
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.text import did_you_mean, listed
+
+_PREFIXES = {kind: f"{kind[:-1] if kind != 'bodies' else 'body'}" for kind in ("bodies", "joints", "markers")}
+_NAMES_SHOWN = 12
+
+
+class QuantityNames:
+    """Finds quantities of a mechanism by name.
+
+    Parameters
+    ----------
+    mechanism
+        The mechanism.
+    """
+
+    def __init__(self, mechanism: Mechanism):
+        self.mechanism = mechanism
+        self._number = {name: number for number, name in enumerate(mechanism.bodies)}
+
+    def body(self, name: str, key: str, *, may_be_ground: bool = False) -> int:
+        """Return the number of a body, `GROUND` for the ground; raise SpecError if there is none of this name."""
+        if may_be_ground and name == self.mechanism.ground:
+            return GROUND
+        if name not in self._number:
+            known = [*self._number, *([self.mechanism.ground] if may_be_ground else [])]
+            raise SpecError(f"there is no body '{name}'{_hint(name, known, 'bodies')}", key=key)
+        return self._number[name]
+
+    def joint(self, name: str, key: str) -> Quantity:
+        """Return the coordinate of a joint: a relative angle or a travel.
+
+        Raises
+        ------
+        SpecError
+            If there is no such joint, or its coordinate is held by the joint itself.
+        """
+        joints = self.mechanism.joints
+        if name not in joints:
+            raise SpecError(f"there is no joint '{name}'{_hint(name, joints, 'joints')}", key=key)
+        return self._coordinate(joints[name])
+
+    def _coordinate(self, joint: JointBase) -> Quantity:
+        a, b = (self._of(body) for body in joint.bodies)
+        travel = joint.travel
+        if travel is None:
+            return RelativeAngle(a, b)
+        return Travel(Point(a, *travel[:2]), Point(b, *travel[2:4]), (travel[4], travel[5]))
+
+    def _of(self, body: str) -> int:
+        return GROUND if body == self.mechanism.ground else self._number[body]
+
+    def find(self, name: str, key: str) -> Quantity:
+        """Return the quantity of a name such as ``knee.angle``.
+
+        Raises
+        ------
+        SpecError
+            If the mechanism has no such quantity, or the name is ambiguous.
+        """
+        element, _, axis = name.rpartition(".")
+        kind, _, rest = element.partition(".")
+        kinds = [plural for plural, singular in _PREFIXES.items() if kind in (plural, singular)]
+        wanted = kinds[0] if kinds and rest else None
+        element = rest if wanted else element
+        found = {plural: one for plural, one in self._matches(element, axis).items() if wanted in (None, plural)}
+        if len(found) > 1:
+            some = listed((f"{plural}.{element}.{axis}" for plural in found), "or")
+            raise SpecError(f"'{name}' is ambiguous: write {some}", key=key)
+        if not found:
+            known = [*self._number, *self.mechanism.joints, *self.mechanism.markers]
+            hint = did_you_mean(element, known)
+            raise SpecError(
+                f"the mechanism has no quantity '{name}'{hint}; quantities are JOINT.angle, BODY.x, BODY.y, "
+                "BODY.angle, MARKER.x and MARKER.y",
+                key=key,
+            )
+        return next(iter(found.values()))
+
+    def _matches(self, element: str, axis: str) -> dict[str, Quantity]:
+        found: dict[str, Quantity] = {}
+        if element in self._number and axis in AXES:
+            found["bodies"] = Coordinate(self._number[element], AXES.index(axis))
+        if element in self.mechanism.joints and axis == "angle":
+            found["joints"] = self._coordinate(self.mechanism.joints[element])
+        marker = self.mechanism.markers.get(element)
+        if marker is not None and axis in AXES[:2] and marker.point is not None:
+            found["markers"] = MarkerCoordinate(Point(self._of(marker.body), *marker.point), AXES.index(axis))
+        return found
+
+    def knows(self, name: str) -> bool:
+        """Return whether a name is that of exactly one quantity."""
+        element, _, axis = name.rpartition(".")
+        return len(self._matches(element, axis)) == 1
+
+    def candidates(self) -> dict[str, Quantity]:
+        """Return quantities that may serve as independent coordinates: of all joints, then of all bodies."""
+        found: dict[str, Quantity] = {}
+        for name, joint in self.mechanism.joints.items():
+            found[f"{name}.angle"] = self._coordinate(joint)
+        for axis in (2, 0, 1):
+            for name, number in self._number.items():
+                found.setdefault(f"{name}.{AXES[axis]}", Coordinate(number, axis))
+        return found
+
+
+def _hint(name: str, known: Mapping[str, object] | list[str], what: str) -> str:
+    names = list(known)
+    some = listed(names[:_NAMES_SHOWN]) + (", ..." if len(names) > _NAMES_SHOWN else "")
+    return did_you_mean(name, names) or f"; {what}: {some or 'none'}"

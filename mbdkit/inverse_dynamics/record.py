@@ -1,0 +1,151 @@
+"""Writes the result of inverse dynamics to an archive: the groups of a run, and motion, actuators and loads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import h5py
+import numpy as np
+from scipy.integrate import cumulative_simpson
+
+from mbdkit.archive import layout
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_writer import ArchiveNames
+from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.engine.joint_sums import JointSums
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.observed_states import GivenForces, StateObserver
+from mbdkit.errors import RunError
+from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.raw_misalignment import raw_misalignment
+from mbdkit.measures.take import take_all
+from mbdkit.provenance import model_provenance
+from mbdkit.recorded_columns import COLUMNS, ConstraintRows, RecordedStates
+from mbdkit.recorder import archive_names, shared_forces
+from mbdkit.stepping.interface import Stretch
+
+
+def archive_of(
+    result: Inverse, path: Path | None, *, overwrite: bool, timings: Mapping[str, float]
+) -> h5py.File | None:
+    """Write the result to an archive, and return its file if it is in memory (`path` is None).
+
+    Parameters
+    ----------
+    timings
+        ``setup_s``, ``wall_s`` and ``cpu_s``.
+
+    Raises
+    ------
+    SpecError
+        If no archive may be written at `path`.
+    ResourceError
+        If it cannot be written.
+    """
+    spec, mechanism = result.problem.spec, result.problem.prepared.workspace.mechanism
+    extra = [array.path for array in layout.LAYOUT if array.group in _groups(result)]
+    if mechanism.solved_rows:
+        extra.append("constraints/singularity_distance")
+    states = _states(result)
+    writer = ArchiveWriter(
+        path,
+        _names(result),
+        spec.canonical_json(),
+        spec.sha256(),
+        spec.run_id(),
+        model_provenance(spec),
+        extra_datasets=extra,
+        overwrite=overwrite,
+        shared=shared_forces(mechanism),
+    )
+    try:
+        rows = _rows(result)
+        writer.append(rows | {key: COLUMNS[key](states) for key in writer.row_keys if key not in rows})
+        writer.append_steps(_intervals(result.motion.time))
+        counters = dict.fromkeys(layout.COUNTERS, 0)
+        return writer.finish(
+            "complete",
+            "",
+            {**counters, **timings},
+            states.misalignment.max(axis=0, initial=0.0),
+            warnings=result.warnings,
+            measured=partial(_measured, result) if spec.measures else None,
+        )
+    finally:
+        writer.abandon()
+
+
+def _intervals(time: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the rows of ``/steps``: there is no integration, hence no steps."""
+    none = np.zeros(len(time) - 1, dtype=np.int64)
+    counted = dict.fromkeys(("steps", "iterations", "iterations_max", "rejected"), none)
+    return {"time": time[1:], "size": np.zeros(len(time) - 1), **counted}
+
+
+def _measured(result: Inverse, file: h5py.File) -> str:
+    return take_all(Run(file), result.problem.spec).to_json()
+
+
+def _groups(result: Inverse) -> list[str]:
+    """Return the groups of inverse dynamics that have elements."""
+    there = {"motion": True, "actuators": result.problem.actuators, "loads": result.loads.names}
+    return [group for group in layout.INVERSE_GROUPS if there[group]]
+
+
+def _names(result: Inverse) -> ArchiveNames:
+    measured, actuators = result.fitted.measured, result.problem.actuators
+    return replace(
+        archive_names(result.problem.prepared.workspace.mechanism),
+        observed=measured.names,
+        observed_units=[one.unit for one in measured.quantities.quantities],
+        actuators=[one.name for one in actuators],
+        actuator_units=[one.unit for one in actuators],
+        loads=result.loads.names,
+        load_bodies=result.loads.bodies,
+    )
+
+
+def _rows(result: Inverse) -> dict[str, np.ndarray]:
+    """Return the arrays of motion, actuators and loads, by key."""
+    problem, fitted, loads, dynamics = result.problem, result.fitted, result.loads, result.dynamics
+    mechanism = problem.prepared.workspace.mechanism
+    rows = {
+        "motion/raw": fitted.measured.raw,
+        "motion/fitted": fitted.values,
+        "motion/residual": fitted.residual,
+        "motion/raw_misalignment": raw_misalignment(
+            problem.fitter.manifold, mechanism, fitted.measured.target, fitted.q
+        ),
+        "actuators/value": dynamics.value,
+        "actuators/power": dynamics.power,
+        "loads/force": loads.force,
+        "loads/point": loads.point,
+        "loads/torque": loads.torque,
+        "loads/power": loads.power,
+    }
+    groups = _groups(result)
+    return {path: values for path, values in rows.items() if path.partition("/")[0] in groups}
+
+
+def _states(result: Inverse) -> RecordedStates:
+    """Return the states of the motion with accelerations, reactions, forces and energies."""
+    motion, dynamics = result.motion, result.dynamics
+    workspace, manifold = result.problem.prepared.workspace, result.problem.fitter.manifold
+    count = len(motion.time)
+    found = manifold.reactions(motion.time, motion.q, motion.v, dynamics.lam)
+    q, v, a = (np.column_stack([x, np.zeros((count, 3))]) for x in (motion.q, motion.v, motion.a))
+    observer = StateObserver(workspace)
+    observed: Observed = observer.arrays(count)
+    singular = observer.observe(motion.time, q, v, observed, GivenForces(a, found.lam, found.reactions))
+    if singular is not None:
+        where = workspace.mechanism.unknown_name(singular.unknown)
+        raise RunError(f"no unique solution near {where} at t = {motion.time[singular.row]:.6g} s")
+    supplied = found.powers[:, 0] + dynamics.power.sum(axis=1) + result.loads.power.sum(axis=1)
+    work, dissipated = (cumulative_simpson(x, x=motion.time, initial=0) for x in (supplied, found.powers[:, 1]))
+    stretch = Stretch(motion.time, q, v, work, dissipated, np.zeros((count, 6)))
+    start = float(observed.kinetic[0] + observed.potential[0])
+    rows, joints = ConstraintRows(workspace.mechanism), JointSums(workspace.mechanism)
+    return RecordedStates(stretch, observed, np.zeros(count), start, rows, joints)

@@ -1,0 +1,170 @@
+"""The smoothed motion of a mechanism, in independent coordinates, consistent with its constraints to rounding.
+
+As many quantities as there are degrees of freedom are chosen as independent coordinates, such that they determine the
+motion well in all frames. Their fitted values are smoothed and differentiated; positions, velocities and accelerations
+of all bodies follow from them and the constraints. Where no choice is good in all frames, as on the closed curve of a
+linkage without a turning link, the coordinates change between intervals of the motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.inverse_dynamics.fit import Fitter, Target
+from mbdkit.inverse_dynamics.manifold import Directions, Manifold
+from mbdkit.inverse_dynamics.measured import Measured
+from mbdkit.inverse_dynamics.mechanism_quantities import Quantities, Quantity
+from mbdkit.inverse_dynamics.smoothing import smoothed
+from mbdkit.spec.inverse_sections import Smoothing
+
+PREFERRED = 0.2
+"""Independence from which on an observed quantity is taken before others that are more independent."""
+
+ENOUGH = 0.05
+"""Least independence of the coordinates of an interval, in all of its frames."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """States of a mechanism in T frames.
+
+    Attributes
+    ----------
+    time
+        (T,) [s].
+    q, v, a
+        (T, n) positions, velocities and accelerations that satisfy the constraints.
+    coordinates
+        Names of the independent coordinates of each interval, with its first frame; empty if derivatives were given.
+    """
+
+    time: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    coordinates: tuple[tuple[int, tuple[str, ...]], ...] = ()
+
+
+def motion_of_derivatives(manifold: Manifold, measured: Measured, q: np.ndarray) -> Motion:
+    """Return the motion with given positions whose velocities and accelerations fit the measured derivatives best."""
+    assert measured.derivatives is not None
+    return _derived(manifold, measured.target, q, *measured.derivatives)
+
+
+def smoothed_motion(
+    fitter: Fitter, measured: Measured, q: np.ndarray, candidates: Mapping[str, Quantity], how: Smoothing
+) -> Motion:
+    """Return the smoothed motion of a mechanism.
+
+    Parameters
+    ----------
+    q
+        (T, n) fitted poses.
+    candidates
+        Quantities that may serve as independent coordinates, by name.
+    how
+        The smoothing.
+    """
+    observed = dict(zip(measured.names, measured.quantities.quantities, strict=True))
+    preferred = [name for name, one in observed.items() if one in candidates.values()]
+    named = {name: observed[name] for name in preferred} | {
+        name: one for name, one in candidates.items() if one not in [observed[name] for name in preferred]
+    }
+    names, manifold, time = list(named), fitter.manifold, measured.time
+    quantities = Quantities(list(named.values()))
+    intervals = _chosen(manifold, time, q, quantities, len(preferred))
+    used = sorted({place for _, places in intervals for place in places})
+    series = smoothed(time, quantities.only(used).values(q), how)
+    parts = []
+    for begin, end, places in zip(
+        [begin for begin, _ in intervals], [*(begin for begin, _ in intervals[1:]), len(time)],
+        [places for _, places in intervals], strict=True,
+    ):  # fmt: skip
+        rows, columns = slice(begin, end), [used.index(place) for place in places]
+        value, rate, acceleration = (x[rows][:, columns] for x in (series.value, series.rate, series.acceleration))
+        target = Target(time[rows], quantities.only(places), value, np.ones(len(places)))
+        pose = fitter.refined(target, q[rows])
+        parts.append(_derived(manifold, target, pose, rate, acceleration))
+    q, v, a = (np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "v", "a"))
+    told = tuple((begin, tuple(names[place] for place in places)) for begin, places in intervals)
+    return Motion(time, q, v, a, told)
+
+
+def _derived(manifold: Manifold, target: Target, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> Motion:
+    """Return the motion at positions `q` with the derivatives (T, K) of the quantities of a target."""
+    at_rest = manifold.frames(target.time, q)
+    directions = manifold.directions(at_rest.jacobian)
+    observed = target.quantities.jacobian(q) * target.root_weight[:, None]
+
+    def solved(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+        x = directions.least_squares(rows, observed, values * target.root_weight)
+        left = rows - (at_rest.jacobian @ x[..., None])[..., 0]  # rounding errors of the first solution
+        refined: np.ndarray = x + directions.displacement(left) * manifold.scale
+        return refined
+
+    v = solved(-at_rest.rate, rate)
+    gamma = manifold.frames(target.time, q, v).gamma
+    a = solved(gamma, acceleration - target.quantities.curvature(q, v))
+    return Motion(target.time, q, v, a)
+
+
+def _chosen(
+    manifold: Manifold, time: np.ndarray, q: np.ndarray, quantities: Quantities, preferred: int
+) -> Sequence[tuple[int, list[int]]]:
+    """Return the first frame and the places of the independent coordinates of each interval of the motion."""
+    directions: Directions = manifold.directions(manifold.frames(time, q).jacobian)
+    size = np.where(quantities.is_angle, 1.0, manifold.length)
+    rows = (quantities.jacobian(q) * manifold.scale) @ directions.free / size[:, None]
+    places, independence = _greedy(rows, preferred)
+    if np.min(independence, initial=np.inf) >= ENOUGH:
+        return [(0, places)]
+    found: list[tuple[int, list[int]]] = []
+    begin = 0
+    while begin < len(time):
+        places, _ = _greedy(rows[begin : begin + 1], 0)
+        low = np.flatnonzero(_independence(rows[begin:, places]) < ENOUGH)
+        found.append((begin, places))
+        begin += max(1, int(low[0])) if low.size else len(time)
+    return found
+
+
+def _greedy(rows: np.ndarray, preferred: int) -> tuple[list[int], np.ndarray]:
+    """Return places of as many quantities as there are free directions, and their independence in each frame, (T,).
+
+    Parameters
+    ----------
+    rows
+        (T, K, f) rates of the quantities along the free directions.
+    preferred
+        Number of quantities, the first ones, that are taken before others if they are independent enough.
+    """
+    left, chosen = rows.copy(), []
+    independence = np.full(len(rows), np.inf)
+    for _ in range(rows.shape[2]):
+        worst = np.min(np.linalg.norm(left, axis=2), axis=0)
+        first = int(np.argmax(worst[:preferred])) if preferred else 0
+        place = first if preferred and worst[first] >= PREFERRED else int(np.argmax(worst))
+        chosen.append(place)
+        left, pivot = _without(left, place)
+        independence = np.minimum(independence, pivot)
+    return chosen, independence
+
+
+def _independence(rows: np.ndarray) -> np.ndarray:
+    """Return the independence (T,) of chosen quantities, in the order in which they were chosen."""
+    left, independence = rows.copy(), np.full(len(rows), np.inf)
+    for place in range(rows.shape[1]):
+        left, pivot = _without(left, place)
+        independence = np.minimum(independence, pivot)
+    return independence
+
+
+def _without(rows: np.ndarray, place: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the parts of all rows perpendicular to one of them, and the norm of this one in each frame, (T,)."""
+    own = rows[:, place]
+    pivot = np.linalg.norm(own, axis=1)
+    unit = own / np.where(pivot > 0, pivot, 1.0)[:, None]
+    return rows - (rows @ unit[..., None]) * unit[:, None, :], pivot

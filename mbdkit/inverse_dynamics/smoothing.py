@@ -1,0 +1,180 @@
+"""Smoothing of series over time, and their first and second derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline, make_smoothing_spline
+from scipy.signal import butter, filtfilt, lfilter, lfiltic
+
+from mbdkit.errors import SpecError
+from mbdkit.spec.inverse_sections import (
+    Butterworth,
+    NoSmoothing,
+    OpenSimFilter,
+    QuinticSpline,
+    Smoothing,
+    SmoothingSpline,
+)
+
+UNEVEN = 1e-3
+"""Largest deviation of the intervals of evenly spaced rows, relative to their mean."""
+
+KEY = "motion.smooth"
+
+FEWEST = 6
+"""Rows that a quintic spline needs."""
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """Series (T, K) with their first and second time derivatives."""
+
+    value: np.ndarray
+    rate: np.ndarray
+    acceleration: np.ndarray
+
+
+def smoothed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> Smoothed:
+    """Smooth series and differentiate them.
+
+    Parameters
+    ----------
+    time
+        (T,) increasing times [s].
+    series
+        (T, K) the series.
+    how
+        The smoothing; see the classes for what each of them does.
+
+    Raises
+    ------
+    SpecError
+        If there are too few rows, the rows are not evenly spaced where they have to be, or the cutoff is too high.
+    """
+    if len(time) < FEWEST:
+        raise SpecError(f"derivatives need at least {FEWEST} rows, and the motion has {len(time)}", key="motion")
+    if isinstance(how, NoSmoothing):
+        return Smoothed(series, *local_derivatives(time, series))
+    if isinstance(how, QuinticSpline):
+        return _of_spline(quintic_spline(time, series), time)
+    if isinstance(how, SmoothingSpline):
+        return _smoothing_spline(time, series, how.parameter)
+    if isinstance(how, Butterworth):
+        filtered = _butterworth(time, series, how)
+        return _of_spline(quintic_spline(time, filtered), time)
+    return _opensim(time, series, how)
+
+
+def quintic_spline(time: np.ndarray, series: np.ndarray) -> BSpline:
+    """Return the natural quintic spline through all rows: its third and fourth derivatives vanish at both ends."""
+    zeros = np.zeros(series.shape[1:])
+    ends = [(3, zeros), (4, zeros)]
+    return make_interp_spline(time, series, k=5, bc_type=(ends, ends))
+
+
+def _of_spline(spline: BSpline, time: np.ndarray) -> Smoothed:
+    return Smoothed(spline(time), spline(time, 1), spline(time, 2))
+
+
+def local_derivatives(time: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return both derivatives of the polynomial of degree four through each row and its four nearest neighbours.
+
+    For evenly spaced rows, these are the central differences of fourth order, and one-sided ones at the ends.
+    """
+    count = len(time)
+    begin = np.clip(np.arange(count) - 2, 0, count - 5)
+    rows = begin[:, None] + np.arange(5)
+    offset = time[rows] - time[:, None]
+    unit = np.max(np.abs(offset), axis=1)
+    powers = (offset / unit[:, None])[:, None, :] ** np.arange(5)[None, :, None]
+    right = np.zeros((count, 5, 2))
+    right[:, 1, 0], right[:, 2, 1] = 1.0 / unit, 2.0 / unit**2
+    weights = np.linalg.solve(powers, right)  # (T, 5, 2)
+    near = series[rows] - series[:, None]  # the weights of a derivative sum to zero; this avoids cancellation
+    rate, acceleration = np.einsum("tsd,tsk->dtk", weights, near)
+    return rate, acceleration
+
+
+def _smoothing_spline(time: np.ndarray, series: np.ndarray, parameter: float | None) -> Smoothed:
+    unit = float((time[-1] - time[0]) / (len(time) - 1))  # SciPy's solution needs intervals of about 1
+    scaled = (time - time[0]) / unit
+    weight = None if parameter is None else parameter / unit**3
+    columns = []
+    for x in series.T:
+        try:
+            columns.append(_of_spline(make_smoothing_spline(scaled, x, lam=weight), scaled))
+        except (ValueError, np.linalg.LinAlgError):
+            raise SpecError(
+                "cross-validation finds no parameter of the spline for these data; give `parameter`", key=KEY
+            ) from None
+    value, rate, acceleration = (
+        np.column_stack([getattr(one, name) for one in columns]) for name in ("value", "rate", "acceleration")
+    )
+    return Smoothed(value, rate / unit, acceleration / unit**2)
+
+
+def _interval(time: np.ndarray) -> float:
+    """Return the interval between evenly spaced rows; raise SpecError if they are not evenly spaced."""
+    steps = np.diff(time)
+    mean = float((time[-1] - time[0]) / (len(time) - 1))
+    worst = int(np.argmax(np.abs(steps - mean)))
+    if abs(steps[worst] - mean) > UNEVEN * mean:
+        raise SpecError(
+            f"this filter needs evenly spaced rows, but the interval after t = {time[worst]:.6g} s is "
+            f"{steps[worst]:.6g} s, and {mean:.6g} s on average; use `spline`, `quintic` or "
+            "`opensim`, which resamples",
+            key=KEY,
+        )
+    return mean
+
+
+def _check_cutoff(given: float, once: float, interval: float) -> None:
+    """Raise SpecError if the cutoff `once` of a single pass, for the cutoff `given`, is too high for the rows."""
+    highest = 0.5 / interval * given / once
+    if given >= highest:
+        raise SpecError(
+            f"{given:g} Hz is too high: with {1 / interval:.6g} rows a second, it should be below {highest:.4g} Hz",
+            key=f"{KEY}.cutoff",
+        )
+
+
+def _butterworth(time: np.ndarray, series: np.ndarray, how: Butterworth) -> np.ndarray:
+    interval = _interval(time)
+    # each of the two passes has -1.5 dB at the cutoff
+    once = how.cutoff / (2**0.5 - 1) ** (0.5 / how.order)
+    _check_cutoff(how.cutoff, once, interval)
+    b, a = butter(how.order, once, fs=1.0 / interval)
+    duration = 2.0 / how.cutoff if how.padding is None else how.padding
+    padding = min(int(np.ceil(duration / interval)), len(time) - 1)
+    filtered: np.ndarray = filtfilt(b, a, series, axis=0, padtype="odd", padlen=padding)
+    return filtered
+
+
+def _opensim(time: np.ndarray, series: np.ndarray, how: OpenSimFilter) -> Smoothed:
+    """Filter as OpenSim does (Storage::pad, Storage::lowpassIIR, Signal::LowpassIIR)."""
+    pad = len(time) // 2
+    before, after = 2 * time[0] - time[pad:0:-1], 2 * time[-1] - time[-2 : -pad - 2 : -1]
+    times = np.concatenate([before, time, after])
+    padded = np.concatenate(
+        [2 * series[0] - series[pad:0:-1], series, 2 * series[-1] - series[-2 : -pad - 2 : -1]], axis=0
+    )
+    interval = float(np.min(np.diff(times)))
+    even = times[0] + interval * np.arange(int(np.floor((times[-1] - times[0]) / interval + 1e-6)) + 1)
+    if len(even) != len(times) or np.max(np.abs(even - times)) > 1e-9 * interval * len(times):
+        padded = quintic_spline(times, padded)(np.minimum(even, times[-1]))
+    _check_cutoff(how.cutoff, how.cutoff, interval)
+    b, a = butter(3, how.cutoff, fs=1.0 / interval)
+    for _ in range(2):  # forward, and backward on the reversed series
+        padded = _third_order_pass(b, a, padded)[::-1]
+    return _of_spline(quintic_spline(even, padded), time)
+
+
+def _third_order_pass(b: np.ndarray, a: np.ndarray, series: np.ndarray) -> np.ndarray:
+    """Return the filtered series (T, K); its first three rows are those of the input, as in OpenSim."""
+    out = series.copy()
+    for column in range(series.shape[1]):
+        first = series[2::-1, column]
+        out[3:, column] = lfilter(b, a, series[3:, column], zi=lfiltic(b, a, first, first))[0]
+    return out

@@ -1,0 +1,255 @@
+"""Tables of measured data: CSV, OpenSim .mot and .sto, .trc and C3D files, and columns given in Python."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbdkit.errors import MbdkitError, SpecError, file_error
+from mbdkit.text import did_you_mean, listed, shown
+
+GAPS = ("", "nan", "na", "n/a", "null")
+"""Cells, in lower case, that hold no value."""
+
+HEADINGS_SHOWN = 30
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of numbers, whose cells are converted when a column is used.
+
+    Parameters
+    ----------
+    file
+        Name of the file, for messages; empty for data from Python.
+    headings
+        Headings of the columns.
+    cells
+        Rows of cells, each a text or a number; None is a gap.
+    lines
+        Line of each row in the file; empty if rows have no lines.
+    length_unit
+        Unit of lengths that the file states, such as mm; by default m.
+    in_degrees
+        Whether the file states that rotations are in degrees.
+    """
+
+    file: str
+    headings: Sequence[str]
+    cells: Sequence[Sequence[Any]]
+    lines: Sequence[int] = ()
+    length_unit: str = "m"
+    in_degrees: bool = False
+    _place: dict[str, int] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for place, heading in enumerate(self.headings):
+            if heading in self._place and heading:
+                raise self.error(f"two columns have the heading '{shown(heading)}'")
+            self._place[heading] = place
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    @property
+    def name(self) -> str:
+        """The table as it is called in messages."""
+        return Path(self.file).name if self.file else "the data"
+
+    def error(self, message: str, *, row: int | None = None, key: str = "") -> SpecError:
+        """Return an error about this table, or about one of its rows."""
+        line = self.lines[row] if row is not None and row < len(self.lines) else None
+        where = f"row {row + 1}: " if row is not None and line is None else ""
+        return SpecError(f"{where}{message}", key=key, file=self.file or None, line=line)
+
+    def column(self, heading: str, key: str) -> np.ndarray:
+        """Return the numbers of a column, (T,); gaps are nan.
+
+        Parameters
+        ----------
+        key
+            Key of the spec that names the column, for messages.
+
+        Raises
+        ------
+        SpecError
+            If there is no such column, or a cell is not a number.
+        """
+        place = self._place.get(heading)
+        if place is None:
+            names = [shown(name) for name in self.headings if name]
+            some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
+            hint = did_you_mean(heading, names) or f"; its columns: {some}"
+            raise SpecError(f"{self.name} has no column '{shown(heading)}'{hint}", key=key)
+        values = np.empty(len(self.cells))
+        for row, cells in enumerate(self.cells):
+            values[row] = self._number(cells[place] if place < len(cells) else None, row, heading)
+        return values
+
+    def _number(self, cell: Any, row: int, heading: str) -> float:
+        if cell is None:
+            return math.nan
+        if isinstance(cell, str):
+            text = cell.strip()
+            if text.lower() in GAPS:
+                return math.nan
+            try:
+                cell = float(text)
+            except ValueError:
+                raise self.error(f"column '{shown(heading)}': {shown(text)!r} is not a number", row=row) from None
+        if math.isinf(cell):
+            raise self.error(f"column '{shown(heading)}': {cell} is not a finite number", row=row)
+        return float(cell)
+
+    def times(self, heading: str, key: str) -> np.ndarray:
+        """Return the times in a column, (T,) [s].
+
+        Raises
+        ------
+        SpecError
+            If there is no such column, a time is missing, or times do not increase.
+        """
+        if heading == "time" and heading not in self._place:  # .trc files and others write it with a capital
+            heading = next((name for name in self.headings if name.lower() == heading), heading)
+        values = self.column(heading, key)
+        if not len(values):
+            raise self.error("this table has no rows")
+        missing = np.flatnonzero(np.isnan(values))
+        if missing.size:
+            raise self.error(f"column '{shown(heading)}': the time is missing", row=int(missing[0]))
+        back = np.flatnonzero(np.diff(values) <= 0)
+        if back.size:
+            row = int(back[0]) + 1
+            raise self.error(
+                f"column '{shown(heading)}': times should increase, but {values[row]:.10g} s follows "
+                f"{values[row - 1]:.10g} s",
+                row=row,
+            )
+        return values
+
+
+def read_table(path: Path, key: str) -> Table:
+    """Read a table from a file, whose format its suffix tells: .csv, .txt, .mot, .sto, .trc or .c3d.
+
+    Raises
+    ------
+    SpecError
+        If the file does not exist, or is not such a table.
+    ResourceError
+        If the system refuses to read it.
+    """
+    if not path.is_file():
+        what = "is a folder" if path.is_dir() else "there is no such file"
+        raise SpecError(f"{what}: {shown(str(path))}", key=key)
+    suffix = path.suffix.lower()
+    if suffix == ".c3d":
+        return _read_c3d(path)
+    readers = {".csv": _read_csv, ".txt": _read_csv, ".mot": _read_storage, ".sto": _read_storage, ".trc": _read_trc}
+    if suffix not in readers:
+        raise SpecError(
+            f"'{shown(path.name)}' has no suffix of a table; known: .csv, .mot, .sto, .trc, .c3d, and .h5 of a run",
+            key=key,
+        )
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        raise SpecError("this file is not valid UTF-8 text", file=path) from None
+    except OSError as error:
+        raise file_error(error.errno, f"this file cannot be read: {error.strerror or error}", file=path) from None
+    return readers[suffix](str(path), lines)
+
+
+def table_of(data: Mapping[str, Sequence[float | None]], key: str) -> Table:
+    """Return columns by heading as a table; raise SpecError if they differ in length."""
+    lengths = {heading: len(values) for heading, values in data.items()}
+    if len(set(lengths.values())) > 1:
+        raise SpecError(
+            f"columns should be of equal length, not {listed(f'{name} {n}' for name, n in lengths.items())}", key=key
+        )
+    return Table("", list(data), list(zip(*data.values(), strict=True)))
+
+
+def _read_csv(file: str, lines: list[str]) -> Table:
+    """Read a table with a line of headings; lines that begin with # are comments."""
+    kept = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    if not kept:
+        raise SpecError("this table is empty; its first line should hold the headings of the columns", file=file)
+    delimiter = max(",;\t", key=kept[0][1].count)
+    rows = list(csv.reader((line for _, line in kept), delimiter=delimiter))
+    headings = [cell.strip() for cell in rows[0]]
+    return _checked(Table(file, headings, rows[1:], [number for number, _ in kept[1:]]))
+
+
+def _read_storage(file: str, lines: list[str]) -> Table:
+    """Read an OpenSim storage file: a header up to ``endheader``, a line of headings, rows."""
+    end = next((index for index, line in enumerate(lines) if line.strip().lower() == "endheader"), None)
+    if end is None:
+        raise SpecError("this file has no line `endheader`, as an OpenSim .mot or .sto file should", file=file)
+    header = dict(re.split(r"\s*=\s*", line.strip(), maxsplit=1) for line in lines[:end] if "=" in line)
+    kept = [(number, line) for number, line in enumerate(lines[end + 1 :], end + 2) if line.strip()]
+    if not kept:
+        raise SpecError("this table is empty: no headings follow `endheader`", file=file)
+    split = _cells_of(kept[0][1])
+    rows = [split(line) for _, line in kept]
+    in_degrees = header.get("inDegrees", "no").lower() == "yes"
+    return _checked(Table(file, rows[0], rows[1:], [number for number, _ in kept[1:]], in_degrees=in_degrees))
+
+
+def _cells_of(headings: str) -> Any:
+    """Return the function that splits the lines of a table with these headings: at tabs, or else at blanks."""
+    if "\t" in headings:
+        return lambda line: [cell.strip() for cell in line.rstrip("\n").rstrip("\t").split("\t")]
+    return str.split
+
+
+def _read_trc(file: str, lines: list[str]) -> Table:
+    """Read a .trc file of markers; the columns are called MARKER.x, MARKER.y and MARKER.z."""
+    if len(lines) < 5 or not lines[0].startswith("PathFileType"):
+        raise SpecError("this file does not begin with `PathFileType`, as a .trc file should", file=file)
+    header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+    names = [name.strip() for name in lines[3].split("\t")]
+    markers = [name for name in names[2:] if name]
+    headings = [*names[:2], *(f"{marker}.{axis}" for marker in markers for axis in "xyz")]
+    kept = [(number, line) for number, line in enumerate(lines[5:], 6) if line.strip()]
+    rows = [line.split("\t")[: len(headings)] for _, line in kept]
+    unit = header.get("Units", "m").strip() or "m"
+    return _checked(Table(file, headings, rows, [number for number, _ in kept], length_unit=unit))
+
+
+def _read_c3d(path: Path) -> Table:
+    """Read the points of a C3D file; the columns are called LABEL.x, LABEL.y and LABEL.z."""
+    try:
+        import ezc3d
+    except ImportError:
+        raise MbdkitError(
+            "reading C3D files needs the package ezc3d: install it with `pip install mbdkit[c3d]`, or export the "
+            "markers as .trc"
+        ) from None
+    try:
+        file = ezc3d.c3d(str(path))
+    except (OSError, RuntimeError, ValueError, IndexError) as error:
+        raise SpecError(f"this is not a C3D file that can be read: {shown(str(error))}", file=path) from None
+    points = file["data"]["points"]  # (4, markers, frames)
+    about = file["parameters"]["POINT"]
+    labels = [str(label) for label in about["LABELS"]["value"]][: points.shape[1]]
+    rate, first = float(file["header"]["points"]["frame_rate"]), int(file["header"]["points"]["first_frame"])
+    time = (first + np.arange(points.shape[2])) / rate
+    headings = ["time", *(f"{label}.{axis}" for label in labels for axis in "xyz")]
+    flat = points[:3].transpose(2, 1, 0).reshape(points.shape[2], -1)
+    unit = str(next(iter(about["UNITS"]["value"]), "m")).strip() or "m"
+    return Table(str(path), headings, np.column_stack([time, flat]).tolist(), length_unit=unit)
+
+
+def _checked(table: Table) -> Table:
+    """Return the table; raise SpecError if a row has more cells than there are headings."""
+    for row, cells in enumerate(table.cells):
+        if len(cells) > len(table.headings) and any(str(cell).strip() for cell in cells[len(table.headings) :]):
+            raise table.error(f"this row has {len(cells)} cells, but there are {len(table.headings)} headings", row=row)
+    return table

@@ -1,0 +1,248 @@
+"""Sections of a spec of inverse dynamics: the measured motion, its smoothing, loads, actuators and the time."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.values import BodyPair, Points
+from mbdkit.spec.sections import Count, Positive, Section
+from mbdkit.units import read_unit
+
+Named = Annotated[str, Field(min_length=1)]
+
+
+def _as_column(value: Any) -> Any:
+    return {"column": value} if isinstance(value, str) else value
+
+
+def _as_smoothing(value: Any) -> Any:
+    return {"name": value} if isinstance(value, str) else value
+
+
+class ColumnOfTable(Section):
+    """A column of a table and its unit; a text alone is the heading of a column in SI units."""
+
+    column: Named
+    """Heading of the column."""
+    unit: str | None = None
+    """Unit of the numbers, such as deg or mm; SI units (m, rad, N, N m) by default."""
+
+    @model_validator(mode="after")
+    def _has_a_unit(self) -> ColumnOfTable:
+        if self.unit is not None:
+            try:
+                read_unit(self.unit)
+            except SpecError as error:
+                raise error.located(prefix="unit") from None
+        return self
+
+
+class ObservedColumn(ColumnOfTable):
+    """The column with the measured values of one quantity."""
+
+    weight: Positive = 1.0
+    """Weight of its squared residual, in SI units, in the fit of the mechanism."""
+    rate: Named | None = None
+    """Heading of a column with the first derivative, in the same unit per second, for motions that are not smoothed."""
+    acceleration: Named | None = None
+    """Heading of a column with the second derivative; given together with `rate`."""
+
+    @model_validator(mode="after")
+    def _has_both_derivatives(self) -> ObservedColumn:
+        if (self.rate is None) != (self.acceleration is None):
+            missing = "rate" if self.rate is None else "acceleration"
+            raise SpecError("is missing: `rate` and `acceleration` are given together or not at all", key=missing)
+        return self
+
+
+Column = Annotated[
+    ColumnOfTable | float, BeforeValidator(_as_column, json_schema_input_type=ColumnOfTable | str | float)
+]
+"""A column of a table, or one SI value for all times."""
+Observed = Annotated[ObservedColumn, BeforeValidator(_as_column, json_schema_input_type=ObservedColumn | str)]
+
+
+class NoSmoothing(Section):
+    """No smoothing; derivatives by the polynomial of degree four through five neighbouring rows, or from columns."""
+
+    name: Literal["none"] = "none"
+
+
+class QuinticSpline(Section):
+    """No smoothing; derivatives of the natural quintic spline through all rows."""
+
+    name: Literal["quintic"] = "quintic"
+
+
+class SmoothingSpline(Section):
+    """A cubic smoothing spline: least sum of squared residuals + parameter * integral of the squared curvature."""
+
+    name: Literal["spline"] = "spline"
+    parameter: Annotated[float, Field(ge=0)] | None = None
+    """Weight of the curvature [s^3]; by default, chosen by generalized cross-validation for each coordinate."""
+
+
+class Butterworth(Section):
+    """A Butterworth low-pass filter, forward and backward (no phase lag), then the natural quintic spline."""
+
+    name: Literal["butterworth"] = "butterworth"
+    cutoff: Positive
+    """Frequency at which both passes together reduce the amplitude by 3 dB [Hz]."""
+    order: Annotated[Count, Field(le=10)] = 2
+    """Order of the filter in each of the two passes."""
+    padding: Annotated[float, Field(ge=0)] | None = None
+    """Duration by which both ends are extended by odd reflection [s]; by default two periods of the cutoff, and at most
+    the length of the motion."""
+
+
+class OpenSimFilter(Section):
+    """The filter of OpenSim: rows padded by half their number and resampled, third-order Butterworth in two passes."""
+
+    name: Literal["opensim"] = "opensim"
+    cutoff: Positive
+    """Cutoff of each of the two passes [Hz]."""
+
+
+_Smoothing = Annotated[
+    NoSmoothing | QuinticSpline | SmoothingSpline | Butterworth | OpenSimFilter, Field(discriminator="name")
+]
+Smoothing = Annotated[
+    _Smoothing,
+    BeforeValidator(_as_smoothing, json_schema_input_type=_Smoothing | Literal["none", "quintic", "spline"]),
+]
+
+
+class Gaps(Section):
+    """How gaps in columns, cells that are empty or NaN, are bridged."""
+
+    longest: Positive
+    """Longest time between the rows on both sides of a gap [s]; a longer gap is refused."""
+    interpolation: Literal["linear", "cubic"] = "cubic"
+    """`linear`, or `cubic`: the cubic spline through the other rows of the column."""
+
+
+Data = dict[str, list[float | None]]
+"""Columns of a table by heading; None is a gap."""
+
+
+def _one_source(section: Any, *, required: bool) -> None:
+    if section.file is not None and section.data is not None:
+        raise PydanticCustomError("mbdkit", "takes either `file` or `data`, not both")
+    if required and section.file is None and section.data is None:
+        raise PydanticCustomError("mbdkit", "needs `file` (a table) or `data` (columns by heading)")
+
+
+class MeasuredMotion(Section):
+    """The measured motion: a table, and which of its columns are which quantities of the mechanism.
+
+    Quantities are JOINT.angle (relative angle, or travel of a slide), BODY.x, BODY.y, BODY.angle, MARKER.x and
+    MARKER.y; where a name is not unique, joints.NAME.angle, bodies.NAME.angle and so on.
+    """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data", "gaps")
+
+    file: Named | None = None
+    """Table with a column of times: CSV, OpenSim .mot or .sto, .trc, C3D, or a run archive; relative to the folder of
+    the spec."""
+    data: Data | None = None
+    """Instead of `file`: columns by heading."""
+    time: Named = "time"
+    """Heading of the column with the times [s]."""
+    columns: dict[str, Observed] | None = None
+    """The column of each observed quantity; by default, all columns whose headings are such quantities."""
+    smooth: Smoothing = NoSmoothing()
+    """Smoothing of the independent coordinates, and the derivatives; a name, or a name and its options."""
+    gaps: Gaps | None = None
+    """How gaps are bridged; by default, they are refused."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> MeasuredMotion:
+        _one_source(self, required=True)
+        if self.columns == {}:
+            raise SpecError("should have at least one column", key="columns")
+        return self
+
+
+class Load(Section):
+    """A measured load on a body: a force at a point that may move, a free torque, or both."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data")
+
+    body: Named
+    """Body that the load acts on."""
+    file: Named | None = None
+    """Table of the load; by default, that of the motion."""
+    data: Data | None = None
+    """Instead of `file`: columns by heading."""
+    time: Named = "time"
+    """Heading of the column with the times [s]."""
+    force: tuple[Column, Column] | None = None
+    """Columns of the force (x, y) on the body, in the global frame; a number is a constant component [N]."""
+    point: tuple[Column, Column] | None = None
+    """Columns of its point of application, or numbers [m]; by default, the body's centre of mass."""
+    point_frame: Named = GROUND
+    """Body in whose frame the point is given; by default, the global frame."""
+    torque: Column | None = None
+    """Column of a free torque on the body, positive counter-clockwise."""
+    interpolation: Literal["linear", "cubic"] = "linear"
+    """How loads are interpolated to the times of the motion."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> Load:
+        _one_source(self, required=False)
+        if self.force is None and self.torque is None:
+            raise PydanticCustomError("mbdkit", "needs `force` (two columns) or `torque` (a column)")
+        if self.point is not None and self.force is None:
+            raise SpecError("is a point of application, but there is no `force`", key="point")
+        return self
+
+
+class Actuator(Section):
+    """An actuator: on the coordinate of a joint, between two points, or on a coordinate of a body."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("joint", "bodies", "points", "body", "coordinate")
+
+    joint: Named | None = None
+    """Joint whose relative angle or travel it acts on, with a torque or force on the second body."""
+    bodies: BodyPair | None = None
+    """Instead of `joint`, with `points`: the two bodies that it pulls together."""
+    points: Points | None = None
+    """Points of attachment, each in the frame of its body [m]."""
+    body: Named | None = None
+    """Instead of `joint`, with `coordinate`: body that it acts on from the ground."""
+    coordinate: Literal["x", "y", "angle"] | None = None
+    """Coordinate of `body`: a force at its centre of mass along a global axis, or a torque."""
+    weight: Positive = 1.0
+    """Where there are more actuators than degrees of freedom, the sum of (weight * value)^2 is least, in which torques
+    are divided by the characteristic length of the mechanism."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> Actuator:
+        given = [name for name in ("joint", "bodies", "body") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise PydanticCustomError("mbdkit", "needs exactly one of `joint`, `bodies` and `body`")
+        for first, second in (("bodies", "points"), ("body", "coordinate")):
+            if (getattr(self, first) is None) != (getattr(self, second) is None):
+                missing = second if getattr(self, second) is None else first
+                raise SpecError(f"is missing: `{first}` and `{second}` are given together", key=missing)
+        return self
+
+
+class Span(Section):
+    """The part of the motion that is used; all of it by default."""
+
+    start: float | None = None
+    """Start time [s]; rows before it are left out."""
+    end: float | None = None
+    """End time [s]; rows after it are left out."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Span:
+        if self.start is not None and self.end is not None and self.end <= self.start:
+            raise SpecError(f"must be later than the start at {self.start!r}, not {self.end!r}", key="end")
+        return self

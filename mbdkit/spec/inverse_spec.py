@@ -1,0 +1,94 @@
+"""The spec of inverse dynamics: a model, its measured motion, loads and actuators."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.checks import check_name
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.spec.choices import Choice
+from mbdkit.spec.inverse_sections import Actuator, Load, MeasuredMotion, Span
+from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.reading import STDIN
+from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
+
+
+def _named(sections: dict[str, Any]) -> dict[str, Any]:
+    for name in sections:
+        if name != GROUND:  # a natural name of a load
+            check_name(name, name)
+    return sections
+
+
+class InverseSpec(ModelSpec):
+    """The complete input of inverse dynamics: from a measured motion to the loads of joints and actuators.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, with the key path.
+    """
+
+    model_config = ConfigDict(title="mbdkit spec of inverse dynamics", defer_build=True)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("parameters", "loads", "actuators", "measures", "unbalanced")
+
+    motion: MeasuredMotion
+    """The measured motion."""
+    loads: Annotated[dict[str, Load], AfterValidator(_named)] = Field(default_factory=dict)
+    """Measured loads by name, such as the force of the ground on a foot."""
+    actuators: Annotated[dict[str, Actuator], AfterValidator(_named)] = Field(default_factory=dict)
+    """Actuators by name; by default, one for each observed relative angle or travel. Bodies that no joint connects to
+    the ground have residual actuators in addition: root.x, root.y and root.angle."""
+    unbalanced: Literal["refuse", "report"] = "refuse"
+    """Whether actuators that cannot produce the motion are refused, or chosen by least squares of the generalized
+    forces that they leave unbalanced, which are reported."""
+    time: Span = Span()
+    """The part of the motion that is used."""
+    measures: RunMeasures = Field(default_factory=dict)
+    """Measures by name: numbers that expressions, such as `max(abs(joints.B.force))`, take from the result."""
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """None: the measured motion tells start and end."""
+        return None
+
+    @property
+    def items(self) -> list[Registered]:
+        """The registry entries of the model and the force laws."""
+        return [self.model_item, *self.force_law_items]
+
+    @property
+    def folder(self) -> Path:
+        """Folder that relative names of files count from: that of the spec, or else the current folder."""
+        file = "" if self._document is None else self._document.file
+        path = Path(file)
+        return path.parent if file != STDIN and path.is_file() else Path()
+
+    def defined_measures(self) -> tuple[DefinedMeasure, ...]:
+        """Return the measures of the result."""
+        return tuple(defined(self.measures, ("measures",)))
+
+
+def is_inverse(data: Mapping[str, Any]) -> bool:
+    """Return whether plain data are a spec of inverse dynamics: only these have a section `motion`."""
+    return "motion" in data
+
+
+def inverse_spec_type(installed: Registry) -> type[InverseSpec]:
+    """Return an InverseSpec class that selects from the given registry instead of the installed plugins."""
+    description = InverseSpec.model_fields["model"].description
+    field: Any = (Annotated[BaseModel, Choice("model", installed)], Field(description=description))
+    return create_model("InverseSpec", __base__=InverseSpec, __doc__=InverseSpec.__doc__, model=field)
+
+
+def refused_as_run() -> SpecError:
+    """Return the error for a spec of inverse dynamics that is given in place of a run spec."""
+    return SpecError(
+        "this is a spec of inverse dynamics, with a measured motion: compute it with `mbdkit inverse`", key="motion"
+    )

@@ -1,0 +1,139 @@
+"""Base class of specs with a model: the model, named parameters, and the mechanism that the model builds."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+from pydantic import BaseModel, Field, PrivateAttr
+
+from mbdkit.errors import PluginError, SpecError, blaming
+from mbdkit.mechanism.law_element import Law
+from mbdkit.plain_data import LONGEST_TITLE
+from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.item_options import item_of
+from mbdkit.registry.items import ModelPlugin
+from mbdkit.spec.choices import Choice
+from mbdkit.spec.sections import QUANTITIES
+from mbdkit.spec.strict_spec import StrictSpec
+
+if TYPE_CHECKING:
+    from mbdkit.mechanism.mechanism import Mechanism
+
+
+class ModelSpec(StrictSpec):
+    """Base class of the specs of runs and of inverse dynamics.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, with the key path.
+    """
+
+    EXPRESSIONS_IN: ClassVar[str] = "model"
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ()
+    """Keys that the canonical form omits by default, so that specs written before they existed keep hash and run id."""
+
+    mbdkit: Literal[1]
+    """Version of the spec format."""
+    title: Annotated[str, Field(max_length=LONGEST_TITLE)] = ""
+    """Title of the run, free text."""
+    parameters: dict[str, float | str] = Field(default_factory=dict)
+    """Named numbers. Any number of the model may be an expression of them, such as `0.5*crank`, and so may motions,
+    events and, in any order, other parameters. Angles may be written as `degrees(45)`."""
+    model: Annotated[BaseModel, Choice("model")]
+    """The model: its name and its parameters."""
+
+    _mechanism: Any = PrivateAttr(default=None)
+    _run_id: str = PrivateAttr(default="")
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """Start and end of the motion [s]; None if the spec does not tell."""
+        raise NotImplementedError
+
+    @property
+    def items(self) -> list[Registered]:
+        """The registry entries of everything that the spec selects, such as the model."""
+        raise NotImplementedError
+
+    @property
+    def recorded(self) -> frozenset[str]:
+        """Groups of quantities that the archive holds in addition to the trajectory."""
+        return frozenset(QUANTITIES)
+
+    @property
+    def event_names(self) -> tuple[str, ...]:
+        """Names of the events."""
+        return ()
+
+    @property
+    def model_item(self) -> Registered:
+        """The registry entry of the model, including its origin."""
+        return item_of(self.model)
+
+    @property
+    def model_plugin(self) -> ModelPlugin:
+        """The model plugin."""
+        plugin = self.model_item.plugin
+        assert isinstance(plugin, ModelPlugin)
+        return plugin
+
+    @property
+    def force_law_items(self) -> list[Registered]:
+        """The registry entries of the force laws that the mechanism uses, without duplicates, sorted by long name."""
+        laws = {item_of(force) for force in self.mechanism().forces.values() if isinstance(force, Law)}
+        return sorted(laws, key=lambda item: item.id)
+
+    def mechanism(self) -> Mechanism:
+        """Return the mechanism that the model builds from its parameters; it is built once and cached.
+
+        Raises
+        ------
+        SpecError
+            If the parameters do not define a valid mechanism, or if an event refers to an unknown quantity.
+        PluginError
+            If the model plugin fails.
+        """
+        private = self.__pydantic_private__ or {}  # ten times faster than attributes, and called ten times for each run
+        built: Mechanism | None = private["_mechanism"]
+        if built is None:
+            built = self._build()
+            self._accept(built)
+            self._mechanism = built
+        return built
+
+    def _accept(self, mechanism: Mechanism) -> None:
+        """Raise SpecError if the other sections do not fit the mechanism."""
+
+    def _build(self) -> Mechanism:
+        from mbdkit.mechanism.mechanism import Mechanism
+
+        try:
+            with blaming(f"model {self.model_item.id} failed to build"):
+                mechanism: Any = self._built()
+            if isinstance(mechanism, Mechanism) and self.span is not None:
+                mechanism.check_span(*self.span)
+        except SpecError as error:
+            raise error if error.key.startswith("model") else error.located(prefix="model") from None
+        if not isinstance(mechanism, Mechanism):
+            raise PluginError(f"model {self.model_item.id} built {type(mechanism).__name__}, not a Mechanism")
+        return mechanism
+
+    def _built(self) -> Any:
+        try:
+            return self.model_plugin.build(self.model)
+        except ArithmeticError:
+            if self.model_item.origin.distribution != "mbdkit":
+                raise
+            raise SpecError("a parameter is so large or so small that numbers overflow", key="model") from None
+
+    def run_id(self) -> str:
+        """Return 16 hexadecimal digits that identify this spec and the versions of the plugins it uses."""
+        if not self._run_id:
+            self._run_id = self._identifier()
+        return self._run_id
+
+    def _identifier(self) -> str:
+        used = [f"{item.id}=={item.origin.version}" for item in self.items]
+        return hashlib.sha256("\n".join([self.canonical_json(), *used]).encode()).hexdigest()[:16]

@@ -1,0 +1,164 @@
+"""Wrong input is refused by file, line, column or key, and leaves existing files as they are."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+import mbdkit
+from mbdkit import MbdkitError, SpecError
+from mbdkit.cli import app
+
+ROWS = ["time,hip,text", *(f"{0.01 * i:.2f},{0.1 * i:.3f},a" for i in range(20))]
+
+
+def pendulum(file: str, **motion: Any) -> dict[str, Any]:
+    """Return the spec of a pendulum whose angle is the column ``hip`` of a table."""
+    m = mbdkit.Mechanism()
+    m.body("rod", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    m.body("toy", mass=1.0, inertia=0.1, position=(1.0, 0.0))
+    m.revolute("hip", m.ground, "rod", at=(0, 0))
+    m.weld("glue", "rod", "toy", at=(1, 0))
+    m.marker("tip", "rod", point=(0.5, 0.0))
+    given = {"file": file, "columns": {"hip.angle": "hip"}, **motion}
+    return {"mbdkit": 1, "model": m.to_spec(), "motion": given}
+
+
+def with_row(number: int, row: str) -> list[str]:
+    """Return the table with one of its lines, counted from 1, replaced."""
+    return [*ROWS[: number - 1], row, *ROWS[number:]]
+
+
+@pytest.mark.parametrize(
+    ("rows", "change", "message"),
+    [
+        (ROWS, {"columns": {"hip.angle": "hop"}}, "key motion.columns.hip.angle.column: t.csv has no column 'hop'"),
+        (ROWS, {"columns": {"hip.angle": "text"}}, "t.csv:2: column 'text': 'a' is not a number"),
+        (with_row(5, "0.03,,a"), {}, "t.csv:5: column 'hip': the value is missing (1 row without a value)"),
+        (with_row(5, "0.03,nan,a"), {}, "t.csv:5: column 'hip': the value is missing"),
+        (with_row(5, "0.03,inf,a"), {}, "t.csv:5: column 'hip': inf is not a finite number"),
+        (with_row(5, "0.02,0.3,a"), {}, "t.csv:5: column 'time': times should increase, but 0.02 s follows 0.02 s"),
+        (with_row(5, ",0.3,a"), {}, "t.csv:5: column 'time': the time is missing"),
+        (with_row(5, "0.03,0.3,a,7"), {}, "t.csv:5: this row has 4 cells, but there are 3 headings"),
+        (["time,hip,hip", *ROWS[1:]], {}, "t.csv: two columns have the heading 'hip'"),
+        (ROWS[:1], {}, "t.csv: this table has no rows"),
+        (["# nothing"], {}, "t.csv: this table is empty"),
+        (ROWS, {"columns": {"knee.angle": "hip"}}, "the mechanism has no quantity 'knee.angle'"),
+        (ROWS, {"columns": {"hip.angle": {"column": "hip", "unit": "mm"}}}, "'mm' is not a unit of an angle"),
+        (ROWS, {"columns": {"hip.angle": {"column": "hip", "unit": "ell"}}}, "'ell' is not a known unit"),
+        (ROWS, {"columns": {"tip.x": {"column": "hip", "unit": "deg"}}}, "'deg' is not a unit of a length (m, mm)"),
+        (ROWS, {"columns": {"hip.angle": {"column": "hip", "rate": "hip"}}}, "hip.angle.acceleration: is"),
+        (ROWS, {"smooth": {"name": "butterworth", "cutoff": 60}}, "smooth.cutoff: 60 Hz is too high: with 100 rows"),
+        (ROWS, {"smooth": "butterwort"}, "motion.smooth"),
+        (with_row(5, "0.035,0.3,a"), {"smooth": {"name": "butterworth", "cutoff": 5}}, "needs evenly spaced rows"),
+        (with_row(21, "0.19,,a"), {"gaps": {"longest": 1}}, "t.csv:21: column 'hip': a gap at an end of the motion"),
+        (with_row(5, "0.03,,a"), {"gaps": {"longest": 0.01}}, "t.csv:5: column 'hip': a gap of 0.02 s is longer than"),
+        (ROWS[:4], {}, "derivatives need at least 6 rows, and the motion has 3"),
+    ],
+)  # fmt: skip
+def test_a_wrong_table_is_refused(rows: list[str], change: dict[str, Any], message: str, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("\n".join(rows), encoding="utf-8")
+    with pytest.raises(SpecError) as caught:
+        mbdkit.inverse(pendulum(str(tmp_path / "t.csv"), **change))
+    told = str(caught.value).replace(f"{tmp_path}/", "")
+    assert message.removeprefix("key ") in told
+
+
+def test_a_motion_that_leaves_a_body_unobserved_is_refused_by_its_name() -> None:
+    m = mbdkit.Mechanism()
+    m.body("upper", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    m.body("lower", mass=1.0, inertia=0.1, position=(1.5, 0.0))
+    m.revolute("hip", m.ground, "upper", at=(0, 0))
+    m.revolute("knee", "upper", "lower", at=(1, 0))
+    data = {"time": np.arange(10.0), "hip": np.zeros(10)}
+    motion = {"data": data, "columns": {"hip.angle": "hip"}}
+    with pytest.raises(SpecError, match=r"motion.columns: nothing observes lower \(y, angle\): 1 of 2 degrees"):
+        mbdkit.inverse({"mbdkit": 1, "model": m.to_spec(), "motion": motion})
+
+
+def test_gaps_are_bridged_when_asked(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("\n".join(with_row(5, "0.03,,a")), encoding="utf-8")
+    run = mbdkit.inverse(pendulum(str(tmp_path / "t.csv"), gaps={"longest": 0.05}))
+    assert np.isnan(run.motion["hip.angle"].raw[3])
+    assert run.motion["hip.angle"].fitted[3] == pytest.approx(0.3, abs=1e-12)
+
+
+def test_storage_files_are_in_degrees_where_their_header_says_so(tmp_path: Path) -> None:
+    lines = ["walk", "version=1", "nRows=20", "inDegrees=yes", "endheader", "time\thip.angle\ttip.x"]
+    lines += [f"{0.01 * i}\t{10 * i}\t{np.cos(np.radians(10 * i))}" for i in range(20)]
+    (tmp_path / "walk.mot").write_text("\n".join(lines), encoding="utf-8")
+    spec = pendulum(str(tmp_path / "walk.mot"))
+    del spec["motion"]["columns"]
+    run = mbdkit.inverse(spec)
+    assert list(run.motion) == ["hip.angle", "tip.x"]
+    assert run.joints["hip"].angle[-1] == pytest.approx(np.radians(190), abs=1e-12)
+
+
+def test_markers_of_a_trc_file_are_in_the_unit_of_its_header(tmp_path: Path) -> None:
+    lines = [
+        "PathFileType\t4\t(X/Y/Z)\tm.trc",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
+        "100\t100\t20\t1\tmm",
+        "Frame#\tTime\tTOE\t\t",
+        "\t\tX1\tY1\tZ1",
+        "",
+    ]
+    lines += [f"{i}\t{0.01 * i}\t{1000 * np.cos(0.1 * i)}\t{1000 * np.sin(0.1 * i)}\t0" for i in range(20)]
+    (tmp_path / "m.trc").write_text("\n".join(lines), encoding="utf-8")
+    spec = pendulum(str(tmp_path / "m.trc"), columns={"tip.x": "TOE.x", "tip.y": "TOE.y"})
+    run = mbdkit.inverse(spec, actuators={"hip": {"joint": "hip"}})
+    assert np.allclose(run.joints["hip"].angle, 0.1 * np.arange(20), rtol=0, atol=1e-12)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("ezc3d") is not None, reason="ezc3d is installed")
+def test_c3d_files_need_a_package_that_the_message_names(tmp_path: Path) -> None:
+    (tmp_path / "m.c3d").write_bytes(b"")
+    with pytest.raises(MbdkitError, match="needs the package ezc3d"):
+        mbdkit.inverse(pendulum(str(tmp_path / "m.c3d")))
+
+
+def test_errors_of_a_file_name_its_line(tmp_path: Path) -> None:
+    spec = pendulum("t.csv")
+    spec["motion"]["columns"] = {"hop.angle": "hip"}
+    (tmp_path / "t.csv").write_text("\n".join(ROWS), encoding="utf-8")
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump(spec), encoding="utf-8")
+    kept = tmp_path / "out.h5"
+    kept.write_text("kept")
+    done = CliRunner().invoke(app, ["inverse", str(tmp_path / "s.yaml"), "-o", str(kept), "--overwrite"])
+    assert done.exit_code == 2
+    assert "s.yaml:45: motion.columns.hop.angle: the mechanism has no quantity" in done.stderr
+    assert kept.read_text() == "kept"
+    assert not list(tmp_path.glob("*.part"))
+    done = CliRunner().invoke(app, ["run", str(tmp_path / "s.yaml")])
+    assert done.exit_code == 2
+    assert "compute it with `mbdkit inverse`" in done.stderr
+
+
+def test_commands_compute_check_and_print(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("\n".join(ROWS), encoding="utf-8")
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump(pendulum("t.csv")), encoding="utf-8")
+    out = str(tmp_path / "out.h5")
+    for words in (
+        ["validate", str(tmp_path / "s.yaml")],
+        ["inverse", str(tmp_path / "s.yaml"), "-o", out],
+        ["archive", "check", out],
+        ["archive", "info", out],
+        ["archive", "export", out, "--to", "csv", "-o", str(tmp_path / "csv")],
+        ["archive", "diff", out, out],
+        ["workload", out],
+        ["workload", out, "--json"],
+        ["plot", out, "--kind", "torques", "--element", "hip"],
+        ["plot", out, "--kind", "trajectory"],
+        ["report", out],
+    ):
+        done = CliRunner().invoke(app, words, prog_name="mbdkit")
+        assert done.exit_code == 0, (words, done.output)
+    assert "hip.value" in (tmp_path / "csv" / "actuators.csv").read_text()
+    done = CliRunner().invoke(app, ["rerun", out], prog_name="mbdkit")
+    assert done.exit_code == 2

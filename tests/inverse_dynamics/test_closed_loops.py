@@ -1,0 +1,117 @@
+"""The torques that moved mechanisms with closed loops in forward runs come back from their motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.spec import load_spec
+
+TORQUES = {
+    "knee": {"A": "2*sin(5*t)"},
+    "watt-six-bar": {"A": "4*sin(3*t)"},
+    "double-wishbone": {"lower inner": "300*sin(8*t)", "guide": ""},
+}
+"""Torques on the joints of an example, by joint; an empty one is an actuator whose value should be zero."""
+
+
+def moved(example: str, path: Path) -> tuple[mbdkit.Run, dict[str, Any]]:
+    """Run an example under torques and save it; return the run, and the spec of its inverse dynamics."""
+    mechanism = load_spec(example).mechanism()
+    model, torques = mechanism.to_spec(), TORQUES[example]
+    forces = dict(model.get("forces", {}))
+    for joint, value in torques.items():
+        first, second = mechanism.joints[joint].bodies
+        if value:
+            on = {} if first == "ground" else {"reaction_body": first}
+            forces[f"on {joint}"] = {"type": "torque", "body": second, "value": value, **on}
+    run = mbdkit.run(
+        {
+            "mbdkit": 1,
+            "model": {**model, "forces": forces},
+            "integrator": {"name": "gauss", "stages": 3},
+            "time": {"end": 0.3, "step": 0.002},
+        }
+    )
+    run.check().save(path)
+    actuators = {f"on {joint}": {"joint": joint} for joint in torques}
+    return run, {"mbdkit": 1, "model": model, "motion": {"file": str(path)}, "actuators": actuators}
+
+
+@pytest.mark.parametrize("example", TORQUES)
+def test_the_torques_of_a_forward_run_come_back(example: str, tmp_path: Path) -> None:
+    run, spec = moved(example, tmp_path / "run.h5")
+    inverse = mbdkit.inverse(spec)
+    assert inverse.kind == "inverse"
+    assert run.kind == "forward"
+    peak = max(np.max(np.abs(run.forces[f"on {joint}"].value)) for joint, value in TORQUES[example].items() if value)
+    for joint, value in TORQUES[example].items():
+        known = run.forces[f"on {joint}"].value if value else 0.0
+        assert np.max(np.abs(inverse.actuators[f"on {joint}"].value - known)) < 1e-9 * peak
+    force, found = (one.array("joints/reaction_force") for one in (run, inverse))
+    assert np.max(np.abs(found - force)) < 1e-9 * np.max(np.abs(force))
+    assert inverse.misalignment_max < 1e-14
+
+
+@pytest.mark.parametrize("example", TORQUES)
+def test_powers_balance_at_every_time(example: str, tmp_path: Path) -> None:
+    # rate of kinetic energy = power of actuators, gravity, force elements and drivers; joints do no work
+    _, spec = moved(example, tmp_path / "run.h5")
+    run = mbdkit.inverse(spec)
+    bodies = load_spec(example).mechanism()
+    gravity = np.array(bodies.gravity)
+    rate, supplied, size = np.zeros((3, len(run.time)))
+    for name, body in bodies.bodies.items():
+        one = run[name]
+        spin = (body.inertia or 0.0) * one.angular_velocity * one.angular_acceleration
+        rate += body.mass * np.sum(one.velocity * one.acceleration, axis=1) + spin
+        weight = body.mass * one.velocity @ gravity
+        supplied += weight
+        size += np.abs(weight) + np.abs(spin)
+    powers = [one.power for one in run.actuators.values()] + [one.power for one in run.forces.values()]
+    powers += [run.joints[name].driver_power for name in run.drivers]
+    supplied += np.sum(powers, axis=0)
+    size += np.sum(np.abs(powers), axis=0)
+    assert np.max(np.abs(rate - supplied)) < 1e-10 * np.max(size)
+
+
+def test_positions_alone_give_the_torque_of_a_knee(tmp_path: Path) -> None:
+    run, spec = moved("knee", tmp_path / "run.h5")
+    data = {"time": run.time, "shank": run["shank"].angle}
+    spec["motion"] = {"data": data, "columns": {"shank.angle": "shank"}, "smooth": "quintic"}
+    found = mbdkit.inverse(spec).actuators["on A"].value
+    known = run.forces["on A"].value
+    assert np.max(np.abs(found - known)[20:-20]) < 1e-5 * np.max(np.abs(known))
+
+
+def test_a_crank_that_turns_fully_needs_no_other_coordinates() -> None:
+    # a four-bar of 1, 3, 3, 3 m: the crank turns, and the follower's rate vanishes at its dead centres
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    m.body("crank", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    top = np.array([2.0, np.sqrt(8.0)])
+    m.body("coupler", mass=1.0, inertia=1.0, position=(1.5, np.sqrt(2.0)), angle=float(np.arctan2(np.sqrt(8.0), 1.0)))
+    m.body("follower", mass=1.0, inertia=1.0, position=(2.5, np.sqrt(2.0)), angle=float(np.arctan2(np.sqrt(8.0), -1.0)))
+    m.revolute("A", m.ground, "crank", at=(0.0, 0.0))
+    m.revolute("B", "crank", "coupler", at=(1.0, 0.0))
+    m.revolute("C", "coupler", "follower", at=(float(top[0]), float(top[1])))
+    m.revolute("D", m.ground, "follower", at=(3.0, 0.0))
+    t = np.linspace(0.0, 2.0, 2001)
+    angle = 2 * np.pi * t + 0.3 * np.sin(2 * t)
+    wrapped = np.angle(np.exp(1j * angle))
+    spec = {
+        "mbdkit": 1,
+        "model": m.to_spec(),
+        "motion": {"data": {"time": t, "crank": wrapped}, "columns": {"A.angle": "crank"}, "smooth": "quintic"},
+    }
+    run = mbdkit.inverse(spec)
+    assert not run.warnings
+    assert np.max(np.abs(run.joints["A"].angle - angle)) < 1e-12
+    # virtual work: the torque times the crank's rate is the rate of the kinetic energy
+    energy = run.energy.kinetic
+    rate = np.gradient(energy, t, edge_order=2)
+    power = run.actuators["A"].power
+    assert np.max(np.abs(power - rate)[50:-50]) < 1e-4 * np.max(np.abs(rate))
