@@ -178,6 +178,8 @@ def _joint_details(joint: Any) -> str:
     told = []
     if getattr(joint, "length", None) is not None:
         told.append(f"length {joint.length:.6g} m")
+    if getattr(joint, "center", None) is not None:
+        told += [f"center {key} = {_motion(value)} m" for key, value in joint.center.functions if value != 0.0]
     if getattr(joint, "axis", None) is not None:
         told.append("axis ({:.4g}, {:.4g})".format(*joint.direction))
     if getattr(joint, "angle", None) is not None:

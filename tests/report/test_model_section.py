@@ -149,3 +149,13 @@ def test_without_its_plugin_a_run_shows_what_its_archive_holds(make_run):
     assert [table.name for table in section.tables] == ["bodies"]
     assert [len(row) for row in section.tables[0].rows] == [4, 4]
     assert {"rod1", "rod2"} <= set(texts(section.drawing.wide))
+
+
+def test_the_table_of_joints_tells_how_a_center_moves():
+    m = mbdkit.Mechanism()
+    wheel = m.body("wheel", mass=1.0, inertia=0.1)
+    heights = {"table": [[-1.0, 0.0, 1.0], [0.01, 0.0, 0.01]]}
+    m.revolute("rolls", m.ground, wheel, at=(0.0, 0.0), center={"x": "-0.3*angle", "y": heights})
+    with mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.05}) as run:
+        tables = {table.name: table for table in run_report(run).sections[0].tables}
+    assert "center x = -0.3*angle m, center y = table of 3 points (cubic) m" in tables["model-joints"].rows[0]
