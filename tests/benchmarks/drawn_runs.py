@@ -28,7 +28,6 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.studies import member_table
-from mbdkit.studies.block_execution import BlockExecution
 from mbdkit.studies.carry_out import load_study
 from mbdkit.studies.compute_block import compute_block
 from mbdkit.studies.measures import MEASURES
@@ -73,13 +72,12 @@ def computed(variant: str, kind: str, folder: Path, threads: int) -> mbdkit.Stud
         }
     )  # fmt: skip
     spec._columns = values
-    files = StudyFolder(folder)
-    execution = BlockExecution(spec, files, shard=None, progress=None, notify=_silent)
-    files.prepare(spec)
+    StudyFolder(folder).prepare(spec)
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(lambda block: compute_block(folder, block, notify=_silent), range(execution.plan.blocks.count)))
-    execution.index()
-    return load_study(folder)
+        list(pool.map(lambda block: compute_block(folder, block, notify=_silent), range(-(-MEMBERS // BLOCK))))
+    study = mbdkit.study(spec, out=folder)
+    assert study.computed == 0
+    return study
 
 
 def _silent(message: str) -> None:

@@ -36,6 +36,8 @@ def test_every_built_in_loads_and_states_summary_and_origin():
         "n-pendulum",
         "n-four-bar",
         "four-bar-knee",
+        "leg",
+        "leg-four-bar",
         "mechanism",
     ]
     assert {

@@ -305,7 +305,7 @@ def test_a_process_that_dies_in_a_run_is_known_to_have_died_in_that_run(
 
     monkeypatch.setattr(batch, "simulate_arrays", noting)
     study = mbdkit.study(GRID | {"block": 15}, out=tmp_path / "s")
-    assert len(at_work) >= 8
+    assert len(at_work) >= 5
     assert all(study.points[number - 1].run_id == run_id for number, run_id in at_work)
 
 
