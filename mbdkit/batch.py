@@ -10,6 +10,7 @@ from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.errors import MbdkitError, PluginError, ResourceError, SpecError
 from mbdkit.lane_runs import LaneRuns
+from mbdkit.one_thread import one_thread_of_linear_algebra
 from mbdkit.simulation import simulate_arrays
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.warm_up import to_stderr
@@ -59,8 +60,9 @@ def simulate_batch(
     begun = begun or _ignored
     lanes, remaining = LaneRuns(), iter(enumerate(specs))
     while chunk := list(islice(remaining, CHUNK)):
-        prepared = lanes.members(_noted(chunk, begun), notify)
-        finished = iter(lanes.finished([member for member in prepared if member is not None]))
+        with one_thread_of_linear_algebra():
+            prepared = lanes.members(_noted(chunk, begun), notify)
+            finished = iter(lanes.finished([member for member in prepared if member is not None]))
         for (place, spec), member in zip(chunk, prepared, strict=True):
             run = None if member is None else next(finished)
             if run is None:

@@ -36,6 +36,7 @@ from mbdkit.interrupts import interrupts_noted
 from mbdkit.logs import logger_of
 from mbdkit.measures.take import take_all
 from mbdkit.methods.kinds import Method
+from mbdkit.one_thread import one_thread_of_linear_algebra
 from mbdkit.progress_bars import in_notebook, progress_bar
 from mbdkit.provenance import provenance
 from mbdkit.recorded_columns import ObservedRows
@@ -208,12 +209,13 @@ def _ended(
     method = "a method to be chosen" if spec.choose == "method" else spec.integrator_item.id
     if _LOG.isEnabledFor(logging.INFO):
         _LOG.info("run %s begins: %s with %s", spec.run_id(), spec.model_item.id, method)
-    if spec.is_to_be_chosen:
-        return _with_accuracy(spec, prepare, notify, progress)
-    with _finished_or_abandoned(prepare(spec)) as simulation:
-        simulation.integrate(progress)
-        simulation.finish()
-        return simulation
+    with one_thread_of_linear_algebra():
+        if spec.is_to_be_chosen:
+            return _with_accuracy(spec, prepare, notify, progress)
+        with _finished_or_abandoned(prepare(spec)) as simulation:
+            simulation.integrate(progress)
+            simulation.finish()
+            return simulation
 
 
 def _with_accuracy(

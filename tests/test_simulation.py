@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import mbdkit
 from mbdkit.archive.archive_check import check
@@ -406,3 +407,19 @@ def test_a_first_step_that_overflows_is_taken_back(name: str) -> None:
     runs = [mbdkit.run(m, integrator={"name": name}, time={"end": 1e-3, "step": step}) for step in (1e-3, 1e-9)]
     assert [run.status for run in runs] == ["complete", "complete"], runs[0].status_reason
     np.testing.assert_allclose(runs[0]["rod"].angle[-1], runs[1]["rod"].angle[-1], rtol=1e-5)
+
+
+def threads_of_linear_algebra() -> set[int]:
+    """Return the numbers of threads of the libraries of linear algebra that are loaded."""
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+
+def test_a_run_uses_one_thread_of_linear_algebra_and_restores_their_number() -> None:
+    # expected: with several threads, sums are split, and the last bits of results would depend on the computer
+    seen = []
+    with threadpool_limits(2, user_api="blas"):
+        before = threads_of_linear_algebra()
+        mbdkit.run(spec(), progress=lambda reached, end: seen.append(threads_of_linear_algebra()))
+        assert threads_of_linear_algebra() == before
+    assert seen
+    assert all(numbers == {1} for numbers in seen)

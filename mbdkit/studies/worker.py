@@ -19,10 +19,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import IO, Any
 
-from threadpoolctl import threadpool_limits
-
 from mbdkit.batch import refusal
 from mbdkit.errors import SpecError
+from mbdkit.one_thread import one_thread_of_linear_algebra
 from mbdkit.text import shown
 
 
@@ -69,8 +68,7 @@ def compute(tasks: Sequence[dict[str, Any]], of_version: str) -> list[dict[str, 
     list
         Answers as those of the worker process, each with the notes and the name of this machine.
     """
-    # As in the worker processes of this machine: the last bits of SciPy's methods depend on the number of threads.
-    with _ONE_AT_A_TIME, threadpool_limits(1):
+    with _ONE_AT_A_TIME, one_thread_of_linear_algebra():
         return [_answered(task, of_version) for task in tasks]
 
 

@@ -1,0 +1,46 @@
+"""Linear algebra on one thread, so that the bits of results do not depend on how many threads a computer has.
+
+The libraries behind NumPy and SciPy split sums among threads. A study of many runs computes several of them at once and
+gives each run one thread; a run alone must have the same bits.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from functools import lru_cache
+from typing import Any
+
+_LOCK = threading.Lock()
+_LIMITED = ExitStack()
+_users = 0
+
+
+@contextmanager
+def one_thread_of_linear_algebra() -> Iterator[None]:
+    """Limit linear algebra to one thread within this context, in all threads of the process.
+
+    Contexts may overlap in several threads; the limit is lifted at the end of the last one.
+    """
+    global _users
+    with _LOCK:
+        if _users == 0:
+            _LIMITED.enter_context(_controller().limit(limits=1, user_api="blas"))
+        _users += 1
+    try:
+        yield
+    finally:
+        with _LOCK:
+            _users -= 1
+            if _users == 0:
+                _LIMITED.close()
+
+
+@lru_cache(maxsize=1)
+def _controller() -> Any:
+    """Return what controls the threads of the libraries that are loaded; looking for them takes some 10 ms."""
+    import scipy.linalg  # noqa: F401  loads the library of SciPy
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
