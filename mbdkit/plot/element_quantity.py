@@ -107,8 +107,7 @@ def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
         data = np.column_stack([data[:], run.array("actuators/value")])
     taken = [force.name for force in forces]
     names = taken + [f"{one.name} (actuator)" if one.name in taken else one.name for one in acting]
-    quantity = ElementQuantity(name, unit, tuple(names), bands(time, data))
-    return replace(quantity, elements=()) if not columns else quantity.only(columns)
+    return ElementQuantity(name, unit, tuple(names), bands(time, data)).only(columns)
 
 
 def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST) -> list[int]:

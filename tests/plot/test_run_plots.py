@@ -282,7 +282,7 @@ def test_runs_are_compared_by_what_differs(driven: mbdkit.Run) -> None:
     assert list(lines(axes)) == ["axial, gauss, 2 stages", "shear, gauss, 2 stages", "axial, rk4", "shear, rk4"]
     heavy = mbdkit.run(DRIVEN, model=DRIVEN["model"] | {"gravity": [0.0, -1.62]})
     axes = mbdkit.plot.compare([driven, heavy], "torques", Figure().add_subplot())
-    assert list(lines(axes)) == ["gravity, number 2 -9.81 m/s²", "gravity, number 2 -1.62 m/s²"]
+    assert list(lines(axes)) == ["y of gravity -9.81 m/s²", "y of gravity -1.62 m/s²"]
     long = [
         mbdkit.run("pendulum", time={"end": 0.1, "step": 0.01}, model={"name": "single-pendulum", "length": length})
         for length in (1.0, 2.0)
