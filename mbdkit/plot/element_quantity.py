@@ -108,7 +108,7 @@ def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
     taken = [force.name for force in forces]
     names = taken + [f"{one.name} (actuator)" if one.name in taken else one.name for one in acting]
     quantity = ElementQuantity(name, unit, tuple(names), bands(time, data))
-    return replace(quantity, elements=()) if not columns else quantity.only(columns)
+    return quantity.only(columns)
 
 
 def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST) -> list[int]:
