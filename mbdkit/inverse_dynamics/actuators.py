@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+from mbdkit.errors import SpecError
 from mbdkit.inverse_dynamics.mechanism_quantities import (
     AXES,
     Coordinate,
+    MarkerCoordinate,
     Point,
     Quantity,
     RelativeAngle,
     Shortening,
     Travel,
+    without_scale,
 )
 from mbdkit.inverse_dynamics.quantity_names import QuantityNames
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import InverseSpec
 from mbdkit.spec.inverse_sections import Actuator
+from mbdkit.text import did_you_mean, listed
 
 ROOT = "root"
 """Name of the residual actuators of the only free root, before the name of the coordinate."""
@@ -57,17 +62,32 @@ def actuators_of(spec: InverseSpec, names: QuantityNames, observed: dict[str, Qu
     Raises
     ------
     SpecError
-        If an actuator refers to an unknown joint or body, or to a joint whose coordinate is fixed.
+        If an actuator refers to an unknown joint or body, or to a joint whose coordinate is fixed, or has the name of
+        a residual.
     """
     if spec.actuators:
         found = [_given(name, one, names) for name, one in spec.actuators.items()]
     else:
-        found = [
-            NamedActuator(name.rpartition(".")[0].rpartition(".")[2], quantity)
-            for name, quantity in observed.items()
-            if isinstance(quantity, RelativeAngle | Travel)
-        ]
-    return [*found, *_residuals(names.mechanism, names)]
+        found = _of_observed(observed, names)
+    residuals = [one for one in _residuals(names) if all(one.quantity != given.quantity for given in found)]
+    for one in residuals:
+        if one.name in spec.actuators:
+            raise SpecError(
+                f"is the residual actuator of the coordinate '{one.name}'; call this actuator otherwise",
+                key=f"actuators.{one.name}",
+            )
+    return [*found, *residuals]
+
+
+def _of_observed(observed: Mapping[str, Quantity], names: QuantityNames) -> list[NamedActuator]:
+    """Return an actuator on each observed relative angle or travel, of the name of its joint or coordinate."""
+    found: dict[Quantity, NamedActuator] = {}
+    for name, quantity in observed.items():
+        driven = without_scale(quantity)
+        if isinstance(driven, RelativeAngle | Travel):
+            own = name if name in names.mechanism.coordinates else name.rpartition(".")[0].rpartition(".")[2]
+            found.setdefault(driven, NamedActuator(own, quantity))
+    return list(found.values())
 
 
 def _given(name: str, one: Actuator, names: QuantityNames) -> NamedActuator:
@@ -78,7 +98,8 @@ def _given(name: str, one: Actuator, names: QuantityNames) -> NamedActuator:
         assert one.coordinate is not None
         quantity = Coordinate(names.body(one.body, f"{key}.body"), AXES.index(one.coordinate))
         return NamedActuator(name, quantity, one.weight)
-    assert one.bodies is not None
+    if one.bodies is None:
+        return NamedActuator(name, _coordinate_of_actuator(name, names), one.weight)
     assert one.points is not None
     ends = [
         Point(names.body(body, f"{key}.bodies[{side}]", may_be_ground=True), *point)
@@ -87,15 +108,46 @@ def _given(name: str, one: Actuator, names: QuantityNames) -> NamedActuator:
     return NamedActuator(name, Shortening(ends[0], ends[1]), one.weight)
 
 
-def _residuals(mechanism: Mechanism, names: QuantityNames) -> list[NamedActuator]:
-    """Return residual actuators of the first body of each part of the mechanism that no joint holds to the ground."""
+def _coordinate_of_actuator(name: str, names: QuantityNames) -> Quantity:
+    known = list(names.mechanism.coordinates)
+    if name not in known:
+        hint = did_you_mean(name, known) or f" ({listed(known)})" if known else " (this model names none)"
+        raise SpecError(
+            "needs one of `joint`, `bodies` and `body`, unless its name is that of a coordinate of the model" + hint,
+            key=f"actuators.{name}",
+        )
+    return names.coordinate(name)
+
+
+def _residuals(names: QuantityNames) -> list[NamedActuator]:
+    """Return residual actuators of the first body of each part of the mechanism that no joint holds to the ground.
+
+    They act on the coordinates that the model names for this body, or else on those of its centre of mass.
+    """
+    mechanism = names.mechanism
     roots = free_roots(mechanism)
     found = []
     for root in roots:
         body, prefix = names.body(root, "model"), ROOT if len(roots) == 1 else root
         axes = AXES if mechanism.bodies[root].inertia is not None else AXES[:2]
-        found += [NamedActuator(f"{prefix}.{axis}", Coordinate(body, place)) for place, axis in enumerate(axes)]
+        named = _coordinates_of_body(body, names)
+        own = {f"{prefix}.{axis}": Coordinate(body, place) for place, axis in enumerate(axes)}
+        found += [NamedActuator(*one) for one in (named if len(named) == len(axes) else own).items()]
     return found
+
+
+def _coordinates_of_body(body: int, names: QuantityNames) -> dict[str, Quantity]:
+    """Return the first coordinates that the model names for x, y and the angle of a body, or of a point of it."""
+    found: dict[int, tuple[str, Quantity]] = {}
+    for name in names.mechanism.coordinates:
+        quantity = names.coordinate(name)
+        measured = without_scale(quantity)
+        if not isinstance(measured, Coordinate | MarkerCoordinate):
+            continue
+        own = measured.point.body if isinstance(measured, MarkerCoordinate) else measured.body
+        if own == body:
+            found.setdefault(measured.axis, (name, quantity))
+    return dict(found[axis] for axis in sorted(found))
 
 
 def free_roots(mechanism: Mechanism) -> list[str]:

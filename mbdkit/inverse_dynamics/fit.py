@@ -82,14 +82,15 @@ class Fitter:
         start
             (n,) pose from which the search begins.
         """
-        first, is_angle = target.rows(slice(0, 1)), target.quantities.is_angle
+        first, quantities = target.rows(slice(0, 1)), target.quantities
+        turn = 2 * np.pi * quantities.scale
         q = start[None]
         for _ in range(3):
             q = self._converged(first, q)
-            turns = np.round((target.quantities.values(q) - first.values) / (2 * np.pi)) * is_angle
+            turns = np.round((quantities.values(q) - first.values) / turn) * quantities.is_angle
             if not np.any(turns):
                 break
-            first = Target(first.time, first.quantities, first.values + 2 * np.pi * turns, first.root_weight)
+            first = Target(first.time, first.quantities, first.values + turn * turns, first.root_weight)
         return q[0], first.values[0]
 
     def poses(self, target: Target, first: np.ndarray) -> np.ndarray:

@@ -92,7 +92,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
         raw[:, place] = factor * table.column(column.column, f"{key}.column")[kept]
         values[:, place] = _bridged(time, raw[:, place], motion.gaps, (table, column.column, kept))
         if unit == "rad":
-            values[:, place] = np.unwrap(values[:, place])
+            values[:, place] = np.unwrap(values[:, place], period=2 * np.pi * quantities.scale[place])
             raw[:, place] = np.where(np.isnan(raw[:, place]), np.nan, values[:, place])
         for order, heading in enumerate((column.rate, column.acceleration)):
             if heading is not None:
@@ -116,7 +116,7 @@ def _columns(motion: MeasuredMotion, table: Table, names: QuantityNames) -> Mapp
     found = {heading: ObservedColumn(column=heading) for heading in table.headings if names.knows(heading)}
     if not found:
         raise SpecError(
-            f"is missing: no heading of {table.name} is a quantity of the mechanism, such as JOINT.angle or BODY.x",
+            f"is missing: no heading of {table.name} is a quantity of the mechanism, such as {names.examples}",
             key="motion.columns",
         )
     return found

@@ -60,6 +60,11 @@ class Quantity:
 
     unit: Literal["m", "rad"]
 
+    @property
+    def scale(self) -> float:
+        """Size of a change of the quantity per change of the angle or length that it measures."""
+        return 1.0
+
     def value(self, q: np.ndarray) -> np.ndarray:
         """Return h (T,) [m or rad]."""
         raise NotImplementedError
@@ -203,6 +208,45 @@ class Shortening(Quantity):
         self.second.add_force(q, -ex, -ey, out)
 
 
+@dataclass(frozen=True)
+class Affine(Quantity):
+    """A quantity in the sign and from the zero of its users: ``factor * of + offset``."""
+
+    of: Quantity
+    factor: float
+    offset: float
+
+    @property
+    def unit(self) -> Literal["m", "rad"]:  # type: ignore[override]
+        """Unit of the quantity."""
+        return self.of.unit
+
+    @property
+    def scale(self) -> float:
+        """Size of the factor."""
+        return abs(self.factor)
+
+    def value(self, q: np.ndarray) -> np.ndarray:
+        """Return the value."""
+        value: np.ndarray = self.factor * self.of.value(q) + self.offset
+        return value
+
+    def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
+        """Add the gradient."""
+        own = np.zeros_like(out)
+        self.of.add_gradient(q, own)
+        out += self.factor * own
+
+    def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the second derivative where accelerations of the coordinates are zero."""
+        return self.factor * self.of.curvature(q, v)
+
+
+def without_scale(quantity: Quantity) -> Quantity:
+    """Return the angle or length that a quantity measures."""
+    return quantity.of if isinstance(quantity, Affine) else quantity
+
+
 def _angle(q: np.ndarray, body: int) -> np.ndarray:
     return np.zeros(len(q)) if body == GROUND else q[:, 3 * body + 2]
 
@@ -227,6 +271,7 @@ class Quantities:
     def __init__(self, quantities: Sequence[Quantity]):
         self.quantities = tuple(quantities)
         self.is_angle = np.array([one.unit == "rad" for one in self.quantities], dtype=bool)
+        self.scale = np.array([one.scale for one in self.quantities])
 
     def __len__(self) -> int:
         return len(self.quantities)

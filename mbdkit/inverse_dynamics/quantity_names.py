@@ -1,4 +1,4 @@
-"""Names of quantities of a mechanism: JOINT.angle, BODY.x, BODY.y, BODY.angle, MARKER.x and MARKER.y."""
+"""Names of quantities of a mechanism: JOINT.angle, BODY.x, BODY.y, BODY.angle, MARKER.x, MARKER.y, and coordinates."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from mbdkit.errors import SpecError
 from mbdkit.inverse_dynamics.mechanism_quantities import (
     AXES,
     GROUND,
+    Affine,
     Coordinate,
     MarkerCoordinate,
     Point,
@@ -69,13 +70,15 @@ class QuantityNames:
         return GROUND if body == self.mechanism.ground else self._number[body]
 
     def find(self, name: str, key: str) -> Quantity:
-        """Return the quantity of a name such as ``knee.angle``.
+        """Return the quantity of a name such as ``knee.angle``, or of the name of a coordinate.
 
         Raises
         ------
         SpecError
             If the mechanism has no such quantity, or the name is ambiguous.
         """
+        if name in self.mechanism.coordinates:
+            return self.coordinate(name)
         element, _, axis = name.rpartition(".")
         kind, _, rest = element.partition(".")
         kinds = [plural for plural, singular in _PREFIXES.items() if kind in (plural, singular)]
@@ -87,13 +90,28 @@ class QuantityNames:
             raise SpecError(f"'{name}' is ambiguous: write {some}", key=key)
         if not found:
             known = [*self._number, *self.mechanism.joints, *self.mechanism.markers]
-            hint = did_you_mean(element, known)
+            own = list(self.mechanism.coordinates)
+            hint = did_you_mean(name, own) or did_you_mean(element, known)
             raise SpecError(
                 f"the mechanism has no quantity '{name}'{hint}; quantities are JOINT.angle, BODY.x, BODY.y, "
-                "BODY.angle, MARKER.x and MARKER.y",
+                f"BODY.angle, MARKER.x and MARKER.y{f', and its coordinates {listed(own)}' if own else ''}",
                 key=key,
             )
         return next(iter(found.values()))
+
+    def coordinate(self, name: str) -> Quantity:
+        """Return the quantity of a coordinate of the mechanism, in its sign and from its zero."""
+        one = self.mechanism.coordinates[name]
+        if one.relative_to is None:
+            of = self.find(one.of, f"model.coordinates.{name}.of")
+        else:
+            of = RelativeAngle(self._of(one.relative_to), self._of(one.of.rpartition(".")[0]))
+        return of if (one.scale, one.offset) == (1.0, 0.0) else Affine(of, one.scale, one.offset)
+
+    @property
+    def examples(self) -> str:
+        """Names that observed quantities may have, for messages."""
+        return listed([*list(self.mechanism.coordinates)[:_NAMES_SHOWN], "JOINT.angle", "BODY.x"], "or")
 
     def _matches(self, element: str, axis: str) -> dict[str, Quantity]:
         found: dict[str, Quantity] = {}
@@ -108,12 +126,14 @@ class QuantityNames:
 
     def knows(self, name: str) -> bool:
         """Return whether a name is that of exactly one quantity."""
+        if name in self.mechanism.coordinates:
+            return True
         element, _, axis = name.rpartition(".")
         return len(self._matches(element, axis)) == 1
 
     def candidates(self) -> dict[str, Quantity]:
-        """Return quantities that may serve as independent coordinates: of all joints, then of all bodies."""
-        found: dict[str, Quantity] = {}
+        """Return quantities that may be independent coordinates: named ones, then those of joints, then of bodies."""
+        found: dict[str, Quantity] = {name: self.coordinate(name) for name in self.mechanism.coordinates}
         for name, joint in self.mechanism.joints.items():
             found[f"{name}.angle"] = self._coordinate(joint)
         for axis in (2, 0, 1):

@@ -116,7 +116,7 @@ def _chosen(
 ) -> Sequence[tuple[int, list[int]]]:
     """Return the first frame and the places of the independent coordinates of each interval of the motion."""
     directions: Directions = manifold.directions(manifold.frames(time, q).jacobian)
-    size = np.where(quantities.is_angle, 1.0, manifold.length)
+    size = np.where(quantities.is_angle, 1.0, manifold.length) * quantities.scale
     rows = (quantities.jacobian(q) * manifold.scale) @ directions.free / size[:, None]
     places, independence = _greedy(rows, preferred)
     if np.min(independence, initial=np.inf) >= ENOUGH:

@@ -509,7 +509,9 @@ class Mechanism(HtmlView):
         where = {"at": at} if point is None else {"at": at, "point": point}
         self.markers[name] = self._placed(Marker, key, body=body, **where)
 
-    def coordinate(self, name: str, of: str, *, scale: float = 1.0, offset: float = 0.0) -> None:
+    def coordinate(
+        self, name: str, of: str, *, relative_to: str | None = None, scale: float = 1.0, offset: float = 0.0
+    ) -> None:
         """Give a quantity a name, a sign and a zero of its own, such as those of the files that it is measured in.
 
         Parameters
@@ -519,6 +521,8 @@ class Mechanism(HtmlView):
         of
             ``JOINT.angle`` (relative angle, or travel of a slide), ``BODY.x``, ``BODY.y``, ``BODY.angle``, ``MARKER.x``
             or ``MARKER.y`` [rad or m].
+        relative_to
+            Body whose angle is subtracted from `of`, the angle of another body.
         scale, offset
             The coordinate is ``scale * of + offset``.
 
@@ -530,7 +534,7 @@ class Mechanism(HtmlView):
         >>> m.coordinate("knee_flexion", "knee.angle", scale=-1.0)
         """
         key = self._new(name, self.coordinates, "coordinates")
-        one = _make(NamedCoordinate, key, of=of, scale=scale, offset=offset)
+        one = _make(NamedCoordinate, key, of=of, relative_to=relative_to, scale=scale, offset=offset)
         check_coordinates({name: one}, self.joints, self.bodies, self.markers)
         self.coordinates[name] = one
 

@@ -17,16 +17,18 @@ OF_JOINT, OF_BODY, OF_MARKER = ("angle",), ("x", "y", "angle"), ("x", "y")
 
 
 class NamedCoordinate(StrictModel):
-    """A quantity with a name of its own: ``scale * of + offset``.
+    """A quantity with a name of its own: ``scale * of + offset``, or ``scale * (of - angle of a body) + offset``.
 
     The force or torque of the coordinate is conjugate to it: that of the quantity, divided by `scale`.
     """
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("scale", "offset")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("relative_to", "scale", "offset")
 
     of: str
     """The quantity: `JOINT.angle` (the relative angle [rad], or the travel of a slide [m]), `BODY.x`, `BODY.y` [m] of
     the centre of mass, `BODY.angle` [rad], `MARKER.x` or `MARKER.y` [m]."""
+    relative_to: str | None = None
+    """Body whose angle is subtracted from that of another body: for relative angles where there is no joint."""
     scale: Number = 1.0
     """Change of the coordinate per change of the quantity; not zero."""
     offset: Number = 0.0
@@ -59,6 +61,7 @@ def check_coordinates(
             *(OF_MARKER if owner in markers else ()),
         ]
         if quantity in offered:
+            _check_relative(one, bodies, f"{key}.relative_to")
             continue
         if offered:
             hint = did_you_mean(quantity, offered) or f"; there are {listed(dict.fromkeys(offered))}"
@@ -68,3 +71,13 @@ def check_coordinates(
             "MARKER.x or MARKER.y",
             key=f"{key}.of",
         )
+
+
+def _check_relative(one: NamedCoordinate, bodies: Container[str], key: str) -> None:
+    owner, _, quantity = one.of.rpartition(".")
+    if one.relative_to is None:
+        return
+    if quantity != "angle" or owner not in bodies or owner == GROUND:
+        raise SpecError(f"'{one.of}' is not BODY.angle, from which the angle of a body could be subtracted", key=key)
+    if one.relative_to not in bodies or one.relative_to == owner:
+        raise SpecError(f"'{one.relative_to}' is no other body", key=key)

@@ -24,6 +24,10 @@ Segments
     here. The tables say nothing on the heel and on the height of the ankle: for all of them these are 0.06/1.8 and
     0.039 of body height, and the trunk has the centre of mass and the radius of gyration that gait2d computes with
     Winter's fractions.
+Coordinates
+    `hip_flexion`, `knee_flexion` and `ankle_dorsiflexion`, with these signs, and with ``root: trunk`` also `hip_x`,
+    `hip_y` [m] and `trunk_tilt` (counter-clockwise, that is backward): names that measured motions and actuators may
+    have.
 Knee of `leg-four-bar`
     That of the model `four-bar-knee` on a thigh that moves: rods `acl` and `pcl`, joints A and B on the shank, C and D
     on the thigh. Knee flexion is the angle between thigh and shank.
@@ -46,6 +50,7 @@ from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import MechanismData
+from mbdkit.mechanism.named_coordinates import NamedCoordinate
 from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.models._knee_linkage import Frame, knee_of, xy
 from mbdkit.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, Person
@@ -155,6 +160,8 @@ def build_four_bar(options: LegFourBarOptions) -> Mechanism:
     on_thigh = {name: xy(point - down) for name, point in knee.femoral.items()}
     leg.bodies |= knee.rods
     del leg.joints["knee"]
+    flexion_of_bodies = NamedCoordinate(of="shank.angle", relative_to="thigh", scale=-1.0)
+    leg.coordinates |= {"knee_flexion": flexion_of_bodies}
     leg.joints |= {
         "A": Revolute(bodies=("pcl", "shank"), points=((pcl, 0.0), on_shank["A"])),
         "B": Revolute(bodies=("acl", "shank"), points=((acl, 0.0), on_shank["B"])),
@@ -193,6 +200,14 @@ class _Leg:
         ):
             points = (point, xy(-self.segments[lower].centre))
             self.joints[name] = Revolute(bodies=(upper, lower), points=points)
+        self.coordinates = {
+            "hip_flexion": NamedCoordinate(of="hip.angle"),
+            "knee_flexion": NamedCoordinate(of="knee.angle", scale=-1.0),
+            "ankle_dorsiflexion": NamedCoordinate(of="ankle.angle"),
+        }
+        if o.root == "trunk":
+            root = {"hip_x": "hip.x", "hip_y": "hip.y", "trunk_tilt": "trunk.angle"}
+            self.coordinates |= {name: NamedCoordinate(of=of) for name, of in root.items()}
         self.bodies: dict[str, Body] = {}
         self.place_below_knee(
             Frame.at(
@@ -220,7 +235,7 @@ class _Leg:
         """Return the mechanism with the further elements of the options."""
         person, o = self.person, self.options
         places = {
-            "hip": ("thigh", 0j),
+            "hip": ("trunk", 0j) if "trunk" in self.frames else ("thigh", 0j),
             "knee": ("shank", 0j),
             "ankle": ("foot", 0j),
             "heel": ("foot", person.heel),
@@ -239,5 +254,6 @@ class _Leg:
             joints=self.joints | o.joints,
             forces=o.forces,
             markers=markers | o.markers,
+            coordinates=self.coordinates,
         )
         return Mechanism.from_data(data, name=name)

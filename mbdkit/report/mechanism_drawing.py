@@ -85,7 +85,7 @@ def mechanism_svg(shown: NamedPose, width: float) -> Markup:
     """Return a drawing of a mechanism with names, `width` pixels wide; its colours are those of the page's style."""
     canvas = Canvas.fitted(shown.drawing.world(shown.pose), width)
     _draw(canvas, shown)
-    names = [replace(name, text=_short(name.text)) for name in islice(_names(canvas, shown), NAMES)]
+    names = [replace(name, text=short_name(name.text)) for name in islice(_names(canvas, shown), NAMES)]
     for placed in place_names(names, canvas.ink, canvas.width, canvas.height):
         _write(canvas, placed)
     box = f"0 0 {canvas.width:.0f} {canvas.height:.0f}"
@@ -104,12 +104,22 @@ def names_shown(shown: NamedPose) -> bool:
 def _draw(canvas: Canvas, shown: NamedPose) -> None:
     """Draw everything but the names, from the back to the front."""
     drawing = shown.drawing
-    at = canvas.px(drawing.world(shown.pose))
+    draw_sketch(canvas, drawing, canvas.px(drawing.world(shown.pose)))
+    if len(drawing.bodies) > CROWD:
+        return
+    if shown.mechanism is not None:
+        _draw_loads(canvas, shown, shown.mechanism)
+    draw_scale_bar(canvas)
+
+
+def draw_sketch(canvas: Canvas, drawing: Drawing, at: Array, *, moving_only: bool = False) -> None:
+    """Draw bodies, joints and springs at the points `at` (P, 2) [px]; perhaps without ground and guides."""
     crowd = len(drawing.bodies) > CROWD
-    for index in drawing.grounds if not crowd else drawing.grounds[:1]:
-        _ground(canvas, at[index])
-    for ends in drawing.guides:
-        canvas.line(at[list(ends)], "guide")
+    if not moving_only:
+        for index in drawing.grounds if not crowd else drawing.grounds[:1]:
+            _ground(canvas, at[index])
+        for ends in drawing.guides:
+            canvas.line(at[list(ends)], "guide")
     for outline, color in zip(drawing.outlines, body_colors(drawing), strict=True):
         if len(outline) == 1:
             canvas.dot(at[outline[0]], "disc", 3.0 if crowd else 7.0, color_key(color))
@@ -131,9 +141,6 @@ def _draw(canvas: Canvas, shown: NamedPose) -> None:
         canvas.dot(at[index], "joint", 4.5)
     for index in drawing.welds:
         canvas.box(at[index], "weld", 4.0)
-    if shown.mechanism is not None:
-        _draw_loads(canvas, shown, shown.mechanism)
-    _scale_bar(canvas)
 
 
 def _ground(canvas: Canvas, point: Array) -> None:
@@ -145,7 +152,7 @@ def _draw_loads(canvas: Canvas, shown: NamedPose, mechanism: Mechanism) -> None:
     """Draw drivers, loads, markers and gravity."""
     for joint in mechanism.joints.values():
         if joint.is_driver:
-            centre = canvas.px(_joint_point(shown, mechanism, joint))
+            centre = canvas.px(joint_point(shown, mechanism, joint))
             if getattr(joint, "coordinate", "angle") == "angle":
                 canvas.turn(centre, 15.0, "load")
             else:
@@ -170,7 +177,7 @@ def _draw_loads(canvas: Canvas, shown: NamedPose, mechanism: Mechanism) -> None:
         canvas.drawn.append(start + np.array([[-18.0, 0.0], [-14.0, 4.0], [-18.0, 4.0]]))
 
 
-def _scale_bar(canvas: Canvas) -> None:
+def draw_scale_bar(canvas: Canvas) -> None:
     """Draw a bar of a round length in the lower left corner."""
     most = 0.2 * canvas.width / canvas.scale
     power = 10.0 ** math.floor(math.log10(most))
@@ -189,7 +196,7 @@ def _spiral(centre: Array) -> Array:
     return np.asarray(centre + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
 
 
-def _joint_point(shown: NamedPose, mechanism: Mechanism, joint: Any) -> Array:
+def joint_point(shown: NamedPose, mechanism: Mechanism, joint: Any) -> Array:
     """Return the global point [m] at which a joint is drawn."""
     held = joint.attachments()
     if not held:
@@ -207,7 +214,7 @@ def _common_point(shown: NamedPose, mechanism: Mechanism, bodies: tuple[str, str
     """
     for joint in mechanism.joints.values():
         if set(joint.bodies) == set(bodies) and joint.mark in ("pin", "slide", "weld"):
-            return _joint_point(shown, mechanism, joint)
+            return joint_point(shown, mechanism, joint)
     of_first, of_second = (
         [shown.place(name, point) for joint in mechanism.joints.values() for _, name, point in joint.attachments()
          if name == body]
@@ -244,7 +251,7 @@ def _names(canvas: Canvas, shown: NamedPose) -> Iterator[Name]:
     if mechanism is not None:
         for name, joint in mechanism.joints.items():
             kind = "load" if joint.is_driver else "joint"
-            yield Name(name, kind, canvas.px(_joint_point(shown, mechanism, joint))[None])
+            yield Name(name, kind, canvas.px(joint_point(shown, mechanism, joint))[None])
         for name, marker in mechanism.markers.items():
             yield Name(name, "marker", canvas.px(shown.place(marker.body, marker.held))[None])
         for name, force in mechanism.forces.items():
@@ -255,8 +262,9 @@ def _names(canvas: Canvas, shown: NamedPose) -> Iterator[Name]:
         yield Name(name, "body", _along(at[list(outline)]), color_key(color))
 
 
-def _short(name: str) -> str:
-    return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}\u2026"
+def short_name(name: str, longest: int = LONGEST) -> str:
+    """Return a name of at most `longest` characters."""
+    return name if len(name) <= longest else f"{name[: longest - 1]}\u2026"
 
 
 def _force_points(canvas: Canvas, shown: NamedPose, mechanism: Mechanism, force: Any) -> Array:

@@ -13,6 +13,7 @@ from mbdkit.plot.plot_kinds import PLOT_KINDS, plot_module
 from mbdkit.plot.pose import trace_colors
 from mbdkit.plot.style import PALETTE
 from mbdkit.report.element_charts import angle_charts, component_charts, power_charts
+from mbdkit.report.load_sections import inverse_charts
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -30,7 +31,7 @@ def run_charts(run: Run) -> tuple[Figure, ...]:
     """Return the charts of a run that has rows, except those of quantities that it did not record."""
     of_kinds = {kind: list(plot_module(kind).charts(run)) for kind in PLOT_KINDS}
     charts = [chart for kind in _FIRST for chart in of_kinds.pop(kind, [])]
-    charts += [*component_charts(run), *power_charts(run), *of_kinds.pop("trajectory")]
+    charts += [*inverse_charts(run), *component_charts(run), *power_charts(run), *of_kinds.pop("trajectory")]
     charts += [*angle_charts(run), *(chart for found in of_kinds.values() for chart in found)]
     charts.sort(key=lambda chart: chart.name in DRIFT)
     marks = _marks(run)

@@ -10,6 +10,7 @@ from mbdkit.plot.caption import caption
 from mbdkit.plot.downsampling import require_rows
 from mbdkit.plot.drawing_geometry import build_mechanism
 from mbdkit.report.answer_section import answer_section
+from mbdkit.report.load_sections import inverse_sections
 from mbdkit.report.methods_used import methods
 from mbdkit.report.model_section import model_section
 from mbdkit.report.player_data import film_data
@@ -37,6 +38,7 @@ def run_report(run: Run) -> ReportPage:
     head = caption(run)
     mechanism = mechanism_of(run)
     answer = answer_section(run)
+    command = "inverse" if run.kind == "inverse" else "run"
     return ReportPage(
         title=head.title,
         settings=head.settings,
@@ -47,10 +49,10 @@ def run_report(run: Run) -> ReportPage:
         environment=environment(run.provenance, {"run": run.run_id, "created (UTC)": run.created_utc}),
         reproduce="Save the spec below as run.yaml. With the same versions on the same machine the arrays are "
         f"identical bit for bit; their SHA-256 is {run.data_sha256 or 'unknown, because the run did not finish'}.",
-        commands=f"mbdkit run run.yaml\nmbdkit rerun {run.path.name if run.path else 'run.h5'}",
+        commands=f"mbdkit {command} run.yaml\nmbdkit rerun {run.path.name if run.path else 'run.h5'}",
         spec=yaml_text(run.spec),
         spec_file="run.yaml",
-        sections=(model_section(run, mechanism), *([answer] if answer else [])),
+        sections=(model_section(run, mechanism), *inverse_sections(run, mechanism), *([answer] if answer else [])),
         beside_verdict=("misalignment", "errors", *DRIFT),
     )
 

@@ -141,7 +141,8 @@ class MeasuredMotion(Section):
     """The measured motion: a table, and which of its columns are which quantities of the mechanism.
 
     Quantities are JOINT.angle (relative angle, or travel of a slide), BODY.x, BODY.y, BODY.angle, MARKER.x and
-    MARKER.y; where a name is not unique, joints.NAME.angle, bodies.NAME.angle and so on.
+    MARKER.y; where a name is not unique, joints.NAME.angle, bodies.NAME.angle and so on. Coordinates that the model
+    names, such as knee_flexion, are quantities too.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data", "gaps")
@@ -203,7 +204,11 @@ class Load(Section):
 
 
 class Actuator(Section):
-    """An actuator: on the coordinate of a joint, between two points, or on a coordinate of a body."""
+    """An actuator: on the coordinate of a joint, between two points, or on a coordinate of a body.
+
+    With none of `joint`, `bodies` and `body`, it acts on the coordinate of the model that has its name; its value is
+    then the generalized force of this coordinate, in its sign.
+    """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("joint", "bodies", "points", "body", "coordinate")
 
@@ -224,8 +229,8 @@ class Actuator(Section):
     @model_validator(mode="after")
     def _complete(self) -> Actuator:
         given = [name for name in ("joint", "bodies", "body") if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise PydanticCustomError("mbdkit", "needs exactly one of `joint`, `bodies` and `body`")
+        if len(given) > 1:
+            raise PydanticCustomError("mbdkit", "needs only one of `joint`, `bodies` and `body`")
         for first, second in (("bodies", "points"), ("body", "coordinate")):
             if (getattr(self, first) is None) != (getattr(self, second) is None):
                 missing = second if getattr(self, second) is None else first

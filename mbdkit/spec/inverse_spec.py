@@ -44,7 +44,7 @@ class InverseSpec(ModelSpec):
     """Measured loads by name, such as the force of the ground on a foot."""
     actuators: Annotated[dict[str, Actuator], AfterValidator(_named)] = Field(default_factory=dict)
     """Actuators by name; by default, one for each observed relative angle or travel. Bodies that no joint connects to
-    the ground have residual actuators in addition: root.x, root.y and root.angle."""
+    the ground have residual actuators in addition: root.x, root.y and root.angle, or those of the model's names."""
     unbalanced: Literal["refuse", "report"] = "refuse"
     """Whether actuators that cannot produce the motion are refused, or chosen by least squares of the generalized
     forces that they leave unbalanced, which are reported."""

@@ -47,6 +47,8 @@ def test_the_builder_adds_the_same() -> None:
         ("ground.x", "of", "'ground.x' names no quantity"),
         ({"of": "knee.angle", "scale": 0}, "scale", "should not be zero"),
         ({"scale": 1.0}, "of", "is missing"),
+        ({"of": "knee.angle", "relative_to": "ground"}, "relative_to", "'knee.angle' is not BODY.angle"),
+        ({"of": "shank.angle", "relative_to": "thigh"}, "relative_to", "'thigh' is no other body"),
         ({"of": "knee.angle", "sign": -1}, "sign", "unknown key"),
     ],
 )

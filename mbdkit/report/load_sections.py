@@ -1,0 +1,145 @@
+"""Sections of the report of inverse dynamics: loads in pictures and numbers, and where model and data disagree."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from markupsafe import Markup
+
+from mbdkit.analysis.verdict import Axis, Cell, Column, Figure, Line, Table
+from mbdkit.analysis.workload import ElementWorkload, workload
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.plot.downsampling import bands
+from mbdkit.report.load_frames import load_drawing
+from mbdkit.report.mechanism_drawing import NARROW, WIDE, short_name
+from mbdkit.report.section import Drawing, Section
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+BARS = 24
+"""Largest number of bars of a unit, those of the largest peaks."""
+_POINTS = 1_000
+_TIME = Axis("time", "s")
+
+
+def inverse_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, ...]:
+    """Return the sections of a run of inverse dynamics with two rows or more; none of another run."""
+    if run.kind != "inverse" or len(run.time) < 2:
+        return ()
+    elements = workload(run).elements
+    return (
+        Section("loads", "Loads over the motion", (), load_drawing(run, mechanism)),
+        Section("workload", "Workload", (), _bars(elements), (_workload_table(elements),)),
+        _disagreement(run),
+    )
+
+
+def inverse_charts(run: Run) -> list[Figure]:
+    """Return charts of the residuals of the data, by unit, and of the misalignment of the data."""
+    if run.kind != "inverse":
+        return []
+    time, observed = np.asarray(run.time), list(run.motion.values())
+    found = []
+    for unit, word in (("rad", "angles"), ("m", "lengths")):
+        chosen = [place for place, one in enumerate(observed) if one.units == unit]
+        if chosen:
+            curves = bands(time, run.array("motion/residual")[:, chosen], points=_POINTS)
+            lines = tuple(Line(observed[k].name, *curves.curve(place)) for place, k in enumerate(chosen))
+            caption = f"Measured minus fitted value of each of the observed {word}."
+            axis = Axis("residual", unit)
+            found.append(Figure(f"residual-{word}", f"Residuals of {word}", caption, _TIME, axis, lines))
+    raw = run.raw_misalignment
+    known = [place for place in range(raw.shape[1]) if np.any(np.isfinite(raw[:, place]))]
+    if known:
+        curves = bands(time, raw[:, known], points=_POINTS)
+        lines = tuple(Line(run.joint_names[k], *curves.curve(place)) for place, k in enumerate(known))
+        caption = "Distance by which the joints would be open if the measured data alone placed the bodies."
+        axis = Axis("misalignment", "m")
+        found.append(Figure("raw-misalignment", "Misalignment of the data", caption, _TIME, axis, lines))
+    return found
+
+
+def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
+    names = ("joint or actuator", "kind", "unit", "peak", "rms", "impulse", "loading rate")
+    columns = [*(Column(name) for name in names), *(Column(name, "W") for name in ("largest power", "least power"))]
+    columns += [Column("work done", "J"), Column("work absorbed", "J")]
+    rows: list[tuple[Cell, ...]] = []
+    for one in elements:
+        load, work = one.load, one.work
+        power: tuple[Cell, ...] = (None,) * 4
+        if work is not None:
+            power = (work.peak_power, work.least_power, work.positive, -work.negative)
+        rows.append((one.name, one.kind, load.units, load.peak, load.rms, load.impulse, load.loading_rate, *power))
+    note = "Impulses are in N s or N m s, loading rates in N/s or N m/s."
+    return Table("workload", "Workload of joints and actuators", tuple(columns), tuple(rows), note)
+
+
+def _bars(elements: tuple[ElementWorkload, ...]) -> Drawing:
+    wide, narrow = (_bars_svg(elements, width) for width in (WIDE, NARROW))
+    text = "Peak (pale) and root mean square (full) of the force or torque of each joint and actuator."
+    return Drawing(wide, narrow, text, text)
+
+
+def _bars_svg(elements: tuple[ElementWorkload, ...], width: float) -> Markup:
+    """Return a horizontal bar for each element: forces first, then torques, each to its own scale."""
+    left, right, step = (150.0, 110.0, 22.0) if width > NARROW else (130.0, 80.0, 22.0)
+    letters = 22 if width > NARROW else 19
+    parts, y = [], 8.0
+    for unit in ("N", "N m"):
+        chosen = sorted((one for one in elements if one.load.units == unit), key=lambda one: -one.load.peak)[:BARS]
+        most = max((one.load.peak for one in chosen), default=0.0) or 1.0
+        for one in chosen:
+            long, short = ((width - left - right) * size / most for size in (one.load.peak, one.load.rms))
+            text = '<text x="{:.0f}" y="{:.0f}"{}>{}</text>'
+            end, name = Markup(' text-anchor="end"'), short_name(one.name, letters)
+            parts.append(Markup(text).format(left - 8, y + 12, end, name))
+            bar = '<rect class="bar of-{} {}" x="{:.0f}" y="{:.1f}" width="{:.1f}" height="14"/>'
+            kind = one.kind
+            parts.append(Markup(bar).format(kind, "pale", left, y, long))
+            parts.append(Markup(bar).format(kind, "full", left, y, short))
+            parts.append(Markup(text).format(left + long + 6, y + 12, "", f"{one.load.peak:.4g} {unit}"))
+            y += step
+        y += 10.0 if chosen else 0.0
+    return Markup('<svg viewBox="0 0 {:.0f} {:.0f}" aria-hidden="true">{}</svg>').format(
+        width, y, Markup("").join(parts)
+    )
+
+
+def _disagreement(run: Run) -> Section:
+    """Return the section on the residuals of the columns, and on the misalignment of the data."""
+    time = np.asarray(run.time)
+    rows: list[tuple[Cell, ...]] = []
+    worst: dict[str, tuple[float, str, float]] = {}
+    for name, one in run.motion.items():
+        size = np.abs(np.nan_to_num(one.residual))
+        row = int(np.argmax(size))
+        peak, when = float(size[row]), float(time[row])
+        rms = float(np.sqrt(np.nanmean(one.residual**2))) if np.any(np.isfinite(one.residual)) else 0.0
+        rows.append((name, one.units, rms, peak, when))
+        worst[one.units] = max(worst.get(one.units, (0.0, "", 0.0)), (peak, name, when))
+    columns = ("observed quantity", "unit", "rms of the residual", "largest residual")
+    residuals = Table(
+        "residuals",
+        "Residuals of the columns",
+        (*(Column(name) for name in columns), Column("time of the largest", "s")),
+        tuple(rows),
+        "Measured minus fitted value; gaps are left out.",
+    )
+    raw = run.raw_misalignment
+    gaps: list[tuple[Cell, ...]] = []
+    for place, joint in enumerate(run.joint_names):
+        known = np.isfinite(raw[:, place])
+        if np.any(known):
+            values = raw[known, place]
+            at = float(time[known][int(np.argmax(values))])
+            gaps.append((joint, float(np.sqrt(np.mean(values**2))), float(values.max()), at))
+    heads = (Column("joint"), Column("rms", "m"), Column("largest", "m"), Column("time of the largest", "s"))
+    note = "Distance by which a joint would be open if the measured data alone placed the bodies."
+    tables = [residuals] + ([Table("raw-gaps", "Misalignment of the data", heads, tuple(gaps), note)] if gaps else [])
+    told = [f"{peak:.3g} {unit} ({name}, at {when:.4g} s)" for unit, (peak, name, when) in worst.items() if peak > 0]
+    sentence = f"The largest residuals are {' and '.join(told)}." if told else "The model fits the data exactly."
+    if not gaps:
+        sentence += " The data do not place the bodies on both sides of any joint, so their misalignment is not known."
+    return Section("data", "Where model and data disagree", (sentence,), None, tuple(tables))
