@@ -45,12 +45,16 @@ class ColumnOfTable(Section):
 class ObservedColumn(ColumnOfTable):
     """The column with the measured values of one quantity."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("deviation",)
+
     weight: Positive = 1.0
     """Weight of its squared residual, in SI units, in the fit of the mechanism."""
     rate: Named | None = None
     """Heading of a column with the first derivative, in the same unit per second, for motions that are not smoothed."""
     acceleration: Named | None = None
     """Heading of a column with the second derivative; given together with `rate`."""
+    deviation: Positive | None = None
+    """Standard deviation of the noise, in the unit of the column; by default, it is estimated from the residuals."""
 
     @model_validator(mode="after")
     def _has_both_derivatives(self) -> ObservedColumn:
@@ -126,6 +130,15 @@ class Gaps(Section):
     """`linear`, or `cubic`: the cubic spline through the other rows of the column."""
 
 
+class ErrorBars(Section):
+    """How the errors of the results are estimated from the noise of the data."""
+
+    samples: Annotated[Count, Field(ge=20)] = 400
+    """Number of samples of the noise that are smoothed to find its covariance."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the random numbers."""
+
+
 Data = dict[str, list[float | None]]
 """Columns of a table by heading; None is a gap."""
 
@@ -144,7 +157,7 @@ class MeasuredMotion(Section):
     MARKER.y; where a name is not unique, joints.NAME.angle, bodies.NAME.angle and so on.
     """
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data", "gaps")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data", "gaps", "errors")
 
     file: Named | None = None
     """Table with a column of times: CSV, OpenSim .mot or .sto, .trc, C3D, or a run archive; relative to the folder of
@@ -159,6 +172,8 @@ class MeasuredMotion(Section):
     """Smoothing of the independent coordinates, and the derivatives; a name, or a name and its options."""
     gaps: Gaps | None = None
     """How gaps are bridged; by default, they are refused."""
+    errors: ErrorBars | Literal["none"] = ErrorBars()
+    """How the errors of the results are estimated; `none` leaves them unknown and saves the time."""
 
     @model_validator(mode="after")
     def _complete(self) -> MeasuredMotion:
