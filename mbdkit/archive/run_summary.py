@@ -100,7 +100,8 @@ def verdict_lines(run: Run) -> list[tuple[str, str]]:
     if not run.is_judged:
         why = "the run did not end" if run.status == "running" else "written by a version that did not judge runs"
         return [("verdict", f"unknown: {why}")]
-    sound = "errors estimated, nothing suspicious seen" if run.verdict == "good" else NOTHING_SUSPICIOUS
+    estimated = run.verdict == "good" or (run.kind == "inverse" and run.accuracy is not None)
+    sound = "errors estimated, nothing suspicious seen" if estimated else NOTHING_SUSPICIOUS
     first, *others = run.verdict_reasons or [sound]
     return [("verdict", f"{run.verdict}: {first}"), *(("", other) for other in others)]
 

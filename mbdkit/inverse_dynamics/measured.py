@@ -148,7 +148,7 @@ def _require_all_or_none(
 
 
 def unit_factor(column: ColumnOfTable, table: Table, unit: str, key: str) -> float:
-    """Return the factor from the unit of a column to the SI `unit`."""
+    """Return the factor from the numbers of a column to values in the SI `unit`."""
     wanted = read_unit(SI[unit])
     if column.unit is None:
         stated = {"rad": "deg" if table.in_degrees else "rad", "m": table.length_unit}.get(unit, unit)
@@ -158,7 +158,7 @@ def unit_factor(column: ColumnOfTable, table: Table, unit: str, key: str) -> flo
     if not given.is_like(wanted) or (unit == "rad") != (given.text in ("rad", "deg")):
         what = {"rad": "an angle (rad, deg)", "m": "a length (m, mm)", "N": "a force (N)", "N m": "a torque (N m)"}
         raise SpecError(f"'{given.text}' is not a unit of {what[unit]}", key=f"{key}.unit")
-    return given.factor
+    return given.factor * column.scale
 
 
 def _times(spec: InverseSpec, table: Table) -> tuple[np.ndarray, np.ndarray]:

@@ -27,13 +27,19 @@ def _as_smoothing(value: Any) -> Any:
 class ColumnOfTable(Section):
     """A column of a table and its unit; a text alone is the heading of a column in SI units."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("scale",)
+
     column: Named
     """Heading of the column."""
     unit: str | None = None
     """Unit of the numbers, such as deg or mm; SI units (m, rad, N, N m) by default."""
+    scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
+    """Factor of the numbers, such as -1 for an angle that is counted in the other direction."""
 
     @model_validator(mode="after")
     def _has_a_unit(self) -> ColumnOfTable:
+        if self.scale == 0:
+            raise SpecError("must not be 0, which would make all values equal", key="scale")
         if self.unit is not None:
             try:
                 read_unit(self.unit)
@@ -45,7 +51,7 @@ class ColumnOfTable(Section):
 class ObservedColumn(ColumnOfTable):
     """The column with the measured values of one quantity."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("deviation",)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("scale", "deviation")
 
     weight: Positive = 1.0
     """Weight of its squared residual, in SI units, in the fit of the mechanism."""
