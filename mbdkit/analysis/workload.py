@@ -11,7 +11,7 @@ import numpy as np
 
 from mbdkit.analysis.cycles import Normalized, contacts, normalized
 from mbdkit.archive.history import UnknownNameError
-from mbdkit.archive.run_summary import ROUND_OFF
+from mbdkit.archive.run_summary import ROUND_OFF, plus_minus
 from mbdkit.errors import SpecError
 from mbdkit.text import table
 
@@ -35,6 +35,8 @@ class Load:
         Integral of the magnitude over time [N s or N m s].
     loading_rate
         Largest rate at which the magnitude rises [N/s or N m/s].
+    peak_error
+        Bound of the error of the value at `peak_time` that holds with a probability of 95 %; None if unknown.
     """
 
     units: str
@@ -43,6 +45,7 @@ class Load:
     rms: float
     impulse: float
     loading_rate: float
+    peak_error: float | None = None
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,7 @@ class Phase:
 
 @dataclass(frozen=True)
 class _Series:
-    """Quantities of one joint or actuator over time, each (T,): a force or torque, its power, a further torque."""
+    """Quantities of one joint or actuator over time, each (T,): a force or torque, a further torque, power, errors."""
 
     name: str
     kind: str
@@ -116,6 +119,8 @@ class _Series:
     value: np.ndarray
     torque: np.ndarray | None = None
     power: np.ndarray | None = None
+    error: np.ndarray | None = None
+    torque_error: np.ndarray | None = None
 
     def within(self, time: np.ndarray, start: float, end: float) -> ElementWorkload:
         """Return the workload between two times; values there are interpolated."""
@@ -128,8 +133,10 @@ class _Series:
         return ElementWorkload(
             self.name,
             self.kind,
-            _load(t, at(self.value), self.units),
-            None if self.torque is None else _load(t, at(self.torque), "N m"),
+            _load(t, at(self.value), self.units, None if self.error is None else at(self.error)),
+            None
+            if self.torque is None
+            else _load(t, at(self.torque), "N m", None if self.torque_error is None else at(self.torque_error)),
             None if self.power is None else _work(t, at(self.power)),
         )
 
@@ -257,7 +264,11 @@ def _series_of(run: Run) -> list[_Series]:
     """Return the joints that carry something, and the actuators or drivers of a run."""
     drivers = () if run.kind == "inverse" else run.drivers
     found = []
-    for name, joint in run.joints.items():
+    bars = run.accuracy if run.kind == "inverse" else None
+    for column, (name, joint) in enumerate(run.joints.items()):
+        errors: dict[str, np.ndarray] = {}
+        if bars is not None:
+            errors = {"error": bars.reaction_error[:, column], "torque_error": bars.torque_error[:, column]}
         force, torque = np.linalg.norm(joint.reaction_force, axis=1), joint.reaction_torque
         if name in drivers:
             is_torque = joint.angle_units == "rad"
@@ -265,13 +276,14 @@ def _series_of(run: Run) -> list[_Series]:
             found.append(_Series(name, "actuator", units, value, power=joint.driver_power))
         else:
             carries = np.max(np.abs(torque)) > ROUND_OFF * np.max(force)
-            found.append(_Series(name, "joint", "N", force, torque if carries else None))
+            found.append(_Series(name, "joint", "N", force, torque if carries else None, **errors))
     for name, one in run.actuators.items():
-        found.append(_Series(name, "actuator", one.units, one.value, power=one.power))
+        error = None if bars is None else one.value_error
+        found.append(_Series(name, "actuator", one.units, one.value, power=one.power, error=error))
     return found
 
 
-def _load(time: np.ndarray, values: np.ndarray, units: str) -> Load:
+def _load(time: np.ndarray, values: np.ndarray, units: str, error: np.ndarray | None) -> Load:
     size = np.abs(values)
     row, length = int(np.argmax(size)), float(time[-1] - time[0])
     step = np.diff(time)
@@ -284,6 +296,7 @@ def _load(time: np.ndarray, values: np.ndarray, units: str) -> Load:
         math.sqrt(float(np.sum(squares)) / length),
         float(np.trapezoid(size, time)),
         float(max(0.0, np.max(np.diff(size)[step > 0] / step[step > 0]))),
+        None if error is None else float(error[row]),
     )
 
 
@@ -321,8 +334,9 @@ def _rows(one: ElementWorkload) -> list[tuple[str, ...]]:
 
 def _numbers(load: Load) -> tuple[str, ...]:
     unit = load.units
+    peak = f"{load.peak:.4g}" if load.peak_error is None else plus_minus(load.peak, load.peak_error)
     return (
-        f"{load.peak:.4g} {unit}",
+        f"{peak} {unit}",
         f"{load.peak_time:.4g}",
         f"{load.rms:.4g} {unit}",
         f"{load.impulse:.4g} {unit} s",

@@ -71,7 +71,10 @@ class AccuracyFigures:
 
 @dataclass(frozen=True, eq=False)
 class Accuracy:
-    """Estimated errors of the T recorded rows; nan where unknown. They are envelopes, which never decrease with time.
+    """Estimated errors of the T recorded rows; nan where unknown.
+
+    After a check of a run they are envelopes, which never decrease with time; in inverse dynamics, each is a bound that
+    holds with a probability of 95 % at its time.
 
     Attributes
     ----------
@@ -133,13 +136,13 @@ class Accuracy:
     def position_error_max(self) -> float:
         """Largest error of the position of a body [m] up to `known_until`; nan if nothing is known."""
         count = self.rows_known
-        return float(np.max(np.linalg.norm(self.position_error[count - 1, :, :2], axis=-1))) if count else math.nan
+        return float(np.max(np.linalg.norm(self.position_error[:count, :, :2], axis=-1))) if count else math.nan
 
     @property
     def angle_error_max(self) -> float:
         """Largest error of the angle of a body [rad] up to `known_until`; nan if nothing is known."""
         count = self.rows_known
-        return float(np.max(self.position_error[count - 1, :, 2], initial=0.0)) if count else math.nan
+        return float(np.max(self.position_error[:count, :, 2], initial=0.0)) if count else math.nan
 
     def of_joints(self, names: Sequence[str], force: np.ndarray) -> tuple[JointAccuracy, ...]:
         """Return the accuracy of each joint.
@@ -154,7 +157,7 @@ class Accuracy:
         count, size = self.rows_known, np.linalg.norm(force, axis=-1)
         peaks = np.max(size, axis=0, initial=0.0)
         known = np.max(size[:count], axis=0) if count else np.full(len(names), np.nan)
-        errors = self.reaction_error[count - 1] if count else np.full(len(names), np.nan)
+        errors = np.max(self.reaction_error[:count], axis=0) if count else np.full(len(names), np.nan)
         most = float(np.max(known, initial=0.0)) if count else math.nan
         found = []
         for name, peak, reached, error in zip(names, peaks, known, errors, strict=True):

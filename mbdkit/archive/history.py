@@ -212,10 +212,12 @@ class ObservedHistory(View):
 
 
 class ActuatorHistory(View):
-    """Value and power of one actuator, in inverse dynamics."""
+    """Value, its error and power of one actuator, in inverse dynamics."""
 
     value = Column("actuators/value")
     power = Column("actuators/power")
+    #: Bound of the error of `value` that holds with a probability of 95 % at each time; nan where unknown.
+    value_error = Column("actuators/value_error")
 
     def __init__(self, source: Source, name: str, index: int, units: str):
         super().__init__(source, name, index)

@@ -430,6 +430,13 @@ LAYOUT: tuple[Array, ...] = (
         "row_units",
     ),
     _measured("actuators/power", ("time", "actuator"), "W", "power that the actuator supplies to the bodies"),
+    _measured(
+        "actuators/value_error",
+        ("time", "actuator"),
+        MIXED,
+        "bound of the error of value that holds with a probability of 95 % at each time, nan where unknown",
+        "row_units",
+    ),
     _measured("loads/time", _T, "s", "time of the recorded row"),
     _measured_names("loads/load", "name of the measured load"),
     _measured_names("loads/axis", "axis of the global frame"),
@@ -441,7 +448,7 @@ LAYOUT: tuple[Array, ...] = (
 )
 
 #: Groups whose numbers may be nan: unknown errors, and gaps in measured data.
-MAY_BE_UNKNOWN = ("accuracy", "motion")
+MAY_BE_UNKNOWN = ("accuracy", "motion", "actuators")
 
 #: Groups of inverse dynamics; those without elements are absent.
 INVERSE_GROUPS = ("motion", "actuators", "loads")

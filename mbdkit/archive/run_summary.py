@@ -100,7 +100,8 @@ def verdict_lines(run: Run) -> list[tuple[str, str]]:
     if not run.is_judged:
         why = "the run did not end" if run.status == "running" else "written by a version that did not judge runs"
         return [("verdict", f"unknown: {why}")]
-    sound = "errors estimated, nothing suspicious seen" if run.verdict == "good" else NOTHING_SUSPICIOUS
+    estimated = run.verdict == "good" or (run.kind == "inverse" and run.accuracy is not None)
+    sound = "errors estimated, nothing suspicious seen" if estimated else NOTHING_SUSPICIOUS
     first, *others = run.verdict_reasons or [sound]
     return [("verdict", f"{run.verdict}: {first}"), *(("", other) for other in others)]
 
@@ -162,6 +163,8 @@ def accuracy_sentence(run: Run) -> str:
         The run; the sentence is empty if its errors were not estimated.
     """
     accuracy = run.accuracy
+    if run.kind == "inverse":
+        return _error_bars(run)
     if accuracy is None or not len(run.time):
         return ""
     if not accuracy.rows_known:
@@ -177,6 +180,22 @@ def accuracy_sentence(run: Run) -> str:
             known = f"largest force in {largest.name} {value} N, known to {largest.error:.2g} N{until}"
             return f"{known}; {position}{afterwards}"
     return f"{position}{until}{afterwards}"
+
+
+def _error_bars(run: Run) -> str:
+    """Return a sentence on the error bar of the largest reaction force of inverse dynamics; empty if none was asked."""
+    accuracy = run.accuracy
+    if accuracy is None:
+        if run.spec.get("motion", {}).get("errors") == "none":
+            return ""
+        return "errors unknown: no smoothed residuals tell the noise of the data; state the `deviation` of each column"
+    size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
+    if not size.size:
+        return ""
+    row, joint = (int(place) for place in np.unravel_index(np.argmax(size), size.shape))
+    error = float(accuracy.reaction_error[row, joint])
+    value = plus_minus(float(size[row, joint]), error)
+    return f"largest force in {run.joint_names[joint]} {value} N (95 %) at {run.time[row]:.4g} s"
 
 
 def asked_sentence(run: Run) -> str:
@@ -325,11 +344,12 @@ def _raw_misalignment(run: Run) -> str:
 
 
 def _actuators(run: Run) -> str:
-    """Return the largest value of each actuator and its time, the largest first."""
-    peaks = []
+    """Return the largest value of each actuator, with its error bar, and its time, the largest first."""
+    peaks, known = [], run.accuracy is not None
     for name, one in run.actuators.items():
         row = int(np.argmax(np.abs(one.value)))
-        peaks.append((abs(float(one.value[row])), f"{name} {one.value[row]:.4g} {one.units} at {run.time[row]:.4g} s"))
+        value = plus_minus(float(one.value[row]), float(one.value_error[row])) if known else f"{one.value[row]:.4g}"
+        peaks.append((abs(float(one.value[row])), f"{name} {value} {one.units} at {run.time[row]:.4g} s"))
     peaks.sort(key=lambda peak: -peak[0])
     return "; ".join(text for _, text in peaks[:JOINTS_NAMED]) + (
         f"; {len(peaks) - JOINTS_NAMED} more" if len(peaks) > JOINTS_NAMED else ""

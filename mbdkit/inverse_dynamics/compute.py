@@ -14,7 +14,14 @@ from mbdkit.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_load
 from mbdkit.inverse_dynamics.manifold import Manifold
 from mbdkit.inverse_dynamics.measured import Measured, read_motion
 from mbdkit.inverse_dynamics.quantity_names import QuantityNames
-from mbdkit.inverse_dynamics.reduced_motion import Motion, motion_of_derivatives, smoothed_motion
+from mbdkit.inverse_dynamics.reduced_motion import (
+    Independent,
+    Motion,
+    independent_coordinates,
+    motion_of_derivatives,
+    motion_of_series,
+)
+from mbdkit.inverse_dynamics.smoothing import smoothed
 from mbdkit.mechanics.source import AssembledMechanism
 from mbdkit.spec import InverseSpec
 from mbdkit.text import counted, listed
@@ -101,10 +108,11 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Inverse:
-    """The result of inverse dynamics in T frames."""
+    """The result of inverse dynamics in T frames; the independent coordinates are None if derivatives were given."""
 
     problem: InverseProblem
     fitted: Fitted
+    independent: Independent | None
     motion: Motion
     loads: Loads
     dynamics: Dynamics
@@ -166,17 +174,24 @@ def compute(problem: InverseProblem) -> Inverse:
     """
     try:
         fitted = fit(problem)
-        motion = _motion(problem, fitted)
-        loads = loads_on(motion, problem.loads, problem.fitter.bodies)
-        report = problem.spec.unbalanced == "report"
-        dynamics = solve_dynamics(problem.fitter, motion, loads, problem.actuators, report=report)
+        return _of_fitted(problem, fitted)
     except SpecError as error:
         raise problem.spec.placed(error) from error
-    return Inverse(problem, fitted, motion, loads, dynamics)
 
 
-def _motion(problem: InverseProblem, fitted: Fitted) -> Motion:
+def _of_fitted(problem: InverseProblem, fitted: Fitted) -> Inverse:
     fitter, measured = problem.fitter, fitted.measured
     if measured.derivatives is not None:
-        return motion_of_derivatives(fitter.manifold, measured, fitted.q)
-    return smoothed_motion(fitter, measured, fitted.q, problem.names.candidates(), problem.spec.motion.smooth)
+        return forces_of(problem, fitted, None, motion_of_derivatives(fitter.manifold, measured, fitted.q))
+    independent = independent_coordinates(fitter, measured, fitted.q, problem.names.candidates())
+    series = smoothed(measured.time, independent.quantities.values(fitted.q), problem.spec.motion.smooth)
+    motion = motion_of_series(fitter, independent, measured.time, fitted.q, series)
+    return forces_of(problem, fitted, independent, motion)
+
+
+def forces_of(problem: InverseProblem, fitted: Fitted, independent: Independent | None, motion: Motion) -> Inverse:
+    """Return the result whose forces produce a motion; see `compute` for errors."""
+    loads = loads_on(motion, problem.loads, problem.fitter.bodies)
+    report = problem.spec.unbalanced == "report"
+    dynamics = solve_dynamics(problem.fitter, motion, loads, problem.actuators, report=report)
+    return Inverse(problem, fitted, independent, motion, loads, dynamics)

@@ -44,6 +44,8 @@ class Measured:
         (K,) weights of the squared residuals.
     derivatives
         (2, T, K) measured rates and accelerations; None if the columns have none.
+    deviation
+        (K,) stated standard deviations of the noise; nan where none is stated.
     """
 
     time: np.ndarray
@@ -52,7 +54,8 @@ class Measured:
     raw: np.ndarray
     values: np.ndarray
     weight: np.ndarray
-    derivatives: np.ndarray | None = None
+    derivatives: np.ndarray | None
+    deviation: np.ndarray
 
     @property
     def target(self) -> Target:
@@ -83,7 +86,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
     quantities = Quantities([names.find(name, f"motion.columns.{name}") for name in columns])
     raw = np.empty((len(time), len(columns)))
     values = raw.copy()
-    derivatives = np.empty((2, *raw.shape))
+    derivatives, deviation = np.empty((2, *raw.shape)), np.full(len(columns), np.nan)
     has_derivatives = [column.rate is not None for column in columns.values()]
     _require_all_or_none(motion, columns, has_derivatives)
     for place, (name, column) in enumerate(columns.items()):
@@ -94,13 +97,15 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
         if unit == "rad":
             values[:, place] = np.unwrap(values[:, place], period=2 * np.pi * quantities.scale[place])
             raw[:, place] = np.where(np.isnan(raw[:, place]), np.nan, values[:, place])
+        if column.deviation is not None:
+            deviation[place] = abs(factor) * column.deviation
         for order, heading in enumerate((column.rate, column.acceleration)):
             if heading is not None:
                 given = factor * table.column(heading, f"{key}.{('rate', 'acceleration')[order]}")[kept]
                 derivatives[order, :, place] = _bridged(time, given, None, (table, heading, kept))
     weight = np.array([column.weight for column in columns.values()])
-    measured = Measured(time, tuple(columns), quantities, raw, values, weight)
-    return (replace(measured, derivatives=derivatives) if all(has_derivatives) else measured), table
+    given_derivatives = derivatives if all(has_derivatives) else None
+    return Measured(time, tuple(columns), quantities, raw, values, weight, given_derivatives, deviation), table
 
 
 def source_table(section: MeasuredMotion | Load, folder: Path, key: str) -> Table | None:
@@ -143,7 +148,7 @@ def _require_all_or_none(
 
 
 def unit_factor(column: ColumnOfTable, table: Table, unit: str, key: str) -> float:
-    """Return the factor from the unit of a column to the SI `unit`."""
+    """Return the factor from the numbers of a column to values in the SI `unit`."""
     wanted = read_unit(SI[unit])
     if column.unit is None:
         stated = {"rad": "deg" if table.in_degrees else "rad", "m": table.length_unit}.get(unit, unit)
@@ -153,7 +158,7 @@ def unit_factor(column: ColumnOfTable, table: Table, unit: str, key: str) -> flo
     if not given.is_like(wanted) or (unit == "rad") != (given.text in ("rad", "deg")):
         what = {"rad": "an angle (rad, deg)", "m": "a length (m, mm)", "N": "a force (N)", "N m": "a torque (N m)"}
         raise SpecError(f"'{given.text}' is not a unit of {what[unit]}", key=f"{key}.unit")
-    return given.factor
+    return given.factor * column.scale
 
 
 def _times(spec: InverseSpec, table: Table) -> tuple[np.ndarray, np.ndarray]:
@@ -230,9 +235,10 @@ def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
     q, v, a = (array[:, places].reshape(len(time), -1) for array in arrays)
     found: dict[str, Quantity]
     if motion.columns is None:
-        wanted = {f"{name}.{axis}": 1.0 for name in bodies for axis in ("x", "y", "angle")}
+        axes = ("x", "y", "angle")
+        wanted = {f"{name}.{axis}": ObservedColumn(column=f"{name}.{axis}") for name in bodies for axis in axes}
     else:
-        wanted = {name: column.weight for name, column in motion.columns.items()}
+        wanted = dict(motion.columns)
     found = {name: names.find(name, f"motion.columns.{name}") for name in wanted}
     quantities = Quantities(list(found.values()))
     values = quantities.values(q)
@@ -240,5 +246,6 @@ def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
     rate = (jacobian @ v[..., None])[..., 0]
     acceleration = (jacobian @ a[..., None])[..., 0] + quantities.curvature(q, v)
     derivatives = np.stack([rate, acceleration]) if motion.smooth.name == "none" else None
-    weight = np.array(list(wanted.values()))
-    return Measured(time, tuple(found), quantities, values, values, weight, derivatives)
+    weight = np.array([column.weight for column in wanted.values()])
+    deviation = np.array([column.deviation or np.nan for column in wanted.values()])
+    return Measured(time, tuple(found), quantities, values, values, weight, derivatives, deviation)

@@ -9,23 +9,19 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from scipy.integrate import cumulative_simpson
 
 from mbdkit.archive import layout
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import ArchiveNames
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.engine.joint_sums import JointSums
-from mbdkit.engine.kernels.observe import Observed
-from mbdkit.engine.observed_states import GivenForces, StateObserver
-from mbdkit.errors import RunError
 from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.error_bars import ErrorBars, error_bars
 from mbdkit.inverse_dynamics.raw_misalignment import raw_misalignment
+from mbdkit.inverse_dynamics.result_states import recorded_states
 from mbdkit.measures.take import take_all
 from mbdkit.provenance import model_provenance
-from mbdkit.recorded_columns import COLUMNS, ConstraintRows, RecordedStates
+from mbdkit.recorded_columns import COLUMNS
 from mbdkit.recorder import archive_names, shared_forces
-from mbdkit.stepping.interface import Stretch
 
 
 def archive_of(
@@ -49,7 +45,7 @@ def archive_of(
     extra = [array.path for array in layout.LAYOUT if array.group in _groups(result)]
     if mechanism.solved_rows:
         extra.append("constraints/singularity_distance")
-    states = _states(result)
+    states, bars = recorded_states(result), error_bars(result)
     writer = ArchiveWriter(
         path,
         _names(result),
@@ -62,7 +58,7 @@ def archive_of(
         shared=shared_forces(mechanism),
     )
     try:
-        rows = _rows(result)
+        rows = _rows(result, bars)
         writer.append(rows | {key: COLUMNS[key](states) for key in writer.row_keys if key not in rows})
         writer.append_steps(_intervals(result.motion.time))
         counters = dict.fromkeys(layout.COUNTERS, 0)
@@ -72,6 +68,7 @@ def archive_of(
             {**counters, **timings},
             states.misalignment.max(axis=0, initial=0.0),
             warnings=result.warnings,
+            accuracy=None if bars is None else bars.accuracy,
             measured=partial(_measured, result) if spec.measures else None,
         )
     finally:
@@ -108,7 +105,7 @@ def _names(result: Inverse) -> ArchiveNames:
     )
 
 
-def _rows(result: Inverse) -> dict[str, np.ndarray]:
+def _rows(result: Inverse, bars: ErrorBars | None) -> dict[str, np.ndarray]:
     """Return the arrays of motion, actuators and loads, by key."""
     problem, fitted, loads, dynamics = result.problem, result.fitted, result.loads, result.dynamics
     mechanism = problem.prepared.workspace.mechanism
@@ -121,6 +118,7 @@ def _rows(result: Inverse) -> dict[str, np.ndarray]:
         ),
         "actuators/value": dynamics.value,
         "actuators/power": dynamics.power,
+        "actuators/value_error": np.full(dynamics.value.shape, np.nan) if bars is None else bars.actuators,
         "loads/force": loads.force,
         "loads/point": loads.point,
         "loads/torque": loads.torque,
@@ -128,24 +126,3 @@ def _rows(result: Inverse) -> dict[str, np.ndarray]:
     }
     groups = _groups(result)
     return {path: values for path, values in rows.items() if path.partition("/")[0] in groups}
-
-
-def _states(result: Inverse) -> RecordedStates:
-    """Return the states of the motion with accelerations, reactions, forces and energies."""
-    motion, dynamics = result.motion, result.dynamics
-    workspace, manifold = result.problem.prepared.workspace, result.problem.fitter.manifold
-    count = len(motion.time)
-    found = manifold.reactions(motion.time, motion.q, motion.v, dynamics.lam)
-    q, v, a = (np.column_stack([x, np.zeros((count, 3))]) for x in (motion.q, motion.v, motion.a))
-    observer = StateObserver(workspace)
-    observed: Observed = observer.arrays(count)
-    singular = observer.observe(motion.time, q, v, observed, GivenForces(a, found.lam, found.reactions))
-    if singular is not None:
-        where = workspace.mechanism.unknown_name(singular.unknown)
-        raise RunError(f"no unique solution near {where} at t = {motion.time[singular.row]:.6g} s")
-    supplied = found.powers[:, 0] + dynamics.power.sum(axis=1) + result.loads.power.sum(axis=1)
-    work, dissipated = (cumulative_simpson(x, x=motion.time, initial=0) for x in (supplied, found.powers[:, 1]))
-    stretch = Stretch(motion.time, q, v, work, dissipated, np.zeros((count, 6)))
-    start = float(observed.kinetic[0] + observed.potential[0])
-    rows, joints = ConstraintRows(workspace.mechanism), JointSums(workspace.mechanism)
-    return RecordedStates(stretch, observed, np.zeros(count), start, rows, joints)

@@ -17,8 +17,7 @@ from mbdkit.inverse_dynamics.fit import Fitter, Target
 from mbdkit.inverse_dynamics.manifold import Directions, Manifold
 from mbdkit.inverse_dynamics.measured import Measured
 from mbdkit.inverse_dynamics.mechanism_quantities import Quantities, Quantity
-from mbdkit.inverse_dynamics.smoothing import smoothed
-from mbdkit.spec.inverse_sections import Smoothing
+from mbdkit.inverse_dynamics.smoothing import Smoothed
 
 PREFERRED = 0.2
 """Independence from which on an observed quantity is taken before others that are more independent."""
@@ -54,10 +53,29 @@ def motion_of_derivatives(manifold: Manifold, measured: Measured, q: np.ndarray)
     return _derived(manifold, measured.target, q, *measured.derivatives)
 
 
-def smoothed_motion(
-    fitter: Fitter, measured: Measured, q: np.ndarray, candidates: Mapping[str, Quantity], how: Smoothing
-) -> Motion:
-    """Return the smoothed motion of a mechanism.
+@dataclass(frozen=True)
+class Independent:
+    """The independent coordinates of a motion.
+
+    Attributes
+    ----------
+    names
+        Names of the U coordinates that are used in any interval.
+    quantities
+        The coordinates.
+    intervals
+        First frame, frame after the last, and places of the coordinates of each interval.
+    """
+
+    names: tuple[str, ...]
+    quantities: Quantities
+    intervals: tuple[tuple[int, int, tuple[int, ...]], ...]
+
+
+def independent_coordinates(
+    fitter: Fitter, measured: Measured, q: np.ndarray, candidates: Mapping[str, Quantity]
+) -> Independent:
+    """Choose the independent coordinates of a motion.
 
     Parameters
     ----------
@@ -65,31 +83,46 @@ def smoothed_motion(
         (T, n) fitted poses.
     candidates
         Quantities that may serve as independent coordinates, by name.
-    how
-        The smoothing.
     """
     observed = dict(zip(measured.names, measured.quantities.quantities, strict=True))
     preferred = [name for name, one in observed.items() if one in candidates.values()]
     named = {name: observed[name] for name in preferred} | {
         name: one for name, one in candidates.items() if one not in [observed[name] for name in preferred]
     }
-    names, manifold, time = list(named), fitter.manifold, measured.time
-    quantities = Quantities(list(named.values()))
-    intervals = _chosen(manifold, time, q, quantities, len(preferred))
-    used = sorted({place for _, places in intervals for place in places})
-    series = smoothed(time, quantities.only(used).values(q), how)
+    names, quantities = list(named), Quantities(list(named.values()))
+    chosen = _chosen(fitter.manifold, measured.time, q, quantities, len(preferred))
+    used = sorted({place for _, places in chosen for place in places})
+    ends = [*(begin for begin, _ in chosen[1:]), len(q)]
+    intervals = tuple(
+        (begin, end, tuple(used.index(place) for place in places))
+        for (begin, places), end in zip(chosen, ends, strict=True)
+    )
+    return Independent(tuple(names[place] for place in used), quantities.only(used), intervals)
+
+
+def motion_of_series(
+    fitter: Fitter, independent: Independent, time: np.ndarray, q: np.ndarray, series: Smoothed
+) -> Motion:
+    """Return the motion of a mechanism whose independent coordinates follow a series.
+
+    Parameters
+    ----------
+    q
+        (T, n) poses nearby.
+    series
+        The coordinates (T, U) and their derivatives.
+    """
     parts = []
-    for begin, end, places in zip(
-        [begin for begin, _ in intervals], [*(begin for begin, _ in intervals[1:]), len(time)],
-        [places for _, places in intervals], strict=True,
-    ):  # fmt: skip
-        rows, columns = slice(begin, end), [used.index(place) for place in places]
+    for begin, end, places in independent.intervals:
+        rows, columns = slice(begin, end), list(places)
         value, rate, acceleration = (x[rows][:, columns] for x in (series.value, series.rate, series.acceleration))
-        target = Target(time[rows], quantities.only(places), value, np.ones(len(places)))
+        target = Target(time[rows], independent.quantities.only(columns), value, np.ones(len(columns)))
         pose = fitter.refined(target, q[rows])
-        parts.append(_derived(manifold, target, pose, rate, acceleration))
+        parts.append(_derived(fitter.manifold, target, pose, rate, acceleration))
     q, v, a = (np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "v", "a"))
-    told = tuple((begin, tuple(names[place] for place in places)) for begin, places in intervals)
+    told = tuple(
+        (begin, tuple(independent.names[place] for place in places)) for begin, _, places in independent.intervals
+    )
     return Motion(time, q, v, a, told)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,6 +66,48 @@ def smoothed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> Smoothed:
         filtered = _butterworth(time, series, how)
         return _of_spline(quintic_spline(time, filtered), time)
     return _opensim(time, series, how)
+
+
+def fixed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> list[Smoothing]:
+    """Return the smoothing of each series, with the parameters that cross-validation chooses for it.
+
+    A smoothing with these parameters is linear in the data.
+    """
+    if not isinstance(how, SmoothingSpline) or how.parameter is not None:
+        return [how] * series.shape[1]
+    found = smoothed(time, series, how)
+    # the smoothed series f minimizes the sum of (x - f)^2 + p * integral of f''^2, so that its variation along f
+    # itself vanishes: p = sum of (x - f) f / integral of f''^2, where f'' is linear between the rows
+    bend, step = found.acceleration, np.diff(time)[:, None]
+    curvature = np.sum(step * (bend[:-1] ** 2 + bend[:-1] * bend[1:] + bend[1:] ** 2) / 3, axis=0)
+    work = np.sum((series - found.value) * found.value, axis=0)
+    parameter = np.divide(work, curvature, out=np.zeros_like(work), where=curvature > 0)
+    return [SmoothingSpline(parameter=max(0.0, one)) for one in parameter.tolist()]
+
+
+def with_cutoff(how: Smoothing, factor: float) -> Smoothing | None:
+    """Return a smoothing with its cutoff multiplied by a factor; None if it has none.
+
+    A spline has its cutoff, where it halves the amplitude, at a frequency that is proportional to parameter^(-1/4).
+    """
+    if isinstance(how, Butterworth | OpenSimFilter):
+        return how.model_copy(update={"cutoff": how.cutoff * factor})
+    if isinstance(how, SmoothingSpline) and how.parameter:
+        return how.model_copy(update={"parameter": how.parameter / factor**4})
+    return None
+
+
+def smoothed_each(time: np.ndarray, series: np.ndarray, how: Sequence[Smoothing]) -> Smoothed:
+    """Smooth each of the series (T, U, ...) as told for it; see `smoothed`."""
+    if not how:
+        return Smoothed(series, series, series)
+    shape = series[:, 0].shape
+    parts = [smoothed(time, series[:, place].reshape(len(time), -1), one) for place, one in enumerate(how)]
+    value, rate, acceleration = (
+        np.stack([getattr(part, name).reshape(shape) for part in parts], axis=1)
+        for name in ("value", "rate", "acceleration")
+    )
+    return Smoothed(value, rate, acceleration)
 
 
 def quintic_spline(time: np.ndarray, series: np.ndarray) -> BSpline:

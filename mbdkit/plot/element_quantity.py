@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from mbdkit.analysis.verdict import Axis, Figure, Line, Mark
 from mbdkit.archive.history import UnknownNameError
 from mbdkit.plot.downsampling import Array, Bands, bands
-from mbdkit.plot.error_bands import UNKNOWN, band_over_time
+from mbdkit.plot.error_bands import UNKNOWN, band_over_time, errors_at
 from mbdkit.plot.panel import dress_over_time, panel_title, single_row_marker
 from mbdkit.plot.style import FAINT, INK, PALETTE, PAPER, legend, powers_of_ten
 
@@ -107,7 +107,11 @@ def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
         data = np.column_stack([data[:], run.array("actuators/value")])
     taken = [force.name for force in forces]
     names = taken + [f"{one.name} (actuator)" if one.name in taken else one.name for one in acting]
-    return ElementQuantity(name, unit, tuple(names), bands(time, data)).only(columns)
+    quantity = ElementQuantity(name, unit, tuple(names), bands(time, data))
+    if acting and run.accuracy is not None:
+        errors = np.column_stack([np.full((len(time), len(forces)), np.nan), run.array("actuators/value_error")])
+        quantity = replace(quantity, errors=errors_at(run.accuracy, errors, quantity.data.time))
+    return quantity.only(columns)
 
 
 def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST) -> list[int]:

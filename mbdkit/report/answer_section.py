@@ -146,7 +146,7 @@ def _quantity(run: Run, name: str, unit: str, path: str, magnitude: Callable[[Ar
         return _Quantity(name, unit, peaks, None, np.full(len(peaks.value), np.nan), math.nan)
     count = accuracy.rows_known
     errors = accuracy.reaction_error if name == "force" else accuracy.torque_error
-    error = errors[count - 1] if count else np.full(len(peaks.value), np.nan)
+    error = np.max(errors[:count], axis=0) if count else np.full(len(peaks.value), np.nan)
     until = math.inf if accuracy.is_complete else accuracy.known_until if count else -math.inf
     known = peaks if accuracy.is_complete else Peaks.of(time[:count], data, magnitude)
     return _Quantity(name, unit, peaks, known if count else None, error, until)
@@ -175,7 +175,8 @@ def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Seque
     left = len(columns) - len(chosen)
     note = f"The {ROWS} of {len(columns)} joints with the largest forces or torques." if left else ""
     if run.accuracy is not None and used:
-        note = f"{note} Errors are estimated by companion runs.".strip()
+        source = "by companion runs" if run.kind == "forward" else "from the noise of the data and the cutoff"
+        note = f"{note} Errors are estimated {source}.".strip()
     return Table(name, title, tuple(headings), tuple(rows), note)
 
 

@@ -86,7 +86,8 @@ def _errors(run: Run, accuracy: Accuracy) -> Table:
         Column("angular velocity", "rad/s"),
     )
     count = accuracy.rows_known
-    largest = np.stack([accuracy.position_error[count - 1], accuracy.velocity_error[count - 1]], axis=1)  # (B, 2, 3)
+    errors = (accuracy.position_error, accuracy.velocity_error)
+    largest = np.stack([np.max(one[:count], axis=0) for one in errors], axis=1)  # (B, 2, 3)
     names = list(run.bodies)
     size = np.linalg.norm(largest[..., :2], axis=-1)
     order = np.sort(np.argsort(-size[:, 0], kind="stable")[:BODIES])

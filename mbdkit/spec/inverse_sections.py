@@ -27,13 +27,19 @@ def _as_smoothing(value: Any) -> Any:
 class ColumnOfTable(Section):
     """A column of a table and its unit; a text alone is the heading of a column in SI units."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("scale",)
+
     column: Named
     """Heading of the column."""
     unit: str | None = None
     """Unit of the numbers, such as deg or mm; SI units (m, rad, N, N m) by default."""
+    scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
+    """Factor of the numbers, such as -1 for an angle that is counted in the other direction."""
 
     @model_validator(mode="after")
     def _has_a_unit(self) -> ColumnOfTable:
+        if self.scale == 0:
+            raise SpecError("must not be 0, which would make all values equal", key="scale")
         if self.unit is not None:
             try:
                 read_unit(self.unit)
@@ -45,12 +51,16 @@ class ColumnOfTable(Section):
 class ObservedColumn(ColumnOfTable):
     """The column with the measured values of one quantity."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("scale", "deviation")
+
     weight: Positive = 1.0
     """Weight of its squared residual, in SI units, in the fit of the mechanism."""
     rate: Named | None = None
     """Heading of a column with the first derivative, in the same unit per second, for motions that are not smoothed."""
     acceleration: Named | None = None
     """Heading of a column with the second derivative; given together with `rate`."""
+    deviation: Positive | None = None
+    """Standard deviation of the noise, in the unit of the column; by default, it is estimated from the residuals."""
 
     @model_validator(mode="after")
     def _has_both_derivatives(self) -> ObservedColumn:
@@ -126,6 +136,15 @@ class Gaps(Section):
     """`linear`, or `cubic`: the cubic spline through the other rows of the column."""
 
 
+class ErrorBars(Section):
+    """How the errors of the results are estimated from the noise of the data."""
+
+    samples: Annotated[Count, Field(ge=20)] = 400
+    """Number of samples of the noise that are smoothed to find its covariance."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the random numbers."""
+
+
 Data = dict[str, list[float | None]]
 """Columns of a table by heading; None is a gap."""
 
@@ -145,7 +164,7 @@ class MeasuredMotion(Section):
     names, such as knee_flexion, are quantities too.
     """
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data", "gaps")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data", "gaps", "errors")
 
     file: Named | None = None
     """Table with a column of times: CSV, OpenSim .mot or .sto, .trc, C3D, or a run archive; relative to the folder of
@@ -160,6 +179,8 @@ class MeasuredMotion(Section):
     """Smoothing of the independent coordinates, and the derivatives; a name, or a name and its options."""
     gaps: Gaps | None = None
     """How gaps are bridged; by default, they are refused."""
+    errors: ErrorBars | Literal["none"] = ErrorBars()
+    """How the errors of the results are estimated; `none` leaves them unknown and saves the time."""
 
     @model_validator(mode="after")
     def _complete(self) -> MeasuredMotion:

@@ -105,3 +105,14 @@ def test_a_point_in_the_frame_of_a_body_moves_with_it() -> None:
     lower = run["lower"]
     end = lower.position + 0.5 * np.column_stack([np.cos(lower.angle), np.sin(lower.angle)])
     assert np.max(np.abs(run.loads["tip"].point - end)) < 1e-14
+
+
+def test_an_angle_that_is_counted_in_the_other_direction_has_a_negative_scale() -> None:
+    spec = double_pendulum()
+    spec["motion"]["data"]["knee"] = -np.degrees(spec["motion"]["data"]["knee"])
+    spec["motion"]["columns"]["knee.angle"] = {"column": "knee", "unit": "deg", "scale": -1}
+    run, single = mbdkit.inverse(spec), mbdkit.inverse(double_pendulum())
+    assert np.max(np.abs(run.actuators["knee"].value - single.actuators["knee"].value)) < 1e-8
+    spec["motion"]["columns"]["knee.angle"]["scale"] = 0
+    with pytest.raises(SpecError, match=r"scale: must not be 0"):
+        mbdkit.inverse(spec)

@@ -1,0 +1,141 @@
+"""Noise of measured data: its path through fit and smoothing to first order, and its size as the residuals tell it.
+
+The fit is linearised at the fitted poses; a smoothing with given parameters is linear in the data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.manifold import Directions
+from mbdkit.inverse_dynamics.reduced_motion import Independent
+from mbdkit.inverse_dynamics.smoothing import Smoothed, smoothed_each
+from mbdkit.spec.inverse_sections import Smoothing
+
+DRAWS = 20
+"""Samples of the noise of each column from which the share of it that stays in the residuals is found."""
+
+ITERATIONS = 500
+"""Steps of the iteration that divides the residuals among the columns."""
+
+LEAST_SHARE = 0.01
+"""Share of the noise of a column that the residuals must hold for its deviation to be estimated from them."""
+
+NUMBERS_AT_ONCE = 4_000_000
+"""Largest number of values of noise that are smoothed at once."""
+
+
+class NoisePath:
+    """The changes of the smoothed coordinates, and of the residuals, by small changes of the data.
+
+    Parameters
+    ----------
+    result
+        The result, with U independent coordinates and K observed quantities.
+    independent
+        Its independent coordinates.
+    how
+        Smoothing of each coordinate, with given parameters.
+    """
+
+    def __init__(self, result: Inverse, independent: Independent, how: Sequence[Smoothing]):
+        self._time, self._how = result.motion.time, tuple(how)
+        manifold, target, q = result.problem.fitter.manifold, result.fitted.measured.target, result.fitted.q
+        directions = manifold.directions(manifold.frames(target.time, q).jacobian)
+        observed, coordinates = target.quantities.jacobian(q), independent.quantities.jacobian(q)
+        moved = _solved(directions, observed * target.root_weight[:, None], np.diag(target.root_weight))
+        self._fitted = coordinates @ moved  # (T, U, K)
+        self._seen = np.zeros((len(q), len(target.quantities), len(independent.names)))
+        for begin, end, places in independent.intervals:
+            rows, columns = slice(begin, end), list(places)
+            own = Directions(*(part if part.ndim == 1 else part[rows] for part in _parts(directions)))
+            follow = _solved(own, coordinates[rows][:, columns], np.eye(len(columns)))
+            self._seen[rows][:, :, columns] = observed[rows] @ follow
+
+    @property
+    def columns(self) -> int:
+        """Number of observed quantities."""
+        return int(self._fitted.shape[2])
+
+    def smoothed(self, noise: np.ndarray, how: Sequence[Smoothing] | None = None) -> Smoothed:
+        """Return the changes (T, U, S) of the coordinates and their derivatives by noise (T, K, S) of the data.
+
+        Parameters
+        ----------
+        how
+            Another smoothing of each coordinate.
+        """
+        return smoothed_each(self._time, self._fitted @ noise, self._how if how is None else how)
+
+    def residual(self, noise: np.ndarray) -> np.ndarray:
+        """Return the changes (T, K, S) of the differences between data and smoothed motion."""
+        left: np.ndarray = noise - self._seen @ self.smoothed(noise).value
+        return left
+
+    def samples(self, deviation: np.ndarray, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
+        """Yield blocks (T, K, S) of Gaussian noise, independent from row to row, with `count` samples in all.
+
+        Parameters
+        ----------
+        deviation
+            (K,) standard deviations.
+        """
+        rows = len(self._time)
+        most = max(1, NUMBERS_AT_ONCE // (rows * max(1, self.columns)))
+        for begin in range(0, count, most):
+            yield random.standard_normal((rows, self.columns, min(most, count - begin))) * deviation[:, None]
+
+
+def _parts(directions: Directions) -> tuple[np.ndarray, ...]:
+    return directions.scale, directions.held, directions.free, directions.triangle
+
+
+def _solved(directions: Directions, observed: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the displacements (T, n, K) along the manifold by which `observed` (T, k, n) follows `values` (k, K)."""
+    rows = np.zeros((len(observed), directions.triangle.shape[1]))
+    columns = [
+        directions.least_squares(rows, observed, np.broadcast_to(one, (len(observed), len(one)))) for one in values.T
+    ]
+    return np.stack(columns, axis=2) if columns else np.zeros((*observed.shape[::2], 0))
+
+
+def noise_deviation(
+    path: NoisePath, residual: np.ndarray, stated: np.ndarray, random: np.random.Generator
+) -> np.ndarray:
+    """Return the standard deviations (K,) of the noise; nan where they are neither stated nor seen in the residuals.
+
+    A share of the noise is in the motion, and the rest in the residuals; how much of each column's noise is in the
+    residuals of each column is found from samples. Expected and actual mean squares of all residuals are then brought
+    to agree by the iteration of Richardson and Lucy, which keeps variances positive and divides evenly what the
+    residuals cannot tell apart.
+
+    Parameters
+    ----------
+    residual
+        (T, K) differences between data and smoothed motion; nan in gaps.
+    stated
+        (K,) deviations that are known; nan for the others.
+    """
+    share = np.empty((path.columns, path.columns))  # mean square of the residuals of a row by noise of a column
+    for place in range(path.columns):
+        one = np.zeros(path.columns)
+        one[place] = 1.0
+        squares = [np.sum(path.residual(noise) ** 2, axis=2) for noise in path.samples(one, DRAWS, random)]
+        share[:, place] = np.mean(np.sum(squares, axis=0), axis=0) / DRAWS
+    known = ~np.isnan(stated)
+    seen = ~known & (np.sum(share, axis=0) > LEAST_SHARE)
+    variance = np.where(known, stated, 0.0) ** 2
+    actual = np.nanmean(residual**2, axis=0)
+    if np.any(seen) and np.any(actual > 0):
+        given, rest = share[:, known] @ variance[known], share[:, seen]
+        found = np.full(int(np.sum(seen)), max(0.0, np.sum(actual - given)) / np.sum(rest))
+        for _ in range(ITERATIONS):
+            expected = given + rest @ found
+            ratio = np.divide(actual, expected, out=np.zeros_like(actual), where=expected > 0)
+            found = found * (rest.T @ ratio) / np.sum(rest, axis=0)
+        variance[seen] = found
+    deviation: np.ndarray = np.where(known | seen, np.sqrt(variance), np.nan)
+    return deviation

@@ -1,0 +1,167 @@
+"""Error bars of inverse dynamics cover the truth, and agree with noise that passes through the whole computation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+import mbdkit
+from mbdkit import SpecError
+from mbdkit.analysis.workload import workload
+from mbdkit.inverse_dynamics.compute import InverseProblem, compute
+from mbdkit.inverse_dynamics.error_bars import _norm_bound
+from mbdkit.spec import load_inverse_spec, load_spec
+from tests.inverse_dynamics.noisy import CUTOFF, DEVIATION, Truth, covered
+from tests.inverse_dynamics.test_closed_loops import TORQUES, moved
+
+T = np.linspace(0.0, 1.0, 101)
+
+
+def pendulum(**motion: Any) -> dict[str, Any]:
+    """Return the spec of a pendulum, whose angle is measured in degrees with noise."""
+    m = mbdkit.Mechanism()
+    m.body("rod", mass=1.0, inertia=0.1, position=(0.0, -0.5))
+    m.revolute("hip", m.ground, "rod", at=(0, 0))
+    noise = np.degrees(DEVIATION) * np.random.default_rng(3).standard_normal(len(T))
+    data = {"time": T, "hip": np.degrees(0.5 * np.sin(3 * T)) + noise}
+    column = {"column": "hip", "unit": "deg"}
+    return {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": data, "columns": {"hip.angle": column}, **motion}}
+
+
+def test_bars_cover_true_torques_and_joint_forces_of_closed_loops(tmp_path: Path) -> None:
+    shares = []
+    for example in TORQUES:
+        run, spec = moved(example, tmp_path / f"{example}.h5")
+        truth = Truth.of(example, run, spec["actuators"])
+        shares.append([np.mean(one) for one in covered(truth, spec, CUTOFF[example], 2)])
+    # few samples of correlated noise: the command tests.benchmarks.inverse_coverage takes hundreds
+    assert np.all((np.mean(shares, axis=0) >= 0.9) & (np.mean(shares, axis=0) <= 0.995))
+
+
+def test_bars_are_those_of_noise_that_passes_through_the_whole_computation() -> None:
+    # three markers on the leg of a four-bar knee, no smoothing: the bars are those of noise alone
+    run = mbdkit.run("knee", time={"end": 0.6, "step": 0.02})
+    shank = run["shank"]
+    points = np.array([[0.0, 0.2], [0.03, -0.2], [-0.02, 0.1]])
+    turn = np.exp(1j * shank.angle)[:, None] * (points[:, 0] + 1j * points[:, 1])
+    data = {"time": run.time}
+    for place in range(3):
+        data[f"m{place}.x"], data[f"m{place}.y"] = (
+            shank.position[:, 0] + turn[:, place].real,
+            shank.position[:, 1] + turn[:, place].imag,
+        )
+    model = load_spec("knee").mechanism().to_spec()
+    model["markers"] = {f"m{place}": {"body": "shank", "point": point} for place, point in enumerate(points.tolist())}
+    columns = {name: {"column": name, "deviation": 1e-5} for name in data if name != "time"}
+    spec = {"mbdkit": 1, "model": model, "actuators": {"knee": {"joint": "A"}}}
+    spec["motion"] = {"data": data, "columns": columns, "smooth": "quintic", "errors": {"samples": 1000}}
+    bars = mbdkit.inverse(spec)
+    random, values = np.random.default_rng(5), []
+    for _ in range(60):
+        noisy = {k: x if k == "time" else x + 1e-5 * random.standard_normal(len(x)) for k, x in data.items()}
+        one = compute(InverseProblem.of(load_inverse_spec({**spec, "motion": {**spec["motion"], "data": noisy}}, ())))
+        values.append(one.dynamics.value[:, 0])
+    error = np.array(values) - bars.actuators["knee"].value
+    expected = bars.actuators["knee"].value_error / 1.959964
+    ratio = np.mean(error**2, axis=0) / expected**2
+    assert abs(np.mean(ratio) - 1) < 0.15
+    assert np.all((ratio > 0.4) & (ratio < 1.8))
+
+
+def test_markers_with_noise_close_all_joints_and_have_the_residuals_and_misalignment_of_the_noise() -> None:
+    run = mbdkit.run("knee", time={"end": 0.6, "step": 0.004})
+    model = load_spec("knee").mechanism().to_spec()
+    model["markers"], data, random = {}, {"time": run.time}, np.random.default_rng(11)
+    for name, joint in model["joints"].items():  # a marker at every joint, on each body that moves
+        for body, (x, y) in zip(joint["bodies"], joint["points"], strict=True):
+            if body == "ground":
+                continue
+            marker, own = f"{name} {body}", run[body]
+            model["markers"][marker] = {"body": body, "point": [x, y]}
+            point = own.position[:, 0] + 1j * own.position[:, 1] + np.exp(1j * own.angle) * (x + 1j * y)
+            for axis, values in (("x", point.real), ("y", point.imag)):
+                data[f"{marker}.{axis}"] = values + DEVIATION * random.standard_normal(len(values))
+    motion = {"data": data, "smooth": {"name": "butterworth", "cutoff": 12.0}}
+    fitted = mbdkit.inverse({"mbdkit": 1, "model": model, "motion": motion, "actuators": {"knee": {"joint": "A"}}})
+    assert fitted.misalignment_max < 1e-15
+    rows, residual = len(run.time), fitted.array("motion/residual")
+    assert residual.shape == (rows, 12)
+    # 12 coordinates of markers and one degree of freedom leave 11 in each row
+    squares, freedoms = np.sum(residual**2) / DEVIATION**2, 11 * rows
+    assert chi2.ppf(0.001, freedoms) < squares < chi2.ppf(0.999, freedoms)
+    # a body between two markers: half the variance along it, all of it across, thus 1.5 variances at each end
+    for place, name in enumerate(fitted.joint_names):
+        ends = sum(body != "ground" for body in model["joints"][name]["bodies"])
+        mean = np.mean(fitted.raw_misalignment[:, place] ** 2) / DEVIATION**2
+        assert abs(mean - 1.5 * ends) < 4 * ends * np.sqrt(2.5 / rows)
+    # the deviations that the residuals tell
+    told = fitted.accuracy.method if fitted.accuracy else ""
+    assert told.count(" m") >= 6
+
+
+def test_the_deviation_of_the_noise_is_seen_in_the_residuals_of_the_smoothing() -> None:
+    run = mbdkit.inverse(pendulum(smooth={"name": "butterworth", "cutoff": 6.0}))
+    assert run.accuracy is not None
+    told = float(run.accuracy.method.partition("hip.angle ")[2].split()[0])
+    assert abs(told / DEVIATION - 1) < 0.2
+    assert run.accuracy.known_until == run.time[-1]
+
+
+@pytest.mark.parametrize(
+    "smooth", [{"name": "spline"}, {"name": "spline", "parameter": 1e-4}, {"name": "opensim", "cutoff": 6}]
+)
+def test_every_smoothing_has_bars(smooth: dict[str, Any]) -> None:
+    run = mbdkit.inverse(pendulum(smooth=smooth, errors={"samples": 40}))
+    exact = -0.35 * 4.5 * np.sin(3 * T) + 0.5 * 9.81 * np.sin(0.5 * np.sin(3 * T))
+    one = run.actuators["hip"]
+    assert np.mean((np.abs(one.value - exact) <= one.value_error)[15:-15]) > 0.9
+    assert np.median(one.value_error) < 1.0
+    assert "0.8 and 1.25 times the cutoff" in (run.accuracy.method if run.accuracy else "")
+
+
+def test_bars_are_in_summary_workload_and_archive(tmp_path: Path) -> None:
+    spec = pendulum(smooth={"name": "butterworth", "cutoff": 6.0})
+    run = mbdkit.inverse(spec, archive=tmp_path / "a.h5")
+    assert "(95 %)" in run.summary()
+    row = int(np.argmax(np.abs(run.actuators["hip"].value)))
+    error = run.actuators["hip"].value_error[row]
+    found = workload(run)["hip"]
+    assert found.load.peak_error == error
+    assert f"+- {error:.2g} N m" in workload(run).text()
+    assert f"+- {error:.2g} N m at" in run.summary()
+    run.check()
+
+
+@pytest.mark.parametrize("motion", [{"errors": "none", "smooth": {"name": "butterworth", "cutoff": 6.0}}, {}])
+def test_without_noise_that_is_known_bars_are_nan(motion: dict[str, Any]) -> None:
+    run = mbdkit.inverse(pendulum(**motion))
+    assert run.accuracy is None
+    assert np.all(np.isnan(run.actuators["hip"].value_error))
+    assert ("errors unknown" in run.summary()) == (not motion)
+    assert workload(run)["hip"].load.peak_error is None
+    run.check()
+
+
+def test_a_deviation_has_the_unit_of_its_column() -> None:
+    spec = pendulum(smooth="quintic")
+    spec["motion"]["columns"]["hip.angle"]["deviation"] = 1.0
+    run = mbdkit.inverse(spec)
+    assert "hip.angle 0.0175 rad (stated)" in (run.accuracy.method if run.accuracy else "")
+
+
+def test_a_deviation_that_is_not_positive_is_refused() -> None:
+    spec = pendulum(smooth="quintic")
+    spec["motion"]["columns"]["hip.angle"]["deviation"] = -1.0
+    with pytest.raises(SpecError, match="deviation"):
+        mbdkit.inverse(spec)
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.3, 1.0])
+def test_the_norm_of_a_gaussian_vector_stays_below_its_bound(ratio: float) -> None:
+    random = np.random.default_rng(1).standard_normal((200_000, 2)) * [1.0, ratio]
+    bound = _norm_bound(np.array(1.0), np.array(ratio**2), np.array(0.0))
+    assert abs(np.mean(np.linalg.norm(random, axis=1) <= bound) - 0.95) < 0.004
