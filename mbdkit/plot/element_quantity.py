@@ -245,9 +245,8 @@ def _known_to(quantity: ElementQuantity, column: int) -> str:
         return ""
     data, errors = quantity.data, quantity.errors[:, column]
     largest = np.nan_to_num(np.maximum(np.abs(data.low[:, column]), np.abs(data.high[:, column])))
-    if not np.isfinite(errors[int(np.argmax(largest))]):
-        return ", error unknown"
-    return f" ± {np.nanmax(errors):.2g} {quantity.unit}"
+    error = float(errors[int(np.argmax(largest))])
+    return f" ± {error:.2g} {quantity.unit}" if np.isfinite(error) else ", error unknown"
 
 
 def value_text(value: float, unit: str) -> str:

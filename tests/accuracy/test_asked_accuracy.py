@@ -48,7 +48,7 @@ def true_error(run: mbdkit.Run, known: Known) -> float:
         {"integrator": {"name": "gauss", "stages": 2}, "time": {"end": 10.0, "step": 0.05}},
         {"integrator": {"name": "radau-iia", "adaptive": True}},
         {"integrator": {"name": "scipy-dop853"}},
-        {"formulation": "ggl"},
+        pytest.param({"formulation": "ggl"}, marks=pytest.mark.slow),
         {"stabilization": {"name": "projection", "symmetric": True}},
     ],
     ids=str,

@@ -95,7 +95,7 @@ def start(folder: Path, out: str) -> subprocess.Popen:
     )
 
 
-@pytest.mark.parametrize("stop", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("stop", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.slow)])
 def test_ctrl_c_keeps_what_is_finished_and_the_next_call_comes_to_the_same_index(stop, tmp_path):
     (tmp_path / "slow.yaml").write_text(SLOW)
     process = start(tmp_path, "cut")
