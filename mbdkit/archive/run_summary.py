@@ -100,10 +100,14 @@ def verdict_lines(run: Run) -> list[tuple[str, str]]:
     if not run.is_judged:
         why = "the run did not end" if run.status == "running" else "written by a version that did not judge runs"
         return [("verdict", f"unknown: {why}")]
-    estimated = run.verdict == "good" or (run.kind == "inverse" and run.accuracy is not None)
-    sound = "errors estimated, nothing suspicious seen" if estimated else NOTHING_SUSPICIOUS
-    first, *others = run.verdict_reasons or [sound]
+    first, *others = run.verdict_reasons or [without_suspicion(run)]
     return [("verdict", f"{run.verdict}: {first}"), *(("", other) for other in others)]
+
+
+def without_suspicion(run: Run) -> str:
+    """Return a clause on a run whose verdict has no reasons."""
+    estimated = run.verdict == "good" or (run.kind == "inverse" and run.accuracy is not None)
+    return "errors estimated, nothing suspicious seen" if estimated else NOTHING_SUSPICIOUS
 
 
 def _named(spec: Mapping[str, Any], kind: str) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbdkit.analysis.growth import Growth, growth_law
 from mbdkit.analysis.verdict import Answer, Claim, Verdict
-from mbdkit.archive.run_summary import accuracy_sentence
+from mbdkit.archive.run_summary import accuracy_sentence, without_suspicion
 from mbdkit.plot.downsampling import bands, take
 from mbdkit.plot.drawing_geometry import draw_spec
 from mbdkit.plot.element_quantity import ElementQuantity
@@ -17,7 +17,7 @@ from mbdkit.plot.joint_quantity import angle_misalignment, joint_misalignment
 from mbdkit.plot.quantity_text import count, duration, length, proportion
 from mbdkit.report.run_charts import run_charts
 from mbdkit.report.run_tables import run_tables
-from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, NOTHING_SUSPICIOUS, ROUND_OFF, Level, rounding
+from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, ROUND_OFF, Level, rounding
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -75,7 +75,7 @@ def _trust(run: Run) -> Claim:
     elif not run.is_judged:
         sentence += " The archive holds no verdict: a version that did not judge runs wrote it, or the run crashed."
     elif run.verdict == "unknown":
-        sentence = f"The verdict is unknown: {NOTHING_SUSPICIOUS}."
+        sentence = f"The verdict is unknown: {without_suspicion(run)}."
     return Claim("trust", "The results can be trusted", "", run.verdict, _ANSWERS[run.verdict], sentence)
 
 
