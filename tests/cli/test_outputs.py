@@ -54,3 +54,18 @@ def test_a_copy_onto_a_full_disk_leaves_nothing(mbdkit, tmp_path):
         assert result.exit_code != 0
         assert "No space left" in result.stderr
         assert list(disk.iterdir()) == [ballast]
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_a_picture_onto_a_full_disk_leaves_the_old_one(mbdkit, tmp_path, suffix):
+    assert mbdkit("run", "pendulum", "-o", tmp_path / "run.h5").exit_code == 0
+    with tiny_disk(tmp_path / "disk", 64) as disk:
+        old = disk / f"old.{suffix}"
+        old.write_text("precious")
+        with (disk / "ballast").open("wb") as file, pytest.raises(OSError, match="No space left"):
+            file.write(bytes(1 << 20))
+        result = mbdkit("plot", str(tmp_path / "run.h5"), "-o", str(old))
+        assert result.exit_code == 3, result.stderr
+        assert "No space left" in result.stderr
+        assert old.read_text() == "precious"
+        assert {path.name for path in disk.iterdir()} == {"ballast", old.name}
