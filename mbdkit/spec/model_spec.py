@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, Field, PrivateAttr
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 
 from mbdkit.errors import PluginError, SpecError, blaming
 from mbdkit.mechanism.law_element import Law
@@ -29,6 +29,8 @@ class ModelSpec(StrictSpec):
     SpecError
         If the spec is not valid, with the key path.
     """
+
+    model_config = ConfigDict(defer_build=True)  # the schema of the model imports plugins
 
     EXPRESSIONS_IN: ClassVar[str] = "model"
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ()
