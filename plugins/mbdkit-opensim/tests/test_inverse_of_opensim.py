@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import osim_texts as osim
 import pytest
 
 import mbdkit
 from mbdkit.archive.export import export
 from mbdkit_opensim.building import build_mechanism
-
-from . import osim_texts as osim
 
 needs_opensim = pytest.mark.skipif(
     not importlib.util.find_spec("opensim"), reason="the package opensim is not installed"
