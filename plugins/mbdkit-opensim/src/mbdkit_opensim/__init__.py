@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from pydantic import BaseModel, ConfigDict, Field
 
 import mbdkit
@@ -23,7 +25,7 @@ class OpenSimOptions(BaseModel):
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
 
-    file: str
+    file: str = Field(examples=[str(Path(__file__).with_name("example.osim"))])
     """Path of the `.osim` file, in the format of OpenSim 4; relative to the current folder."""
     initial: dict[str, float] = Field(default_factory=dict)
     """Initial values of coordinates by name [rad or m]; by default, those of the file."""
