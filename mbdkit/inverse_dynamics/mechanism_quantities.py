@@ -6,6 +6,7 @@ with n = 3 B coordinates x, y, angle of the bodies, without ground.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -55,7 +56,7 @@ class Point:
         return -square * x, -square * y
 
 
-class Quantity:
+class Quantity(ABC):
     """A quantity h(q) of a mechanism."""
 
     unit: Literal["m", "rad"]
@@ -65,13 +66,13 @@ class Quantity:
         """Size of a change of the quantity per change of the angle or length that it measures."""
         return 1.0
 
+    @abstractmethod
     def value(self, q: np.ndarray) -> np.ndarray:
         """Return h (T,) [m or rad]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
         """Add the gradient of h to `out` (T, n)."""
-        raise NotImplementedError
 
     def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the second time derivative of h (T,) where the accelerations of the coordinates are zero."""

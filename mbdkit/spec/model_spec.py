@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from abc import abstractmethod
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
@@ -50,14 +51,14 @@ class ModelSpec(StrictSpec):
     _run_id: str = PrivateAttr(default="")
 
     @property
+    @abstractmethod
     def span(self) -> tuple[float, float] | None:
         """Start and end of the motion [s]; None if the spec does not tell."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def items(self) -> list[Registered]:
         """The registry entries of everything that the spec selects, such as the model."""
-        raise NotImplementedError
 
     @property
     def recorded(self) -> frozenset[str]:
