@@ -12,9 +12,11 @@ MOST = int(os.environ.get("MBDKIT_CAMPAIGN_CASES", "3"))
 """Largest number of cases of an attack; attacks that have few cases in all take long for each."""
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "kill-blocks")) for name in attacks()]
-)
+SLOW = {"begin-parts", "block-flips", "cache", "full-cache", "kill-blocks", "kill-study", "kill-worker"}
+"""Attacks that take many seconds for one case."""
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in attacks()])
 def test_attack_is_held(name: str) -> None:
     attack = attacks()[name]
     for index in range(min(MOST, max(1, attack.cases // 400))):

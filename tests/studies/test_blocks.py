@@ -10,8 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +26,11 @@ from mbdkit.archive.fingerprint import data_sha256, datasets
 from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.spec import RunSpec
 from mbdkit.studies import compute_block as compute_block_module
-from mbdkit.studies import executor_pool, known_blocks, pool, worker
+from mbdkit.studies import known_blocks, pool
 from mbdkit.studies.compute_block import compute_block
-from mbdkit.studies.pool import Pool
 from mbdkit.studies.runs_table import export_runs
 from mbdkit.studies.shard import Shard
 from mbdkit.studies.study_folder import StudyFolder
-from mbdkit.studies.tasks import Outcome
 
 BASE: dict[str, Any] = {
     "mbdkit": 1,
@@ -65,37 +61,6 @@ GRID: dict[str, Any] = {
 def grid(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
     """The study of `GRID`, run by one process; not to be changed."""
     return mbdkit.study(GRID, out=tmp_path_factory.mktemp("blocks") / "grid")
-
-
-class PoolInThisProcess:
-    """Computes blocks in this process; new processes would take most of the time of these tests."""
-
-    def __init__(self, size: int, notify: Any):
-        pass
-
-    def __enter__(self) -> PoolInThisProcess:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def work(self, tasks: list[Any]) -> Iterator[tuple[Any, Outcome]]:
-        for task in tasks:
-            (answer,) = worker.compute([task.message()], version("mbdkit"))
-            yield task, Outcome.of(answer)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _quick() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(executor_pool, "Pool", PoolInThisProcess)
-        yield
-
-
-@pytest.fixture
-def processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compute blocks in processes of their own, as outside of these tests."""
-    monkeypatch.setattr(executor_pool, "Pool", Pool)
 
 
 def index_hash(folder: Path) -> str:

@@ -75,6 +75,7 @@ def test_a_second_call_computes_nothing_and_writes_the_same_index(copied, small)
     assert index_hash(copied) == index
 
 
+@pytest.mark.usefixtures("processes")
 def test_two_workers_give_the_same_data_as_one(finished, small, tmp_path):
     study = mbdkit.study(small, out=tmp_path / "two", workers=2)
     assert study.computed == 5
@@ -203,6 +204,7 @@ def test_runs_that_fail_are_results_with_their_reasons_and_are_not_tried_again(t
     assert [point.reason for point in again.points] == [point.reason for point in done.points]
 
 
+@pytest.mark.usefixtures("processes")
 def test_the_death_of_a_worker_is_the_failure_of_its_run_alone_and_the_run_is_tried_again(
     finished, small, tmp_path, monkeypatch
 ):
@@ -228,6 +230,7 @@ def test_the_death_of_a_worker_is_the_failure_of_its_run_alone_and_the_run_is_tr
     assert index_hash(tmp_path / "out") == index_hash(finished.folder)
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_run_whose_worker_dies_is_tried_once_more_in_the_same_call(finished, small, tmp_path, monkeypatch):
     victim = finished.points[1].run_id
     give = pool._Worker.give
@@ -249,6 +252,7 @@ def test_a_run_whose_worker_dies_is_tried_once_more_in_the_same_call(finished, s
     assert index_hash(tmp_path / "out") == index_hash(finished.folder)
 
 
+@pytest.mark.usefixtures("processes")
 def test_an_interrupted_call_leaves_an_index_of_all_that_is_there(finished, small, tmp_path, monkeypatch):
     work = pool.Pool.work
 

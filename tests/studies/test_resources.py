@@ -83,6 +83,7 @@ def test_the_command_ends_with_exit_status_3_and_says_why(finished, small, begun
     assert CliRunner().invoke(app, ["study", str(spec), "-o", str(begun)]).exit_code == 0
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_second_run_without_resources_is_made_by_the_next_call(small, tmp_path, monkeypatch):
     study = small | {"reference": "none", "measures": ["reversibility_defect"]}
     work = pool.Pool.work
@@ -100,6 +101,7 @@ def test_a_second_run_without_resources_is_made_by_the_next_call(small, tmp_path
     assert [point.row.second_run for point in second.points] == ["complete"] * 4
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_study_whose_processes_are_refused_says_so_and_keeps_its_index(small, tmp_path, monkeypatch):
     def refuse(*_: object) -> None:
         raise OSError(24, os.strerror(24))
@@ -110,6 +112,7 @@ def test_a_study_whose_processes_are_refused_says_so_and_keeps_its_index(small, 
     assert {point.status for point in mbdkit.load_study(tmp_path / "out").points} == {"missing"}
 
 
+@pytest.mark.usefixtures("processes")
 def test_one_process_is_enough_if_more_are_refused(finished, small, tmp_path, monkeypatch):
     real, started = pool._Worker, []
 

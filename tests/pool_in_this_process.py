@@ -1,0 +1,23 @@
+"""What computes the studies of most tests: to start new processes would take most of their time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
+
+from mbdkit.studies import worker
+from mbdkit.studies.pool import Pool
+from mbdkit.studies.tasks import Outcome, Work
+
+
+class PoolInThisProcess(Pool[Work]):
+    """Carries out tasks in this process, one after the other, as a process of an executor does."""
+
+    def work(self, tasks: Sequence[Work]) -> Iterator[tuple[Work, Outcome]]:
+        for task in tasks:
+            message = json.loads(json.dumps(task.message()))
+            (answer,) = worker.compute([message], version("mbdkit"))
+            for note in answer.pop("notes"):
+                self.say(note)
+            yield task, Outcome.of(json.loads(json.dumps(answer)))
