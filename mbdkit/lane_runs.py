@@ -35,8 +35,8 @@ from mbdkit.stepping.lane_collocation import StagePivots
 from mbdkit.stepping.lane_stepper import (
     LaneResults,
     LaneStepper,
+    PivotsAtStart,
     is_controlled,
-    pivots_at_start,
     suits_lanes,
     topology_of,
 )
@@ -127,7 +127,7 @@ class LaneRuns:
 
     def __init__(self, starts: Starts) -> None:
         self._groups: dict[tuple[object, ...], _Group] = {}
-        self._starts = starts
+        self._starts, self._pivots = starts, PivotsAtStart()
         self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
         self._settings: tuple[tuple[object, ...], LaneMethod | None] | None = None
 
@@ -187,7 +187,7 @@ class LaneRuns:
         table = timetable(spec, guards(spec, size))
         if not suits_lanes(method, start.mechanism, table):
             return None
-        pivots = pivots_at_start(method, start, table)
+        pivots = self._pivots.of(method, start, table)
         warnings = (*started.cautions, *start_warnings(spec, start.assembled))
         return LaneMember(spec, method, start, table, pivots, size, warnings, self._topology_of(start.mechanism))
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.counters import Counters
+from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.jit.bundle import JIT_DISABLED, PinnedBundle
 from mbdkit.engine.jit.lane_arrays import Lanes
 from mbdkit.engine.jit.lane_width import WIDTH
@@ -19,11 +20,11 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
 from mbdkit.stepping.interface import StepEvidence, Timetable
 from mbdkit.stepping.lane_collocation import (
+    StagePivoting,
     StagePivots,
     collocation_in_lanes,
     drive_collocation,
     load_stage_pivots,
-    stage_pivots,
 )
 from mbdkit.stepping.lane_driver import drive_explicit
 from mbdkit.stepping.lane_run import BY_LANE, explicit_in_lanes, new_lane_run
@@ -127,7 +128,7 @@ class LaneStepper:
     rows
         Number of recorded states, the initial one included.
     pivots
-        Pivots of the stage matrix of the first run (`pivots_at_start`); None if the method is explicit.
+        Pivots of the stage matrix of the first run (`PivotsAtStart`); None if the method is explicit.
     """
 
     def __init__(
@@ -240,18 +241,33 @@ def by_run(lanes: np.ndarray, count: int) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(lanes, -1, 0)[:count])
 
 
-def pivots_at_start(method: Any, start: AtStart, table: Timetable) -> StagePivots | None:
-    """Return the pivots that a run chooses; None if its method needs none.
+class PivotsAtStart:
+    """Chooses the pivots of runs; those of one mechanism and method share what that needs."""
 
-    Raises
-    ------
-    mbdkit.engine.elimination_order.SingularSystemError
-        If the equations of the first step are singular, or need the pivoted solver.
-    """
-    if isinstance(method, ExplicitRungeKutta):
-        return None
-    assert table.step is not None
-    return stage_pivots(method, Workspace(start.mechanism, table.start, start.q0, start.v0), table.step)
+    def __init__(self) -> None:
+        self._latest: tuple[tuple[object, ...], StagePivoting] | None = None
+
+    def of(self, method: Any, start: AtStart, table: Timetable) -> StagePivots | None:
+        """Return the pivots that a run chooses; None if its method needs none.
+
+        Raises
+        ------
+        mbdkit.engine.elimination_order.SingularSystemError
+            If the equations of the first step are singular, or need the pivoted solver.
+        """
+        if isinstance(method, ExplicitRungeKutta):
+            return None
+        assert table.step is not None
+        shared = method, start.mechanism, table.start
+        if self._latest is None or any(a is not b for a, b in zip(shared, self._latest[0], strict=True)):
+            workspace = Workspace(start.mechanism, table.start, start.q0, start.v0)
+            self._latest = shared, StagePivoting(method, workspace)
+        pivoting = self._latest[1]
+        try:
+            return pivoting.pivots(start.q0, start.v0, table.step)
+        except SingularSystemError:
+            self._latest = None
+            raise
 
 
 def _counted(counters: Counters, counts: np.ndarray) -> Counters:

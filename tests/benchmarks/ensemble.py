@@ -33,7 +33,7 @@ from mbdkit.run_preparation import build, make_method
 from mbdkit.simulation import simulate_arrays
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Timetable
-from mbdkit.stepping.lane_stepper import LaneStepper, pivots_at_start
+from mbdkit.stepping.lane_stepper import LaneStepper, PivotsAtStart
 from mbdkit.stepping.start import start_method
 from tests.witness.double_pendulum import HORIZONTAL
 
@@ -91,7 +91,7 @@ def by_lanes(method: str, steps: int) -> Outcome:
     """Take the steps in lanes, in one thread."""
     starts, chosen = members(method)
     tables = [table_of(steps)] * WIDTH
-    pivots = [pivots_at_start(chosen, *one) for one in zip(starts, tables, strict=True)]
+    pivots = [PivotsAtStart().of(chosen, *one) for one in zip(starts, tables, strict=True)]
     stepper = LaneStepper(chosen, starts[0], 2, pivots[0])
     begin = time.perf_counter()
     results = stepper.advance(starts, tables, pivots)

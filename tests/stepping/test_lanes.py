@@ -20,7 +20,7 @@ from mbdkit.run_preparation import build
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.controlled_lanes import ControlledLaneStepper
 from mbdkit.stepping.interface import Guards, Timetable
-from mbdkit.stepping.lane_stepper import LaneResults, LaneStepper, pivots_at_start, suits_lanes, topology_of
+from mbdkit.stepping.lane_stepper import LaneResults, LaneStepper, PivotsAtStart, suits_lanes, topology_of
 from mbdkit.stepping.start import start_method
 from tests.engine.random_mechanisms import chain, driven_frame, ladder, slides
 
@@ -130,7 +130,7 @@ def rows_of(table: Timetable) -> int:
 
 
 def advanced(method: str, workspaces: list[Workspace], planned: list[Timetable]) -> LaneResults:
-    pivots = [pivots_at_start(METHODS[method], *one) for one in zip(workspaces, planned, strict=True)]
+    pivots = [PivotsAtStart().of(METHODS[method], *one) for one in zip(workspaces, planned, strict=True)]
     assert len({one and one.key for one in pivots}) == 1
     stepper = LaneStepper(METHODS[method], workspaces[0], rows_of(planned[0]), pivots[0])
     return stepper.advance(workspaces, planned, pivots)
@@ -189,7 +189,7 @@ def test_lanes_iterate_as_often_as_their_single_runs(kind: str, method: str) -> 
     planned = [Timetable(0.0, 50 * step, step=step, steps=50, every=7) for step in steps]
     groups = defaultdict(list)
     for workspace, table in zip(workspaces_of(kind, planned), planned, strict=True):
-        pivots = pivots_at_start(METHODS[method], workspace, table)
+        pivots = PivotsAtStart().of(METHODS[method], workspace, table)
         assert pivots is not None
         groups[pivots.key].append((workspace, table))
     members = max(groups.values(), key=len)[:WIDTH]
@@ -303,7 +303,7 @@ def test_lanes_may_be_idle() -> None:
 def test_a_stepper_of_lanes_remembers_nothing_of_earlier_runs(method: str) -> None:
     planned = tables(WIDTH)
     workspaces = workspaces_of("springs", planned)
-    pivots = [pivots_at_start(METHODS[method], *one) for one in zip(workspaces, planned, strict=True)]
+    pivots = [PivotsAtStart().of(METHODS[method], *one) for one in zip(workspaces, planned, strict=True)]
     stepper = LaneStepper(METHODS[method], workspaces[0], rows_of(planned[0]), pivots[0])
     stepper.advance(workspaces, planned, pivots)
     again = stepper.advance(workspaces[::-1], planned[::-1], pivots[::-1])
