@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.errors import MbdkitError, PluginError, ResourceError, SpecError
 from mbdkit.lane_runs import LaneRuns
@@ -45,8 +46,8 @@ def simulate_batch(
 ) -> Iterator[FinishedRun | Refused]:
     """Run validated specs, and yield the result of each, in the order of `specs`.
 
-    The numbers, and therefore `FinishedRun.data_sha256`, are those of `simulate` for the same spec. Runs with fixed
-    steps of explicit methods, and of Gauss and Radau IIA methods on index-1 equations, are advanced in lanes
+    The numbers, and therefore `FinishedRun.data_sha256`, are those of `simulate` for the same spec. Runs of explicit
+    methods, and with fixed steps of Gauss and Radau IIA methods, on index-1 equations are advanced in lanes
     (`mbdkit.lane_runs`), all others one after another.
 
     Parameters
@@ -58,7 +59,8 @@ def simulate_batch(
         runs are prepared before the first result is yielded.
     """
     begun = begun or _ignored
-    lanes, remaining = LaneRuns(), iter(enumerate(specs))
+    starts = Starts()
+    lanes, remaining = LaneRuns(starts), iter(enumerate(specs))
     while chunk := list(islice(remaining, CHUNK)):
         with one_thread_of_linear_algebra():
             prepared = lanes.members(_noted(chunk, begun), notify)
@@ -67,7 +69,7 @@ def simulate_batch(
             run = None if member is None else next(finished)
             if run is None:
                 begun(place)
-            yield _alone(spec, notify) if run is None else run
+            yield _alone(spec, notify, starts) if run is None else run
 
 
 def _ignored(place: int) -> None:
@@ -81,10 +83,10 @@ def _noted(chunk: Iterable[tuple[int, RunSpec]], begun: Callable[[int], None]) -
         yield spec
 
 
-def _alone(spec: RunSpec, notify: Callable[[str], None]) -> FinishedRun | Refused:
+def _alone(spec: RunSpec, notify: Callable[[str], None], starts: Starts) -> FinishedRun | Refused:
     """Run one spec."""
     try:
-        return simulate_arrays(spec, notify=notify)
+        return simulate_arrays(spec, notify=notify, starts=starts)
     except (Exception, SystemExit) as error:
         return refusal(error)
 

@@ -6,7 +6,7 @@ import logging
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,9 +29,17 @@ from mbdkit.run_evidence import evidence_of_run
 from mbdkit.run_preparation import caution, guards, make_method, optional_arrays, timetable
 from mbdkit.run_warnings import center_warnings, doubts, start_warnings
 from mbdkit.spec import RunSpec
+from mbdkit.stepping.controlled_lanes import ControlledLaneStepper
 from mbdkit.stepping.interface import Guards, StepEvidence, Stretch, Timetable
 from mbdkit.stepping.lane_collocation import StagePivots
-from mbdkit.stepping.lane_stepper import LaneResults, LaneStepper, pivots_at_start, suits_lanes, topology_of
+from mbdkit.stepping.lane_stepper import (
+    LaneResults,
+    LaneStepper,
+    PivotsAtStart,
+    is_controlled,
+    suits_lanes,
+    topology_of,
+)
 from mbdkit.stepping.warm_up import ensure_compiled
 from mbdkit.trust.criteria import judge
 from mbdkit.trust.energy_record import EnergyRecord
@@ -67,7 +75,8 @@ class LaneMember:
     def key(self) -> tuple[object, ...]:
         """Equal for runs that can be advanced side by side and have the same arrays."""
         table, pivots = self.table, None if self.pivots is None else self.pivots.key
-        return self.topology, self.method, pivots, table.steps, table.every, self.spec.output.recorded
+        steps = table.interval if is_controlled(self.method) else table.steps
+        return self.topology, self.method, pivots, steps, table.every, self.spec.output.recorded
 
 
 @dataclass(frozen=True)
@@ -86,7 +95,7 @@ def _method_for_lanes(spec: RunSpec) -> LaneMethod | None:
     if not plain or spec.is_to_be_chosen or spec.estimates_errors or spec.limits.wall_time is not None:
         return None
     method = make_method(spec)
-    if not isinstance(method, LaneMethod) or spec.claims.adaptive:
+    if not isinstance(method, LaneMethod) or spec.claims.adaptive != is_controlled(method):
         return None
     return method
 
@@ -108,11 +117,17 @@ def _sizes(started: Sequence[_Started | None]) -> list[float]:
 
 
 class LaneRuns:
-    """Runs members in lanes, and keeps the loops and the compiled mechanisms that it has met."""
+    """Runs members in lanes, and keeps the loops that it has met.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    starts
+        Makes starts consistent, and keeps compiled mechanisms.
+    """
+
+    def __init__(self, starts: Starts) -> None:
         self._groups: dict[tuple[object, ...], _Group] = {}
-        self._starts = Starts()
+        self._starts, self._pivots = starts, PivotsAtStart()
         self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
         self._settings: tuple[tuple[object, ...], LaneMethod | None] | None = None
 
@@ -172,7 +187,7 @@ class LaneRuns:
         table = timetable(spec, guards(spec, size))
         if not suits_lanes(method, start.mechanism, table):
             return None
-        pivots = pivots_at_start(method, start, table)
+        pivots = self._pivots.of(method, start, table)
         warnings = (*started.cautions, *start_warnings(spec, start.assembled))
         return LaneMember(spec, method, start, table, pivots, size, warnings, self._topology_of(start.mechanism))
 
@@ -189,6 +204,8 @@ class LaneRuns:
             groups[member.key].append(place)
         for key, places in groups.items():
             group = self._group(key, members[places[0]])
+            if is_controlled(members[places[0]].method):
+                places = _by_cost(members, places)
             for first in range(0, len(places), WIDTH):
                 some = places[first : first + WIDTH]
                 for place, run in zip(some, group.finished([members[place] for place in some]), strict=True):
@@ -213,6 +230,37 @@ class _RecordedRun:
     last_time: float
 
 
+def _by_cost(members: Sequence[LaneMember], places: Sequence[int]) -> list[int]:
+    """Return the places of similar runs in the order of their energy at the start, without that of springs.
+
+    The lanes of a loop wait for the one with the most steps, so their numbers of steps should be similar. In ensembles
+    of double pendulums with different starts, lanes are at work in 83 to 87 % of all turns of the loop; in 75 to 77 %
+    if runs are not sorted, and in 94 % if they are sorted by their numbers of steps, which are not known before.
+    """
+    starts = [members[place].start for place in places]
+    mass, gravity, q, v = (
+        np.stack(values)
+        for values in (
+            [one.mechanism.topology.mass.ravel() for one in starts],
+            [one.mechanism.topology.gravity for one in starts],
+            [one.q0 for one in starts],
+            [one.v0 for one in starts],
+        )
+    )
+    with np.errstate(all="ignore"):
+        fall = np.einsum("mbi,mi->m", (mass * q).reshape(len(places), -1, 3)[:, :-1, :2], gravity)
+        energy = 0.5 * np.sum((mass * v * v)[:, :-3], axis=1) - fall
+    return [places[place] for place in np.argsort(energy, kind="stable")]
+
+
+def _stepper(first: LaneMember, workspace: Workspace) -> LaneStepper:
+    """Return the loop for runs like the first."""
+    if isinstance(first.method, ExplicitRungeKutta) and is_controlled(first.method):
+        return ControlledLaneStepper(first.method, workspace)
+    rows = 1 + -(-first.table.steps // first.table.every)
+    return LaneStepper(first.method, workspace, rows, first.pivots)
+
+
 class _Group:
     """Runs of one mechanism and method that differ in numbers only.
 
@@ -226,8 +274,7 @@ class _Group:
         mechanism, spec = first.start.mechanism, first.spec
         start = first.start
         workspace = Workspace(mechanism, first.table.start, start.q0, start.v0)
-        self.rows = 1 + -(-first.table.steps // first.table.every)
-        self.stepper = LaneStepper(first.method, workspace, self.rows, first.pivots)
+        self.stepper = _stepper(first, workspace)
         self.constraint_rows, self.joints = ConstraintRows(mechanism), JointSums(mechanism)
         self.names: ArchiveNames = archive_names(mechanism)
         extra = frozenset(optional_arrays(spec, first.method, mechanism))
@@ -258,10 +305,10 @@ class _Group:
             if lost[lane]:
                 finished.append(None)
                 continue
-            own = {key: values[lane] for key, values in arrays.items()}
+            own = {key: values[lane, : results.rows[lane]] for key, values in arrays.items()}
             own |= self._intervals(member.table, results, lane)
             made = self._run(member, own, recorded[lane], reached[lane], results.evidence[lane])
-            counters = asdict(results.counters[lane])
+            counters = vars(results.counters[lane]).copy()
             counters["factorizations"] += int(member.pivots is not None)  # that which chose them
             timings = {"setup_s": member.seconds, "wall_s": seconds[0], "cpu_s": seconds[1]}
             finished.append(replace(made, stats={**counters, **timings, **made.stats}))
@@ -269,10 +316,10 @@ class _Group:
 
     def _states(self, results: LaneResults) -> RecordedStates:
         """Return the states of all runs, one run after another."""
-        count = len(results.time)
+        count, rows = results.time.shape
 
         def flat(values: np.ndarray) -> np.ndarray:
-            return values.reshape(count * self.rows, *values.shape[2:])
+            return values.reshape(count * rows, *values.shape[2:])
 
         observed = Observed(*map(flat, results.observed))
         q, v, energy = flat(results.q), flat(results.v), flat(results.energy)
@@ -280,13 +327,11 @@ class _Group:
         stretch = Stretch(flat(results.time), q, v, energy[:, 0], energy[:, 1], none)
         start = results.observed.kinetic[:, 0] + results.observed.potential[:, 0]
         elapsed = np.zeros(len(q))
-        return RecordedStates(
-            stretch, observed, elapsed, np.repeat(start, self.rows), self.constraint_rows, self.joints
-        )
+        return RecordedStates(stretch, observed, elapsed, np.repeat(start, rows), self.constraint_rows, self.joints)
 
     def _by_run(self, values: np.ndarray, key: str, count: int) -> np.ndarray:
         """Return the rows of all runs as (W, T, ...), contiguous and of the type of the layout."""
-        shaped = values.reshape(count, self.rows, *values.shape[1:])
+        shaped = values.reshape(count, len(values) // count, *values.shape[1:])
         return np.ascontiguousarray(shaped, self.types[key])
 
     def _beyond_limits(self, results: LaneResults, limits: Sequence[Guards]) -> np.ndarray:
@@ -299,7 +344,7 @@ class _Group:
         self, members: Sequence[LaneMember], results: LaneResults, states: RecordedStates
     ) -> list[tuple[np.ndarray, _RecordedRun]]:
         """Return the largest misalignments (J,) of each run over all steps, and what its recorded states show."""
-        shape = (len(members), self.rows)
+        shape = results.time.shape
         misalignment = states.misalignment.reshape(*shape, -1).max(axis=1)
         worst = np.maximum(self.joints.misalignment_of_squares(results.worst), misalignment)
         angles = self.joints.angle_misalignment(np.abs(results.observed.phi).max(axis=1))
@@ -313,14 +358,20 @@ class _Group:
 
     def _intervals(self, table: Timetable, results: LaneResults, lane: int) -> dict[str, np.ndarray]:
         """Return the statistics of the intervals between the recorded states of a run."""
-        steps = table.step, table.last_step
-        if self._equal_intervals[0] != steps:
+        iterations, ends = results.iterations[lane, 1:], results.time[lane, 1 : results.rows[lane]]
+        if results.work is not None:
+            steps, size, rejected = results.work[lane, 1 : results.rows[lane]].T
+            counted = {"interval": np.arange(1, len(ends) + 1), "steps": steps, "size": size, "rejected": rejected}
+            none = np.zeros(len(ends))
+            counted |= {"time": ends, "iterations": none, "iterations_max": none}
+            return self._typed({f"steps/{name}": array for name, array in counted.items()})
+        sizes = table.step, table.last_step
+        if self._equal_intervals[0] != sizes:
             equal = self._intervals_of(table)
-            self._equal_intervals = steps, equal
+            self._equal_intervals = sizes, equal
             self._known_digests = {key: self.hash.digest(array) for key, array in equal.items()}
-        iterations = results.iterations[lane, 1:]
         own = {
-            "steps/time": results.time[lane, 1:],
+            "steps/time": ends,
             "steps/iterations": iterations[:, 0],
             "steps/iterations_max": iterations[:, 1],
         }
@@ -328,10 +379,10 @@ class _Group:
 
     def _intervals_of(self, table: Timetable) -> dict[str, np.ndarray]:
         """Return the statistics that are the same for runs with equal steps."""
-        ends = np.minimum(table.every * np.arange(1, self.rows), table.steps)
+        ends = np.minimum(table.every * np.arange(1, 1 + -(-table.steps // table.every)), table.steps)
         sizes = np.full(len(ends), table.step)
         sizes[-1] = table.last_step
-        values = {"interval": np.arange(1, self.rows), "steps": np.diff(ends, prepend=0), "size": sizes}
+        values = {"interval": np.arange(1, 1 + len(ends)), "steps": np.diff(ends, prepend=0), "size": sizes}
         values["rejected"] = np.zeros(len(ends))
         return self._typed({f"steps/{name}": array for name, array in values.items()})
 

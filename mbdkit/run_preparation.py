@@ -10,7 +10,7 @@ from mbdkit.archive.disk_space import check_room, row_bytes
 from mbdkit.archive.layout import CORRECTIONS, EVENTS
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.consistent_start import MechanismAtStart, within_double_precision, workspace_at_start
+from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision, workspace_at_start
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import PluginError, SpecError, blaming, with_place
@@ -44,13 +44,17 @@ def caution(spec: RunSpec, method: Method | None = None) -> tuple[str, ...]:
     return (*([unstable] if unstable else []), *spec_warnings(spec), *corner_warnings(spec))
 
 
-def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Workspace, AssembledState]:
+def build(
+    spec: RunSpec, notify: Callable[[str], None] = to_stderr, starts: Starts | None = None
+) -> tuple[Workspace, AssembledState]:
     """Compile the mechanism of a spec and make its initial state consistent.
 
     Parameters
     ----------
     notify
         Called with a message before long operations.
+    starts
+        Keeps compiled mechanisms for further runs, if given.
 
     Returns
     -------
@@ -74,6 +78,7 @@ def build(spec: RunSpec, notify: Callable[[str], None] = to_stderr) -> tuple[Wor
             spec.time.final,
             formulation=spec.formulation,
             stabilization=spec.stabilized,
+            starts=starts,
         )
         with within_double_precision():
             require_unique_start(workspace)

@@ -113,12 +113,12 @@ def _angles_in_degrees(spec: RunSpec) -> Iterator[str]:
 def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tuple[Path, float | str]]:
     """Return the key path and the number or text of each option of a model whose unit is the radian."""
     if isinstance(value, BaseModel):
-        for name, field in type(value).model_fields.items():
+        is_length = isinstance(value, Driver) and value.coordinate != "angle"
+        for name, is_angular in _fields(type(value)):
             item = getattr(value, name)
-            if isinstance(item, str | int | float | None) and not _is_in_radians(field.description or ""):
+            if isinstance(item, str | int | float | None) and not is_angular:
                 continue
-            is_length = isinstance(value, Driver) and value.coordinate != "angle"
-            in_radians = _is_in_radians(field.description or "") and not is_length
+            in_radians = is_angular and not is_length
             yield from _angles(item, (*path, name), is_angle=in_radians)
     elif isinstance(value, Mapping):
         for name, item in value.items():
@@ -135,9 +135,12 @@ def _is_flat(values: Sequence[object]) -> bool:
     return all(type(value) is float for value in values)
 
 
-@lru_cache(maxsize=1024)
-def _is_in_radians(description: str) -> bool:
-    return _ANGLE.search(description) is not None
+@lru_cache(maxsize=256)
+def _fields(model: type[BaseModel]) -> tuple[tuple[str, bool], ...]:
+    """Return the names of the fields of a model, and whether their unit is the radian."""
+    return tuple(
+        (name, _ANGLE.search(field.description or "") is not None) for name, field in model.model_fields.items()
+    )
 
 
 def _long_step(spec: RunSpec) -> Iterator[str]:

@@ -29,6 +29,7 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import RunWriter
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine.assembly import AssembledState
+from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
@@ -184,15 +185,20 @@ def simulate_on(
     return _ended(spec, partial(prepare, continuation=continuation), notify, progress).run()
 
 
-def simulate_arrays(spec: RunSpec, *, notify: Callable[[str], None] = to_stderr) -> FinishedRun:
+def simulate_arrays(
+    spec: RunSpec, *, notify: Callable[[str], None] = to_stderr, starts: Starts | None = None
+) -> FinishedRun:
     """Run a validated spec without writing an archive, and return its arrays with the hash that the archive would have.
 
     Parameters
     ----------
     notify
         As for `simulate`.
+    starts
+        Keeps compiled mechanisms for further runs, if given.
     """
-    prepare = partial(_prepared, begun=_begun_arrays, path=None, notify=notify, begin=time.perf_counter())
+    begin = time.perf_counter()
+    prepare = partial(_prepared, begun=_begun_arrays, path=None, notify=notify, begin=begin, starts=starts)
     simulation = _ended(spec, prepare, notify, None)
     assert isinstance(simulation.writer, ArrayWriter)
     assert simulation.writer.finished is not None
@@ -302,13 +308,14 @@ def _prepared(
     begin: float,
     choice: Choice | None = None,
     continuation: Continuation | None = None,
+    starts: Starts | None = None,
 ) -> _Simulation:
     """Return a simulation whose writer is begun by `begun`; see `simulate`."""
     method = make_method(spec)
     check_jumps(spec)
     cautions = caution(spec, method)
     _warn(cautions, notify)
-    workspace, start = build(spec, notify)
+    workspace, start = build(spec, notify, starts)
     moves = start_warnings(spec, start)
     _warn(moves, notify)
     if _LOG.isEnabledFor(logging.DEBUG):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 
 import h5py
 import numpy as np
@@ -44,9 +45,14 @@ def text_bytes(values: Iterable[str]) -> bytes:
     return b"".join(value.encode() + b"\0" for value in values)
 
 
-def line(path: str, dtype: str, shape: Iterable[int], digest: str) -> str:
+def line(path: str, dtype: str, shape: tuple[int, ...], digest: str) -> str:
     """Return the line of one array: path, type, shape and SHA-256 of the values."""
-    return f"{path} {dtype} {','.join(map(str, shape))} {digest}\n"
+    return f"{_beginning(path, dtype, shape)} {digest}\n"
+
+
+@lru_cache(maxsize=1024)
+def _beginning(path: str, dtype: str, shape: tuple[int, ...]) -> str:
+    return f"{path} {dtype} {','.join(map(str, shape))}"
 
 
 def digest_lines(lines: Iterable[str]) -> str:

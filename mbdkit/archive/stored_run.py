@@ -110,6 +110,11 @@ class StoredRun(Run):
         return {one.path: tuple(texts[one.path]) for one in self._finished.layout if not one.grows}
 
     @cached_property
+    def _recorded(self) -> frozenset[str]:
+        """Paths of the arrays with rows."""
+        return frozenset([one.path for one in self._finished.layout if one.grows])
+
+    @cached_property
     def _names(self) -> dict[str, tuple[str, ...]]:  # type: ignore[override]
         names = self._finished.names
         return {**self._texts_of, "trajectory/body": tuple(names.bodies), "joints/joint": tuple(names.joints)}
@@ -122,9 +127,8 @@ class StoredRun(Run):
 
     def dataset(self, path: str) -> np.ndarray:
         """Return an array of the run."""
-        array = layout.BY_PATH.get(path)
-        if array is not None and array.grows and array in self._finished.layout:
-            return self._finished.arrays[array.key]
+        if path in self._recorded:
+            return self._finished.arrays[layout.BY_PATH[path].key]
         if path in self._texts_of:
             return np.array(self._texts_of[path], object)
         if path not in layout.BY_PATH:

@@ -48,6 +48,7 @@ def workspace_at_start(
     *,
     formulation: str = "index-1",
     stabilization: Stabilization = NONE,
+    starts: Starts | None = None,
 ) -> tuple[Workspace, AssembledState]:
     """Compile a mechanism, assemble its initial state and determine its independent constraint rows.
 
@@ -59,6 +60,8 @@ def workspace_at_start(
         Start and end of the run [s]; `end` defaults to `t0`. Redundancy is analysed at times between them.
     formulation, stabilization
         Formulation and stabilization of the equations that are integrated.
+    starts
+        Keeps compiled mechanisms for further starts, if given.
 
     Returns
     -------
@@ -73,7 +76,7 @@ def workspace_at_start(
         If the constraints cannot be satisfied, the two ends of a spring coincide, redundant joints contradict each
         other, or the initial position is singular.
     """
-    start = mechanism_at_start(mechanism, t0, end)
+    start = (starts or Starts()).at_start(mechanism, t0, end)
     workspace = Workspace(start.mechanism, t0, start.q0, start.v0, formulation=formulation, stabilization=stabilization)
     return workspace, start.assembled
 

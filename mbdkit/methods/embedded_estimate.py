@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EmbeddedPair:
-    """Error estimates and dense output of an explicit tableau with S stages.
+    """Error estimates and dense output of an explicit tableau with S stages; equal to itself only.
 
     Parameters
     ----------

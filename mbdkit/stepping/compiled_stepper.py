@@ -400,6 +400,8 @@ class CompiledStepper:
 
     def _take_up_pivots(self) -> None:
         """Pass the current solver of the workspace to the compiled code."""
+        if self.run_state.solver is self.workspace.solver:
+            return
         self.run_state = self.run_state._replace(solver=self.workspace.solver)
         self._pinned_state.replace(self.run_state)
 

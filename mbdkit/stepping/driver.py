@@ -37,12 +37,11 @@ from mbdkit.stepping.run_state import (
 )
 from mbdkit.stepping.step_control import (
     MIN_LAST_ERROR,
-    combined_error,
     factor_after_acceptance,
     factor_after_rejection,
     fitted_size,
     is_too_small,
-    scaled_norm,
+    local_error,
 )
 from mbdkit.stepping.step_guards import (
     begin_energy,
@@ -122,16 +121,6 @@ def _end_of_step(plan, progress, t, h, at_stop):
         return _next_stop(plan, progress), False
     last = t + h >= times.end[0] if plan.control.controlled[0] else progress.whole[0] + 1 >= times.steps[0]
     return times.end[0] if last else t + h, last
-
-
-@subkernel
-def _local_error(c, plan):
-    """Return the estimate of the local error over the tolerance."""
-    error = scaled_norm(plan.control, c.est_q, c.est_v, c.from_q, c.from_v, c.dq, c.dv)
-    if plan.control.estimates[0] == 2:
-        rough = scaled_norm(plan.control, c.second_q, c.second_v, c.from_q, c.from_v, c.dq, c.dv)
-        error = combined_error(error, rough)
-    return error
 
 
 @subkernel
@@ -229,7 +218,7 @@ def _try_step(run, method, attempt, plan):
     projected = jumped = False
     at = jump = total = kinetic = rounding = 0.0
     if status == OK and control.controlled[0]:
-        error = _local_error(c, plan)
+        error = local_error(plan.control, c, c)
     if status == OK and error <= 1.0:
         distance = 1.0
         if guards.has_loops[0] != 0.0:
@@ -411,8 +400,8 @@ def _advance(c, plan):
         for d in range(len(c.q)):
             c.dq[d] += c.shift_q[d]
             c.dv[d] += c.shift_v[d]
-    add_compensated(c.q, c.q_low, c.dq)
-    add_compensated(c.v, c.v_low, c.dv)
+    add_compensated(c.q, c.q_low, c.dq, True)
+    add_compensated(c.v, c.v_low, c.dv, True)
     if c.has_power[0] != 0:
         _add_energies(c)
     last, whole = _advance_time(plan, c.progress)

@@ -11,6 +11,7 @@ import numpy as np
 
 from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.jit.decorators import entry, subkernel
+from mbdkit.engine.jit.lane_types import any_of
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import copy, fill, stays_finite
 from mbdkit.stepping.compiled_method import CompiledMethod
@@ -102,7 +103,7 @@ def _increment(h, weights, slopes, out):
     """Write ``h sum_j weights[j] slopes[j]`` into `out`."""
     fill(out, 0.0)
     for j in range(len(weights)):
-        if weights[j] != 0.0:
+        if any_of(weights[j] != 0.0):
             w, k = h * weights[j], slopes[j]
             for d in range(len(out)):
                 out[d] += w * k[d]
@@ -141,6 +142,28 @@ def add_up_stages(c, m, h):
                 c.gain[k] += h * m.b[i] * m.power[i, k]
 
 
+@subkernel
+def estimate_errors(m, h, out):
+    """Write the estimates of the local error of a step, one or two, into arrays of `out`."""
+    _increment(h, m.error[0], m.rates, out.est_q)
+    _increment(h, m.error[0], m.accelerations, out.est_v)
+    if len(m.error) > 1:
+        _increment(h, m.error[1], m.rates, out.second_q)
+        _increment(h, m.error[1], m.accelerations, out.second_v)
+
+
+@subkernel
+def evaluate_point(c, m, h, theta, out):
+    """Write the state of the run `c` at the share `theta` of a step into arrays of `out`; needs all stages."""
+    weights_at(m.dense, theta, m.weights)
+    _increment(h, m.weights, m.rates, out.point_q)
+    _increment(h, m.weights, m.accelerations, out.point_v)
+    for d in range(len(out.point_q)):
+        out.point_q[d] += c.from_q[d]
+        out.point_v[d] += c.from_v[d]
+    dense_gains(h, m.weights, m.power, out.point_gain)
+
+
 @entry
 def attempt(run, method, t, h, want_error):
     """Compute a step from the base state; see `mbdkit.stepping.driver`."""
@@ -165,11 +188,7 @@ def attempt(run, method, t, h, want_error):
     if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv)):
         return NOT_FINITE
     if want_error != 0.0:
-        _increment(h, m.error[0], m.rates, c.est_q)
-        _increment(h, m.error[0], m.accelerations, c.est_v)
-        if len(m.error) > 1:
-            _increment(h, m.error[1], m.rates, c.second_q)
-            _increment(h, m.error[1], m.accelerations, c.second_v)
+        estimate_errors(m, h, c)
     return OK
 
 
@@ -183,13 +202,7 @@ def dense(run, method, t, h, theta):
         if status != OK:
             return status
         m.status[1] = stages
-    weights_at(m.dense, theta, m.weights)
-    _increment(h, m.weights, m.rates, c.point_q)
-    _increment(h, m.weights, m.accelerations, c.point_v)
-    for d in range(len(c.point_q)):
-        c.point_q[d] += c.from_q[d]
-        c.point_v[d] += c.from_v[d]
-    dense_gains(h, m.weights, m.power, c.point_gain)
+    evaluate_point(c, m, h, theta, c)
     return OK
 
 

@@ -1,8 +1,8 @@
 """Runs in lanes by collocation methods on the index-1 equations, and other fully implicit Runge-Kutta methods.
 
 The step is that of single runs (`mbdkit.stepping.collocation_step`), compiled for lanes. All lanes share the pivots of
-the stage matrix, so that only runs with equal pivots can be lanes of one loop; `stage_pivots` chooses them as a single
-run does. Their scaling may differ. A run that needs other pivots later, a more careful iteration or more iterations is
+the stage matrix, so that only runs with equal pivots can be lanes of one loop; `StagePivoting` chooses them as single
+runs do. Their scaling may differ. A run that needs other pivots later, a more careful iteration or more iterations is
 lost.
 """
 
@@ -96,23 +96,40 @@ class _Start(NamedTuple):
     v: np.ndarray
 
 
-def stage_pivots(method: ImplicitRungeKutta, workspace: Workspace, h: float) -> StagePivots:
-    """Return the pivots that a run from the start of a workspace chooses for steps of `h`.
+class StagePivoting:
+    """Chooses the pivots of the stage matrix of runs of one mechanism and method, as single runs do.
 
-    Raises
-    ------
-    mbdkit.engine.elimination_order.SingularSystemError
-        If the equations of the first step are singular, or need the pivoted solver.
+    The choice depends on the values of the matrix, and is made anew for each run; what it needs is shared.
+
+    Parameters
+    ----------
+    method
+        The method.
+    workspace
+        The mechanism at the start of one of the runs.
     """
-    single = CompiledCollocation(method, workspace, None)
-    start: Any = _Start(workspace.q0, workspace.v0)
-    single.start(start, h)
-    if workspace.solver.pivoted[0]:
-        raise SingularSystemError
-    if method.stage_solver == "fixed-point":  # which solves no stage matrix
-        return StagePivots(empty_pattern(), example_of(Scatter))
-    systems = single.bundle.systems
-    return StagePivots(systems.pattern, systems.scatter)
+
+    def __init__(self, method: ImplicitRungeKutta, workspace: Workspace):
+        self._method, self._workspace = method, workspace
+        self._single = CompiledCollocation(method, workspace, None)
+
+    def pivots(self, q: np.ndarray, v: np.ndarray, h: float) -> StagePivots:
+        """Return the pivots for steps of `h` from the positions and velocities (3 (B + 1),).
+
+        Raises
+        ------
+        mbdkit.engine.elimination_order.SingularSystemError
+            If the equations of the first step are singular, or need the pivoted solver; the object is then of no
+            further use.
+        """
+        start: Any = _Start(q, v)
+        self._single.start(start, h)
+        if self._workspace.solver.pivoted[0]:
+            raise SingularSystemError
+        if self._method.stage_solver == "fixed-point":  # which solves no stage matrix
+            return StagePivots(empty_pattern(), example_of(Scatter))
+        systems = self._single.bundle.systems
+        return StagePivots(systems.pattern, systems.scatter)
 
 
 def collocation_in_lanes(method: ImplicitRungeKutta, workspace: Workspace, pivots: StagePivots) -> LaneStages:

@@ -34,16 +34,21 @@ from mbdkit.stepping.step_guards import (
 
 
 @subkernel
-def _lose(c, condition):
+def lose(c, condition):
     """Mark the lanes in which a condition holds as lost."""
     c.lost[0] = where(condition, 1.0, c.lost[0])
 
 
 @subkernel
-def _watch_branches(c, t):
-    """Follow the paths of all lanes by the step that ends at `t`; see `mbdkit.stepping.step_guards.watch_branch`."""
+def watch_branches(c, t, moved):
+    """Follow the paths of lanes by the step that ends at `t`; see `mbdkit.stepping.step_guards.watch_branch`.
+
+    Only those lanes take part in which `moved` is not 0.
+    """
     watch = c.watch
     for lane in range(WIDTH):
+        if number_in(moved, lane) == 0.0:
+            continue
         guards = load_guards(watch.guards[lane])
         guards.distance[0] = number_in(watch.distance[0], lane)
         guards.kinetic[0] = number_in(c.guards.kinetic[0], lane)
@@ -68,14 +73,14 @@ def _write_row(c, row, t):
 @subkernel
 def _advance(c):
     """Add the increments of a step to the state by compensated sums."""
-    add_compensated(c.q, c.q_low, c.dq)
-    add_compensated(c.v, c.v_low, c.dv)
+    add_compensated(c.q, c.q_low, c.dq, True)
+    add_compensated(c.v, c.v_low, c.dv, True)
     if c.has_power[0] != 0:
-        add_compensated(c.energy, c.energy_low, c.gain)
+        add_compensated(c.energy, c.energy_low, c.gain, True)
 
 
 @subkernel
-def _observe_row(c, r):
+def observe_row(c, r):
     """Compute the values of a recorded state; see `mbdkit.engine.kernels.observe.observe`."""
     top, w, out = c.top, c.w, c.observed
     q, v, acc, lam = c.row_q[r], c.row_v[r], out.acc[r], out.lam[r]
@@ -94,7 +99,7 @@ def _observe_row(c, r):
         total += abs(acc[d])
     for k in range(len(lam)):
         total += abs(lam[k, 0]) + abs(lam[k, 1])
-    _lose(c, not abs(total) < np.inf)
+    lose(c, not abs(total) < np.inf)
 
 
 @inlined
@@ -120,22 +125,22 @@ def drive(c, take_step):
         iterations = c.counts[ITERATIONS] - before
         c.interval[0] += iterations
         c.interval[1] = max(c.interval[1], iterations)
-        _lose(c, not (stays_finite(c.q, c.dq) & stays_finite(c.v, c.dv)))
+        lose(c, not (stays_finite(c.q, c.dq) & stays_finite(c.v, c.dv)))
         _advance(c)
         t = where(n < steps - 1, start + (n + 1) * step, times.end[0])
         if c.watch.has_loops[0] != 0:
-            _watch_branches(c, t)
+            watch_branches(c, t, where(c.lost[0] == 0.0, 1.0, 0.0))
         raise_misalignments(c.top, c.w, t, c.q, c.worst)
         jump, total, kinetic, rounding = energy_jump(c, c.guards, c.gain, c.q, c.v)
         note_jump(c.guards, t, jump, total, kinetic, rounding, c.energy_share[0])
         for k in range(len(c.worst)):
-            _lose(c, c.worst[k] > c.squared_misalignment[k])
-        _lose(c, c.guards.exceeded[0] != 0.0)
+            lose(c, c.worst[k] > c.squared_misalignment[k])
+        lose(c, c.guards.exceeded[0] != 0.0)
         if (n + 1) % every == 0 or n == steps - 1:
             _write_row(c, rows, t)
             rows += 1
     for r in range(rows):
-        _observe_row(c, r)
+        observe_row(c, r)
     return rows
 
 

@@ -134,9 +134,8 @@ def explicit_in_lanes(method: ExplicitRungeKutta, workspace: Workspace) -> Expli
     """Return the bundle of an explicit method for lanes."""
     tableau = new_explicit(method, workspace.mechanism.size, len(workspace.mechanism.topology.pairs))
     wide: Explicit = widened(tableau)
-    return tableau._replace(
-        rates=wide.rates, accelerations=wide.accelerations, q_stage=wide.q_stage, lam=wide.lam, power=wide.power
-    )
+    in_lanes = ("rates", "accelerations", "q_stage", "lam", "power", "weights")
+    return tableau._replace(**{name: getattr(wide, name) for name in in_lanes})
 
 
 def new_lane_run(method: Any, workspace: Workspace, rows: int) -> LaneRun:
@@ -167,7 +166,7 @@ def new_lane_run(method: Any, workspace: Workspace, rows: int) -> LaneRun:
     )  # fmt: skip
 
 
-def _example() -> LaneRun:
+def example_lane_run() -> LaneRun:
     """Return a bundle that provides the types of its arrays."""
     from mbdkit.methods import rk4
 
@@ -175,5 +174,5 @@ def _example() -> LaneRun:
     return new_lane_run(explicit_in_lanes(ExplicitRungeKutta(rk4.tableau()), workspace), workspace, 1)
 
 
-load_lane_run = bundle_loader(_example)
+load_lane_run = bundle_loader(example_lane_run)
 load_guards = bundle_loader(lambda: new_guard_state(example_workspace().mechanism))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.counters import Counters
+from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.jit.bundle import JIT_DISABLED, PinnedBundle
 from mbdkit.engine.jit.lane_arrays import Lanes
 from mbdkit.engine.jit.lane_width import WIDTH
@@ -19,11 +20,11 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
 from mbdkit.stepping.interface import StepEvidence, Timetable
 from mbdkit.stepping.lane_collocation import (
+    StagePivoting,
     StagePivots,
     collocation_in_lanes,
     drive_collocation,
     load_stage_pivots,
-    stage_pivots,
 )
 from mbdkit.stepping.lane_driver import drive_explicit
 from mbdkit.stepping.lane_run import BY_LANE, explicit_in_lanes, new_lane_run
@@ -35,7 +36,10 @@ from mbdkit.stepping.step_watch import guard_evidence
 
 @dataclass(frozen=True)
 class LaneResults:
-    """Runs that were advanced in lanes: W runs with T recorded states each, the initial one first."""
+    """Runs that were advanced in lanes: W runs with up to T recorded states each, the initial one first.
+
+    Runs with controlled step size may have fewer than T recorded states; their last one is then repeated.
+    """
 
     lost: np.ndarray
     """(W,) whether a run must be repeated alone; its other values are not valid."""
@@ -52,6 +56,11 @@ class LaneResults:
     """(W, P) largest squared misalignments."""
     iterations: np.ndarray
     """(W, T, 2) iterations since the recorded state before, and the largest number of them in one step."""
+    rows: np.ndarray
+    """(W,) number of recorded states of each run."""
+    work: np.ndarray | None
+    """(W, T, 3) steps since the recorded state before, size of the last one [s], and rejected steps; None if the steps
+    are fixed."""
     evidence: tuple[StepEvidence, ...]
     counters: tuple[Counters, ...]
 
@@ -84,27 +93,31 @@ def topology_of(mechanism: CompiledMechanism) -> tuple[object, ...]:
 def suits_lanes(method: Any, mechanism: CompiledMechanism, table: Timetable) -> bool:
     """Return whether a run of index-1 equations without stabilization can be advanced in lanes.
 
-    Its method must have fixed steps and solve all stages together or be explicit, without events and rows by interval,
-    and the Schur complement must do.
+    Its method must be explicit, or have fixed steps and solve all stages together. Events are not possible, rows by
+    interval only with controlled step size, and the Schur complement must do.
     """
     is_collocation = (
         isinstance(method, ImplicitRungeKutta) and method.tolerances is None and method.tableau.is_diagonalisable
     )
+    is_fixed = table.interval is None and table.step is not None and table.steps <= table.max_steps
     return (
         not JIT_DISABLED
         and (isinstance(method, ExplicitRungeKutta) or is_collocation)
-        and table.interval is None
-        and table.step is not None
+        and (is_fixed or is_controlled(method))
         and not table.single
         and not table.stops
-        and table.steps <= table.max_steps
         and not mechanism.needs_pivots
         and len(mechanism.topology.spare) == 0
     )
 
 
+def is_controlled(method: Any) -> bool:
+    """Return whether an explicit method controls its step size."""
+    return isinstance(method, ExplicitRungeKutta) and method.tolerances is not None
+
+
 class LaneStepper:
-    """Advances up to `WIDTH` runs with the topology and the method of the first.
+    """Advances up to `WIDTH` runs with fixed steps, with the topology and the method of the first.
 
     Parameters
     ----------
@@ -115,7 +128,7 @@ class LaneStepper:
     rows
         Number of recorded states, the initial one included.
     pivots
-        Pivots of the stage matrix of the first run (`pivots_at_start`); None if the method is explicit.
+        Pivots of the stage matrix of the first run (`PivotsAtStart`); None if the method is explicit.
     """
 
     def __init__(
@@ -133,6 +146,7 @@ class LaneStepper:
             self._drive = drive_collocation
             self.run = new_lane_run(collocation_in_lanes(method, workspace, pivots), workspace, rows)
         self._pinned = PinnedBundle(self.run)
+        self._topologies: list[Topology | None] = [None] * WIDTH
         self._guards = [new_guard_state(workspace.mechanism) for _ in range(WIDTH)]
         self._pinned_guards = [PinnedBundle(one) for one in self._guards]
         self.run.watch.guards[:] = [one.address for one in self._pinned_guards]
@@ -151,24 +165,31 @@ class LaneStepper:
         """
         count = len(starts)
         lanes = [*range(count), *[0] * (WIDTH - count)]  # idle lanes repeat the first run
-        self._load([starts[lane] for lane in lanes], [tables[lane] for lane in lanes])
+        self.load([starts[lane] for lane in lanes], [tables[lane] for lane in lanes])
+        self._load_steps([tables[lane] for lane in lanes])
         if chosen := [one for one in pivots if one is not None]:
             load_stage_pivots(self.run.method, [chosen[lane] for lane in lanes])
         self._drive(self._pinned.address)
-        return self._results(count)
+        steps = int(self.run.times.steps[0])
+        made = [Counters(steps=steps, accepted=steps)] * count
+        return self.results(made, np.full(count, len(self.run.row_time)))
 
-    def _load(self, starts: list[AtStart], tables: list[Timetable]) -> None:
+    def load(self, starts: list[AtStart], tables: list[Timetable]) -> None:
+        """Take over the mechanisms, states and limits of `WIDTH` runs."""
         c = self.run
         mechanisms = [one.mechanism for one in starts]
-        _fill(c.top, [one.topology for one in mechanisms])
+        topologies = [one.topology for one in mechanisms]
+        if any(new is not loaded for new, loaded in zip(topologies, self._topologies, strict=True)):
+            _fill(c.top, topologies)
+            self._topologies = [*topologies]
         _put(c.q, [one.q0 for one in starts])
         _put(c.v, [one.v0 for one in starts])
         limits = [guard_limits(one, table.guards) for one, table in zip(mechanisms, tables, strict=True)]
         _put(c.squared_misalignment, [one.squared_misalignment for one in limits])
         _put(c.energy_share, [one.energy_jump for one in limits])
-        for name in ("start", "end", "step", "last_step"):
+        for name in ("start", "end"):
             getattr(c.times, name)[0] = [getattr(table, name) for table in tables]
-        c.times.steps[0], c.times.every[0] = tables[0].steps, tables[0].every
+        c.times.every[0] = tables[0].every
         c.w.source[: len(c.q) - 3] = c.top.mass[:-1].reshape(-1, WIDTH)
         zeros = c.q_low, c.v_low, c.energy, c.energy_low, c.gain, c.worst, c.counts, c.interval, c.lost, c.near
         for array in (*zeros, *c.guards):
@@ -181,41 +202,78 @@ class LaneStepper:
                 for array, fresh in zip(guards, new_guard_state(mechanism), strict=True):
                     array[...] = fresh
 
-    def _results(self, count: int) -> LaneResults:
-        c = self.run
-        steps = int(c.times.steps[0])
+    def _load_steps(self, tables: list[Timetable]) -> None:
+        times = self.run.times
+        for name in ("step", "last_step"):
+            getattr(times, name)[0] = [getattr(table, name) for table in tables]
+        times.steps[0] = tables[0].steps
+
+    def results(self, counters: Sequence[Counters], rows: np.ndarray, work: np.ndarray | None = None) -> LaneResults:
+        """Return the results of the first runs.
+
+        Parameters
+        ----------
+        counters
+            Counters of each run that are not counted by lanes.
+        rows
+            Number of recorded states of each run.
+        work
+            See `LaneResults.work`.
+        """
+        c, count = self.run, len(counters)
         arrays = (c.row_time, c.row_q, c.row_v, c.row_energy, *c.observed, c.worst, c.row_interval)
         time, q, v, energy, *observed, worst, iterations = (
-            np.ascontiguousarray(np.moveaxis(x, -1, 0)[:count]) for x in arrays
+            by_run(x, count) if x is c.worst else by_run(x[: rows.max()], count) for x in arrays
         )
         for lane, guards in enumerate(self._guards):
             for name in ("kinetic", "jump", "jump_time"):
                 getattr(guards, name)[0] = getattr(c.guards, name)[0, lane]
         evidence = tuple(guard_evidence(guards, []) for guards in self._guards[:count])
-        counters = tuple(_counters(steps, counts) for counts in c.counts.T[:count])
+        counted = tuple(_counted(one, counts) for one, counts in zip(counters, c.counts.T, strict=False))
         lost = np.asarray(c.lost[0, :count] != 0.0)
-        return LaneResults(lost, time, q, v, energy, Observed(*observed), worst, iterations, evidence, counters)
+        return LaneResults(
+            lost, time, q, v, energy, Observed(*observed), worst, iterations, rows, work, evidence, counted
+        )
 
 
-def pivots_at_start(method: Any, start: AtStart, table: Timetable) -> StagePivots | None:
-    """Return the pivots that a run chooses; None if its method needs none.
-
-    Raises
-    ------
-    mbdkit.engine.elimination_order.SingularSystemError
-        If the equations of the first step are singular, or need the pivoted solver.
-    """
-    if isinstance(method, ExplicitRungeKutta):
-        return None
-    assert table.step is not None
-    return stage_pivots(method, Workspace(start.mechanism, table.start, start.q0, start.v0), table.step)
+def by_run(lanes: np.ndarray, count: int) -> np.ndarray:
+    """Return the values (..., WIDTH) of the first lanes as (count, ...), contiguous."""
+    return np.ascontiguousarray(np.moveaxis(lanes, -1, 0)[:count])
 
 
-def _counters(steps: int, counts: np.ndarray) -> Counters:
-    """Return the counters of one lane from its counts (5,)."""
-    return Counters(
-        steps=steps,
-        accepted=steps,
+class PivotsAtStart:
+    """Chooses the pivots of runs; those of one mechanism and method share what that needs."""
+
+    def __init__(self) -> None:
+        self._latest: tuple[tuple[object, ...], StagePivoting] | None = None
+
+    def of(self, method: Any, start: AtStart, table: Timetable) -> StagePivots | None:
+        """Return the pivots that a run chooses; None if its method needs none.
+
+        Raises
+        ------
+        mbdkit.engine.elimination_order.SingularSystemError
+            If the equations of the first step are singular, or need the pivoted solver.
+        """
+        if isinstance(method, ExplicitRungeKutta):
+            return None
+        assert table.step is not None
+        shared = method, start.mechanism, table.start
+        if self._latest is None or any(a is not b for a, b in zip(shared, self._latest[0], strict=True)):
+            workspace = Workspace(start.mechanism, table.start, start.q0, start.v0)
+            self._latest = shared, StagePivoting(method, workspace)
+        pivoting = self._latest[1]
+        try:
+            return pivoting.pivots(start.q0, start.v0, table.step)
+        except SingularSystemError:
+            self._latest = None
+            raise
+
+
+def _counted(counters: Counters, counts: np.ndarray) -> Counters:
+    """Return the counters of one lane, completed by its counts (5,)."""
+    return replace(
+        counters,
         rhs_evaluations=int(counts[RHS]),
         jacobian_evaluations=int(counts[JACOBIANS]),
         factorizations=int(counts[FACTORIZATIONS]),
@@ -228,7 +286,7 @@ def _put(lanes: np.ndarray, arrays: list[np.ndarray]) -> None:
     lanes[...] = np.stack(arrays, axis=-1)
 
 
-def _fill(top: Topology, topologies: list[Topology]) -> None:
+def _fill(top: Topology, topologies: Sequence[Topology]) -> None:
     """Copy the numbers of one mechanism for each lane; integers are the same for all."""
     for name, lanes in zip(Topology._fields, top, strict=True):
         arrays = [getattr(one, name) for one in topologies]

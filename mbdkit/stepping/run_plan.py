@@ -134,6 +134,11 @@ def guard_limits(mechanism: CompiledMechanism, guards: Guards) -> GuardLimits:
     return GuardLimits(squared, _real(guards.energy_jump), _real(ENERGY_JUMP))
 
 
+def smallest_step(table: Timetable) -> float:
+    """Return the size below which a controlled step stops the run [s]."""
+    return MIN_SIZE * max(abs(table.start), abs(table.end), table.end - table.start)
+
+
 def new_plan(
     timetable: Timetable, control: Control | None, stabilization: Stabilization, limits: GuardLimits
 ) -> RunPlan:
@@ -141,7 +146,6 @@ def new_plan(
     table = timetable
     step = table.step or 0.0
     last = step if control is not None else table.last_step
-    largest_time = max(abs(table.start), abs(table.end), table.end - table.start)
     return RunPlan(
         times=Times(
             _real(table.start),
@@ -158,7 +162,7 @@ def new_plan(
             interval=_real(table.interval or 0.0),
             start_of_step=_whole(table.single),
         ),
-        control=control_data(control, MIN_SIZE * largest_time),
+        control=control_data(control, smallest_step(table)),
         projection=Projection(
             mode=_whole(projection_mode(stabilization, controlled=control is not None)),
             every=_whole(stabilization.every),

@@ -100,7 +100,7 @@ class SciPyStepper:
 
     def _absolute(self, method: SciPySolver) -> Any:
         """Return the absolute tolerance: a number, or one for each component of y; see `unit_of_length`."""
-        length = unit_of_length(method.by_size, self.workspace)
+        length = unit_of_length(method.by_size, self.workspace.mechanism)
         if length == 1.0:
             return method.atol
         bodies = np.tile([length, length, 1.0], 2 * self.n3 // 3)

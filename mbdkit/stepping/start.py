@@ -6,6 +6,7 @@ import math
 from functools import singledispatch
 from typing import Any
 
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import (
     ExplicitRungeKutta,
@@ -28,14 +29,28 @@ from mbdkit.stepping.scipy_bridge import SciPyStepper
 from mbdkit.stepping.step_control import Control, unit_of_length
 
 
-def _control(tolerances: Tolerances, workspace: Workspace, **parameters: Any) -> Control:
+def _control(tolerances: Tolerances, mechanism: CompiledMechanism, **parameters: Any) -> Control:
     """Return step-size control with the tolerances of a method and other `parameters` of `Control`."""
     return Control(
         tolerances.rtol,
         tolerances.atol,
         max_step=math.inf if tolerances.max_step is None else tolerances.max_step,
-        length=unit_of_length(tolerances.by_size, workspace),
+        length=unit_of_length(tolerances.by_size, mechanism),
         **parameters,
+    )
+
+
+def explicit_control(method: ExplicitRungeKutta, mechanism: CompiledMechanism) -> Control | None:
+    """Return the step-size control of an explicit method on a mechanism; None for fixed steps."""
+    if method.tolerances is None or method.pair is None:
+        return None
+    return _control(
+        method.tolerances,
+        mechanism,
+        order=method.tableau.order,
+        estimate_order=method.pair.estimate_order,
+        estimates=len(method.pair.error),
+        memory=0.2,
     )
 
 
@@ -64,16 +79,7 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
 
 @start_method.register
 def _(method: ExplicitRungeKutta, workspace: Workspace, timetable: Timetable) -> Stepper:
-    control = None
-    if method.tolerances is not None and method.pair is not None:
-        control = _control(
-            method.tolerances,
-            workspace,
-            order=method.tableau.order,
-            estimate_order=method.pair.estimate_order,
-            estimates=len(method.pair.error),
-            memory=0.2,
-        )
+    control = explicit_control(method, workspace.mechanism)
     return CompiledStepper(CompiledExplicit(method, workspace), workspace, timetable, control)
 
 
@@ -88,7 +94,9 @@ def _(method: ImplicitRungeKutta, workspace: Workspace, timetable: Timetable) ->
             )
         return PythonStepper(DiagonallyImplicit(method), workspace, timetable)
     if method.tolerances is not None:
-        control = _control(method.tolerances, workspace, order=tableau.order, estimate_order=tableau.stages + 1)
+        control = _control(
+            method.tolerances, workspace.mechanism, order=tableau.order, estimate_order=tableau.stages + 1
+        )
     if workspace.formulation != "index-1" and not (tableau.is_stiffly_accurate and method.stage_solver == "newton"):
         raise TableauError(
             f"{tableau.name} cannot be used with the formulation {workspace.formulation!r}, which requires a stiffly "

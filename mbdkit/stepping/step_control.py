@@ -12,7 +12,7 @@ the oscillations of the step size at the limit of stability of an explicit metho
 (``EXPO1``); DOP853 has 0.2 there, but beta = 0 by default. RADAU5 and SciPy's Radau use Gustafsson's predictive
 controller instead, which also takes the sizes of the last two steps into account.
 
-The functions that work on numbers are kernels; their ``py_func`` can be called from Python.
+The compiled functions serve numbers and lanes (`mbdkit.engine.jit.lane_types`).
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.lane_types import where
 from mbdkit.engine.kernels.observe import first_order_rates
 
 if TYPE_CHECKING:
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.engine.workspace import Workspace
 
 SAFETY = 0.9
@@ -157,14 +159,14 @@ def control_data(control: Control | None, min_size: float) -> ControlData:
     )
 
 
-def unit_of_length(by_size: bool, workspace: Workspace) -> float:
+def unit_of_length(by_size: bool, mechanism: CompiledMechanism) -> float:
     """Return the unit of length [m] in which a default absolute tolerance applies; 1 for a given one.
 
     It is the characteristic length of the mechanism, but at most 1 m: a tolerance of 1e-6 m would allow any error in
     a mechanism of micrometres. Velocities scale with it, so that a run of the same mechanism in other units of length
     takes the same steps. Angles and times are the same in all units.
     """
-    return min(1.0, workspace.mechanism.length) if by_size else 1.0
+    return min(1.0, mechanism.length) if by_size else 1.0
 
 
 @subkernel
@@ -180,16 +182,25 @@ def scaled_norm(control, error_q, error_v, q, v, dq, dv):
         atol = control.atol[d % 3]
         scale_q = atol + rtol * max(abs(q[d]), abs(q[d] + dq[d]))
         scale_v = atol + rtol * max(abs(v[d]), abs(v[d] + dv[d]))
-        total += (error_q[d] / scale_q) ** 2 + (error_v[d] / scale_v) ** 2
+        ratio_q, ratio_v = error_q[d] / scale_q, error_v[d] / scale_v
+        total += ratio_q * ratio_q + ratio_v * ratio_v
     return np.sqrt(total / (2 * n))
 
 
 @subkernel
 def combined_error(fine, rough):
     """Return the error from two estimates of different order, as in DOP853."""
-    if fine > 0.0:
-        return fine * fine / np.sqrt(fine * fine + ROUGH_WEIGHT * rough * rough)
-    return fine
+    return where(fine > 0.0, fine * fine / np.sqrt(fine * fine + ROUGH_WEIGHT * rough * rough), fine)
+
+
+@subkernel
+def local_error(control, estimates, c):
+    """Return the local error over the tolerance, from one or two estimates of it, for the step of the run `c`."""
+    error = scaled_norm(control, estimates.est_q, estimates.est_v, c.from_q, c.from_v, c.dq, c.dv)
+    if control.estimates[0] == 2:
+        rough = scaled_norm(control, estimates.second_q, estimates.second_v, c.from_q, c.from_v, c.dq, c.dv)
+        error = combined_error(error, rough)
+    return error
 
 
 @subkernel
@@ -198,17 +209,13 @@ def fitted_size(t, h, end):
 
     If two steps are left, they are made equal, so that the last one is not a tiny remainder.
     """
-    if t + END_MARGIN * h >= end:
-        return end - t
-    if t + 2.0 * h > end:
-        return 0.5 * (end - t)
-    return h
+    return where(t + END_MARGIN * h >= end, end - t, where(t + 2.0 * h > end, 0.5 * (end - t), h))
 
 
 @subkernel
 def is_too_small(control, t, h, end):
     """Return whether the step size is below the smallest one; the last step of a run may be."""
-    return not h > control.min_size[0] and t + END_MARGIN * h < end
+    return (not h > control.min_size[0]) & (t + END_MARGIN * h < end)
 
 
 @subkernel
@@ -217,43 +224,43 @@ def factor_after_acceptance(control, error, last_error, retrying):
 
     `last_error` is 0 if there is no accepted step before. After a rejection (`retrying`) the size must not grow.
     """
-    factor = MAX_FACTOR
-    if error > 0.0:
-        factor = SAFETY * error ** (-(control.exponent[0] - INTEGRAL_SHARE * control.beta[0]))
-        if last_error > 0.0:
-            factor *= last_error ** control.beta[0]
-    factor = min(MAX_FACTOR, max(MIN_FACTOR, factor))
-    if retrying != 0:
-        factor = min(1.0, factor)
-    return factor
+    factor = SAFETY * error ** (-(control.exponent[0] - INTEGRAL_SHARE * control.beta[0]))
+    factor = where(last_error > 0.0, factor * last_error ** control.beta[0], factor)
+    factor = min(MAX_FACTOR, max(MIN_FACTOR, where(error > 0.0, factor, MAX_FACTOR)))
+    return where(retrying != 0, min(1.0, factor), factor)
 
 
 @subkernel
 def factor_after_rejection(control, solved, error):
     """Return h_new / h after a rejected step, by the error alone; `solved` tells whether there is an error."""
-    if solved and error < np.inf:
-        return max(MIN_FACTOR, SAFETY * error ** (-control.exponent[0]))
-    return SOLVER_FAILURE_FACTOR
+    factor = max(MIN_FACTOR, SAFETY * error ** (-control.exponent[0]))
+    return where(solved & (error < np.inf), factor, SOLVER_FAILURE_FACTOR)
 
 
 def first_step(workspace: Workspace, span: float, control: Control) -> float:
-    """Return a small first step [s] (Hairer, Norsett and Wanner 1993, II.4, steps a and b of the algorithm).
-
-    Parameters
-    ----------
-    workspace
-        The mechanism at its start.
-    span
-        Length of the run [s].
-    control
-        Tolerances.
-    """
+    """Return a small first step from the start of a workspace in a run of length `span` [s]; see `first_size`."""
     n3 = 3 * len(workspace.mechanism.bodies)
     y = np.concatenate([workspace.q0[:n3], workspace.v0[:n3], np.zeros(2)])
     rates = np.zeros_like(y)
     acc, lam = np.zeros((3, workspace.mechanism.size)), np.zeros((len(workspace.stepping_topology.pairs), 2))
     first_order_rates(workspace.stepping_engine, False, workspace.t0, y, acc, lam, rates)
-    y, rates = y[:-2], rates[:-2]
+    return first_size(y[:-2], rates[:-2], span, control)
+
+
+def first_size(y: np.ndarray, rates: np.ndarray, span: float, control: Control) -> float:
+    """Return a small first step [s] (Hairer, Norsett and Wanner 1993, II.4, steps a and b of the algorithm).
+
+    Parameters
+    ----------
+    y
+        (6 B,) positions and velocities at the start.
+    rates
+        (6 B,) their derivatives.
+    span
+        Length of the run [s].
+    control
+        Tolerances.
+    """
     scale = control.atol * np.tile(control.lengths, len(y) // 3) + control.rtol * np.abs(y)
     d0, d1 = (float(np.sqrt(np.mean((x / scale) ** 2))) for x in (y, rates))
     guess = 0.01 * d0 / d1 if d0 > 1e-5 and 1e-5 < d1 < np.inf else 1e-6

@@ -15,7 +15,7 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -24,13 +24,16 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.batch import Refused, simulate_batch
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
 from mbdkit.run_preparation import build, make_method
+from mbdkit.simulation import simulate_arrays
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Timetable
-from mbdkit.stepping.lane_stepper import LaneStepper, pivots_at_start
+from mbdkit.stepping.lane_stepper import LaneStepper, PivotsAtStart
 from mbdkit.stepping.start import start_method
 from tests.witness.double_pendulum import HORIZONTAL
 
@@ -88,7 +91,7 @@ def by_lanes(method: str, steps: int) -> Outcome:
     """Take the steps in lanes, in one thread."""
     starts, chosen = members(method)
     tables = [table_of(steps)] * WIDTH
-    pivots = [pivots_at_start(chosen, *one) for one in zip(starts, tables, strict=True)]
+    pivots = [PivotsAtStart().of(chosen, *one) for one in zip(starts, tables, strict=True)]
     stepper = LaneStepper(chosen, starts[0], 2, pivots[0])
     begin = time.perf_counter()
     results = stepper.advance(starts, tables, pivots)
@@ -240,12 +243,46 @@ def ensemble(console: Console) -> None:
             f"{equal / timings[f'{best}{AT_TARGET}'].median:.2f}",
         )  # fmt: skip
     console.print(table)
+    _adaptive(console)
     _two_threads(console)
     whole_ensembles(console)
 
 
 def _seconds(contender: Contender, steps: int) -> float:
     return contender(steps)[0]
+
+
+def _adaptive(console: Console) -> None:
+    """Print the time of runs with adaptive steps in lanes and one by one: steps, recorded values and their hash."""
+    table = Table(title=f"dop853 with adaptive steps, {MEMBERS} double pendulums, {END:g} s: medians of {REPEATS}")
+    for heading in ("relative tolerance", "steps a run", "ms a run in lanes", "ms a run one by one", "ratio"):
+        table.add_column(heading, justify="right")
+    angles = np.random.default_rng(1).uniform(-1.0, 1.0, (MEMBERS, 2))
+    for tolerance in (1e-6, 1e-9, 1e-12):
+        integrator = {"name": "dop853", "adaptive": True, "rtol": tolerance}
+        models = [{"name": "double-pendulum", "angles": pair.tolist()} for pair in angles]
+        specs = [RunSpec(mbdkit=1, model=one, integrator=integrator, time={"end": END}) for one in models]
+
+        def in_lanes(specs: list[RunSpec] = specs) -> float:
+            return _stepping(simulate_batch(specs))
+
+        def one_by_one(specs: list[RunSpec] = specs) -> float:
+            return _stepping(map(simulate_arrays, specs))
+
+        assert in_lanes() > 0.0 < one_by_one()  # loads what is compiled
+        timings = take_turns({"lanes": in_lanes, "single": one_by_one}, REPEATS)
+        lanes, single = timings["lanes"].median, timings["single"].median
+        steps = np.mean([simulate_arrays(one).stats["steps"] for one in specs])
+        numbers = f"{1e3 * lanes:.3f}", f"{1e3 * single:.3f}", f"{single / lanes:.2f}"
+        table.add_row(f"{tolerance:.0e}", f"{steps:.0f}", *numbers)
+    console.print(table)
+
+
+def _stepping(runs: Iterable[FinishedRun | Refused]) -> float:
+    """Return the mean time of the steps of runs, with what is recorded of them [s]."""
+    times = [run.stats["wall_s"] for run in runs if isinstance(run, FinishedRun)]
+    assert len(times) == MEMBERS
+    return float(np.mean(times))
 
 
 def _two_threads(console: Console) -> None:

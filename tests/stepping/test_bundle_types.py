@@ -68,8 +68,8 @@ def test_bundles_of_runs_have_the_types_that_kernels_are_compiled_for(pinned: li
             mbdkit.run(example, **{"events": {}, "time": {"end": 0.02, "step": 0.01}} | sections).check()
         workspace, _ = build(load_spec(example))
         call_everything(EquationsOfMotion(workspace))
-        for method in ("rk4", "gauss"):
-            in_lanes = load_spec(example, (), integrator={"name": method}, time={"end": 0.02, "step": 0.01}, events={})
+        for integrator in ({"name": "rk4"}, {"name": "gauss"}, {"name": "dop853", "adaptive": True}):
+            in_lanes = load_spec(example, (), integrator=integrator, time={"end": 0.02, "step": 0.01}, events={})
             assert len(list(simulate_batch([in_lanes]))) == 1
         workspace.use_pivots()
     expected = expected_types()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import defaultdict
 from typing import Any
@@ -15,8 +16,11 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods import dop853, dopri5, gauss, radau_iia, rk4, rk_gill
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Tolerances
+from mbdkit.run_preparation import build
+from mbdkit.spec import RunSpec
+from mbdkit.stepping.controlled_lanes import ControlledLaneStepper
 from mbdkit.stepping.interface import Guards, Timetable
-from mbdkit.stepping.lane_stepper import LaneResults, LaneStepper, pivots_at_start, suits_lanes, topology_of
+from mbdkit.stepping.lane_stepper import LaneResults, LaneStepper, PivotsAtStart, suits_lanes, topology_of
 from mbdkit.stepping.start import start_method
 from tests.engine.random_mechanisms import chain, driven_frame, ladder, slides
 
@@ -33,6 +37,20 @@ METHODS: dict[str, ExplicitRungeKutta | ImplicitRungeKutta] = {
     "radau-iia-2": ImplicitRungeKutta(radau_iia.tableau(2)),
 }
 IMPLICIT = [name for name, method in METHODS.items() if isinstance(method, ImplicitRungeKutta)]
+
+
+TIGHT, LOOSE = Tolerances(1e-9, 1e-9, by_size=True), Tolerances(1e-4, 1e-5, max_step=0.2)
+
+CONTROLLED = {
+    "adaptive dopri5": ExplicitRungeKutta(dopri5.tableau(), dopri5.pair(), TIGHT),
+    "adaptive dop853": ExplicitRungeKutta(dop853.tableau(), dop853.pair(), TIGHT),
+    "loose dop853": ExplicitRungeKutta(dop853.tableau(), dop853.pair(), LOOSE),
+}
+RECORDED: dict[str, dict[str, Any]] = {
+    "adaptive dopri5": {"every": 1},
+    "adaptive dop853": {"interval": 0.011},
+    "loose dop853": {"every": 3},
+}
 
 
 def with_laws(rng: np.random.Generator) -> Mechanism:
@@ -112,7 +130,7 @@ def rows_of(table: Timetable) -> int:
 
 
 def advanced(method: str, workspaces: list[Workspace], planned: list[Timetable]) -> LaneResults:
-    pivots = [pivots_at_start(METHODS[method], *one) for one in zip(workspaces, planned, strict=True)]
+    pivots = [PivotsAtStart().of(METHODS[method], *one) for one in zip(workspaces, planned, strict=True)]
     assert len({one and one.key for one in pivots}) == 1
     stepper = LaneStepper(METHODS[method], workspaces[0], rows_of(planned[0]), pivots[0])
     return stepper.advance(workspaces, planned, pivots)
@@ -122,19 +140,23 @@ def assert_same_bits(results: LaneResults, lane: int, method: str, workspace: Wo
     """Assert that a lane has the bits of a run by the driver of single runs."""
     assert not results.lost[lane]
     own = workspace.for_another_run(workspace.formulation, workspace.stabilization)
-    stepper = start_method(METHODS[method], own, table)
+    stepper = start_method((METHODS | CONTROLLED)[method], own, table)
+    rows = slice(1, results.rows[lane])
     parts = []
     while not stepper.finished:
         parts.append(stepper.advance())
         assert stepper.failure is None
     for name in ("time", "q", "v"):
         np.testing.assert_array_equal(
-            getattr(results, name)[lane, 1:], np.concatenate([getattr(x, name) for x in parts])
+            getattr(results, name)[lane, rows], np.concatenate([getattr(x, name) for x in parts])
         )
     for k, name in enumerate(("work", "dissipated")):
-        np.testing.assert_array_equal(results.energy[lane, 1:, k], np.concatenate([getattr(x, name) for x in parts]))
+        np.testing.assert_array_equal(results.energy[lane, rows, k], np.concatenate([getattr(x, name) for x in parts]))
     iterations = np.concatenate([x.intervals[:, 3:5] for x in parts])
-    np.testing.assert_array_equal(results.iterations[lane, 1:], iterations)
+    np.testing.assert_array_equal(results.iterations[lane, rows], iterations)
+    if results.work is not None:
+        work = np.concatenate([x.intervals[:, [1, 2, 5]] for x in parts])
+        np.testing.assert_array_equal(results.work[lane, rows], work)
     np.testing.assert_array_equal(results.worst[lane], stepper.worst_pairs)
     assert results.evidence[lane] == stepper.evidence
     assert results.counters[lane] == stepper.counters
@@ -167,7 +189,7 @@ def test_lanes_iterate_as_often_as_their_single_runs(kind: str, method: str) -> 
     planned = [Timetable(0.0, 50 * step, step=step, steps=50, every=7) for step in steps]
     groups = defaultdict(list)
     for workspace, table in zip(workspaces_of(kind, planned), planned, strict=True):
-        pivots = pivots_at_start(METHODS[method], workspace, table)
+        pivots = PivotsAtStart().of(METHODS[method], workspace, table)
         assert pivots is not None
         groups[pivots.key].append((workspace, table))
     members = max(groups.values(), key=len)[:WIDTH]
@@ -178,6 +200,83 @@ def test_lanes_iterate_as_often_as_their_single_runs(kind: str, method: str) -> 
     assert kind != "chain" or "fixed" in method or len({one.jacobian_evaluations for one in counters}) > 1
     for lane in range(len(members)):
         assert_same_bits(results, lane, method, workspaces[lane], chosen[lane])
+
+
+def controlled(method: str, workspaces: list[Workspace], planned: list[Timetable]) -> LaneResults:
+    stepper = ControlledLaneStepper(CONTROLLED[method], workspaces[0])
+    return stepper.advance(workspaces, planned)
+
+
+def spans(count: int, recorded: dict[str, Any]) -> list[Timetable]:
+    """Return timetables with different starts and ends, every second one with a first step that is too large."""
+    return [Timetable(0.1 * i, 0.4 + 0.15 * i, step=(None, 0.4)[i % 2], **recorded) for i in range(count)]
+
+
+@pytest.mark.parametrize("method", CONTROLLED)
+@pytest.mark.parametrize("kind", KINDS)
+def test_lanes_with_controlled_steps_have_the_bits_of_their_single_runs(kind: str, method: str) -> None:
+    planned = spans(WIDTH, RECORDED[method])
+    workspaces = workspaces_of(kind, planned)
+    assert all(suits_lanes(CONTROLLED[method], one.mechanism, planned[0]) for one in workspaces)
+    results = controlled(method, workspaces, planned)
+    assert len({one.steps for one in results.counters}) > 1
+    assert any(one.rejected for one in results.counters)
+    for lane, (workspace, table) in enumerate(zip(workspaces, planned, strict=True)):
+        assert_same_bits(results, lane, method, workspace, table)
+
+
+@pytest.mark.parametrize("method", CONTROLLED)
+def test_a_stepper_of_controlled_lanes_remembers_nothing_of_earlier_runs(method: str) -> None:
+    planned = spans(WIDTH, RECORDED[method])
+    workspaces = workspaces_of("springs", planned)
+    stepper = ControlledLaneStepper(CONTROLLED[method], workspaces[0])
+    stepper.advance(workspaces, planned)
+    again = stepper.advance(workspaces[1:], planned[1:])
+    assert len(again.lost) == WIDTH - 1
+    for lane in (0, WIDTH - 2):
+        assert_same_bits(again, lane, method, workspaces[lane + 1], planned[lane + 1])
+
+
+def test_rows_by_interval_of_a_long_run_fit_beside_those_of_short_ones() -> None:
+    planned = [Timetable(0.0, end, interval=0.001) for end in (0.01, 0.7)]
+    workspaces = workspaces_of("chain", planned)
+    results = controlled("adaptive dop853", workspaces, planned)
+    assert results.rows.tolist() == [11, 701]
+    for lane in range(2):
+        assert_same_bits(results, lane, "adaptive dop853", workspaces[lane], planned[lane])
+
+
+LOST_CONTROLLED: dict[str, dict[str, Any]] = {
+    "steps": {"max_steps": 2},
+    "misalignment": {"guards": Guards(misalignment=1e-17, angle_misalignment=1e-17)},
+    "energy": {"guards": Guards(energy_jump=1e-16)},
+}
+
+
+@pytest.mark.parametrize("limit", LOST_CONTROLLED)
+def test_a_run_with_controlled_steps_that_a_limit_stops_is_left_to_the_driver_of_single_runs(limit: str) -> None:
+    planned = spans(WIDTH, {})
+    planned[1] = dataclasses.replace(planned[1], **LOST_CONTROLLED[limit])
+    workspaces = workspaces_of("chain", planned)
+    results = controlled("loose dop853", workspaces, planned)
+    assert results.lost.tolist() == [i == 1 for i in range(WIDTH)]
+    assert_same_bits(results, 0, "loose dop853", workspaces[0], planned[0])
+
+
+def test_a_run_that_would_be_projected_near_a_singular_position_is_left_to_the_driver_of_single_runs() -> None:
+    def windows(speed: float) -> Workspace:
+        spec = {"model": {"name": "n-four-bar", "n": 1, "speed": speed}, "time": {"end": 1.0, "step": 0.1}}
+        return build(RunSpec(mbdkit=1, integrator={"name": "rk4"}, **spec))[0]
+
+    planned = [Timetable(0.0, 0.2), Timetable(0.0, 3.0)]  # the second passes its flat position
+    workspaces = [windows(1.0), windows(4.0)]
+    single = start_method(CONTROLLED["adaptive dop853"], workspaces[1], planned[1])
+    while not single.finished and single.failure is None:
+        single.advance()
+    assert single.counters.projections > 0
+    results = controlled("adaptive dop853", [windows(1.0), windows(4.0)], planned)
+    assert results.lost.tolist() == [False, True]
+    assert_same_bits(results, 0, "adaptive dop853", workspaces[0], planned[0])
 
 
 @pytest.mark.parametrize("method", IMPLICIT)
@@ -204,7 +303,7 @@ def test_lanes_may_be_idle() -> None:
 def test_a_stepper_of_lanes_remembers_nothing_of_earlier_runs(method: str) -> None:
     planned = tables(WIDTH)
     workspaces = workspaces_of("springs", planned)
-    pivots = [pivots_at_start(METHODS[method], *one) for one in zip(workspaces, planned, strict=True)]
+    pivots = [PivotsAtStart().of(METHODS[method], *one) for one in zip(workspaces, planned, strict=True)]
     stepper = LaneStepper(METHODS[method], workspaces[0], rows_of(planned[0]), pivots[0])
     stepper.advance(workspaces, planned, pivots)
     again = stepper.advance(workspaces[::-1], planned[::-1], pivots[::-1])

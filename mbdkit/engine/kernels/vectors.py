@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from mbdkit.engine.jit.decorators import inlined, subkernel
+from mbdkit.engine.jit.lane_types import renewed
 
 
 @subkernel
@@ -40,8 +41,10 @@ def stays_finite(x, increment):
 
 
 @subkernel
-def add_compensated(x, low, increment):
-    """Add `increment` to `x` in place by compensated (Kahan) summation; `low` carries the rounding error of `x`.
+def add_compensated(x, low, increment, wanted):
+    """Add `increment` to `x` in place by compensated (Kahan) summation, in lanes only where `wanted`.
+
+    `low` carries the rounding error of `x`.
 
     The sum of `x` and `low` is accurate beyond double precision over many small steps. The order of the operations
     matters: reassociation would make ``y - (new - x)`` vanish.
@@ -49,5 +52,5 @@ def add_compensated(x, low, increment):
     for d in range(len(x)):
         y = increment[d] + low[d]
         new = x[d] + y
-        low[d] = y - (new - x[d])
-        x[d] = new
+        low[d] = renewed(y - (new - x[d]), low[d], wanted)
+        x[d] = renewed(new, x[d], wanted)
