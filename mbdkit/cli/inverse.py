@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbdkit.cli.common_options import Archive, AsJson, Debug, Overwrite, Quiet, Set
+from mbdkit.cli.common_options import Archive, AsJson, Debug, InverseSpecName, Overwrite, Quiet, Set
 from mbdkit.cli.output_paths import check_new, stem
 from mbdkit.terminal import say, show, show_json
 from mbdkit.text import counted
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def inverse(
-    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, or - for stdin.")],
+    spec: InverseSpecName,
     *,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE.h5", help="The archive; by default ./SPEC.h5.")
@@ -72,8 +72,8 @@ def workload(
 ) -> None:
     """Print the workload of joints: peaks, impulses and work.
 
-    With --load, also of each contact and each cycle; --json has the cycles from 0 to
-    100 % with their mean and deviation. Drivers of a forward run count as actuators.
+    With --load, also of each contact, swing and cycle; --json has the cycles from 0
+    to 100 % with their mean and deviation. Drivers of a forward run count as actuators.
     """
     from mbdkit.analysis.workload import workload as of
     from mbdkit.archive.archive_check import blaming_damage

@@ -133,7 +133,7 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
     """
     from mbdkit.spec import load_spec
     from mbdkit.spec.inverse_spec import is_inverse
-    from mbdkit.spec.source_document import Document
+    from mbdkit.spec.loading import read_source
     from mbdkit.spec.study_loading import load_study_spec, recognized
 
     source, is_study = recognized(spec)
@@ -150,10 +150,11 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
             told = plan_summary(study, plan_study(study))
         show(f"{spec}: this study is valid\n{told}")
         return
-    if isinstance(source, Document) and is_inverse(source.data):
-        validate_inverse(source, spec, assignments or [])
+    document = read_source(source)
+    if is_inverse(document.data):
+        validate_inverse(document, spec, assignments or [])
         return
-    checked = load_spec(source, assignments or ())
+    checked = load_spec(document, assignments or ())
     from mbdkit.run_corners import check_jumps
     from mbdkit.run_preparation import build, caution
     from mbdkit.run_warnings import start_warnings

@@ -386,7 +386,7 @@ def test_a_body_has_one_colour_in_drawing_player_and_chart(browser, tmp_path):
 
 def test_names_in_drawings_of_examples_do_not_overlap(browser, tmp_path):
     drawings = []
-    for name in sorted(example_names()):
+    for name in sorted(example_names("run")):
         mechanism = load_spec(name).mechanism()
         pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
         shown = NamedPose.of(mechanism, list(mechanism.bodies), pose, np.array([0.0]))
