@@ -27,7 +27,7 @@ def _as_smoothing(value: Any) -> Any:
 class ColumnOfTable(Section):
     """A column of a table and its unit; a text alone is the heading of a column in SI units."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("scale",)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("scale", "deviation")
 
     column: Named
     """Heading of the column."""
@@ -35,6 +35,9 @@ class ColumnOfTable(Section):
     """Unit of the numbers, such as deg or mm; SI units (m, rad, N, N m) by default."""
     scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
     """Factor of the numbers, such as -1 for an angle that is counted in the other direction."""
+    deviation: Positive | None = None
+    """Standard deviation of the noise, in the unit of the column. By default, that of the motion is estimated from the
+    residuals, and loads have none."""
 
     @model_validator(mode="after")
     def _has_a_unit(self) -> ColumnOfTable:
@@ -51,16 +54,12 @@ class ColumnOfTable(Section):
 class ObservedColumn(ColumnOfTable):
     """The column with the measured values of one quantity."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("scale", "deviation")
-
     weight: Positive = 1.0
     """Weight of its squared residual, in SI units, in the fit of the mechanism."""
     rate: Named | None = None
     """Heading of a column with the first derivative, in the same unit per second, for motions that are not smoothed."""
     acceleration: Named | None = None
     """Heading of a column with the second derivative; given together with `rate`."""
-    deviation: Positive | None = None
-    """Standard deviation of the noise, in the unit of the column; by default, it is estimated from the residuals."""
 
     @model_validator(mode="after")
     def _has_both_derivatives(self) -> ObservedColumn:

@@ -165,3 +165,27 @@ def test_the_norm_of_a_gaussian_vector_stays_below_its_bound(ratio: float) -> No
     random = np.random.default_rng(1).standard_normal((200_000, 2)) * [1.0, ratio]
     bound = _norm_bound(np.array(1.0), np.array(ratio**2), np.array(0.0))
     assert abs(np.mean(np.linalg.norm(random, axis=1) <= bound) - 0.95) < 0.004
+
+
+def test_noise_of_loads_has_the_bars_of_its_lever() -> None:
+    # expected: the torque of the hip is -(x F_y - y F_x + M), with noise of F, of the point (x, y) in space, and of M
+    spec = pendulum(smooth="quintic")
+    push = np.where(T < 1.0, 5.0 + T, 0.0)
+    spec["motion"]["columns"]["hip.angle"]["deviation"] = 1e-9
+    spec["motion"]["data"] |= {"fx": push, "fy": -2 * push, "x": 0.3 + 0 * T, "y": -400.0 + 0 * T, "m": 0.1 * push}
+    spec["loads"] = {
+        "push": {
+            "body": "rod",
+            "force": [{"column": "fx", "deviation": 0.2}, {"column": "fy", "unit": "N", "deviation": 0.3}],
+            "point": [{"column": "x", "deviation": 0.01}, {"column": "y", "unit": "mm", "deviation": 20.0}],
+            "torque": {"column": "m", "deviation": 0.05},
+        }
+    }
+    run = mbdkit.inverse(spec)
+    variance = (0.4 * 0.2) ** 2 + (0.3 * 0.3) ** 2 + (2 * push * 0.01) ** 2 + (push * 0.02) ** 2 + 0.05**2
+    expected = 1.959964 * np.sqrt(np.where(push > 0, variance, 0.0))
+    np.testing.assert_allclose(run.actuators["hip"].value_error, expected, rtol=1e-3, atol=1e-4)
+    assert run.accuracy is not None
+    assert "push.force.x 0.2 N, push.force.y 0.3 N, push.torque 0.05 N m, push.point.x 0.01 m" in run.accuracy.method
+    assert run.accuracy.reaction_error[0, 0] == pytest.approx(1.96 * 0.3, rel=0.1)  # F_y has the larger noise
+    assert "deviation" in run.spec["loads"]["push"]["torque"]
