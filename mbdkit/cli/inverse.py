@@ -13,6 +13,7 @@ from mbdkit.terminal import say, show, show_json
 from mbdkit.text import counted
 
 if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
     from mbdkit.spec.source_document import Document
 
 
@@ -85,6 +86,34 @@ def workload(
             show_json(found.to_dict())
         else:
             show(found.text())
+
+
+def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwrite: bool) -> Run:
+    """Compute the inverse dynamics of an archive again.
+
+    Tables are read from the folder of the archive only: an archive of a stranger must not make mbdkit read other files.
+
+    Raises
+    ------
+    SpecError
+        If a table is not there.
+    """
+    from mbdkit.errors import SpecError
+    from mbdkit.inverse_dynamics.inverse_run import compute_run
+    from mbdkit.spec import load_inverse_spec
+    from mbdkit.spec.source_document import Document
+    from mbdkit.text import shown
+
+    spec = load_inverse_spec(Document(before.spec, folder=archive.parent))
+    folder = archive.parent.resolve()
+    for section in (spec.motion, *spec.loads.values()):
+        path = None if section.file is None else (folder / section.file).resolve()
+        if path is not None and not (path.is_relative_to(folder) and path.is_file()):
+            raise SpecError(
+                f"its data are in {shown(section.file or '')}, which is not in the folder of the archive; repeat it "
+                "from its spec with `mbdkit inverse`"
+            )
+    return compute_run(spec, path=output, overwrite=overwrite)
 
 
 def validate_inverse(source: str | Document, name: str, assignments: list[str]) -> None:

@@ -161,4 +161,23 @@ def test_commands_compute_check_and_print(tmp_path: Path) -> None:
         assert done.exit_code == 0, (words, done.output)
     assert "hip.value" in (tmp_path / "csv" / "actuators.csv").read_text()
     done = CliRunner().invoke(app, ["rerun", out], prog_name="mbdkit")
+    assert done.exit_code == 0, done.output
+    assert "the data are the same to the bit" in done.stdout
+    changed = [ROWS[0], *(row.replace("0.300", "0.301") for row in ROWS[1:])]
+    (tmp_path / "t.csv").write_text("\n".join(changed), encoding="utf-8")
+    assert CliRunner().invoke(app, ["rerun", out], prog_name="mbdkit").exit_code == 1
+    (tmp_path / "t.csv").rename(tmp_path / "other.csv")
+    done = CliRunner().invoke(app, ["rerun", out], prog_name="mbdkit")
     assert done.exit_code == 2
+    assert "out.h5: its data are in t.csv, which is not in the folder of the archive" in done.stderr
+
+
+def test_a_rerun_reads_no_file_outside_of_the_folder_of_the_archive(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("\n".join(ROWS), encoding="utf-8")
+    (tmp_path / "sub").mkdir()
+    for name in ("../t.csv", str(tmp_path / "t.csv")):
+        (tmp_path / "sub" / "s.yaml").write_text(yaml.safe_dump(pendulum(name)), encoding="utf-8")
+        mbdkit.inverse(tmp_path / "sub" / "s.yaml", archive=tmp_path / "sub" / "out.h5", overwrite=True)
+        done = CliRunner().invoke(app, ["rerun", str(tmp_path / "sub" / "out.h5")], prog_name="mbdkit")
+        assert done.exit_code == 2
+        assert "which is not in the folder of the archive" in done.stderr.replace("\n", " ")
