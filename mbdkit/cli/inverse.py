@@ -106,11 +106,11 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
 
     spec = load_inverse_spec(Document(before.spec, folder=archive.parent))
     folder = archive.parent.resolve()
-    for section in (spec.motion, *spec.loads.values()):
-        path = None if section.file is None else (folder / section.file).resolve()
-        if path is not None and not (path.is_relative_to(folder) and path.is_file()):
+    for file in filter(None, (spec.motion.file, *(load.file for load in spec.loads.values()))):
+        path = (folder / file).resolve()
+        if not (path.is_relative_to(folder) and path.is_file()):
             raise SpecError(
-                f"its data are in {shown(section.file or '')}, which is not in the folder of the archive; repeat it "
+                f"its data are in {shown(file)}, which is not in the folder of the archive; repeat it "
                 "from its spec with `mbdkit inverse`"
             )
     return compute_run(spec, path=output, overwrite=overwrite)

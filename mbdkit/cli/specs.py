@@ -52,16 +52,26 @@ def schema_inverse(debug: Debug = False) -> None:
 def examples(context: typer.Context, debug: Debug = False) -> None:
     """List the packaged examples, specs and notebooks.
 
-    Run a spec by its name, or copy a spec or a notebook to edit it.
+    Run a spec by its name with `mbdkit run`, or `mbdkit inverse` for inverse dynamics,
+    or copy a spec or a notebook to edit it.
     """
     if context.invoked_subcommand is not None:
         return
     from mbdkit.notebook.example_notebooks import notebook_names, notebook_title
     from mbdkit.spec.loading import example_names, read_source  # without validation, which would import plugins
 
-    specs = [(name, read_source(name).data["title"]) for name in example_names()]
+    specs = [(name, read_source(name).data["title"]) for name in example_names("run")]
+    inverse = [(name, read_source(name).data["title"]) for name in example_names("inverse")]
     notebooks = [(name, notebook_title(name)) for name in notebook_names()]
-    show(table([("NAME", "TITLE"), *specs, ("", ""), ("NOTEBOOK", "TITLE"), *notebooks]))
+    show(
+        table(
+            [
+                *(("RUN", "TITLE"), *specs, ("", "")),
+                *(("INVERSE DYNAMICS", "TITLE"), *inverse, ("", "")),
+                *(("NOTEBOOK", "TITLE"), *notebooks),
+            ]
+        )
+    )
 
 
 @examples_app.command("copy")

@@ -67,7 +67,7 @@ class LoadSeries:
     @property
     def acts(self) -> np.ndarray:
         """(R,) whether the load acts; it does not where its force and torque are zero, as when a foot is in the air."""
-        return np.any(self.force != 0, axis=1) | (self.torque != 0)
+        return np.asarray(np.any(self.force != 0, axis=1) | (self.torque != 0))
 
     def at(self, times: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return values (R, ...) of the load interpolated to `times` (T,)."""

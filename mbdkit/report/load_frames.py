@@ -143,10 +143,10 @@ def _moments(run: Run, count: int) -> Array:
 def _cycle(run: Run) -> tuple[float, float] | None:
     """Return begin and end [s] of the first cycle, by contacts of the first load that has two; None without any."""
     for load in run.loads.values():
-        peak = float(np.max(np.hypot(*load.force.T), initial=0.0))
-        starts = crossings(np.asarray(run.time), np.hypot(*load.force.T), CONTACT * peak) if peak > 0 else ()
+        size = np.linalg.norm(load.force, axis=1)
+        starts = crossings(np.asarray(run.time), size, CONTACT * float(np.max(size))).tolist()
         if len(starts) > 1:
-            return float(starts[0]), float(starts[1])
+            return starts[0], starts[1]
     return None
 
 
