@@ -96,7 +96,7 @@ class Phase:
     Attributes
     ----------
     name
-        ``cycle 1``, ``contact 1`` and so on.
+        ``contact 1``, ``swing 1``, ``cycle 1`` and so on.
     start, end
         Time that it covers [s].
     elements
@@ -152,7 +152,7 @@ class Workload:
     elements
         Workload of each joint and actuator over this time.
     phases
-        The same for each cycle and each contact, if cycles were asked for.
+        The same for each cycle, and for its contact and swing, if cycles were asked for.
     cycles
         Forces of joints and values of actuators over 0 to 100 % of the cycles, by name; empty without cycles. Where a
         joint and an actuator have the same name, the entry is that of the actuator.
@@ -200,15 +200,15 @@ def workload(
         Times at which cycles begin, the end of the last one included [s].
     load
         Instead of `cycles`, a measured load of inverse dynamics: a cycle begins where its magnitude rises to
-        `threshold`, as at heel strike, and the contact of the cycle ends where it falls below it.
+        `threshold`, as at heel strike, and its contact ends where it falls below it; the rest is its swing.
     threshold
         Force [N], for `load`.
 
     Returns
     -------
     Workload
-        Numbers of every joint and actuator over the whole run, and in each cycle and contact. In a forward run, its
-        drivers count as actuators.
+        Numbers of every joint and actuator over the whole run, and in each cycle, contact and swing. In a forward run,
+        its drivers count as actuators.
 
     Raises
     ------
@@ -242,7 +242,7 @@ def workload(
 def _parts(
     run: Run, cycles: Sequence[float] | None, load: str | None, threshold: float
 ) -> tuple[np.ndarray, list[tuple[str, float, float]]]:
-    """Return the starts of cycles, and name, start and end of each cycle and contact."""
+    """Return the starts of cycles, and name, start and end of each contact, swing and cycle."""
     off = np.zeros(0)
     if load is not None:
         starts, off = contacts(run, load, threshold)
@@ -256,7 +256,10 @@ def _parts(
         if ends.size:
             parts.append((f"contact {number}", begin, float(ends[0])))
         if number < len(starts):
-            parts.append((f"cycle {number}", begin, float(starts[number])))
+            following = float(starts[number])
+            if ends.size and ends[0] < following:
+                parts.append((f"swing {number}", float(ends[0]), following))
+            parts.append((f"cycle {number}", begin, following))
     return starts, parts
 
 

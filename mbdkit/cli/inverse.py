@@ -7,17 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbdkit.cli.common_options import Archive, AsJson, Debug, Overwrite, Quiet, Set
+from mbdkit.cli.common_options import Archive, AsJson, Debug, InverseSpecName, Overwrite, Quiet, Set
 from mbdkit.cli.output_paths import check_new, stem
 from mbdkit.terminal import say, show, show_json
 from mbdkit.text import counted
 
 if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
     from mbdkit.spec.source_document import Document
 
 
 def inverse(
-    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, or - for stdin.")],
+    spec: InverseSpecName,
     *,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE.h5", help="The archive; by default ./SPEC.h5.")
@@ -72,8 +73,8 @@ def workload(
 ) -> None:
     """Print the workload of joints: peaks, impulses and work.
 
-    With --load, also of each contact and each cycle; --json has the cycles from 0 to
-    100 % with their mean and deviation. Drivers of a forward run count as actuators.
+    With --load, also of each contact, swing and cycle; --json has the cycles from 0
+    to 100 % with their mean and deviation. Drivers of a forward run count as actuators.
     """
     from mbdkit.analysis.workload import workload as of
     from mbdkit.archive.archive_check import blaming_damage
@@ -85,6 +86,34 @@ def workload(
             show_json(found.to_dict())
         else:
             show(found.text())
+
+
+def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwrite: bool) -> Run:
+    """Compute the inverse dynamics of an archive again.
+
+    Tables are read from the folder of the archive only: an archive of a stranger must not make mbdkit read other files.
+
+    Raises
+    ------
+    SpecError
+        If a table is not there.
+    """
+    from mbdkit.errors import SpecError
+    from mbdkit.inverse_dynamics.inverse_run import compute_run
+    from mbdkit.spec import load_inverse_spec
+    from mbdkit.spec.source_document import Document
+    from mbdkit.text import shown
+
+    spec = load_inverse_spec(Document(before.spec, folder=archive.parent))
+    folder = archive.parent.resolve()
+    for file in filter(None, (spec.motion.file, *(load.file for load in spec.loads.values()))):
+        path = (folder / file).resolve()
+        if not (path.is_relative_to(folder) and path.is_file()):
+            raise SpecError(
+                f"its data are in {shown(file)}, which is not in the folder of the archive; repeat it "
+                "from its spec with `mbdkit inverse`"
+            )
+    return compute_run(spec, path=output, overwrite=overwrite)
 
 
 def validate_inverse(source: str | Document, name: str, assignments: list[str]) -> None:

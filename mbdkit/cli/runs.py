@@ -13,7 +13,7 @@ import typer
 
 from mbdkit import terminal
 from mbdkit.cli.common_options import AnySpecName, Archive, AsJson, Debug, Overwrite, Quiet, Set, SpecNameOrNone
-from mbdkit.cli.inverse import validate_inverse
+from mbdkit.cli.inverse import repeated_inverse, validate_inverse
 from mbdkit.cli.output_paths import check_new, stem
 from mbdkit.progress_bars import progress_bar
 from mbdkit.terminal import say, show, show_json, silence
@@ -133,7 +133,7 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
     """
     from mbdkit.spec import load_spec
     from mbdkit.spec.inverse_spec import is_inverse
-    from mbdkit.spec.source_document import Document
+    from mbdkit.spec.loading import read_source
     from mbdkit.spec.study_loading import load_study_spec, recognized
 
     source, is_study = recognized(spec)
@@ -150,10 +150,11 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
             told = plan_summary(study, plan_study(study))
         show(f"{spec}: this study is valid\n{told}")
         return
-    if isinstance(source, Document) and is_inverse(source.data):
-        validate_inverse(source, spec, assignments or [])
+    document = read_source(source)
+    if is_inverse(document.data):
+        validate_inverse(document, spec, assignments or [])
         return
-    checked = load_spec(source, assignments or ())
+    checked = load_spec(document, assignments or ())
     from mbdkit.run_corners import check_jumps
     from mbdkit.run_preparation import build, caution
     from mbdkit.run_warnings import start_warnings
@@ -221,6 +222,7 @@ def rerun(
 ) -> None:
     """Run the spec in an archive again and compare.
 
+    Files of measured motions and loads are read from the folder of the archive.
     Exit status 1 if the data differ, or if the archive changed after it was written;
     prints the largest relative difference.
     """
@@ -229,23 +231,10 @@ def rerun(
     from mbdkit.archive.compare import compare
     from mbdkit.archive.missing_plugins import check_plugins_of
     from mbdkit.archive.reader import load
-    from mbdkit.errors import SpecError
-    from mbdkit.simulation import simulate
-    from mbdkit.spec import load_spec
 
     with load(archive) as before:
         check_plugins_of(archive, before.provenance)
-        if before.kind == "inverse":
-            raise SpecError("this is inverse dynamics: repeat it from its spec with `mbdkit inverse`", file=archive)
-        try:
-            checked = load_spec(before.spec)
-        except SpecError as error:
-            raise error.located(file=archive) from error
-        with progress_bar(archive.name, quiet) as progress:
-            result = simulate(
-                checked, path=output, overwrite=overwrite, progress=progress, notify=silence if quiet else say
-            )
-        with result as after:
+        with _repeated(before, archive, output, overwrite=overwrite, quiet=quiet) as after:
             if after.status == "interrupted":
                 _exit_with(after)
             if after.status != "complete":
@@ -257,6 +246,22 @@ def rerun(
                 show(comparison)
     if not comparison.same_data or comparison.falsified:
         raise typer.Exit(terminal.DIFFERS)
+
+
+def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, quiet: bool) -> Run:
+    """Compute the run in an archive again."""
+    from mbdkit.errors import SpecError
+    from mbdkit.simulation import simulate
+    from mbdkit.spec import load_spec
+
+    try:
+        if before.kind == "inverse":
+            return repeated_inverse(before, archive, output, overwrite=overwrite)
+        checked = load_spec(before.spec)
+    except SpecError as error:
+        raise error.located(file=archive) from error
+    with progress_bar(archive.name, quiet) as progress:
+        return simulate(checked, path=output, overwrite=overwrite, progress=progress, notify=silence if quiet else say)
 
 
 @contextmanager

@@ -52,16 +52,26 @@ def schema_inverse(debug: Debug = False) -> None:
 def examples(context: typer.Context, debug: Debug = False) -> None:
     """List the packaged examples, specs and notebooks.
 
-    Run a spec by its name, or copy a spec or a notebook to edit it.
+    Run a spec by its name with `mbdkit run`, or `mbdkit inverse` for inverse dynamics,
+    or copy a spec or a notebook to edit it.
     """
     if context.invoked_subcommand is not None:
         return
     from mbdkit.notebook.example_notebooks import notebook_names, notebook_title
     from mbdkit.spec.loading import example_names, read_source  # without validation, which would import plugins
 
-    specs = [(name, read_source(name).data["title"]) for name in example_names()]
+    specs = [(name, read_source(name).data["title"]) for name in example_names("run")]
+    inverse = [(name, read_source(name).data["title"]) for name in example_names("inverse")]
     notebooks = [(name, notebook_title(name)) for name in notebook_names()]
-    show(table([("NAME", "TITLE"), *specs, ("", ""), ("NOTEBOOK", "TITLE"), *notebooks]))
+    show(
+        table(
+            [
+                *(("RUN", "TITLE"), *specs, ("", "")),
+                *(("INVERSE DYNAMICS", "TITLE"), *inverse, ("", "")),
+                *(("NOTEBOOK", "TITLE"), *notebooks),
+            ]
+        )
+    )
 
 
 @examples_app.command("copy")
@@ -77,13 +87,15 @@ def examples_copy(
 ) -> None:
     """Copy an example to a file: a spec with its comments, or a notebook.
 
-    A notebook is written for Jupyter, or as a script with cells if FILE ends
-    with .py. An existing file is not replaced.
+    A table that the spec reads is copied to the same folder. A notebook is written
+    for Jupyter, or as a script with cells if FILE ends with .py. An existing file is
+    not replaced.
     """
     from mbdkit.errors import SpecError
     from mbdkit.files import check_suffix, replacing
     from mbdkit.notebook.example_notebooks import jupyter_text, notebook_names, notebook_text
     from mbdkit.spec import example_names, example_text
+    from mbdkit.spec.loading import example_table
     from mbdkit.text import did_you_mean, listed
 
     notebooks = notebook_names()
@@ -94,11 +106,16 @@ def examples_copy(
     if name in notebooks:
         check_suffix(path, (".ipynb", ".py"), "a notebook")
         script = notebook_text(name)
-        text = script if path.suffix.lower() == ".py" else jupyter_text(script)
+        texts = {path: script if path.suffix.lower() == ".py" else jupyter_text(script)}
     else:
-        text = example_text(name)
-    if path.is_file():  # there is no --overwrite here, which the message of `replacing` names
-        raise SpecError("this file exists already; choose another name with -o", file=path)
-    with replacing(path, overwrite=False) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    show(path)
+        texts = {path: example_text(name)}
+        data = example_table(name)
+        if data is not None:
+            texts[path.with_name(f"{name}.csv")] = data
+    for target in texts:
+        if target.is_file():  # there is no --overwrite here, which the message of `replacing` names
+            raise SpecError("this file exists already; choose another name or folder with -o", file=target)
+    for target, text in texts.items():
+        with replacing(target, overwrite=False) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        show(target)

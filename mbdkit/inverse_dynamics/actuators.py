@@ -100,12 +100,13 @@ def _given(name: str, one: Actuator, names: QuantityNames) -> NamedActuator:
         return NamedActuator(name, quantity, one.weight)
     if one.bodies is None:
         return NamedActuator(name, _coordinate_of_actuator(name, names), one.weight)
-    assert one.points is not None
-    ends = [
-        Point(names.body(body, f"{key}.bodies[{side}]", may_be_ground=True), *point)
-        for side, (body, point) in enumerate(zip(one.bodies, one.points, strict=True))
-    ]
-    return NamedActuator(name, Shortening(ends[0], ends[1]), one.weight)
+    first, second = (
+        names.body(body, f"{key}.bodies[{side}]", may_be_ground=True) for side, body in enumerate(one.bodies)
+    )
+    if one.points is None:
+        return NamedActuator(name, RelativeAngle(first, second), one.weight)
+    ends = Point(first, *one.points[0]), Point(second, *one.points[1])
+    return NamedActuator(name, Shortening(*ends), one.weight)
 
 
 def _coordinate_of_actuator(name: str, names: QuantityNames) -> Quantity:

@@ -104,13 +104,13 @@ def _rank(fitter: Fitter, directions: Directions, effect: np.ndarray, motion: Mo
     freedoms = directions.free.shape[2]
     if not freedoms:
         return 0
-    vectors, values, _ = np.linalg.svd(effect, full_matrices=True)
+    values = np.linalg.svd(effect, compute_uv=False)
     largest = np.max(values, axis=1, initial=0.0)
     ranks = np.sum(values > WEAK * largest[:, None], axis=1)
     frame = int(np.argmin(ranks))
     rank = int(ranks[frame])
     if rank < freedoms and not report:
-        undriven = directions.free[frame] @ vectors[frame][:, rank:]
+        undriven = directions.free[frame] @ np.linalg.svd(effect[frame], full_matrices=True)[0][:, rank:]
         where = "" if np.all(ranks == rank) else f" at t = {motion.time[frame]:.6g} s"
         missing = freedoms - rank
         raise SpecError(

@@ -2,14 +2,15 @@
 
 Noise is Gaussian and independent from row to row. Samples of it, passed through the linearised fit and the smoothing,
 give the covariance of coordinates, rates and accelerations in each frame; central differences of the dynamics turn it
-into that of forces. To this, the change of the result with the cutoff is added by root sum of squares: the mean of the
-squared changes with a lower and a higher cutoff, less the mean square that noise alone makes of them.
+into that of forces. Loads are not smoothed, so that their noise adds to this covariance as it is. To all this, the
+change of the result with the cutoff is added by root sum of squares: the mean of the squared changes with a lower and a
+higher cutoff, less the mean square that noise alone makes of them.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -31,6 +32,9 @@ LEVEL = 0.95
 
 CUTOFFS = (0.8, 1.25)
 """Factors of the cutoff between which the result is compared."""
+
+
+LOAD_UNITS = {"force": "N", "point": "m", "torque": "N m"}
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,7 @@ def error_bars(result: Inverse) -> ErrorBars | None:
     cutoffs = _other_cutoffs(response, coordinates, how)
     covariance, *of_changes = _covariances(path, deviation, asked, [how, *(one.how for one in cutoffs)], random)
     sensitivity = _sensitivity(response, smoothed_each(times, coordinates, how), covariance)
-    squares = [one**2 for one in _bounds(sensitivity, covariance)]
+    squares = [one**2 for one in _bounds(*_with_loads(result, sensitivity, covariance))]
     beyond = [np.zeros_like(one) for one in squares]
     for one, own in zip(cutoffs, of_changes, strict=True):
         for place, (change, noise) in enumerate(zip(one.change, _squares(sensitivity, own), strict=True)):
@@ -167,6 +171,31 @@ def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) 
             sides.append(response(Smoothed(*moved)))
         found.append([one / (2 * step) for one in sides[0].minus(sides[1]).parts])
     return [np.array(one) for one in zip(*found, strict=True)]
+
+
+def _with_loads(
+    result: Inverse, sensitivity: list[np.ndarray], covariance: np.ndarray
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return the derivatives of each part of the outcome, and the covariance, with the noise of the loads added.
+
+    Each of their C noisy components is one more variable in each frame, as independent of the others as of the motion.
+    """
+    problem, base = result.problem, _outcome(result)
+    deviations, columns = [], []
+    for name, series in problem.loads.items():
+        for component, deviation in series.deviation.items():
+            loads = problem.loads | {name: series.moved(component, deviation)}  # the outcome is linear in each of them
+            moved = forces_of(replace(problem, loads=loads), result.fitted, result.independent, result.motion)
+            columns.append([one / deviation for one in _outcome(moved).minus(base).parts])
+            deviations.append(deviation)
+    if not columns:
+        return sensitivity, covariance
+    own, count = covariance.shape[1], len(deviations)
+    every = np.zeros((len(covariance), own + count, own + count))
+    every[:, :own, :own] = covariance
+    every[:, range(own, own + count), range(own, own + count)] = np.square(deviations)
+    of_loads = [np.array(one) for one in zip(*columns, strict=True)]
+    return [np.concatenate(pair) for pair in zip(sensitivity, of_loads, strict=True)], every
 
 
 def _bounds(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.ndarray]:
@@ -242,6 +271,12 @@ def _method(result: Inverse, deviation: np.ndarray, factors: list[float]) -> str
         )
     ]
     shown = listed(told[:6], "" if len(told) > 6 else "and") + (f" and {len(told) - 6} more" if told[6:] else "")
+    loads = [
+        f"{name}.{array}{'' if axis is None else '.' + 'xy'[axis]} {value:.3g} {LOAD_UNITS[array]}"
+        for name, series in result.problem.loads.items()
+        for (array, axis), value in series.deviation.items()
+    ]
+    of_loads = f"; noise of loads with the standard deviations {listed(loads, 'and')}" if loads else ""
     cutoff = (
         f", and the mean square change of the result with {listed([f'{one:g}' for one in factors], 'and')} times the "
         "cutoff beyond that which noise makes, by root sum of squares"
@@ -250,5 +285,6 @@ def _method(result: Inverse, deviation: np.ndarray, factors: list[float]) -> str
     )
     return (
         f"Bounds that hold with a probability of {LEVEL:.0%} at each time: Gaussian noise, independent from row to "
-        f"row, with the standard deviations {shown}, passed through the linearised fit, smoothing and dynamics{cutoff}."
+        f"row, with the standard deviations {shown}, passed through the linearised fit, smoothing and dynamics"
+        f"{of_loads}{cutoff}."
     )

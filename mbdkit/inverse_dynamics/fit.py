@@ -185,7 +185,7 @@ class Fitter:
         if not free.shape[2]:
             return
         seen = (target.quantities.jacobian(q) * self.manifold.scale) @ free
-        _, values, vectors = np.linalg.svd(seen, full_matrices=True)
+        values = np.linalg.svd(seen, compute_uv=False)
         least = values[:, -1] if values.shape[1] == free.shape[2] else np.zeros(len(q))
         blind = np.flatnonzero(least <= UNSEEN * np.max(values, axis=1, initial=0.0))
         if not blind.size:
@@ -193,7 +193,8 @@ class Fitter:
         frame = int(blind[0])
         most = np.max(values[frame], initial=0.0)
         unseen = np.array([i >= values.shape[1] or values[frame, i] <= UNSEEN * most for i in range(free.shape[2])])
-        moves = np.abs(free[frame] @ vectors[frame, unseen].T).max(axis=1)
+        vectors = np.linalg.svd(seen[frame], full_matrices=True)[2]
+        moves = np.abs(free[frame] @ vectors[unseen].T).max(axis=1)
         named = self.names_of(moves)
         where = "" if blind.size == len(q) else f" at t = {target.time[frame]:.6g} s"
         raise SpecError(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -17,6 +18,9 @@ from mbdkit.inverse_dynamics.tables import Table
 from mbdkit.spec import InverseSpec
 from mbdkit.spec.inverse_sections import ColumnOfTable, Load
 from mbdkit.text import shown
+
+Component: TypeAlias = tuple[Literal["force", "point", "torque"], int | None]
+"""An array of a `LoadSeries`, and the axis of its component."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,9 @@ class LoadSeries:
         (R,) free torque [N m].
     is_cubic
         Whether values between these times are those of a cubic spline instead of straight lines.
+    deviation
+        Standard deviations of the noise in SI units, for the components that have one: ("force", 0) is that of the
+        x component of the force, ("torque", None) that of the torque.
     """
 
     time: np.ndarray
@@ -48,6 +55,19 @@ class LoadSeries:
     frame: int
     torque: np.ndarray
     is_cubic: bool
+    deviation: Mapping[Component, float] = field(default_factory=dict)
+
+    def moved(self, component: Component, by: float) -> LoadSeries:
+        """Return the load with a component changed at all times at which the load acts."""
+        name, axis = component
+        values = getattr(self, name).copy()
+        values[self.acts, ... if axis is None else axis] += by
+        return replace(self, **{name: values})
+
+    @property
+    def acts(self) -> np.ndarray:
+        """(R,) whether the load acts; it does not where its force and torque are zero, as when a foot is in the air."""
+        return np.asarray(np.any(self.force != 0, axis=1) | (self.torque != 0))
 
     def at(self, times: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return values (R, ...) of the load interpolated to `times` (T,)."""
@@ -111,17 +131,29 @@ def _series(spec: InverseSpec, names: QuantityNames, key: str, load: Load, of_mo
         )
     time = table.times(load.time, f"{key}.time")
     force, torque, point = np.zeros((len(time), 2)), np.zeros(len(time)), None
+    deviation: dict[Component, float] = {}
     if load.force is not None:
         for axis, column in enumerate(load.force):
             force[:, axis] = _required(table, column, "N", f"{key}.force[{axis}]")
+            deviation["force", axis] = _deviation(table, column, "N")
     if load.torque is not None:
         torque = _required(table, load.torque, "N m", f"{key}.torque")
+        deviation["torque", None] = _deviation(table, load.torque, "N m")
     if load.point is not None:
         acts = np.any(force != 0, axis=1)
         point = np.empty_like(force)
         for axis, column in enumerate(load.point):
             point[:, axis] = _required(table, column, "m", f"{key}.point[{axis}]", acts)
-    return LoadSeries(time, body, force, point, frame, torque, load.interpolation == "cubic")
+            deviation["point", axis] = _deviation(table, column, "m")
+    noisy = {component: value for component, value in deviation.items() if value > 0}
+    return LoadSeries(time, body, force, point, frame, torque, load.interpolation == "cubic", noisy)
+
+
+def _deviation(table: Table, column: ColumnOfTable | float, unit: str) -> float:
+    """Return the standard deviation of the noise of a column in the SI `unit`, 0 if none is stated."""
+    if isinstance(column, float) or column.deviation is None:
+        return 0.0
+    return abs(unit_factor(column, table, unit, "loads")) * column.deviation
 
 
 def _required(

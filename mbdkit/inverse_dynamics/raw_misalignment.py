@@ -7,10 +7,16 @@ import numpy as np
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.joint_sums import JointSums
 from mbdkit.inverse_dynamics.fit import Target
-from mbdkit.inverse_dynamics.manifold import Manifold
+from mbdkit.inverse_dynamics.manifold import Manifold, least_norm
 
 ITERATIONS = 4
 """Gauss-Newton steps from the fitted pose, which is near, so that they converge."""
+
+SETTLED = 1e-14
+"""Scaled step below which positions are found to rounding."""
+
+NEGLIGIBLE = 1e-9
+"""Share of the largest singular value of the Jacobian of the data below which they do not see a direction."""
 
 BLIND = 1e-6
 """Share of a constraint row that the data do not see, above which its gap counts as undetermined."""
@@ -31,11 +37,14 @@ def raw_misalignment(manifold: Manifold, mechanism: CompiledMechanism, target: T
     for _ in range(ITERATIONS):
         observed = target.quantities.jacobian(place) * target.root_weight[:, None] * manifold.scale
         left = (target.values - target.quantities.values(place)) * target.root_weight
-        place += (np.linalg.pinv(observed, rcond=1e-9) @ left[..., None])[..., 0] * manifold.scale
+        step = least_norm(observed, left, NEGLIGIBLE)
+        place += step * manifold.scale
+        if np.max(np.abs(step), initial=0.0) < SETTLED:
+            break
     residual = manifold.reactions(target.time, place, np.zeros_like(place), none).residual
     found: np.ndarray = JointSums(mechanism).misalignment(residual)
     jacobian = manifold.frames(target.time, q).jacobian * manifold.scale
-    seen = np.linalg.pinv(observed, rcond=1e-9) @ observed
+    seen = np.linalg.pinv(observed, rcond=NEGLIGIBLE) @ observed
     hidden = np.linalg.norm(jacobian - jacobian @ seen, axis=2) > BLIND * np.linalg.norm(jacobian, axis=2)
     names = [row.label.rpartition(".")[0] for row in mechanism.solved_rows]
     for number, name in enumerate(mechanism.joints):

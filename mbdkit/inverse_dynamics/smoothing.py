@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline, make_smoothing_spline
+from scipy.linalg import solveh_banded
 from scipy.signal import butter, filtfilt, lfilter, lfiltic
 
 from mbdkit.errors import SpecError
@@ -61,6 +62,8 @@ def smoothed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> Smoothed:
     if isinstance(how, QuinticSpline):
         return _of_spline(quintic_spline(time, series), time)
     if isinstance(how, SmoothingSpline):
+        if how.parameter is None:
+            return _cross_validated_spline(time, series)
         return _smoothing_spline(time, series, how.parameter)
     if isinstance(how, Butterworth):
         filtered = _butterworth(time, series, how)
@@ -140,14 +143,42 @@ def local_derivatives(time: np.ndarray, series: np.ndarray) -> tuple[np.ndarray,
     return rate, acceleration
 
 
-def _smoothing_spline(time: np.ndarray, series: np.ndarray, parameter: float | None) -> Smoothed:
+def _smoothing_spline(time: np.ndarray, series: np.ndarray, parameter: float) -> Smoothed:
+    """Return the smoothing splines of all series (T, K), by one factorization of a banded matrix.
+
+    The second derivatives c at the inner rows, between which they are straight lines, satisfy
+    ``(R + parameter Q^T Q) c = Q^T x``, and the smoothed series is ``x - parameter Q c`` (Reinsch, Smoothing by spline
+    functions, Numerische Mathematik 10, 1967, 177-183).
+    """
+    unit = float((time[-1] - time[0]) / (len(time) - 1))  # intervals of about 1 keep the matrix well scaled
+    step, weight = np.diff(time) / unit, parameter / unit**3
+    before, after = 1.0 / step[:-1], 1.0 / step[1:]
+    middle = -(before + after)  # row i of Q^T has before, middle and after at i, i + 1 and i + 2
+    matrix = np.zeros((3, len(middle)))  # the diagonal and the two below it
+    matrix[0] = (step[:-1] + step[1:]) / 3 + weight * (before**2 + middle**2 + after**2)
+    matrix[1, :-1] = step[1:-1] / 6 + weight * (middle[:-1] * before[1:] + after[:-1] * middle[1:])
+    matrix[2, :-2] = weight * after[:-2] * before[2:]
+    bend = np.zeros_like(series)
+    right = before[:, None] * series[:-2] + middle[:, None] * series[1:-1] + after[:, None] * series[2:]
+    bend[1:-1] = solveh_banded(matrix, right, lower=True)
+    value = series.copy()
+    value[:-2] -= weight * before[:, None] * bend[1:-1]
+    value[1:-1] -= weight * middle[:, None] * bend[1:-1]
+    value[2:] -= weight * after[:, None] * bend[1:-1]
+    slope, length = np.diff(value, axis=0) / step[:, None], step[:, None]
+    rate = np.empty_like(value)
+    rate[:-1] = slope - length * (2 * bend[:-1] + bend[1:]) / 6
+    rate[-1] = slope[-1] + length[-1] * (bend[-2] + 2 * bend[-1]) / 6
+    return Smoothed(value, rate / unit, bend / unit**2)
+
+
+def _cross_validated_spline(time: np.ndarray, series: np.ndarray) -> Smoothed:
     unit = float((time[-1] - time[0]) / (len(time) - 1))  # SciPy's solution needs intervals of about 1
     scaled = (time - time[0]) / unit
-    weight = None if parameter is None else parameter / unit**3
     columns = []
     for x in series.T:
         try:
-            columns.append(_of_spline(make_smoothing_spline(scaled, x, lam=weight), scaled))
+            columns.append(_of_spline(make_smoothing_spline(scaled, x), scaled))
         except (ValueError, np.linalg.LinAlgError):
             raise SpecError(
                 "cross-validation finds no parameter of the spline for these data; give `parameter`", key=KEY

@@ -238,12 +238,15 @@ def _read_c3d(path: Path) -> Table:
         raise SpecError(f"this is not a C3D file that can be read: {shown(str(error))}", file=path) from None
     points = file["data"]["points"]  # (4, markers, frames)
     about = file["parameters"]["POINT"]
-    labels = [str(label) for label in about["LABELS"]["value"]][: points.shape[1]]
+    parts = sorted((name for name in about if re.fullmatch(r"LABELS\d*", name)), key=lambda name: (len(name), name))
+    labels = [str(label) for name in parts for label in about[name]["value"]][: points.shape[1]]  # 255 in each part
+    if not labels:
+        raise SpecError("this C3D file has no markers", file=path)
     rate, first = float(file["header"]["points"]["frame_rate"]), int(file["header"]["points"]["first_frame"])
     time = (first + np.arange(points.shape[2])) / rate
     headings = ["time", *(f"{label}.{axis}" for label in labels for axis in "xyz")]
     flat = points[:3].transpose(2, 1, 0).reshape(points.shape[2], -1)
-    unit = str(next(iter(about["UNITS"]["value"]), "m")).strip() or "m"
+    unit = str(next(iter(about.get("UNITS", {"value": ()})["value"]), "m")).strip() or "m"
     return Table(str(path), headings, np.column_stack([time, flat]).tolist(), length_unit=unit)
 
 

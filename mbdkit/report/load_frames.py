@@ -1,16 +1,19 @@
-"""A mechanism at several times with arrows of the forces of its joints, loads and springs to scale, as SVG."""
+"""Arrows of the forces of joints, loads and springs to scale: in a drawing at several times, and in the player."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
 
+from mbdkit.analysis.cycles import crossings
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.plot.plane_geometry import Array
+from mbdkit.plot.scene import nearest_rows
 from mbdkit.report.mechanism_drawing import CROWD, NARROW, WIDE, NamedPose, draw_scale_bar, draw_sketch, joint_point
 from mbdkit.report.section import Drawing
 from mbdkit.report.svg_canvas import Canvas
@@ -22,6 +25,8 @@ FRAMES, FRAMES_NARROW = 6, 3
 """Number of frames in a row on a wide page and on a narrow one."""
 ARROW = 0.45
 """Length of the longest arrow, as a share of the height of the mechanism."""
+CONTACT = 0.05
+"""Share of the peak of a load at which its contact begins."""
 KEY = 0.15
 """Room for the key above the frames, as a share of their height."""
 KINDS = (("joint", "force in a joint"), ("load", "measured load"), ("spring", "force element"))
@@ -32,23 +37,81 @@ Arrow = tuple[str, Array, Array]
 
 def load_drawing(run: Run, mechanism: Mechanism | None) -> Drawing | None:
     """Return the drawing of a run in several frames; None if its model is not available, or has very many bodies."""
-    if mechanism is None or list(mechanism.bodies) != list(run.bodies) or len(run.bodies) > CROWD:
+    if not _has_arrows(run, mechanism):
         return None
+    assert mechanism is not None
+    when = "of time" if _cycle(run) is None else "of a cycle, which begins with the contact"
     text = (
-        "Forces to one scale, at equal intervals of time: in joints, on the second body; measured loads, from their "
+        f"Forces to one scale, at equal intervals {when}: in joints, on the second body; measured loads, from their "
         "point of application; force elements, at both ends."
     )
     wide, narrow = (_svg(run, mechanism, *size) for size in ((FRAMES, WIDE), (FRAMES_NARROW, NARROW)))
     return Drawing(wide, narrow, "The mechanism at several times with arrows of its forces", text)
 
 
+def with_arrows(run: Run, mechanism: Mechanism | None, film: dict[str, Any]) -> dict[str, Any]:
+    """Return the data of the player with the arrows of forces in each of its frames.
+
+    Returns
+    -------
+    dict
+        The film; if there are forces, with ``arrows``: their ``kinds`` (A), the ``texts`` of the kinds, the ``scale``
+        [m/N], the ``longest`` force [N], and ``values``, x, y [m] and force x, y [N] of each arrow, frame by frame. Its
+        ``view`` then shows the arrows as well, about the same centre.
+    """
+    if not _has_arrows(run, mechanism):
+        return film
+    times = np.asarray(film["time"])
+    poses, rows = run.array("trajectory/position"), nearest_rows(np.asarray(run.time), times)
+    first = NamedPose.of(mechanism, list(run.bodies), poses[0], np.asarray(run.time))
+    frames = [replace(first, pose=poses[row]) for row in rows]
+    found = [list(_arrows(run, frame, int(row))) for frame, row in zip(frames, rows, strict=True)]
+    values = np.array([[(*point, *force) for _, point, force in arrows] for arrows in found])
+    longest = float(np.max(np.hypot(values[..., 2], values[..., 3]), initial=0.0))
+    if longest == 0.0:
+        return film
+    size = max(float(np.max(np.ptp(box, axis=0))) for box in (_box(frame) for frame in frames))
+    scale = ARROW * size / longest
+    ends = (values[..., :2] + scale * values[..., 2:]).reshape(-1, 2)
+    kinds = [kind for kind, *_ in found[0]]
+    data = {
+        "kinds": kinds,
+        "texts": {kind: text for kind, text in KINDS if kind in kinds},
+        "scale": scale,
+        "longest": longest,
+        "values": [float(f"{value:.5g}") for value in values.reshape(-1).tolist()],
+    }
+    return film | {"arrows": data, "view": _widened(film["view"], ends)}
+
+
+def _widened(view: list[float], points: Array) -> list[float]:
+    """Return a view [m] about the same centre that shows some points (P, 2) as well."""
+    found = []
+    for axis, (low, high) in enumerate((view[:2], view[2:])):
+        middle = (low + high) / 2
+        half = max((high - low) / 2, 1.05 * float(np.max(np.abs(points[:, axis] - middle))))
+        found += [middle - half, middle + half]
+    return found
+
+
+def _has_arrows(run: Run, mechanism: Mechanism | None) -> bool:
+    """Return whether the model is available, and has so few bodies that arrows do not hide them."""
+    return mechanism is not None and list(mechanism.bodies) == list(run.bodies) and len(run.bodies) <= CROWD
+
+
+def _box(frame: NamedPose) -> Array:
+    """Return the points (P, 2) [m] of the bodies of a frame."""
+    return np.asarray(frame.drawing.world(frame.pose)[frame.drawing.owner >= 0])
+
+
 def _svg(run: Run, mechanism: Mechanism, count: int, width: float) -> Markup:
-    rows = np.unique(np.linspace(0, len(run.time) - 1, count).round().astype(int)).tolist()
+    times = _moments(run, count)
+    rows = np.unique(nearest_rows(np.asarray(run.time), times)).tolist()
     poses = run.array("trajectory/position")
     frames = [NamedPose.of(mechanism, list(run.bodies), poses[row], np.asarray(run.time)) for row in rows]
     arrows = [list(_arrows(run, frame, row)) for frame, row in zip(frames, rows, strict=True)]
     longest = max((float(np.hypot(*force)) for found in arrows for *_, force in found), default=0.0)
-    boxes = [frame.drawing.world(frame.pose)[frame.drawing.owner >= 0] for frame in frames]
+    boxes = [_box(frame) for frame in frames]
     low, high = min(float(box[:, 1].min()) for box in boxes), max(float(box[:, 1].max()) for box in boxes)
     broadest = max(float(np.ptp(box[:, 0])) for box in boxes)
     size = max(high - low, broadest)
@@ -66,6 +129,25 @@ def _svg(run: Run, mechanism: Mechanism, count: int, width: float) -> Markup:
     _key(canvas, longest, scale, {kind for found in arrows for kind, *_ in found})
     box_ = f"0 0 {canvas.width:.0f} {canvas.height:.0f}"
     return Markup('<svg viewBox="{}" aria-hidden="true">{}</svg>').format(box_, Markup("").join(canvas.parts))
+
+
+def _moments(run: Run, count: int) -> Array:
+    """Return the times [s] of the frames: the middles of equal parts of the first cycle, or over the motion."""
+    cycle = _cycle(run)
+    if cycle is None:
+        return np.linspace(run.time[0], run.time[-1], count)
+    begin, end = cycle
+    return begin + (end - begin) * (np.arange(count) + 0.5) / count
+
+
+def _cycle(run: Run) -> tuple[float, float] | None:
+    """Return begin and end [s] of the first cycle, by contacts of the first load that has two; None without any."""
+    for load in run.loads.values():
+        size = np.linalg.norm(load.force, axis=1)
+        starts = crossings(np.asarray(run.time), size, CONTACT * float(np.max(size))).tolist()
+        if len(starts) > 1:
+            return starts[0], starts[1]
+    return None
 
 
 def _covered(boxes: list[Array], arrows: list[list[Arrow]], shifts: list[Array], scale: float) -> Array:

@@ -18,6 +18,8 @@ from mbdkit.report.section import Drawing, Section
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
+EXACT = 1e-12
+"""Residuals [rad or m] below this are rounding errors."""
 BARS = 24
 """Largest number of bars of a unit, those of the largest peaks."""
 _POINTS = 1_000
@@ -138,7 +140,9 @@ def _disagreement(run: Run) -> Section:
     heads = (Column("joint"), Column("rms", "m"), Column("largest", "m"), Column("time of the largest", "s"))
     note = "Distance by which a joint would be open if the measured data alone placed the bodies."
     tables = [residuals] + ([Table("raw-gaps", "Misalignment of the data", heads, tuple(gaps), note)] if gaps else [])
-    told = [f"{peak:.3g} {unit} ({name}, at {when:.4g} s)" for unit, (peak, name, when) in worst.items() if peak > 0]
+    told = [
+        f"{peak:.3g} {unit} ({name}, at {when:.4g} s)" for unit, (peak, name, when) in worst.items() if peak > EXACT
+    ]
     sentence = f"The largest residuals are {' and '.join(told)}." if told else "The model fits the data exactly."
     if not gaps:
         sentence += " The data do not place the bodies on both sides of any joint, so their misalignment is not known."

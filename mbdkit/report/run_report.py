@@ -10,6 +10,7 @@ from mbdkit.plot.caption import caption
 from mbdkit.plot.downsampling import require_rows
 from mbdkit.plot.drawing_geometry import build_mechanism
 from mbdkit.report.answer_section import answer_section
+from mbdkit.report.load_frames import with_arrows
 from mbdkit.report.load_sections import inverse_sections
 from mbdkit.report.methods_used import methods
 from mbdkit.report.model_section import model_section
@@ -39,12 +40,13 @@ def run_report(run: Run) -> ReportPage:
     mechanism = mechanism_of(run)
     answer = answer_section(run)
     command = "inverse" if run.kind == "inverse" else "run"
+    film = film_data(run, _NUMBERS)
     return ReportPage(
         title=head.title,
         settings=head.settings,
         alarm=_alarm(run, head.alarm),
         verdict=run_verdict(run),
-        films=(film_data(run, _NUMBERS),),
+        films=(with_arrows(run, mechanism, film) if run.kind == "inverse" else film,),
         methods=methods([run.spec]),
         environment=environment(run.provenance, {"run": run.run_id, "created (UTC)": run.created_utc}),
         reproduce="Save the spec below as run.yaml. With the same versions on the same machine the arrays are "

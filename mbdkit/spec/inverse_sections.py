@@ -11,6 +11,7 @@ from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.values import BodyPair, Points
 from mbdkit.spec.sections import Count, Positive, Section
+from mbdkit.text import shown
 from mbdkit.units import read_unit
 
 Named = Annotated[str, Field(min_length=1)]
@@ -27,7 +28,7 @@ def _as_smoothing(value: Any) -> Any:
 class ColumnOfTable(Section):
     """A column of a table and its unit; a text alone is the heading of a column in SI units."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("scale",)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("scale", "deviation")
 
     column: Named
     """Heading of the column."""
@@ -35,6 +36,9 @@ class ColumnOfTable(Section):
     """Unit of the numbers, such as deg or mm; SI units (m, rad, N, N m) by default."""
     scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
     """Factor of the numbers, such as -1 for an angle that is counted in the other direction."""
+    deviation: Positive | None = None
+    """Standard deviation of the noise, in the unit of the column. By default, that of the motion is estimated from the
+    residuals, and loads have none."""
 
     @model_validator(mode="after")
     def _has_a_unit(self) -> ColumnOfTable:
@@ -51,16 +55,12 @@ class ColumnOfTable(Section):
 class ObservedColumn(ColumnOfTable):
     """The column with the measured values of one quantity."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("scale", "deviation")
-
     weight: Positive = 1.0
     """Weight of its squared residual, in SI units, in the fit of the mechanism."""
     rate: Named | None = None
     """Heading of a column with the first derivative, in the same unit per second, for motions that are not smoothed."""
     acceleration: Named | None = None
     """Heading of a column with the second derivative; given together with `rate`."""
-    deviation: Positive | None = None
-    """Standard deviation of the noise, in the unit of the column; by default, it is estimated from the residuals."""
 
     @model_validator(mode="after")
     def _has_both_derivatives(self) -> ObservedColumn:
@@ -225,7 +225,7 @@ class Load(Section):
 
 
 class Actuator(Section):
-    """An actuator: on the coordinate of a joint, between two points, or on a coordinate of a body.
+    """An actuator: on the coordinate of a joint, between two points or two bodies, or on a coordinate of a body.
 
     With none of `joint`, `bodies` and `body`, it acts on the coordinate of the model that has its name; its value is
     then the generalized force of this coordinate, in its sign.
@@ -236,7 +236,8 @@ class Actuator(Section):
     joint: Named | None = None
     """Joint whose relative angle or travel it acts on, with a torque or force on the second body."""
     bodies: BodyPair | None = None
-    """Instead of `joint`, with `points`: the two bodies that it pulls together."""
+    """Instead of `joint`: the two bodies that it acts between, with `points` as a tension that pulls these together,
+    otherwise as a torque on the second body, positive counter-clockwise, and its reaction on the first."""
     points: Points | None = None
     """Points of attachment, each in the frame of its body [m]."""
     body: Named | None = None
@@ -252,10 +253,13 @@ class Actuator(Section):
         given = [name for name in ("joint", "bodies", "body") if getattr(self, name) is not None]
         if len(given) > 1:
             raise PydanticCustomError("mbdkit", "needs only one of `joint`, `bodies` and `body`")
-        for first, second in (("bodies", "points"), ("body", "coordinate")):
-            if (getattr(self, first) is None) != (getattr(self, second) is None):
-                missing = second if getattr(self, second) is None else first
-                raise SpecError(f"is missing: `{first}` and `{second}` are given together", key=missing)
+        if self.bodies is not None and self.bodies[0] == self.bodies[1]:
+            raise SpecError(f"are both '{shown(self.bodies[0])}': an actuator acts between two bodies", key="bodies")
+        if self.points is not None and self.bodies is None:
+            raise SpecError("is missing: `points` are points of `bodies`", key="bodies")
+        if (self.body is None) != (self.coordinate is None):
+            missing = "body" if self.body is None else "coordinate"
+            raise SpecError("is missing: `body` and `coordinate` are given together", key=missing)
         return self
 
 

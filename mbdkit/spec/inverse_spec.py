@@ -15,7 +15,6 @@ from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.spec.choices import Choice
 from mbdkit.spec.inverse_sections import Actuator, Load, MeasuredMotion, Span
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.spec.reading import STDIN
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
 
 
@@ -66,9 +65,7 @@ class InverseSpec(ModelSpec):
     @property
     def folder(self) -> Path:
         """Folder that relative names of files count from: that of the spec, or else the current folder."""
-        file = "" if self._document is None else self._document.file
-        path = Path(file)
-        return path.parent if file != STDIN and path.is_file() else Path()
+        return Path() if self._document is None else self._document.folder
 
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:
         """Return the measures of the result."""
@@ -85,6 +82,15 @@ def inverse_spec_type(installed: Registry) -> type[InverseSpec]:
     description = InverseSpec.model_fields["model"].description
     field: Any = (Annotated[BaseModel, Choice("model", installed)], Field(description=description))
     return create_model("InverseSpec", __base__=InverseSpec, __doc__=InverseSpec.__doc__, model=field)
+
+
+def refused_as_inverse() -> SpecError:
+    """Return the error for a run spec that is given in place of a spec of inverse dynamics."""
+    return SpecError(
+        "this is a run spec: run it with `mbdkit run`; a spec of inverse dynamics has a section `motion`, and neither "
+        "`integrator` nor a step",
+        key="integrator",
+    )
 
 
 def refused_as_run() -> SpecError:

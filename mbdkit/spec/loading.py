@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.resources
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from mbdkit.errors import SpecError
 from mbdkit.plain_data import copied
-from mbdkit.spec.inverse_spec import InverseSpec, is_inverse, refused_as_run
+from mbdkit.spec.inverse_spec import InverseSpec, is_inverse, refused_as_inverse, refused_as_run
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import read_file, read_stdin, read_text, set_value
 from mbdkit.spec.run_spec import RunSpec
@@ -72,6 +73,8 @@ def _loaded(kind: type[S], source: Any, overrides: Iterable[str], sections: Mapp
     document.keywords = frozenset(sections)
     if kind is RunSpec and is_inverse(document.data):
         raise document.place(refused_as_run())
+    if kind is InverseSpec and not is_inverse(document.data) and "integrator" in document.data:
+        raise document.place(refused_as_inverse())
     for assignment in overrides:
         set_value(document, assignment)
     try:
@@ -83,9 +86,23 @@ def _loaded(kind: type[S], source: Any, overrides: Iterable[str], sections: Mapp
     return spec
 
 
-def example_names() -> list[str]:
-    """Return the names of the packaged examples; `load_spec` accepts each name as a source."""
-    return sorted(path.name.removesuffix(".yaml") for path in _examples().iterdir() if path.name.endswith(".yaml"))
+def example_names(kind: Literal["run", "inverse"] | None = None) -> list[str]:
+    """Return the names of the packaged examples: of run specs, of specs of inverse dynamics, or of both.
+
+    `load_spec` accepts the names of run specs as a source, and `load_inverse_spec` those of inverse dynamics.
+    """
+    return [name for name, own in _kinds().items() if kind in (None, own)]
+
+
+@functools.cache
+def _kinds() -> dict[str, str]:
+    """Return the kind of each packaged example by its name, in order of the names."""
+    found = {}
+    for path in _examples().iterdir():
+        name, suffix = os.path.splitext(path.name)
+        if suffix == ".yaml":
+            found[name] = "inverse" if "\nmotion:" in path.read_text("utf-8") else "run"
+    return dict(sorted(found.items()))
 
 
 def example_text(name: str) -> str:
@@ -103,6 +120,12 @@ def example_text(name: str) -> str:
     return text
 
 
+def example_table(name: str) -> str | None:
+    """Return the text of the table that a packaged example reads, ``NAME.csv`` beside its spec; None if it has none."""
+    path = _examples() / f"{name}.csv"
+    return str(path.read_text("utf-8")) if path.is_file() else None
+
+
 def _examples() -> Any:
     return importlib.resources.files("mbdkit.models") / "examples"
 
@@ -114,9 +137,8 @@ def read_source(source: Any) -> Document:
         default = {name: info.get_default(call_default_factory=True) for name, info in fields.items()}
         values = source.sections()
         # keys that a copy omits by default: `check: false` is no statement of the user, as it is in a file
-        return Document(
-            {name: value for name, value in values.items() if name not in omitted or value != default[name]}
-        )
+        kept = {name: value for name, value in values.items() if name not in omitted or value != default[name]}
+        return Document(kept, folder=FilePath() if source._document is None else source._document.folder)
     if isinstance(source, Mapping):
         return Document(copied(source))
     if isinstance(source, Document):
@@ -140,7 +162,9 @@ def _named(source: str | FilePath) -> Document:
         raise SpecError(f"the name of the spec is empty: give a file or an example; examples: {listed(names)}")
     path = FilePath(source)
     if str(source) in names and not os.path.isfile(path):
-        return read_text(example_text(str(source)), f"{source} (packaged example)")
+        document = read_text(example_text(str(source)), f"{source} (packaged example)")
+        document.folder = FilePath(str(_examples()))
+        return document
     if not exists(path):
         raise SpecError(
             f"there is no such file, and no packaged example with this name{did_you_mean(str(source), names)}; "

@@ -38,7 +38,9 @@ def read_file(path: FilePath) -> Document:
             raw = stream.read(LARGEST_FILE + 1)
     except OSError as error:
         raise file_error(error.errno, f"this file cannot be read: {error.strerror or error}", file=file) from None
-    return read_text(_decoded(raw, file), file, path.suffix.lower())
+    document = read_text(_decoded(raw, file), file, path.suffix.lower())
+    document.folder = path.parent
+    return document
 
 
 def read_stdin() -> Document:

@@ -18,7 +18,7 @@ RunSource: TypeAlias = str | Path | Mapping[str, object] | RunSpec | Mechanism
 """A file, the name of a packaged example, a mapping, a validated spec, or a mechanism."""
 
 InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec
-"""A file, a mapping, or a validated spec of inverse dynamics."""
+"""A file, the name of a packaged example, a mapping, or a validated spec of inverse dynamics."""
 
 StudySource: TypeAlias = str | Path | Mapping[str, object] | StudySpec
 """A file, the name of a packaged study, a mapping, or a validated spec."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path as FilePath
 from typing import Any
 
 from mbdkit.errors import SpecError
@@ -24,6 +25,8 @@ class Document:
         Key paths set on the command line, with the text of each assignment.
     keywords
         Top-level sections replaced by Python keyword arguments.
+    folder
+        Folder that relative names of files in it count from; by default, the current folder.
     """
 
     data: dict[str, Any]
@@ -31,6 +34,7 @@ class Document:
     lines: Callable[[], Mapping[Path, int]] = dict
     overridden: dict[Path, str] = field(default_factory=dict)
     keywords: frozenset[str] = frozenset()
+    folder: FilePath = FilePath()
 
     @without_collection()
     def place(self, error: SpecError) -> SpecError:

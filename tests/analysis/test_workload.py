@@ -49,8 +49,9 @@ def test_contacts_begin_cycles_and_end_at_the_threshold() -> None:
     phases = {phase.name: (phase.start, phase.end) for phase in found.phases}
     first, period = 1 / 18, 2 / 3  # sin(3 pi t) is a half at 1/18 s and 5/18 s
     assert phases["contact 1"] == pytest.approx((first, 5 / 18), abs=1e-5)
+    assert phases["swing 1"] == pytest.approx((5 / 18, first + period), abs=1e-5)
     assert phases["cycle 1"] == pytest.approx((first, first + period), abs=1e-5)
-    assert list(phases) == ["contact 1", "cycle 1", "contact 2", "cycle 2", "contact 3"]
+    assert list(phases) == ["contact 1", "swing 1", "cycle 1", "contact 2", "swing 2", "cycle 2", "contact 3"]
     curve = found.cycles["hub"]
     assert curve.cycles.shape == (2, 101)
     begin = -0.5 * (2 * np.pi) ** 2 * np.sin(2 * np.pi * (first + period * np.arange(2)))

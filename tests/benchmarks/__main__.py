@@ -14,7 +14,7 @@ from mbdkit.errors import SpecError
 from mbdkit.files import check_suffix
 from mbdkit.plot.style import FORMATS
 
-from . import chain, ensemble, executors, plugins, python_steps, race, scale, startup
+from . import chain, ensemble, executors, inverse_frames, plugins, python_steps, race, scale, startup
 from .precision.race import precision
 
 SECTIONS: dict[str, Callable[[Console], None]] = {
@@ -22,6 +22,7 @@ SECTIONS: dict[str, Callable[[Console], None]] = {
     "ensemble": ensemble.ensemble,
     "executors": executors.executors,
     "implicit": chain.implicit,
+    "inverse": inverse_frames.inverse_frames,
     "memory": chain.memory,
     "plugins": plugins.plugins,
     "precision": precision,

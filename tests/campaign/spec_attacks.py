@@ -77,7 +77,7 @@ PIECES = (
 
 @cache
 def _specs() -> list[dict[str, Any]]:
-    return [read_yaml(example_text(name))[0] for name in example_names()]
+    return [read_yaml(example_text(name))[0] for name in example_names("run")]
 
 
 @cache

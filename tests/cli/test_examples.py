@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbdkit.spec import example_names, example_text, load_spec
+from mbdkit.spec.loading import example_table, read_source
 
 
 def test_examples_are_listed_with_their_titles(mbdkit):
@@ -12,10 +13,10 @@ def test_examples_are_listed_with_their_titles(mbdkit):
     assert result.exit_code == 0
     for name in example_names():
         assert f"{name} " in result.stdout
-        assert load_spec(name).title in result.stdout
+        assert read_source(name).data["title"] in result.stdout
 
 
-@pytest.mark.parametrize("name", example_names())
+@pytest.mark.parametrize("name", example_names("run"))
 def test_a_copy_is_the_example_with_its_comments(name, mbdkit, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert mbdkit("examples", "copy", name).stdout == f"{name}.yaml\n"
@@ -23,6 +24,27 @@ def test_a_copy_is_the_example_with_its_comments(name, mbdkit, tmp_path, monkeyp
     assert written == example_text(name)
     assert written.startswith("# yaml-language-server: $schema=")
     assert load_spec(str(tmp_path / f"{name}.yaml")).sha256() == load_spec(name).sha256()
+
+
+def test_a_copy_of_inverse_dynamics_comes_with_its_table(mbdkit, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert mbdkit("examples", "copy", "walking", "-o", "mine/step.yaml").exit_code == 2
+    (tmp_path / "mine").mkdir()
+    result = mbdkit("examples", "copy", "walking", "-o", "mine/step.yaml")
+    assert result.stdout == "mine/step.yaml\nmine/walking.csv\n"
+    assert (tmp_path / "mine" / "step.yaml").read_text("utf-8") == example_text("walking")
+    assert (tmp_path / "mine" / "walking.csv").read_text("utf-8") == example_table("walking")
+    assert "261 rows from 0 to" in mbdkit("validate", "mine/step.yaml").stdout
+    again = mbdkit("examples", "copy", "walking", "-o", "mine/other.yaml")
+    assert again.exit_code == 2
+    assert "mine/walking.csv: this file exists already; choose another name or folder with -o" in again.stderr
+    assert not (tmp_path / "mine" / "other.yaml").exists()
+
+
+def test_an_example_of_the_other_kind_is_refused_with_its_command(mbdkit):
+    assert "this is a run spec: run it with `mbdkit run`" in mbdkit("inverse", "knee").stderr
+    assert "compute it with `mbdkit inverse`" in mbdkit("run", "walking").stderr
+    assert "this spec of inverse dynamics is valid" in mbdkit("validate", "walking").stdout
 
 
 def test_a_copy_never_replaces_a_file(mbdkit, tmp_path):

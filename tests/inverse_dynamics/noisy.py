@@ -69,13 +69,23 @@ def noisy_motion(truth: Truth, random: np.random.Generator, **options: Any) -> d
     return {"data": noisy, "columns": {name: name for name in noisy if name != "time"}, **options}
 
 
-def covered(truth: Truth, spec: dict[str, Any], cutoff: float, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the shares of frames and noise samples in which bars cover true torques (U,) and joint forces (J,)."""
-    random = np.random.default_rng(17)
+def covered(
+    truth: Truth, spec: dict[str, Any], cutoff: float, samples: int, *, seed: int = 17, **options: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the shares of frames and noise samples in which bars cover true torques (U,) and joint forces (J,).
+
+    Parameters
+    ----------
+    seed
+        Seed of the noise.
+    options
+        Further options of the section `motion`.
+    """
+    random = np.random.default_rng(seed)
     torques, forces = np.zeros(truth.torques.shape[1]), np.zeros(truth.force.shape[1])
     inside = slice(ENDS, -ENDS)
     for _ in range(samples):
-        motion = noisy_motion(truth, random, smooth={"name": "butterworth", "cutoff": cutoff})
+        motion = noisy_motion(truth, random, smooth={"name": "butterworth", "cutoff": cutoff}, **options)
         result = compute(InverseProblem.of(load_inverse_spec({**spec, "motion": motion}, ())))
         bars = error_bars(result)
         assert bars is not None

@@ -33,8 +33,13 @@ def reference(name: str) -> Path:
 
 def table(path: Path) -> Any:
     """Return the columns of a table by name."""
-    text = "\n".join(line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#"))
-    return np.genfromtxt(io.StringIO(text), delimiter=",", names=True)
+    return table_of(path.read_text(encoding="utf-8"))
+
+
+def table_of(text: str) -> Any:
+    """Return the columns of the text of a table by name."""
+    rows = "\n".join(line for line in text.splitlines() if not line.startswith("#"))
+    return np.genfromtxt(io.StringIO(rows), delimiter=",", names=True)
 
 
 def running_spec(path: Path, smooth: Any = "none") -> dict[str, Any]:

@@ -116,3 +116,31 @@ def test_an_angle_that_is_counted_in_the_other_direction_has_a_negative_scale() 
     spec["motion"]["columns"]["knee.angle"]["scale"] = 0
     with pytest.raises(SpecError, match=r"scale: must not be 0"):
         mbdkit.inverse(spec)
+
+
+def test_a_torque_between_bodies_without_a_joint_acts_on_both() -> None:
+    # expected: a belt from the ground to the lower rod; by virtual work, it has the torque of the knee, and what acts
+    # on the upper rod is the rest of the hip's
+    belt = {"hip": {"joint": "hip"}, "belt": {"bodies": ["ground", "lower"]}}
+    run, single = mbdkit.inverse(double_pendulum(actuators=belt)), mbdkit.inverse(double_pendulum())
+    hip, knee = single.actuators["hip"].value, single.actuators["knee"].value
+    np.testing.assert_allclose(run.actuators["belt"].value, knee, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(run.actuators["hip"].value, hip - knee, rtol=0, atol=1e-10)
+    assert run.actuators["belt"].units == "N m"
+    same = {"hip": {"joint": "hip"}, "knee": {"bodies": ["upper", "lower"]}}
+    again = mbdkit.inverse(double_pendulum(actuators=same))
+    np.testing.assert_allclose(again.actuators["knee"].value, knee, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("actuator", "told"),
+    [
+        ({"points": [[0, 0], [0, 0]]}, "bodies: is missing: `points` are points of `bodies`"),
+        ({"body": "upper"}, "coordinate: is missing: `body` and `coordinate` are given together"),
+        ({"bodies": ["upper", "lowr"]}, "bodies.1.: .*did you mean 'lower'"),
+        ({"bodies": ["upper", "upper"]}, "bodies: are both 'upper': an actuator acts between two bodies"),
+    ],
+)
+def test_actuators_that_are_not_complete_are_refused(actuator: dict[str, Any], told: str) -> None:
+    with pytest.raises(SpecError, match=told):
+        mbdkit.inverse(double_pendulum(actuators={"a": actuator}))

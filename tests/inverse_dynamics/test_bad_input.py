@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -116,8 +116,8 @@ def test_markers_of_a_trc_file_are_in_the_unit_of_its_header(tmp_path: Path) -> 
     assert np.allclose(run.joints["hip"].angle, 0.1 * np.arange(20), rtol=0, atol=1e-12)
 
 
-@pytest.mark.skipif(importlib.util.find_spec("ezc3d") is not None, reason="ezc3d is installed")
-def test_c3d_files_need_a_package_that_the_message_names(tmp_path: Path) -> None:
+def test_c3d_files_need_a_package_that_the_message_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ezc3d", None)
     (tmp_path / "m.c3d").write_bytes(b"")
     with pytest.raises(MbdkitError, match="needs the package ezc3d"):
         mbdkit.inverse(pendulum(str(tmp_path / "m.c3d")))
@@ -161,4 +161,23 @@ def test_commands_compute_check_and_print(tmp_path: Path) -> None:
         assert done.exit_code == 0, (words, done.output)
     assert "hip.value" in (tmp_path / "csv" / "actuators.csv").read_text()
     done = CliRunner().invoke(app, ["rerun", out], prog_name="mbdkit")
+    assert done.exit_code == 0, done.output
+    assert "the data are the same to the bit" in done.stdout
+    changed = [ROWS[0], *(row.replace("0.300", "0.301") for row in ROWS[1:])]
+    (tmp_path / "t.csv").write_text("\n".join(changed), encoding="utf-8")
+    assert CliRunner().invoke(app, ["rerun", out], prog_name="mbdkit").exit_code == 1
+    (tmp_path / "t.csv").rename(tmp_path / "other.csv")
+    done = CliRunner().invoke(app, ["rerun", out], prog_name="mbdkit")
     assert done.exit_code == 2
+    assert "out.h5: its data are in t.csv, which is not in the folder of the archive" in done.stderr
+
+
+def test_a_rerun_reads_no_file_outside_of_the_folder_of_the_archive(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("\n".join(ROWS), encoding="utf-8")
+    (tmp_path / "sub").mkdir()
+    for name in ("../t.csv", str(tmp_path / "t.csv")):
+        (tmp_path / "sub" / "s.yaml").write_text(yaml.safe_dump(pendulum(name)), encoding="utf-8")
+        mbdkit.inverse(tmp_path / "sub" / "s.yaml", archive=tmp_path / "sub" / "out.h5", overwrite=True)
+        done = CliRunner().invoke(app, ["rerun", str(tmp_path / "sub" / "out.h5")], prog_name="mbdkit")
+        assert done.exit_code == 2
+        assert "which is not in the folder of the archive" in done.stderr.replace("\n", " ")

@@ -14,6 +14,7 @@ from mbdkit import SpecError
 from mbdkit.analysis.workload import workload
 from mbdkit.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit.inverse_dynamics.error_bars import _norm_bound
+from mbdkit.report.run_report import run_report
 from mbdkit.spec import load_inverse_spec, load_spec
 from tests.inverse_dynamics.noisy import CUTOFF, DEVIATION, Truth, covered
 from tests.inverse_dynamics.test_closed_loops import TORQUES, moved
@@ -32,14 +33,37 @@ def pendulum(**motion: Any) -> dict[str, Any]:
     return {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": data, "columns": {"hip.angle": column}, **motion}}
 
 
-def test_bars_cover_true_torques_and_joint_forces_of_closed_loops(tmp_path: Path) -> None:
-    shares = []
+@pytest.fixture(scope="module")
+def loops(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Truth, dict[str, Any]]]:
+    """The truth of a forward run of each closed loop, and the spec that gives its motion back."""
+    found = {}
     for example in TORQUES:
-        run, spec = moved(example, tmp_path / f"{example}.h5")
-        truth = Truth.of(example, run, spec["actuators"])
-        shares.append([np.mean(one) for one in covered(truth, spec, CUTOFF[example], 2)])
-    # few samples of correlated noise: the command tests.benchmarks.inverse_coverage takes hundreds
-    assert np.all((np.mean(shares, axis=0) >= 0.9) & (np.mean(shares, axis=0) <= 0.995))
+        run, spec = moved(example, tmp_path_factory.mktemp("loops") / f"{example}.h5")
+        found[example] = Truth.of(example, run, spec["actuators"]), spec
+    return found
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_bars_cover_true_torques_and_joint_forces_of_closed_loops(
+    loops: dict[str, tuple[Truth, dict[str, Any]]], seed: int
+) -> None:
+    # few samples of correlated noise, so that only means over the examples are compared; below, each actuator and joint
+    shares = [
+        [np.mean(one) for one in covered(*loops[name], CUTOFF[name], 4, seed=seed, errors={"samples": 100})]
+        for name in loops
+    ]
+    assert np.all((np.mean(shares, axis=0) >= 0.9) & (np.mean(shares, axis=0) <= 0.99))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("example", list(TORQUES))
+def test_bars_of_each_actuator_and_joint_cover_the_truth(
+    loops: dict[str, tuple[Truth, dict[str, Any]]], example: str
+) -> None:
+    both = [covered(*loops[example], CUTOFF[example], 40, seed=seed) for seed in (101, 102)]
+    for shares in zip(*both, strict=True):
+        share = np.mean(shares, axis=0)
+        assert np.all((share >= 0.9) & (share <= 0.99)), share
 
 
 def test_bars_are_those_of_noise_that_passes_through_the_whole_computation() -> None:
@@ -165,3 +189,55 @@ def test_the_norm_of_a_gaussian_vector_stays_below_its_bound(ratio: float) -> No
     random = np.random.default_rng(1).standard_normal((200_000, 2)) * [1.0, ratio]
     bound = _norm_bound(np.array(1.0), np.array(ratio**2), np.array(0.0))
     assert abs(np.mean(np.linalg.norm(random, axis=1) <= bound) - 0.95) < 0.004
+
+
+def test_noise_of_loads_has_the_bars_of_its_lever() -> None:
+    # expected: the torque of the hip is -(x F_y - y F_x + M), with noise of F, of the point (x, y) in space, and of M
+    spec = pendulum(smooth="quintic")
+    push = np.where(T < 1.0, 5.0 + T, 0.0)
+    spec["motion"]["columns"]["hip.angle"]["deviation"] = 1e-9
+    spec["motion"]["data"] |= {"fx": push, "fy": -2 * push, "x": 0.3 + 0 * T, "y": -400.0 + 0 * T, "m": 0.1 * push}
+    spec["loads"] = {
+        "push": {
+            "body": "rod",
+            "force": [{"column": "fx", "deviation": 0.2}, {"column": "fy", "unit": "N", "deviation": 0.3}],
+            "point": [{"column": "x", "deviation": 0.01}, {"column": "y", "unit": "mm", "deviation": 20.0}],
+            "torque": {"column": "m", "deviation": 0.05},
+        }
+    }
+    run = mbdkit.inverse(spec)
+    variance = (0.4 * 0.2) ** 2 + (0.3 * 0.3) ** 2 + (2 * push * 0.01) ** 2 + (push * 0.02) ** 2 + 0.05**2
+    expected = 1.959964 * np.sqrt(np.where(push > 0, variance, 0.0))
+    np.testing.assert_allclose(run.actuators["hip"].value_error, expected, rtol=1e-3, atol=1e-4)
+    assert run.accuracy is not None
+    assert "push.force.x 0.2 N, push.force.y 0.3 N, push.torque 0.05 N m, push.point.x 0.01 m" in run.accuracy.method
+    assert run.accuracy.reaction_error[0, 0] == pytest.approx(1.96 * 0.3, rel=0.1)  # F_y has the larger noise
+    assert "deviation" in run.spec["loads"]["push"]["torque"]
+
+
+def test_without_noise_the_bar_is_the_change_with_the_cutoff() -> None:
+    # expected: the root of the mean square of the changes at 0.8 and 1.25 times the cutoff, each computed for itself
+    def at(cutoff: float) -> mbdkit.Run:
+        spec = pendulum(smooth={"name": "butterworth", "cutoff": cutoff})
+        spec["motion"]["columns"]["hip.angle"]["deviation"] = 1e-9
+        spec["motion"]["data"]["hip"] = np.degrees(0.5 * np.sin(9 * T))
+        return mbdkit.inverse(spec)
+
+    run, low, high = at(6.0), at(4.8), at(7.5)
+    torque = [one.actuators["hip"].value for one in (run, low, high)]
+    force = [one.joints["hip"].reaction_force for one in (run, low, high)]
+    assert run.accuracy is not None
+    changes = np.sqrt(((torque[1] - torque[0]) ** 2 + (torque[2] - torque[0]) ** 2) / 2)
+    np.testing.assert_allclose(run.actuators["hip"].value_error, changes, rtol=1e-4, atol=1e-4)
+    squares = [np.sum((one - force[0]) ** 2, axis=1) for one in force[1:]]
+    np.testing.assert_allclose(
+        run.accuracy.reaction_error[:, 0], np.sqrt(np.mean(squares, axis=0)), rtol=1e-4, atol=1e-4
+    )
+    assert np.max(changes) > 0.01
+    assert "0.8 and 1.25 times the cutoff" in run.accuracy.method
+    row = int(np.argmax(np.abs(torque[0])))
+    assert f"+- {run.actuators['hip'].value_error[row]:.2g} N m" in run.summary()
+    (chart,) = [one for one in run_report(run).verdict.figures if one.name == "torques"]
+    band = chart.lines[0].band
+    assert band is not None
+    assert band[-1, 1] - band[0, 1] == pytest.approx(2 * run.actuators["hip"].value_error[0])

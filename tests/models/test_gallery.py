@@ -43,7 +43,8 @@ def test_example_says_where_it_comes_from(name):
 @every_example
 def test_entry_has_the_picture_the_command_the_spec_and_the_source_of_the_example(name):
     entry = entries()[name]
-    assert f"`mbdkit run {name}`" in entry
+    command = "inverse" if name in example_names("inverse") else "run"
+    assert f"`mbdkit {command} {name}`" in entry
     assert f"({name}.yaml)" in entry
     assert "* Source: " in entry
     assert set(re.findall(ADDRESS, entry)) <= set(re.findall(ADDRESS, comments(name)))

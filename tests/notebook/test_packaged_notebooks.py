@@ -35,7 +35,7 @@ def without_windows() -> Iterator[None]:
 def test_a_notebook_runs_as_a_script(name: str, in_tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(FOLDER / f"{name}.py"))
     assert capsys.readouterr().out
-    assert not [path for path in FOLDER.iterdir() if path.suffix not in (".py", ".yaml", ".md", "")]
+    assert not [path for path in FOLDER.iterdir() if path.suffix not in (".py", ".yaml", ".csv", ".md", "")]
 
 
 def test_the_guide_and_the_list_of_examples_name_every_notebook() -> None:

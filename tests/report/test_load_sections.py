@@ -70,6 +70,35 @@ def test_arrows_are_to_scale(run: mbdkit.Run) -> None:
     assert lengths["joint"] / lengths["load"] == pytest.approx(np.hypot(2.0 * 9.81, 10.0) / 10.0, rel=0.01)
 
 
+def test_the_player_has_the_arrows_of_its_frames(run: mbdkit.Run) -> None:
+    film = run_report(run).films[0]
+    arrows = film["arrows"]
+    values = np.reshape(arrows["values"], (len(film["time"]), 2, 4))
+    assert arrows["kinds"] == ["joint", "load"]
+    # expected: the pin carries the weight and the push on the rod; the push acts at the tip
+    np.testing.assert_allclose(values[:, 0], np.broadcast_to([0, 0, -10.0, 2.0 * 9.81], (len(values), 4)), atol=1e-3)
+    np.testing.assert_allclose(values[:, 1], np.broadcast_to([0, -1.0, 10.0, 0], (len(values), 4)), atol=1e-3)
+    assert arrows["longest"] == pytest.approx(np.hypot(2.0 * 9.81, 10.0), rel=1e-3)
+    left, right, bottom, top = film["view"]
+    ends = values[..., :2] + arrows["scale"] * values[..., 2:]
+    assert left < ends[..., 0].min() < ends[..., 0].max() < right
+    assert bottom < ends[..., 1].min() < ends[..., 1].max() < top
+
+
+def test_frames_are_those_of_a_cycle_if_a_load_has_one() -> None:
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    wheel = m.body("wheel", mass=1.0, inertia=0.5)
+    m.revolute("hub", m.ground, wheel, at=(0, 0))
+    data: dict[str, Any] = {"time": T, "hub.angle": T, "fx": 100.0 * (np.mod(T - 0.25, 0.4) < 0.2)}
+    load = {"push": {"body": "wheel", "force": ["fx", 0.0]}}
+    run = mbdkit.inverse({"mbdkit": 1, "model": m.to_spec(), "motion": {"data": data}, "loads": load})
+    drawing = section(run, "loads").drawing
+    assert drawing is not None
+    # expected: contacts from 0.25 and 0.65 s; the middles of sixths of the cycle, at the nearest rows of 0.02 s
+    times = [float(text) for text in re.findall(r">([\d.]+) s</text>", drawing.wide)]
+    assert times == pytest.approx(0.25 + 0.4 * (np.arange(6) + 0.5) / 6, abs=0.021)
+
+
 def test_the_page_has_the_sections_and_charts(run: mbdkit.Run) -> None:
     page = run_report(run)
     assert {"residual-angles", "residual-lengths"} <= {figure.name for figure in page.verdict.figures}

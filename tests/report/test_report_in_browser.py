@@ -193,6 +193,26 @@ def test_the_times_of_events_are_marked_in_figures(browser, tmp_path):
     tab.close()
 
 
+def test_the_player_of_inverse_dynamics_shows_and_hides_forces(browser, tmp_path):
+    m = mbdkit.Mechanism()
+    rod = m.body("rod", mass=2.0, inertia=0.2, position=(0.0, -0.5))
+    m.revolute("hip", m.ground, rod, at=(0, 0))
+    time = np.linspace(0.0, 1.0, 51)
+    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": {"time": time, "hip.angle": 0.3 * np.sin(6 * time)}}}
+    mbdkit.inverse(spec, archive=tmp_path / "run.h5").close()
+    tab = opened(browser, report(tmp_path / "run.h5"), reduced_motion="reduce").page
+    picture = "document.getElementById('stage').toDataURL()"
+    assert "force in a joint" in tab.locator("#legend").inner_text()
+    assert "longest arrow" in tab.locator("#legend").inner_text()
+    shown = tab.evaluate(picture)
+    tab.get_by_role("checkbox", name="Forces").uncheck()
+    hidden = tab.evaluate(picture)
+    assert hidden != shown
+    tab.get_by_role("checkbox", name="Forces").check()
+    assert tab.evaluate(picture) == shown
+    tab.context.close()
+
+
 def test_the_mouse_zooms_a_figure(page):
     tab = page.page
     chart = tab.locator('[data-figure="misalignment"]')
@@ -386,7 +406,7 @@ def test_a_body_has_one_colour_in_drawing_player_and_chart(browser, tmp_path):
 
 def test_names_in_drawings_of_examples_do_not_overlap(browser, tmp_path):
     drawings = []
-    for name in sorted(example_names()):
+    for name in sorted(example_names("run")):
         mechanism = load_spec(name).mechanism()
         pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
         shown = NamedPose.of(mechanism, list(mechanism.bodies), pose, np.array([0.0]))

@@ -14,7 +14,7 @@ from mbdkit.spec import example_names, load_spec
 from mbdkit.spec.yaml_reader import read_yaml
 
 EXAMPLES = [
-    read_yaml((files("mbdkit.models") / "examples" / f"{name}.yaml").read_text())[0] for name in example_names()
+    read_yaml((files("mbdkit.models") / "examples" / f"{name}.yaml").read_text())[0] for name in example_names("run")
 ]
 
 ODD = st.one_of(

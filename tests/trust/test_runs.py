@@ -28,7 +28,7 @@ LSODA = {"name": "scipy-lsoda", "rtol": 0.1, "atol": 0.1}
 DOPRI5 = {"name": "dopri5", "adaptive": True}
 
 
-@pytest.mark.parametrize("name", example_names())
+@pytest.mark.parametrize("name", example_names("run"))
 def test_no_example_is_flagged(name: str) -> None:
     with mbdkit.run(name) as run:
         assert (run.verdict, run.verdict_reasons, run.warnings) == ("unknown", [], [])

@@ -2,8 +2,10 @@
 (() => {
 const films = JSON.parse(document.getElementById("films").textContent);
 const shortcuts = "shortcuts" in document.getElementById("player").dataset;
-const [canvas, scrub, play, back, next, choice, speed, whole, clock, magnify, gap, legend, shown, printed] =
-  ["stage", "scrub", "play", "back", "next", "film", "speed", "whole", "clock", "magnify", "gap", "legend", "shown", "printed"]
+const [canvas, scrub, play, back, next, choice, speed, whole, clock, magnify, gap, legend, shown, printed,
+  forces] =
+  ["stage", "scrub", "play", "back", "next", "film", "speed", "whole", "clock", "magnify", "gap", "legend", "shown", "printed",
+   "forces"]
     .map(id => document.getElementById(id));
 const stage = new Stage(canvas);
 const REST = 0.8;            // pause [s] on the last frame before the animation restarts
@@ -28,6 +30,7 @@ function largestGap() {
 
 // --- one frame ---
 function draw() {
+  stage.pushed = forces.checked;
   stage.draw(frame, whole.checked, magnification());
   clock.textContent = `t = ${run.time[frame].toFixed(3)} s`;
   scrub.value = frame;
@@ -87,13 +90,17 @@ function load(number) {
   canvas.setAttribute("aria-label", `The mechanism in motion${run.label ? `: ${run.label}` : ""}`);
   shown.textContent = run.label ? `Shown: ${run.label}` : "";
   const few = run.bodies.length <= 6;
-  legend.replaceChildren(...(few ? run.bodies : []).map((name, body) => {
+  const entry = (name, color) => {
     const item = document.createElement("li"), swatch = document.createElement("span");
-    swatch.style.background = `var(--${run.colors[body]})`;
+    swatch.style.background = `var(--${color})`;
     item.append(swatch, name);
     return item;
-  }));
-  legend.hidden = !few;
+  };
+  legend.replaceChildren(...(few ? run.bodies : []).map((name, body) => entry(name, run.colors[body])));
+  for (const [kind, text] of Object.entries(run.arrows?.texts ?? {})) legend.append(entry(text, Stage.FORCES[kind]));
+  if (run.arrows) legend.append(`longest arrow ${Number(run.arrows.longest.toPrecision(3))} N`);
+  legend.hidden = !few && !run.arrows;
+  forces.parentElement.hidden = !run.arrows;
   const chosen = speed.selectedIndex;
   speed.replaceChildren(...[0.1, 0.25, 0.5, 1, 2, 4].map(factor => {
     const value = factor * run.speed;
@@ -118,6 +125,7 @@ back.addEventListener("click", () => { go(false); show(frame - 1); });
 next.addEventListener("click", () => { go(false); show(frame + 1); });
 scrub.addEventListener("input", () => { go(false); show(Number(scrub.value)); });
 whole.addEventListener("change", draw);
+forces.addEventListener("change", draw);
 magnify.addEventListener("input", magnified);
 if (choice) {
   films.forEach((film, number) => choice.add(new Option(film.label, number)));

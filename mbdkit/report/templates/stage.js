@@ -3,7 +3,9 @@
    `strip(frames)`. */
 class Stage {
   static TAIL = 1.5;   // length of the visible paths, in seconds of the animation
-  static NAMES = ["paper", "ink", "faint", "edge", "grid", "spring", "alarm", "c0", "c1", "c2", "c3", "c4", "c5"];
+  static NAMES = ["paper", "ink", "faint", "edge", "grid", "spring", "alarm", "warn", "c0", "c1", "c2", "c3", "c4", "c5"];
+
+  static FORCES = { joint: "ink", load: "warn", spring: "spring" };   // colours of arrows
 
   constructor(canvas) {
     this.canvas = canvas;
@@ -170,6 +172,7 @@ class Stage {
     for (const ends of film.bars) this.stroke(colors.ink, 1.8, () => this.line(ends.map(end => this.at(end))));
     film.springs.forEach(ends => this.spring(ends));
     if (!this.crowd) this.marks();
+    if (film.arrows && this.pushed) film.arrows.kinds.forEach((kind, k) => this.arrow(frame, kind, k));
     film.gaps.ends.forEach((ends, joint) => this.apart(ends[1], this.gap(frame, joint), magnification));
   }
 
@@ -287,6 +290,20 @@ class Stage {
     this.pen.fillStyle = this.colors.paper;
     this.stroke(color, 1.5, () => { if (Number.isFinite(x + y)) this.pen.arc(x, y, 4, 0, 7); });
     this.pen.fill();
+  }
+
+  /* Draw a force to scale, from its point of application; forces too short for a head are left out. */
+  arrow(frame, kind, number) {
+    const { kinds, values, scale } = this.film.arrows, k = 4 * (frame * kinds.length + number);
+    const x = this.X(values[k]), y = this.Y(values[k + 1]), meters = scale * this.scale;
+    const dx = meters * values[k + 2], dy = -meters * values[k + 3], length = Math.hypot(dx, dy);
+    if (!(length > 4)) return;
+    const [ux, uy] = [dx / length, dy / length], head = Math.min(10, length / 2);
+    const wing = side => [x + dx - head * (ux + side * 0.4 * uy), y + dy - head * (uy - side * 0.4 * ux)];
+    this.stroke(this.colors[Stage.FORCES[kind]], 2, () => {
+      this.line([[x, y], [x + dx, y + dy]]);
+      this.line([wing(1), [x + dx, y + dy], wing(-1)]);
+    });
   }
 
   /* Draw a visible gap: both points of the joint and a line between them. */

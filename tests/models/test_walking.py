@@ -1,0 +1,141 @@
+"""The example `walking`: its table is a fit to Winter's, and its moments are those that Winter published."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.spec.loading import example_table, read_source
+from tests.benchmarks.walking_data import (
+    CONTACT,
+    FLAT,
+    HARMONICS,
+    MISPRINTS,
+    PERSON,
+    PERSON_MASS,
+    PHASES,
+    SPEED,
+    STRIDE,
+    fitted,
+    series_in,
+)
+from tests.inverse_dynamics.running import reference, table_of
+
+TEXT = example_table("walking") or ""
+GAIT = series_in(TEXT)
+
+
+def winter() -> Any:
+    """Return Winter's table; skip the test if it is absent."""
+    return table_of(reference("winter_normal_gait.csv").read_text("utf-8"))
+
+
+def test_the_rows_of_the_table_are_the_series_in_its_comments() -> None:
+    rows = table_of(TEXT)
+    np.testing.assert_allclose(rows["time"], STRIDE * (PHASES - PHASES[0]), atol=1e-6)
+    for name, own in GAIT.series.items():
+        unit = np.radians(1.0) if name.endswith(("tilt", "flexion", "dorsiflexion")) else 1.0
+        atol = (0.006 if name.startswith("force") else 2e-5) + 1e-5 * np.sum(np.abs(own))
+        np.testing.assert_allclose(unit * rows[name], GAIT.at(name, PHASES), rtol=0, atol=atol)
+    in_air = np.mod(PHASES - CONTACT[0], 1.0) > CONTACT[1] - CONTACT[0] - 1e-9
+    assert np.all(np.isnan(rows["pressure_x"]) == in_air)
+
+
+def test_the_series_fit_the_table_of_winter_as_well_as_the_comments_say() -> None:
+    source = winter()
+    again = fitted(source)
+    for name, own in GAIT.series.items():
+        np.testing.assert_allclose(own, again.series[name], rtol=1e-4, atol=1e-5 * np.max(np.abs(own)))
+    phase = source["gait_percent"] / 100
+    error = {name: np.radians(source[f"{name.partition('_')[0]}_deg"]) - GAIT.at(name, phase) for name in HARMONICS}
+    rms = {name: np.degrees(np.sqrt(np.mean(one**2))) for name, one in error.items()}
+    assert rms == pytest.approx({"hip_flexion": 0.07, "knee_flexion": 0.25, "ankle_dorsiflexion": 0.11}, abs=0.005)
+    for axis in "xy":
+        column = source[f"grf_{axis}_N_per_kg"]
+        left = column - GAIT.at(f"force_{axis}", phase) / PERSON_MASS
+        assert np.sqrt(np.mean(left[:-1] ** 2)) < 0.012 * np.ptp(column)
+
+
+def test_the_foot_rests_while_it_is_flat_and_the_body_walks_on() -> None:
+    # expected: what Winter's table does not have, the speed of 1.325 m/s and a foot on the ground
+    ankle = GAIT.hip(FLAT) + GAIT.below_hip(FLAT)[1]
+    assert np.ptp(ankle.real) < 0.01 < 0.02 * SPEED * STRIDE
+    foot = np.exp(1j * GAIT.angles(FLAT)[2])
+    for end in (PERSON.heel, PERSON.toe):
+        assert np.max(np.abs((ankle + end * foot).imag)) < 0.03
+    stride = GAIT.hip(np.array([1.2])) - GAIT.hip(np.array([0.2]))
+    assert stride[0] == pytest.approx(SPEED * STRIDE, abs=1e-12)
+
+
+def test_the_moments_are_those_of_winter() -> None:
+    source = winter()
+    with mbdkit.inverse("walking", motion={**read_source("walking").data["motion"], "errors": "none"}) as run:
+        cycles = mbdkit.workload(run, cycles=[0.3 * STRIDE, 1.3 * STRIDE]).cycles
+    # published: extension and plantarflexion
+    right = ~np.isin(source["gait_percent"], MISPRINTS)
+    stance, swing = right & (source["gait_percent"] <= 62), right & (source["gait_percent"] > 62)
+    # expected: in swing, plain inverse dynamics of the table differs from the published moments by 0.014 (ankle), 0.06
+    # (knee) and 0.18 N m/kg (hip); the ankle in stance agrees because its moment gave the centre of pressure
+    bounds = {"hip": (0.2, 0.25, 0.94), "knee": (0.09, 0.1, 0.94), "ankle": (0.02, 0.03, 0.999)}
+    names = {"hip": "hip_flexion", "knee": "knee_flexion", "ankle": "ankle_dorsiflexion"}
+    for joint, (on_ground, in_air, correlation) in bounds.items():
+        found = -cycles[names[joint]].mean[::2] / PERSON_MASS
+        published = source[f"{joint}_moment"]
+        error = found - published
+        assert np.sqrt(np.mean(error[stance] ** 2)) < on_ground
+        assert np.sqrt(np.mean(error[swing] ** 2)) < in_air
+        assert np.corrcoef(found[right], published[right])[0, 1] > correlation
+
+
+def test_a_forward_run_whose_drivers_follow_the_table_has_the_same_torques() -> None:
+    rows, names = table_of(TEXT), ("hip_x", "hip_y", "trunk_tilt", *HARMONICS)
+    motion = {**read_source("walking").data["motion"], "smooth": "quintic", "errors": "none"}
+    with mbdkit.inverse("walking", motion=motion) as inverse:
+        time, raw = inverse.time, {name: inverse.motion[name].raw for name in names}
+        ground, foot = inverse.loads["ground"], inverse["foot"].position
+        arm = ground.point - foot
+        moment = arm[:, 0] * ground.force[:, 1] - arm[:, 1] * ground.force[:, 0]
+        expected = {name: inverse.actuators[name].value for name in names}
+    assert len(time) == len(rows)
+
+    def over_time(values: Any, **how: Any) -> dict[str, Any]:
+        return {"table": [time.tolist(), np.asarray(values).tolist()], **how}
+
+    def driver(bodies: list[str], coordinate: str, values: Any, point: Any = None) -> dict[str, Any]:
+        how = {} if point is None else {"points": [[0, 0], point]}
+        smooth = over_time(values, interpolation="quintic", ends="natural")
+        return {"type": "driver", "bodies": bodies, "coordinate": coordinate, "motion": smooth, **how}
+
+    hip = [0.0, -PERSON.trunk.centre.imag]
+    model = {
+        "name": "leg",
+        "root": "trunk",
+        "hip_position": [float(raw[f"hip_{axis}"][0]) for axis in "xy"],
+        "trunk_angle": float(raw["trunk_tilt"][0]),
+        **{name: float(raw[name][0]) for name in HARMONICS},
+        "joints": {
+            "to_x": driver(["ground", "trunk"], "x", raw["hip_x"], hip),
+            "to_y": driver(["ground", "trunk"], "y", raw["hip_y"], hip),
+            "to_angle": driver(["ground", "trunk"], "angle", raw["trunk_tilt"]),
+            "at_hip": driver(["trunk", "thigh"], "angle", raw["hip_flexion"]),
+            "at_knee": driver(["thigh", "shank"], "angle", -raw["knee_flexion"]),
+            "at_ankle": driver(["shank", "foot"], "angle", raw["ankle_dorsiflexion"]),
+        },
+        "forces": {
+            "push": {
+                "type": "force",
+                "body": "foot",
+                "value": [over_time(x, interpolation="linear") for x in ground.force.T],
+            },
+            "roll": {"type": "torque", "body": "foot", "value": over_time(moment, interpolation="linear")},
+        },
+    }
+    span = {"end": float(time[-1]), "step": float(time[1])}
+    with mbdkit.run({"mbdkit": 1, "model": model, "integrator": {"name": "gauss", "stages": 3}, "time": span}) as run:
+        run.check()
+        found = {name: run.joints[f"at_{name.partition('_')[0]}"].reaction_torque for name in HARMONICS}
+    for name, sign in {"hip_flexion": 1.0, "knee_flexion": -1.0, "ankle_dorsiflexion": 1.0}.items():
+        np.testing.assert_allclose(sign * found[name][:-1], expected[name][:-1], rtol=0, atol=1e-4)
