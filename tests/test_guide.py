@@ -77,6 +77,16 @@ def test_the_forces_that_the_guide_shows_are_those_of_a_mechanism() -> None:
     assert Mechanism.from_spec(m.to_spec() | {"forces": forces}).forces.keys() == {"rope", "bush"}
 
 
+def test_the_devices_that_the_guide_shows_are_those_of_a_mechanism() -> None:
+    forces = read_yaml(page_block("mechanism", "forces:\n  exotendon"))[0]["forces"]
+    m = Mechanism()
+    for name, y in (("thigh", 0.0), ("shank", -1.0), ("foot", -2.0), ("seat", 1.0)):
+        m.body(name, mass=1.0, inertia=0.1, position=(0.0, y))
+    for name, first, second in (("hip", m.ground, "thigh"), ("knee", "thigh", "shank"), ("ankle", "shank", "foot")):
+        m.revolute(name, first, second, at=(0.0, 0.0))
+    assert Mechanism.from_spec(m.to_spec() | {"forces": forces}).forces.keys() == {"exotendon", "brace", "strut"}
+
+
 def test_the_jack_of_the_scissor_lift_exerts_the_force_of_statics(in_tmp_path: Path) -> None:
     # virtual work: F dx = W dy with x = L cos(angle), y = L sin(angle); half of each arm's weight counts
     (in_tmp_path / "lift.yaml").write_text(page_block("mechanism", "mbdkit: 1\ntitle: Scissor"), encoding="utf-8")

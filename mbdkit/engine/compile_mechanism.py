@@ -21,7 +21,7 @@ from mbdkit.mechanism.angle_function import AngleFunction, Center, expression_of
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.pathways import Pathway
+from mbdkit.mechanism.pathways import Pathway, path_ends
 from mbdkit.mechanism.program_derivative import derivative_of
 from mbdkit.mechanism.time_expression import Expression, Program
 from mbdkit.mechanism.time_jets import curve_of
@@ -165,8 +165,9 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         pair_parameters=np.array([pairs[k].parameters for k in order], dtype=float).reshape(-1, 6),
         spare=np.zeros((0, 2), dtype=np.int64),
         spare_axes=np.zeros((0, 2)),
-        springs=np.array(forces.springs, dtype=np.int64).reshape(-1, 4),
+        springs=np.array(forces.springs, dtype=np.int64).reshape(-1, 6),
         spring_points=np.array(forces.spring_points, dtype=float).reshape(-1, 6),
+        couplings=np.array(forces.couplings, dtype=np.int64).reshape(-1, 2),
         linear=np.array(forces.linear, dtype=float).reshape(-1, 3),
         laws=np.array(forces.law_rows, dtype=np.int64).reshape(-1, 3),
         law_parameters=np.array(forces.law_parameters, dtype=float),
@@ -272,9 +273,10 @@ class _Forces:
     """Collects force elements on pathways (springs) and loads: their kinds, bodies and parameters."""
 
     def __init__(self, mechanism: Mechanism, number: dict[str, int], motions: _Motions):
-        self.number, self.motions = number, motions
+        self.joints, self.number, self.motions = mechanism.joints, number, motions
         self.springs: list[Numbers] = []
         self.spring_points: list[Numbers] = []
+        self.couplings: list[Numbers] = []
         self.linear: list[Numbers] = []
         self.laws: list[tuple[str, CompiledLaw]] = []
         self.law_rows: list[Numbers] = []
@@ -299,11 +301,17 @@ class _Forces:
     def add_spring(
         self, name: str, pathway: Pathway | SpringDamper | TorsionSpring, linear: Numbers, law: int = -1
     ) -> None:
-        self.spring_places.append(len(self.elements))
-        self.elements.append(ForceElement(name, pathway.bodies, pathway.length_unit))
-        self.springs.append((PATHWAYS[pathway.kind], *(self.number[name] for name in pathway.bodies), law))
-        self.spring_points.append((*pathway.flat_points, 0.0, 0.0))
-        self.linear.append(linear)
+        segments = pathway.segments(self.joints)
+        first, count = len(self.springs), len(segments)
+        for index, segment in enumerate(segments):
+            self.spring_places.append(len(self.elements))
+            ends = [self.number[body] for body in segment.bodies]
+            self.springs.append((PATHWAYS[segment.kind], *ends, law, first, 0 if index else count))
+            self.spring_points.append((*segment.points, *segment.constants))
+            self.linear.append(linear)
+        rows = range(first, first + count)
+        self.couplings += [(k, other) for k in rows for other in rows if k != other]
+        self.elements.append(ForceElement(name, path_ends(segments), pathway.length_unit))
 
     def add_law(self, name: str, force: Law) -> None:
         try:

@@ -17,7 +17,7 @@ import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels import element_kernels as e
-from mbdkit.engine.kernels.applied_forces import BODY_FORCE, PATHWAYS, POINT_FORCE
+from mbdkit.engine.kernels.applied_forces import BODY_FORCE, COUPLED, PATHWAYS, POINT_FORCE
 from mbdkit.engine.kernels.constraints import KINDS
 
 CONSTANT, RATE, MINUS_RATE, RATE_SQUARED = range(4)
@@ -69,7 +69,7 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
         Whether Baumgarte's terms are part of gamma, whose derivatives then have at least the pattern of the Jacobian.
     """
     top = mechanism.topology
-    tables = (top.pairs, top.rows, top.spare, top.springs, top.loads, mechanism.row_index)
+    tables = (top.pairs, top.rows, top.spare, top.springs, top.couplings, top.loads, mechanism.row_index)
     return _terms(len(mechanism.bodies), tuple(map(_Table.of, tables)), tuple(offsets.items()), stabilized)
 
 
@@ -94,7 +94,7 @@ def _terms(
     count: int, tables: tuple[_Table, ...], places: tuple[tuple[str, int], ...], stabilized: bool
 ) -> MatrixTerms:
     """Return the terms of all mechanisms with these integers: the runs of a study usually have the same."""
-    of_pairs, of_rows, spare, springs, loads, row_index = (table.array for table in tables)
+    of_pairs, of_rows, spare, springs, couplings, loads, row_index = (table.array for table in tables)
     offsets = dict(places)
     n3 = 3 * count
     parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, int]] = []
@@ -163,6 +163,13 @@ def _terms(
                     RATE_SQUARED,
                 )
                 add(offsets["spring_damp"] + 36 * members + entry, coordinate(bodies, i), coordinate(bodies, j), RATE)
+    number = np.arange(len(couplings))
+    of_couplings = [springs[couplings[:, side], 1:3] for side in range(2)]
+    for i in e.GRADIENT_ENTRIES[COUPLED]:
+        for j in e.GRADIENT_ENTRIES[COUPLED]:
+            row, column, place = coordinate(of_couplings[0], i), coordinate(of_couplings[1], j), 36 * number + 6 * i + j
+            add(offsets["coupled_stiff"] + place, row, column, RATE_SQUARED)
+            add(offsets["coupled_damp"] + place, row, column, RATE)
     for kind_of_load, entries in ((POINT_FORCE, (2,)), (BODY_FORCE, (0, 1))):
         members = np.flatnonzero(loads[:, 0] == kind_of_load)
         first = 3 * loads[members, 1]

@@ -285,9 +285,11 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     """Return working arrays, and the index in ``source`` at which each array of terms begins."""
     top = mechanism.topology
     n3, p, s, loads = 3 * len(mechanism.bodies), len(top.pairs), len(top.springs), len(top.loads)
+    couplings = len(top.couplings)
     shapes = {
         "jac": (p, 12), "stiff": (p, 36), "gamma_v": (p, 12), "res_q": (p, 12),
-        "spring_stiff": (s, 36), "spring_damp": (s, 36), "load_stiff": (loads, 3),
+        "spring_stiff": (s, 36), "spring_damp": (s, 36),
+        "coupled_stiff": (couplings, 36), "coupled_damp": (couplings, 36), "load_stiff": (loads, 3),
     }  # fmt: skip
     offsets, total = {"mass": 0}, n3
     for name, (rows, columns) in shapes.items():

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Self
 
+from pydantic import model_validator
+
+from mbdkit.errors import SpecError
 from mbdkit.mechanism.force_law import ExpressionLaw
 from mbdkit.mechanism.values import NotNegative, Number
 from mbdkit.strict_model import StrictModel
@@ -20,6 +23,9 @@ class OneSidedOptions(StrictModel):
     With ``acts: tension`` there is no force below the free length, and the element never pushes. With
     ``acts: compression`` there is no force above the free length, and the element never pulls. This includes the
     damper: if the sum of spring and damper force has the wrong sign, the force is zero.
+
+    With `engages_at`, the spring is out of contact until its length has passed this value beyond the free length; the
+    force then begins with a jump of ``stiffness * (engages_at - free_length)``, as that of a preloaded spring does.
     """
 
     stiffness: NotNegative
@@ -27,39 +33,58 @@ class OneSidedOptions(StrictModel):
     damping: NotNegative = 0.0
     """Damping while in contact [N s/m or N m s/rad]; it makes the force jump at the beginning of contact."""
     free_length: Number = 0.0
-    """Length, angle or coordinate at which contact begins [m or rad]."""
+    """Length, angle or coordinate at which the spring exerts no force, and contact begins [m or rad]."""
+    engages_at: Number | None = None
+    """Length, angle or coordinate at which contact begins [m or rad]; the free length by default."""
     acts: Literal["tension", "compression"]
     """`tension` pulls when longer than the free length, `compression` pushes when shorter."""
 
+    @model_validator(mode="after")
+    def _engages_beyond_free_length(self) -> Self:
+        if self.engages_at is not None and _side(self) * (self.engages_at - self.free_length) < 0:
+            where = "above" if self.acts == "tension" else "below"
+            raise SpecError(
+                f"should be {where} the free length {self.free_length:g} or equal to it: with `acts: {self.acts}`, the "
+                "spring has no force on the other side",
+                key="engages_at",
+            )
+        return self
+
+
+def _side(options: OneSidedOptions) -> float:
+    return 1.0 if options.acts == "tension" else -1.0
+
 
 def force() -> sympy.Expr:
-    """Return ``side * (k x + c x')`` with ``x = side * (s - s_0)``; zero if x or the bracket is not positive."""
+    """Return ``side * (k x + c x')`` with ``x = side * (s - s_0)``; zero if x <= x_1 or the bracket <= 0."""
     from sympy import And, Piecewise, symbols
 
-    length, rate, stiffness, damping, free_length, side = symbols(
-        "length rate stiffness damping free_length side", real=True
+    length, rate, stiffness, damping, free_length, begin, side = symbols(
+        "length rate stiffness damping free_length begin side", real=True
     )
     stretch = side * (length - free_length)
     push = stiffness * stretch + damping * side * rate
-    return Piecewise((side * push, And(stretch > 0, push > 0)), (0, True))
+    return Piecewise((side * push, And(stretch > begin, push > 0)), (0, True))
 
 
 def potential() -> sympy.Expr:
-    """Return the potential ``k x^2 / 2`` for ``x = side * (s - s_0) > 0``, otherwise zero."""
+    """Return the potential ``k (x^2 - x_1^2) / 2`` for ``x = side * (s - s_0) > x_1``, otherwise zero."""
     from sympy import Piecewise, symbols
 
-    length, stiffness, free_length, side = symbols("length stiffness free_length side", real=True)
+    length, stiffness, free_length, begin, side = symbols("length stiffness free_length begin side", real=True)
     stretch = side * (length - free_length)
-    return Piecewise((stiffness * stretch**2 / 2, stretch > 0), (0, True))
+    return Piecewise((stiffness * (stretch**2 - begin**2) / 2, stretch > begin), (0, True))
 
 
 def parameters(options: OneSidedOptions) -> dict[str, float]:
-    """Return the options as numbers: `side` is 1 for tension and -1 for compression."""
+    """Return the options as numbers: `side` is 1 for tension and -1 for compression, `begin` the stretch x_1."""
+    side = _side(options)
     return {
         "stiffness": options.stiffness,
         "damping": options.damping,
         "free_length": options.free_length,
-        "side": 1.0 if options.acts == "tension" else -1.0,
+        "begin": 0.0 if options.engages_at is None else side * (options.engages_at - options.free_length),
+        "side": side,
     }
 
 

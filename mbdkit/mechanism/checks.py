@@ -12,6 +12,7 @@ from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import Assembly
+from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.mechanism.values import Motion, Table
 from mbdkit.plain_data import found
 from mbdkit.text import did_you_mean, listed
@@ -38,6 +39,8 @@ def check_mechanism(
     pins = {_ends(joint): name for name, joint in joints.items() if joint.joins_points}
     for name, force in forces.items():
         _check_element(f"model.forces.{name}", force, bodies, points)
+        if isinstance(force, Law) and isinstance(force.pathway, JointAngles):
+            _check_joint_angles(f"model.forces.{name}.pathway.angles", force.pathway, joints, points)
         if (line := _line(force)) is not None and (pin := pins.get(_ends(line))) is not None:
             raise SpecError(
                 f"joint '{pin}' holds these two points together, so a spring between them has no effect",
@@ -113,10 +116,7 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
         line = _line(force)
         if line is None or (isinstance(force, SpringDamper) and force.stiffness * force.free_length == 0):
             continue
-        a, b = (
-            point if body == GROUND else placed(body).to_global(point)
-            for body, point in zip(line.pathway.bodies, (point for _, _, point in line.attachments()), strict=True)
-        )
+        a, b = (point if body == GROUND else placed(body).to_global(point) for _, body, point in line.attachments())
         if math.dist(a, b) <= COINCIDENT * max(1.0, *map(abs, (*a, *b))):
             raise SpecError(
                 f"the two ends coincide at the start, at ({a[0]:.6g}, {a[1]:.6g}), so the direction of the force is "
@@ -191,3 +191,22 @@ def _check_element(
             raise SpecError(
                 f"'{body}' is a point mass (it has no inertia), so its only point is [0, 0]", key=f"{key}.{place}"
             )
+
+
+def _check_joint_angles(
+    key: str, pathway: JointAngles, joints: Mapping[str, Joint], point_masses: Container[str]
+) -> None:
+    """Raise a SpecError, with a key below `key`, unless all joints of a pathway exist and have an angle."""
+    with_angle = [name for name, joint in joints.items() if joint.coordinate_unit == "rad"]
+    for name in pathway.radii:
+        if name not in joints:
+            hint = did_you_mean(name, with_angle) or (f"; there are {listed(with_angle)}" if with_angle else "")
+            raise SpecError(f"there is no joint '{name}'{hint}", key=f"{key}.{name}")
+        if name not in with_angle:
+            raise SpecError(f"joint '{name}' is of type {joints[name].type}, which has no angle", key=f"{key}.{name}")
+        for body in joints[name].bodies:
+            if body in point_masses:
+                raise SpecError(
+                    f"joint '{name}' holds '{body}', a point mass (it has no inertia), which has no angle",
+                    key=f"{key}.{name}",
+                )

@@ -56,11 +56,6 @@ class Law(Element):
         except ValidationError as error:
             raise _below(error, element.law_id) from None
 
-    @property
-    def bodies(self) -> tuple[str, str]:
-        """Names of the two bodies."""
-        return self.pathway.bodies
-
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element refers to."""
         return [(f"pathway.{key}", name) for key, name in self.pathway.places()]

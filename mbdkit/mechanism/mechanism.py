@@ -399,7 +399,7 @@ class Mechanism(HtmlView):
         name, a, b
             Name of the force element, and the two bodies.
         law
-            Name of the force law: ``one-sided``, ``table``, ``linear``, or a law from a plugin.
+            Name of the force law: ``one-sided``, ``exponential``, ``gas-spring``, ``table``, ``linear``, or a plugin's.
         along
             The length of the pathway: ``line``, the distance between two points [m]; ``angle``, angle_b - angle_a
             [rad]; or ``x`` or ``y``, a coordinate of b's point in a's frame [m].
@@ -429,6 +429,38 @@ class Mechanism(HtmlView):
             pathway |= {"type": "relative-angle"} if along == "angle" else {"type": "coordinate", "coordinate": along}
             if points is not None:
                 pathway["points"] = points
+        self.forces[name] = self._placed(Law, key, law=law, pathway=pathway, **options)
+
+    def cable(
+        self, name: str, radii: Mapping[str, float], *, law: str = "one-sided", length: float = 0.0, **options: Any
+    ) -> None:
+        """Add a cable over pulleys at one or several joints, such as an exotendon, with a force law.
+
+        Its length is ``length - sum(radius * angle of the joint)``. Add the joints before the cable.
+
+        Parameters
+        ----------
+        name
+            Name of the force element.
+        radii
+            Radius of the pulley at each joint, by the name of the joint [m]. The tension of the cable increases the
+            angle of a joint with positive radius, and decreases it with negative radius.
+        law
+            Name of the force law, ``one-sided`` by default.
+        length
+            Length where all angles are zero [m].
+        **options
+            Options of the force law; ``mbdkit plugins show LAW`` lists them.
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> shank = m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2))
+        >>> m.revolute("knee", m.ground, shank, at=(0, 0))
+        >>> m.cable("tendon", {"knee": 0.04}, stiffness=1e4, free_length=-0.01, acts="tension")
+        """
+        key = self._new(name, self.forces, "forces")
+        pathway = {"type": "joint-angles", "angles": dict(radii), "length": length}
         self.forces[name] = self._placed(Law, key, law=law, pathway=pathway, **options)
 
     def torque(self, name: str, body: str, *, value: Value, reaction_body: str | None = None) -> None:

@@ -3,13 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from mbdkit.errors import SpecError
-from mbdkit.mechanism.bodies import Attachment, Between, FromTo
-from mbdkit.mechanism.values import Points
+from mbdkit.mechanism.bodies import Attachment, Between, Element, FromTo
+from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.values import Number, Points
+
+
+class Segment(NamedTuple):
+    """A part of a pathway, between two bodies; the length of the pathway is the sum over its segments.
+
+    Attributes
+    ----------
+    kind
+        Name of the symbolic definition of the length.
+    bodies
+        Names of the first and the second body.
+    points
+        (x_a, y_a, x_b, y_b) [m], each point in the frame of its body.
+    constants
+        Further parameters of the definition.
+    """
+
+    kind: str
+    bodies: tuple[str, str]
+    points: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    constants: tuple[float, float] = (0.0, 0.0)
 
 
 class LinePathway(FromTo):
@@ -19,15 +41,9 @@ class LinePathway(FromTo):
     """Whether the pathway is the line between two points; its direction is undefined if they coincide."""
     length_unit: ClassVar[str] = "m"
 
-    @property
-    def kind(self) -> str:
-        """Name of the symbolic definition of the pathway."""
-        return "two_points"
-
-    @property
-    def flat_points(self) -> tuple[float, float, float, float]:
-        """The two points (x_a, y_a, x_b, y_b) [m], each in the frame of its body."""
-        return (*self.ends[0], *self.ends[1])
+    def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
+        """Return the parts of the pathway in a mechanism with these joints."""
+        return (Segment("two_points", self.bodies, (*self.ends[0], *self.ends[1])),)
 
 
 class AnglePathway(Between):
@@ -35,12 +51,10 @@ class AnglePathway(Between):
 
     is_line: ClassVar[bool] = False
     length_unit: ClassVar[str] = "rad"
-    flat_points: ClassVar[tuple[float, float, float, float]] = (0.0, 0.0, 0.0, 0.0)
 
-    @property
-    def kind(self) -> str:
-        """Name of the symbolic definition of the pathway."""
-        return "relative_angle"
+    def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
+        """Return the parts of the pathway in a mechanism with these joints."""
+        return (Segment("relative_angle", self.bodies),)
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
@@ -86,19 +100,13 @@ class Coordinate(Between):
         return self
 
     @property
-    def kind(self) -> str:
-        """Name of the symbolic definition of the pathway."""
-        return f"coordinate_{self.coordinate}"
-
-    @property
     def point(self) -> tuple[float, float]:
         """The point of the second body, in its frame (x, y) [m]."""
         return (0.0, 0.0) if self.points is None else self.points[1]
 
-    @property
-    def flat_points(self) -> tuple[float, float, float, float]:
-        """The origin of a's frame and b's point in b's frame (x_a, y_a, x_b, y_b) [m]."""
-        return (0.0, 0.0, *self.point)
+    def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
+        """Return the parts of the pathway in a mechanism with these joints."""
+        return (Segment(f"coordinate_{self.coordinate}", self.bodies, (0.0, 0.0, *self.point)),)
 
     def attachments(self) -> list[Attachment]:
         """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""
@@ -109,5 +117,44 @@ class Coordinate(Between):
         return self.places()[:1]
 
 
-Pathway = Annotated[TwoPoints | RelativeAngle | Coordinate, Field(discriminator="type")]
+def _not_empty(radii: dict[str, float]) -> dict[str, float]:
+    if not radii:
+        raise SpecError("needs at least one joint and the radius of its pulley [m], such as {knee: 0.04}")
+    return radii
+
+
+class JointAngles(Element):
+    """The length ``length - sum(radius * angle of the joint)`` [m] of a cable over pulleys at several joints.
+
+    An exotendon (A. J. van den Bogert, BioMedical Engineering OnLine 2:17, 2003) is such a cable with the law
+    `one-sided`. A tension F turns the second body of each joint against the first by the torque ``radius * F``: a
+    positive radius increases the angle, a negative one decreases it. The length is exact as long as the cable stays on
+    the pulleys. Forces of the pulleys on their axles are not part of the reactions of the joints.
+    """
+
+    # `angles` is a method of every element, so that the attribute has another name
+    model_config = ConfigDict(serialize_by_alias=True)
+
+    type: Literal["joint-angles"]
+    radii: Annotated[dict[str, Number], AfterValidator(_not_empty)] = Field(alias="angles")
+    """Radius of the pulley at each joint, by the name of the joint [m]: ``{hip: 0.03, knee: -0.02}``."""
+    length: Number = 0.0
+    """Length where all angles are zero [m]; only its difference from the free length of the law matters."""
+    is_line: ClassVar[bool] = False
+    length_unit: ClassVar[str] = "m"
+
+    def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
+        """Return the parts of the pathway in a mechanism with these joints, one for each joint."""
+        return tuple(
+            Segment("pulley", joints[name].bodies, constants=(radius, 0.0 if index else self.length))
+            for index, (name, radius) in enumerate(self.radii.items())
+        )
+
+
+def path_ends(segments: tuple[Segment, ...]) -> tuple[str, str]:
+    """Return the first body of the first segment and the second body of the last one."""
+    return segments[0].bodies[0], segments[-1].bodies[1]
+
+
+Pathway = Annotated[TwoPoints | RelativeAngle | Coordinate | JointAngles, Field(discriminator="type")]
 """A pathway of an element of type ``law``; `type` selects its class."""

@@ -6,6 +6,7 @@ springs. The poses of the bodies give the global coordinates of all points at al
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
+from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.plain_data import plain
+from mbdkit.plot.cable_geometry import Place, cable_places
 from mbdkit.plot.plane_geometry import Array, convex_hull
 
 if TYPE_CHECKING:
@@ -171,6 +174,8 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
         pathway = getattr(force, "pathway", None)
         if pathway is not None and pathway.is_line:
             sketch.springs.append((ends[0], ends[1]))
+        elif isinstance(pathway, JointAngles):
+            sketch.cable(cable_places(mechanism.joints, pathway))
     for name, marker in mechanism.markers.items():
         sketch.marker(name, marker.body, marker.held)
     return sketch.finish()
@@ -233,6 +238,11 @@ class _Sketch:
             if joint:
                 self.held[body].append(index)
         return found
+
+    def cable(self, places: Sequence[Place]) -> None:
+        """Add a spring that passes several points of bodies."""
+        passed = [self.point(self.index[body], local) for body, local in places]
+        self.springs += itertools.pairwise(passed)
 
     def joint(self, name: str, joint: Any) -> None:
         """Add a joint: a distance joint as a bar, a driver not at all, any other as a mark at its point."""

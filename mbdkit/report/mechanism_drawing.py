@@ -13,7 +13,9 @@ from markupsafe import Markup
 
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.mechanism.time_jets import jet_of
+from mbdkit.plot.cable_geometry import cable_places
 from mbdkit.plot.drawing_geometry import Drawing, draw_centres, draw_mechanism
 from mbdkit.plot.plane_geometry import Array, zigzag
 from mbdkit.plot.pose import body_colors
@@ -164,7 +166,7 @@ def _draw_loads(canvas: Canvas, shown: NamedPose, mechanism: Mechanism) -> None:
             canvas.turn(canvas.px(shown.place(load.body, (0.0, 0.0))), 17.0, "load")
         elif load is not None:
             canvas.arrow(canvas.px(shown.place(load.body, load.point)), _load_direction(shown, load), 44.0, "load")
-        elif not force.attachments():  # an angle
+        elif force.pathway.length_unit == "rad":
             canvas.line(_spiral(canvas.px(_common_point(shown, mechanism, force.pathway.bodies))), "spring")
     for marker in mechanism.markers.values():
         point = canvas.px(shown.place(marker.body, marker.held))
@@ -274,6 +276,10 @@ def _force_points(canvas: Canvas, shown: NamedPose, mechanism: Mechanism, force:
         point = canvas.px(shown.place(load.body, load.point))
         away = _load_direction(shown, load) if load.kind != "torque" else np.zeros(2)
         return np.asarray(point - 44.0 * away / float(np.hypot(*away) or 1.0))[None]
+    if isinstance(force.pathway, JointAngles):
+        places = cable_places(mechanism.joints, force.pathway)
+        passed = canvas.px([shown.place(name, point) for name, point in places])
+        return np.asarray((passed[1:] + passed[:-1]) / 2)
     ends = [shown.place(name, point) for _, name, point in force.attachments()]
     if len(ends) < 2:
         return canvas.px(ends or [_common_point(shown, mechanism, force.pathway.bodies)])

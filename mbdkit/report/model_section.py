@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.mechanism.parameters import parameter_values
+from mbdkit.mechanism.pathways import JointAngles, path_ends
 from mbdkit.mechanism.values import Table as TimeTable
 from mbdkit.plot.downsampling import take
 from mbdkit.plot.quantity_text import count
@@ -134,7 +135,10 @@ def _forces(shown: NamedPose) -> Table:
     assert shown.mechanism is not None
     for name, force in shown.mechanism.forces.items():
         load = getattr(force, "load", None)
-        between = _between(force.pathway.bodies if load is None else (load.reaction_body, load.body))
+        if load is None:
+            between = _between(path_ends(force.pathway.segments(shown.mechanism.joints)))
+        else:
+            between = _between((load.reaction_body, load.body))
         kind = f"{force.type}: {force.law}" if force.type == "law" else force.type
         rows.append((name, kind, between, _force_details(force, shown)))
     columns = [Column("force element"), Column("type"), Column("between"), Column("data")]
@@ -190,7 +194,9 @@ def _joint_details(joint: Any) -> str:
 def _force_details(force: Any, shown: NamedPose) -> str:
     load = getattr(force, "load", None)
     if load is None:
-        return ", ".join(_options(force))
+        radii = force.pathway.radii if isinstance(force.pathway, JointAngles) else {}
+        pulleys = [f"radius {radius:.6g} m at {joint}" for joint, radius in radii.items()]
+        return ", ".join([*pulleys, *_options(force)])
     if load.kind == "torque":
         return f"{_motion(load.values[0])} N m"
     frame = "of the body" if load.kind == "body_force" else "global"

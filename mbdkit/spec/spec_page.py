@@ -18,7 +18,7 @@ from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
 from mbdkit.mechanism.named_coordinates import NamedCoordinate
-from mbdkit.mechanism.pathways import Coordinate, RelativeAngle, TwoPoints
+from mbdkit.mechanism.pathways import Coordinate, JointAngles, RelativeAngle, TwoPoints
 from mbdkit.mechanism.values import Table
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.describe import claim_texts, options_in
@@ -71,7 +71,7 @@ def page(installed: Registry) -> str:
         *(part for item in installed.of_kind("force-law") for part in _item(item, "####", f"law: {item.name}")),
         "#### `pathway`",
         "The length, angle or coordinate that a law acts along; `type` selects it.",
-        *_types((TwoPoints, RelativeAngle, Coordinate), "#####"),
+        *_types((TwoPoints, RelativeAngle, Coordinate, JointAngles), "#####"),
         *_model("### Functions of time", Table),
         (
             "Instead of a table, a motion, torque or force may be a number, or an expression of `t` and the "

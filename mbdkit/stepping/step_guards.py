@@ -170,7 +170,7 @@ def energies(top, w, q, v):
     if len(top.springs) > 0:
         pathway_lengths(top, w, q)
         for k in range(len(top.springs)):
-            evaluate_tension(top, w, k, path_rate(k, top.springs[k, 1], top.springs[k, 2], v, w.grad))
+            evaluate_tension(top, w, k, path_rate(k, top.springs, v, w.grad))
     potential, level = potential_energy(top, w, q)
     return kinetic, potential, kinetic + level
 

@@ -26,7 +26,7 @@ from mbdkit.mechanism.joints import Constraint
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.law_parameters import law_parameters
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.pathways import Pathway
+from mbdkit.mechanism.pathways import Pathway, Segment
 from mbdkit.mechanism.symbolic_system import SymbolicSystem
 from mbdkit.mechanism.time_expression import Expression
 from mbdkit.mechanism.time_jets import curve_of
@@ -218,38 +218,65 @@ class _Builder:
 
     def add_spring(self, name: str, force: SpringDamper | TorsionSpring) -> None:
         """Add a linear spring and damper, of tension F = k (s - s_0) + c s', on a pathway: Q = -F s_q."""
-        length, gradient = _pathway_terms(force.kind)
-        rate = (gradient * sp.Matrix(d.BODY_VELOCITIES))[0]
         letter, tex = ("l", r"\ell") if force.length_unit == "m" else ("phi", r"\varphi")
         free = self.parameter(force.linear.free, letter, name, tex=tex)
-        held = self.pathway_points(name, force)
         stiffness, damping = self.parameter(force.stiffness, "k", name), self.parameter(force.damping, "c", name)
-        self.add(-(stiffness * (length - free) + damping * rate) * gradient.T, *force.bodies, held)
-
-    def pathway_points(self, name: str, pathway: Pathway | SpringDamper | TorsionSpring) -> list[sp.Expr]:
-        """Return the parameters of the points of a pathway."""
-        (a, b), points = pathway.bodies, pathway.flat_points
-        return [*self.point(name, a, points[:2]), *self.point(name, b, points[2:])]
+        self.add_tension(name, force, lambda length, rate: stiffness * (length - free) + damping * rate)
 
     def add_law(self, name: str, force: Law) -> None:
         """Add the force F of a law on its pathway, Q = -F s_q.
 
         F is an expression for an `ExpressionLaw`; for any other law it is an undefined function of length, rate, time.
         """
-        length, gradient = _pathway_terms(force.pathway.kind)
-        rate = (gradient * sp.Matrix(d.BODY_VELOCITIES))[0]
         law = force.force_law
         names, values = law_parameters(law, force, force.law_id)
-        if isinstance(law, ExpressionLaw):
-            tension, _ = law_expressions(law, names)
-            known = {LENGTH: length, RATE: rate, LAW_TIME: TIME}
-            for option, value in zip(names, values, strict=True):
-                letter, tex = _LETTERS.get(option, (option, _text(option)))
-                known[sp.Symbol(option, real=True)] = self.parameter(value, letter, name, tex=tex)
-            tension = tension.xreplace(known)
-        else:
-            tension = self.numeric_law(name, law.function, np.array(values))(length, rate, TIME)
-        self.add(-tension * gradient.T, *force.bodies, self.pathway_points(name, force.pathway))
+        if not isinstance(law, ExpressionLaw):
+            function = self.numeric_law(name, law.function, np.array(values))
+            self.add_tension(name, force.pathway, lambda length, rate: function(length, rate, TIME))
+            return
+        tension, _ = law_expressions(law, names)
+        known = {LAW_TIME: TIME}
+        for option, value in zip(names, values, strict=True):
+            letter, tex = _LETTERS.get(option, (option, _text(option)))
+            known[sp.Symbol(option, real=True)] = self.parameter(value, letter, name, tex=tex)
+        self.add_tension(
+            name, force.pathway, lambda length, rate: tension.xreplace({**known, LENGTH: length, RATE: rate})
+        )
+
+    def add_tension(
+        self,
+        name: str,
+        pathway: Pathway | SpringDamper | TorsionSpring,
+        tension: Callable[[sp.Expr, sp.Expr], sp.Expr],
+    ) -> None:
+        """Add the forces -F s_q of a tension F, a function of length and rate, to the bodies of every segment."""
+        parts = [(one, self.segment_parameters(name, one)) for one in pathway.segments(self.mechanism.joints)]
+        whole = [self.segment_length(*part) for part in parts]
+        for index, (segment, parameters) in enumerate(parts):
+            length, gradient = _pathway_terms(segment.kind)
+            rate = (gradient * sp.Matrix(d.BODY_VELOCITIES))[0]
+            for other, (further_length, further_rate) in enumerate(whole):
+                if other != index:
+                    length, rate = length + further_length, rate + further_rate
+            self.add(-tension(length, rate) * gradient.T, *segment.bodies, parameters)
+
+    def segment_parameters(self, name: str, segment: Segment) -> list[sp.Expr]:
+        """Return the parameters p0 to p5 of a segment of the pathway of a force."""
+        (a, b), points = segment.bodies, segment.points
+        named = next(one.constants for one in d.PATHWAYS if one.name == segment.kind)
+        constants = [
+            self.parameter(x, letter, name, b, tex=tex)
+            for x, (letter, tex) in zip(segment.constants, named, strict=False)
+        ]
+        return [*self.point(name, a, points[:2]), *self.point(name, b, points[2:]), *constants]
+
+    def segment_length(self, segment: Segment, parameters: Sequence[sp.Expr]) -> tuple[sp.Expr, sp.Expr]:
+        """Return length and rate of a segment in the symbols of the mechanism."""
+        length, gradient = _pathway_terms(segment.kind)
+        rate = (gradient * sp.Matrix(d.BODY_VELOCITIES))[0]
+        a, b = segment.bodies
+        here = self.values(self.bodies.index(a), self.bodies.index(b), parameters)
+        return length.xreplace(here), rate.xreplace(here)
 
     def numeric_law(self, name: str, function: Any, parameters: np.ndarray) -> Any:
         """Return the force of a law as an undefined function of length, rate and time that evaluates numerically."""

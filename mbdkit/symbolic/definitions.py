@@ -128,11 +128,16 @@ CONSTRAINTS = (
 
 @dataclass(frozen=True)
 class PathwayKind:
-    """A generalised length ``s(q_a, q_b)`` along which a scalar force law acts; the force on q is ``-F s_q``."""
+    """A generalised length ``s(q_a, q_b)`` along which a scalar force law acts; the force on q is ``-F s_q``.
+
+    The length of a pathway over several joints is the sum of such lengths, its segments.
+    """
 
     name: str
     length: sp.Expr
     note: str
+    constants: tuple[tuple[str, str], ...] = ()
+    """Name and LaTeX of the parameters after the points, ``p4`` and ``p5``."""
 
 
 PATHWAYS = (
@@ -140,6 +145,12 @@ PATHWAYS = (
     PathwayKind("relative_angle", thb - tha, "s = theta_b - theta_a [rad]"),
     PathwayKind("coordinate_x", _IN_A[0], "s = x of b's point in a's frame [m]"),
     PathwayKind("coordinate_y", _IN_A[1], "s = y of b's point in a's frame [m]"),
+    PathwayKind(
+        "pulley",
+        PARAMETERS[5] - PARAMETERS[4] * (thb - tha),
+        "s = L - r (theta_b - theta_a) [m]",
+        (("r", "r"), ("L", "L")),
+    ),
 )
 
 

@@ -83,7 +83,7 @@ class Case(NamedTuple):
             return b[:, 2] - a[:, 2], v[:, 2] - u[:, 2]
         points = (path.points or ((0, 0), (0, 0))) if hasattr(path, "points") else ((0, 0), (0, 0))
         (p, dp), (q, dq) = (self.point(body, at) for body, at in zip(path.bodies, points, strict=True))
-        if path.kind == "two_points":
+        if path.is_line:
             length = np.linalg.norm(q - p, axis=1)
             return length, np.sum((q - p) * (dq - dp), axis=1) / length
         axis = turned(np.broadcast_to((1.0, 0.0) if path.coordinate == "x" else (0.0, 1.0), p.shape), a[:, 2])

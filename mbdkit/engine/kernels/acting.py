@@ -24,8 +24,10 @@ def force_values(top, w, q, v, out):
     """
     springs, loads, place, tension, u = top.springs, top.loads, top.force_place, w.tension, w.u
     for k in range(len(springs)):
+        if springs[k, 5] == 0:
+            continue
         row, law, pull = place[k], springs[k, 3], tension[k, 0]
-        rate = path_rate(k, springs[k, 1], springs[k, 2], v, w.grad)
+        rate = path_rate(k, springs, v, w.grad)
         out[row, 0] = w.s[k, 0]
         out[row, 1] = rate
         out[row, 2] = 0.0 - pull if springs[k, 0] == _RELATIVE_ANGLE else pull  # 0.0 - x, because -x could be -0.0

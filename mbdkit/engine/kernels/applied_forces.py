@@ -16,21 +16,25 @@ from mbdkit.engine.kernels import element_kernels as e
 from mbdkit.engine.kernels.vectors import fill
 
 PATHWAYS = {name: code for code, name in enumerate(e.PATHWAY_KINDS)}
-_TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y = range(len(PATHWAYS))
+_TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y, _PULLEY = range(len(PATHWAYS))
+COUPLED = "pulley"
+"""The only kind of pathway that may have several segments; its second derivatives are zero."""
 TORQUE, POINT_FORCE, BODY_FORCE = range(3)
 """Kinds of loads. A POINT_FORCE is given in the global frame, a BODY_FORCE in the frame of its body."""
 
 two_points_gradient, relative_angle_gradient = e.two_points_gradient, e.relative_angle_gradient
 coordinate_x_gradient, coordinate_y_gradient = e.coordinate_x_gradient, e.coordinate_y_gradient
+pulley_gradient = e.pulley_gradient
 two_points_hessian = e.two_points_hessian
 coordinate_x_hessian, coordinate_y_hessian = e.coordinate_x_hessian, e.coordinate_y_hessian
 
 
 @subkernel
 def pathway_lengths(top, w, q):
-    """Write the length of every pathway into ``w.s`` (S, 1) and its gradient s_q into ``w.grad`` (S, 6).
+    """Write all lengths of pathways into ``w.s`` (S, 1) and the gradients s_q of their segments into ``w.grad`` (S, 6).
 
-    The kind of pathway is selected by comparisons, because Numba loses inlining when it indexes a tuple of functions.
+    All segments of a spring receive the length of its whole pathway. The kind of pathway is selected by comparisons,
+    because Numba loses inlining when it indexes a tuple of functions.
     """
     springs, points, cs, s, grad = top.springs, top.spring_points, w.cs, w.s, w.grad
     for k in range(len(springs)):
@@ -44,16 +48,25 @@ def pathway_lengths(top, w, q):
             relative_angle_gradient(k, a, b, q, cs, points, s, grad)
         elif springs[k, 0] == _COORDINATE_X:
             coordinate_x_gradient(k, a, b, q, cs, points, s, grad)
-        else:
+        elif springs[k, 0] == _COORDINATE_Y:
             coordinate_y_gradient(k, a, b, q, cs, points, s, grad)
+        else:
+            pulley_gradient(k, a, b, q, cs, points, s, grad)
+    for k in range(len(springs)):
+        for other in range(k + 1, k + springs[k, 5]):
+            s[k, 0] += s[other, 0]
+        if springs[k, 5] == 0:
+            s[k, 0] = s[springs[k, 4], 0]
 
 
 @subkernel
-def path_rate(k, a, b, v, grad):
-    """Return the rate ``s' = s_q v`` of pathway `k` between bodies `a` and `b`."""
+def path_rate(k, springs, v, grad):
+    """Return the rate ``s' = s_q v`` of the pathway whose first segment is `k`; 0 for other segments."""
     rate = 0.0
-    for i in range(3):
-        rate += grad[k, i] * v[3 * a + i] + grad[k, 3 + i] * v[3 * b + i]
+    for segment in range(k, k + springs[k, 5]):
+        a, b = springs[segment, 1], springs[segment, 2]
+        for i in range(3):
+            rate += grad[segment, i] * v[3 * a + i] + grad[segment, 3 + i] * v[3 * b + i]
     return rate
 
 
@@ -63,10 +76,14 @@ def evaluate_tension(top, w, k, rate):
 
     If a law returns a force that is not finite for finite arguments, its row in ``top.laws`` is stored in ``w.faulty``
     (1,) for the error message. If the arguments are not finite, the state has overflowed and the law is not the cause.
-    Linear springs are computed here, without a call by address.
+    Linear springs are computed here, without a call by address. The first segment of a spring is evaluated, with the
+    `rate` of the whole pathway; the later ones copy its row.
     """
     length, law, tension = w.s[k, 0], top.springs[k, 3], w.tension
-    if law < 0:
+    if top.springs[k, 5] == 0:
+        for i in range(4):
+            tension[k, i] = tension[top.springs[k, 4], i]
+    elif law < 0:
         stiffness, damping, stretch = top.linear[k, 0], top.linear[k, 1], length - top.linear[k, 2]
         tension[k, 0] = stiffness * stretch + damping * rate
         tension[k, 1] = stiffness
@@ -91,7 +108,7 @@ def applied_forces(top, w, q, v):
     pathway_lengths(top, w, q)
     for k in range(len(springs)):
         a, b = springs[k, 1], springs[k, 2]
-        evaluate_tension(top, w, k, path_rate(k, a, b, v, grad))
+        evaluate_tension(top, w, k, path_rate(k, springs, v, grad))
         pull = w.tension[k, 0]
         for i in range(3):
             force[3 * a + i] -= pull * grad[k, i]
@@ -130,16 +147,17 @@ def force_tangents(top, w, q, v):
     """Write K = -dQ/dq and C = -dQ/dv of every force element and load into the terms of ``w.source``.
 
     ``w.spring_stiff`` and ``w.spring_damp`` (S, 36) receive the terms of the force elements:
-    ``K = F_s s_q^T s_q + F s_qq + F_s' s_q^T (s_q v)_q`` and ``C = F_s' s_q^T s_q``. ``w.load_stiff`` (L, 3) receives
-    the terms of the point forces: entries x-theta and y-theta of forces that turn with their body, entry theta-theta of
-    forces with a fixed direction. A torque depends on time only and has no tangent.
+    ``K = F_s s_q^T s_q + F s_qq + F_s' s_q^T (s_q v)_q`` and ``C = F_s' s_q^T s_q``, with the s_q of one segment;
+    ``w.coupled_stiff`` and ``w.coupled_damp`` (X, 36) the products of two segments, whose s_qq are zero (`COUPLED`).
+    ``w.load_stiff`` (L, 3) receives the terms of the point forces: entries x-theta and y-theta of forces that turn with
+    their body, entry theta-theta of forces with a fixed direction. A torque depends on time only and has no tangent.
     """
     springs, loads, points, cs = top.springs, top.loads, top.spring_points, w.cs
     grad, hess, stiff, damp, load_stiff = w.grad, w.hess, w.spring_stiff, w.spring_damp, w.load_stiff
     pathway_lengths(top, w, q)
     for k in range(len(springs)):
         a, b = springs[k, 1], springs[k, 2]
-        evaluate_tension(top, w, k, path_rate(k, a, b, v, grad))
+        evaluate_tension(top, w, k, path_rate(k, springs, v, grad))
         pull, stiffness, damping = w.tension[k, 0], w.tension[k, 1], w.tension[k, 2]
         has_derivatives = (abs(stiffness) < np.inf) & (abs(damping) < np.inf)
         if is_refused(has_derivatives | (not abs(pull) < np.inf)):
@@ -167,6 +185,13 @@ def force_tangents(top, w, q, v):
                 for i in range(6):
                     more = pull * hess[k, 6 * i + j] + damping * grad[k, i] * bend
                     stiff[k, 6 * i + j] = renewed(stiff[k, 6 * i + j] + more, stiff[k, 6 * i + j], curved)
+    for c in range(len(top.couplings)):
+        k, other = top.couplings[c, 0], top.couplings[c, 1]
+        for i in range(6):
+            for j in range(6):
+                product = grad[k, i] * grad[other, j]
+                w.coupled_stiff[c, 6 * i + j] = w.tension[k, 1] * product
+                w.coupled_damp[c, 6 * i + j] = w.tension[k, 2] * product
     for k in range(len(loads)):
         if loads[k, 0] == TORQUE:
             continue
@@ -190,7 +215,9 @@ def powers(top, w, v, lam):
     work = 0.0
     lost = 0.0
     for k in range(len(springs)):
-        rate = path_rate(k, springs[k, 1], springs[k, 2], v, w.grad)
+        if springs[k, 5] == 0:
+            continue
+        rate = path_rate(k, springs, v, w.grad)
         law = springs[k, 3]
         if law < 0:
             lost += top.linear[k, 1] * rate * rate
@@ -235,7 +262,7 @@ def potential_energy(top, w, q):
         level += mass[b, 0] * (abs(x) + abs(y))
     for k in range(len(springs)):
         law = springs[k, 3]
-        if law < 0 or laws[law, 2] & HAS_POTENTIAL != 0:
+        if springs[k, 5] > 0 and (law < 0 or laws[law, 2] & HAS_POTENTIAL != 0):
             energy += tension[k, 3]
             level += abs(tension[k, 3]) + abs(tension[k, 0] * w.s[k, 0])
     return energy, level

@@ -28,7 +28,7 @@ from mbdkit.engine.jit.decorators import subkernel
 CONSTRAINT_KINDS = ('revolute', 'distance', 'driver_angle', 'driver_x', 'driver_y', 'point_on_line', 'fixed_angle', 'moving_center')
 
 
-PATHWAY_KINDS = ('two_points', 'relative_angle', 'coordinate_x', 'coordinate_y')
+PATHWAY_KINDS = ('two_points', 'relative_angle', 'coordinate_x', 'coordinate_y', 'pulley')
 
 
 JACOBIAN_ENTRIES = {
@@ -84,6 +84,7 @@ GRADIENT_ENTRIES = {
     "relative_angle": (2, 5),
     "coordinate_x": (0, 1, 2, 3, 4, 5),
     "coordinate_y": (0, 1, 2, 3, 4, 5),
+    "pulley": (2, 5),
 }
 
 
@@ -92,6 +93,7 @@ HESSIAN_ENTRIES = {
     "relative_angle": (),
     "coordinate_x": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
     "coordinate_y": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
+    "pulley": (),
 }
 
 
@@ -1410,3 +1412,15 @@ def coordinate_y_hessian(k, a, b, q, cs, p, hess):
     hess[k, 26] = t1
     hess[k, 32] = t3
     hess[k, 35] = t2
+
+
+@subkernel
+def pulley_gradient(k, a, b, q, cs, p, s, grad):
+    """Length s = L - r (theta_b - theta_a) [m] and its gradient."""
+    tha = q[3*a+2]
+    thb = q[3*b+2]
+    p4 = p[k, 4]
+    p5 = p[k, 5]
+    s[k, 0] = p4*(tha - thb) + p5
+    grad[k, 2] = p4
+    grad[k, 5] = -p4

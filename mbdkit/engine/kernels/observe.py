@@ -105,7 +105,7 @@ class Observed(NamedTuple):
             kinetic=np.zeros(states),
             potential=np.zeros(states),
             singularity_distance=np.zeros(states),
-            forces=np.zeros((states, len(top.force_place), 5)),
+            forces=np.zeros((states, len(top.loads) + np.count_nonzero(top.springs[:, 5]), 5)),
             joints=np.zeros((states, len(top.joints), 6)),
             markers=np.zeros((states, len(top.markers), 4)),
         )

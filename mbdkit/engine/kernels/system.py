@@ -48,9 +48,9 @@ KKT_TOLERANCE = 1e-9
 class Topology(NamedTuple):
     """A compiled mechanism: all data that do not change during a run.
 
-    B is the number of bodies without ground, P of pairs of constraint rows, S of springs, L of loads, J of joints, K of
-    markers. All force
-    elements on a pathway are called springs, whatever their law.
+    B is the number of bodies without ground, P of pairs of constraint rows, S of segments of springs, X of pairs of
+    segments of the same spring, L of loads, J of joints, K of markers. All force elements on a pathway are called
+    springs, whatever their law. Most have one segment; the length of one with several is the sum over its segments.
     """
 
     mass: RealMatrix
@@ -75,9 +75,12 @@ class Topology(NamedTuple):
     """(D, 2) unit vectors of these directions in that frame, as coefficients of the pair's two rows; (1, 0) for a pair
     with a single row."""
     springs: IntMatrix
-    """(S, 4) pathway, first body, second body, row of `laws` (-1: linear)."""
+    """(S, 6) pathway, first body, second body, row of `laws` (-1: linear), first segment of the same spring, number of
+    its segments (0 for all but the first segment)."""
     spring_points: RealMatrix
-    """Parameters of the pathways: the points in the frames of both bodies."""
+    """(S, 6) parameters of the segments: the points in the frames of both bodies, and further ones."""
+    couplings: IntMatrix
+    """(X, 2) ordered pairs of different segments of the same spring."""
     linear: RealMatrix
     """(S, 3) stiffness, damping and free length of the linear springs."""
     laws: IntMatrix
@@ -90,7 +93,7 @@ class Topology(NamedTuple):
     load_points: RealMatrix
     """Point of application of each load in the frame of its body [m]."""
     force_place: IntVector
-    """(S + L,) place of each spring and of each load among the force elements of the mechanism."""
+    """(S + L,) place of each segment and of each load among the force elements of the mechanism."""
     pair_joint: IntVector
     """(P,) number of the joint of each pair."""
     joints: IntMatrix
@@ -140,13 +143,14 @@ class Scratch(NamedTuple):
     refinement: RealMatrix
     """(P, 2) residual and correction of the iterative refinement."""
     s: RealMatrix
-    """(S, 1) lengths of the pathways."""
+    """(S, 1) length of the pathway of each segment, the sum over its segments."""
     grad: RealMatrix
-    """(S, 6) gradients s_q of the pathways."""
+    """(S, 6) gradients s_q of the segments."""
     hess: RealMatrix
-    """(S, 36) second derivatives s_qq of the pathways."""
+    """(S, 36) second derivatives s_qq of the segments."""
     tension: RealMatrix
-    """(S + 1, 4) force, derivatives by length and rate, potential of each spring; the last row is a temporary."""
+    """(S + 1, 4) force, derivatives by length and rate, potential of the spring of each segment; the last row is a
+    temporary."""
     faulty: IntVector
     """(1,) row of the last law whose force or required derivatives were not finite; -1 for none."""
     source: RealVector
@@ -163,6 +167,10 @@ class Scratch(NamedTuple):
     """(S, 36) -dQ/dq of the springs."""
     spring_damp: RealMatrix
     """(S, 36) -dQ/dv of the springs."""
+    coupled_stiff: RealMatrix
+    """(X, 36) -dQ/dq of springs with several segments: Q on the first segment of a coupling, q of the second."""
+    coupled_damp: RealMatrix
+    """(X, 36) -dQ/dv likewise."""
     load_stiff: RealMatrix
     """(L, 3) -dQ/dq of the loads; see `mbdkit.engine.kernels.applied_forces.force_tangents`."""
     loose: RealMatrix

@@ -1,0 +1,69 @@
+"""The exponential spring: no force below its free length, and a stiffness that grows with the force."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+from mbdkit.mechanism.force_law import ExpressionLaw
+from mbdkit.mechanism.values import NotNegative, Number, Positive
+from mbdkit.strict_model import StrictModel
+
+if TYPE_CHECKING:
+    import sympy
+
+SUMMARY = "An exponential spring that only pulls (a ligament) or only pushes (a pad), with a linear damper."
+
+
+class ExponentialOptions(StrictModel):
+    """Options of `exponential`: the force ``scale * (exp(growth * x) - 1)`` of the stretch x.
+
+    The stiffness is ``growth * (force + scale)``: it grows linearly with the force, as that of soft tissue does (Y. C.
+    Fung, American Journal of Physiology 213:1532, 1967). There is no force below the free length (``acts: tension``),
+    or above it (``acts: compression``), and the damper never reverses the force.
+    """
+
+    scale: NotNegative
+    """Scale of the force [N or N m]; the stiffness at the free length is ``growth * scale``."""
+    growth: Positive
+    """Growth of the force with the stretch [1/m or 1/rad]."""
+    damping: NotNegative = 0.0
+    """Damping while stretched [N s/m or N m s/rad]."""
+    free_length: Number = 0.0
+    """Length, angle or coordinate at which the force begins [m or rad]."""
+    acts: Literal["tension", "compression"]
+    """`tension` pulls when longer than the free length, `compression` pushes when shorter."""
+
+
+def force() -> sympy.Expr:
+    """Return ``side (a (exp(b x) - 1) + c x')``, ``x = side (s - s_0)``; zero if x or the bracket is not positive."""
+    from sympy import And, Piecewise, exp, symbols
+
+    length, rate, scale, growth, damping, free_length, side = symbols(
+        "length rate scale growth damping free_length side", real=True
+    )
+    stretch = side * (length - free_length)
+    push = scale * (exp(growth * stretch) - 1) + damping * side * rate
+    return Piecewise((side * push, And(stretch > 0, push > 0)), (0, True))
+
+
+def potential() -> sympy.Expr:
+    """Return ``a ((exp(b x) - 1) / b - x)`` for ``x = side (s - s_0) > 0``, otherwise zero."""
+    from sympy import Piecewise, exp, symbols
+
+    length, scale, growth, free_length, side = symbols("length scale growth free_length side", real=True)
+    stretch = side * (length - free_length)
+    return Piecewise((scale * ((exp(growth * stretch) - 1) / growth - stretch), stretch > 0), (0, True))
+
+
+def parameters(options: ExponentialOptions) -> dict[str, float]:
+    """Return the options as numbers: `side` is 1 for tension and -1 for compression."""
+    return {
+        "scale": options.scale,
+        "growth": options.growth,
+        "damping": options.damping,
+        "free_length": options.free_length,
+        "side": 1.0 if options.acts == "tension" else -1.0,
+    }
+
+
+LAW = ExpressionLaw(force, potential, passive=True, parameters=parameters)
