@@ -12,6 +12,7 @@ from mbdkit.plain_data import Path, copied, parse_path, path_text
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
+from mbdkit.spec.inverse_spec import is_inverse
 from mbdkit.spec.loading import example_names, exists, read_source
 from mbdkit.spec.reading import parse_key, read_assignment, read_file, read_stdin, read_text, set_value
 from mbdkit.spec.sample_section import comparable
@@ -203,6 +204,9 @@ def _write_out_bases(data: dict[str, Any], folder: FilePath) -> dict[Path, Docum
         if isinstance(base, str):
             base = _named(base, folder, path_text((*path, "base")))
         documents[*path, "base"] = document = read_source(base)
+        if is_inverse(document.data):
+            message = "this is a spec of inverse dynamics; the base of a study is a run spec"
+            raise document.place(SpecError(message, key="motion"))
         holder["base"] = document.data
     return documents
 
