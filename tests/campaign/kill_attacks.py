@@ -404,7 +404,7 @@ def kill_blocks(random: np.random.Generator, folder: Path) -> list[str]:
         _wait_for_workers(runs)
         found += [f"{name} was computed twice" for name, when in kept.items() if _written(runs / name) != when]
         blocks = sorted(runs.glob("block-*.h5"))
-        found += [f"{path.name}: {problem}" for path in blocks for problem in check(path)]
+        found += [f"{path.name}: {problem}" for path in blocks if path.name not in kept for problem in check(path)]
         kept = {path.name: _written(path) for path in blocks}
     if found := found or _finish(folder, *arguments, start=_start_forking):
         return found
