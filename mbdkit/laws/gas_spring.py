@@ -22,8 +22,8 @@ class GasSpringOptions(StrictModel):
     x is the compression, ``extended_length - length``. The gas in the cylinder follows the polytropic law
     ``p V^exponent = constant``, and its volume decreases linearly with x, so that the push at full stroke is
     ``progression * preload``. Manufacturers call preload F1, the force at full stroke F2, and F2/F1 progression. The
-    end stops of the cylinder are not part of the law: beyond the extended length the push continues to decrease, and
-    beyond the stroke to increase.
+    end stops of the cylinder are not part of the law: beyond the extended length the push continues to decrease by the
+    same formula, and beyond the stroke to increase linearly.
     """
 
     preload: NotNegative
@@ -41,37 +41,54 @@ class GasSpringOptions(StrictModel):
 
 
 def force() -> sympy.Expr:
-    """Return ``c s' - F_1 (1 - q (s_1 - s))^-n`` of length s, extended length s_1, exponent n and shrinkage q."""
+    """Return ``c s' - F_1 v^-n`` of the relative volume ``v = 1 - q (s_1 - s)``, linear beyond full stroke."""
     from sympy import symbols
 
-    length, rate, preload, shrinkage, extended, exponent, damping = symbols(
-        "length rate preload shrinkage extended exponent damping", real=True
-    )
-    return damping * rate - preload * (1 - shrinkage * (extended - length)) ** (-exponent)
+    rate, damping, slope = symbols("rate damping slope", real=True)
+    push, _, beyond = _gas()
+    return damping * rate - push + slope * beyond
 
 
 def potential() -> sympy.Expr:
     """Return the work that compresses the gas from the extended length."""
     from sympy import log, symbols
 
-    length, preload, shrinkage, extended, exponent, isothermal, divisor = symbols(
-        "length preload shrinkage extended exponent isothermal divisor", real=True
+    preload, shrinkage, exponent, isothermal, divisor, slope = symbols(
+        "preload shrinkage exponent isothermal divisor slope", real=True
     )
-    volume = 1 - shrinkage * (extended - length)
+    push, volume, beyond = _gas()
     polytropic = (volume ** (1 - exponent) - 1) / divisor
-    return preload / shrinkage * (isothermal * -log(volume) + (1 - isothermal) * polytropic)
+    stored = preload / shrinkage * (isothermal * -log(volume) + (1 - isothermal) * polytropic)
+    return stored - push * beyond + slope * beyond**2 / 2
+
+
+def _gas() -> tuple[sympy.Expr, sympy.Expr, sympy.Expr]:
+    """Return push and relative volume of the gas, at full stroke at most, and the length beyond it (negative)."""
+    from sympy import Piecewise, symbols
+
+    length, preload, shrinkage, extended, exponent, shortest = symbols(
+        "length preload shrinkage extended exponent shortest", real=True
+    )
+    inside = Piecewise((length, length > shortest), (shortest, True))
+    volume = 1 - shrinkage * (extended - inside)
+    return preload * volume ** (-exponent), volume, length - inside
 
 
 def parameters(options: GasSpringOptions) -> dict[str, float]:
     """Return the parameters; `shrinkage` is the decrease of the volume per compression, relative to the volume.
 
-    The potential of an isothermal gas is a logarithm; `divisor` avoids a division by zero in the other formula.
+    `shortest` and `slope` are the length at full stroke and the stiffness there. The potential of an isothermal gas is
+    a logarithm; `divisor` avoids a division by zero in the other formula.
     """
     isothermal = options.exponent == 1.0
+    volume = options.progression ** (-1.0 / options.exponent)
+    shrinkage = (1.0 - volume) / options.stroke
     return {
         "preload": options.preload,
-        "shrinkage": (1.0 - options.progression ** (-1.0 / options.exponent)) / options.stroke,
+        "shrinkage": shrinkage,
         "extended": options.extended_length,
+        "shortest": options.extended_length - options.stroke,
+        "slope": options.preload * options.exponent * shrinkage * options.progression / volume,
         "exponent": options.exponent,
         "isothermal": float(isothermal),
         "divisor": 1.0 if isothermal else options.exponent - 1.0,

@@ -65,6 +65,19 @@ def test_a_gas_spring_follows_the_polytropic_law_from_preload_to_progression(exp
     np.testing.assert_allclose(device.potential, stored_by_quadrature(force, device.length, 0.6), rtol=1e-9, atol=1e-10)
 
 
+@pytest.mark.parametrize("exponent", [1.0, 1.4])
+def test_a_gas_spring_that_is_pressed_beyond_its_stroke_continues_linearly(exponent: float) -> None:
+    # expected: stiffness n F_2 q / v_2 at full stroke, with q = (1 - v_2) / stroke and v_2 = progression^(-1/n)
+    options = {"preload": 400.0, "progression": 1.5, "extended_length": 0.6, "stroke": 0.25, "exponent": exponent}
+    device = sweep("gas-spring", 0.35, -0.2, **options).forces["device"]
+    volume = 1.5 ** (-1 / exponent)
+    stiffness = exponent * 600.0 * (1 - volume) / 0.25 / volume
+    beyond = 0.35 - device.length
+    np.testing.assert_allclose(device.value, -600.0 - stiffness * beyond, rtol=1e-12)
+    stored = device.potential - device.potential[0]
+    np.testing.assert_allclose(stored, 600.0 * beyond + stiffness * beyond**2 / 2, rtol=1e-10, atol=1e-10)
+
+
 @pytest.mark.parametrize(("acts", "side"), [("tension", 1.0), ("compression", -1.0)])
 def test_a_spring_that_engages_late_begins_with_its_full_force(acts: str, side: float) -> None:
     # expected: k (s - s_0) beyond the engagement, nothing before; the energy begins at zero there

@@ -22,6 +22,8 @@ from mbdkit.testing.verification_table import BEGIN, END, VARIANTS, title
 README = Path(mbdkit.testing.__file__).with_name("README.md")
 OPTIONS: dict[str, dict[str, Any]] = {
     "linear": {"stiffness": 30.0, "damping": 1.0, "free_length": 0.5},
+    "exponential": {"scale": 5.0, "growth": 2.0, "damping": 1.0, "free_length": 0.5, "acts": "tension"},
+    "gas-spring": {"preload": 50.0, "progression": 1.4, "extended_length": 2.0, "stroke": 0.5, "exponent": 1.2},
     "one-sided": {"stiffness": 200.0, "damping": 1.0, "free_length": 0.5, "acts": "compression"},
     "table": {"table": [[0.0, 0.5, 1.0, 1.5], [-20.0, 0.0, 30.0, 90.0]], "damping": 1.0},
     "n-pendulum": {"n": 4, "angle": -1.0},
