@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from mbdkit.analysis.workload import Workload, workload
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
+    from mbdkit.designs.design import Design, design
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.errors import MbdkitError, PluginError, ResourceError, RunError, SpecError, StepError
     from mbdkit.inverse_dynamics.inverse_run import inverse
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
     from mbdkit.resuming import resume
     from mbdkit.simulation import run
-    from mbdkit.spec import InverseSpec, RunSpec, StudySpec
+    from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, StudySpec
     from mbdkit.studies.carry_out import ensemble, load_study, study
     from mbdkit.studies.study import Study
 
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
 __all__ = [
     "ButcherTableau",
     "Claims",
+    "Design",
+    "DesignSpec",
     "EquationsOfMotion",
     "Equilibrium",
     "ExplicitRungeKutta",
@@ -70,6 +73,7 @@ __all__ = [
     "StudySpec",
     "Workload",
     "__version__",
+    "design",
     "ensemble",
     "equilibrium",
     "hookimpl",
@@ -89,6 +93,9 @@ __all__ = [
 _HOME = {
     "ButcherTableau": "mbdkit.methods.tableau",
     "Claims": "mbdkit.registry.items",
+    "Design": "mbdkit.designs.design",
+    "DesignSpec": "mbdkit.spec",
+    "design": "mbdkit.designs.design",
     "Equilibrium": "mbdkit.mechanics.equilibrium",
     "ExplicitRungeKutta": "mbdkit.methods.kinds",
     "ExpressionLaw": "mbdkit.mechanism.force_law",

@@ -15,6 +15,7 @@ import typer
 
 from mbdkit.cli.archives import archive_app
 from mbdkit.cli.common_options import PLAIN, Debug
+from mbdkit.cli.designs import design
 from mbdkit.cli.guide import guide
 from mbdkit.cli.inverse import inverse, workload
 from mbdkit.cli.mechanics import equilibrium, kinematics, modes
@@ -57,7 +58,8 @@ def mbdkit(
 
 
 for command in (
-    run, validate, inverse, workload, equilibrium, modes, kinematics, study, plot, animate, report, rerun, guide,
+    run, validate, inverse, workload, equilibrium, modes, kinematics, study, design, plot, animate, report, rerun,
+    guide,
 ):  # fmt: skip
     app.command(cls=StudyCommand if command is study else None)(command)
 for name, group in {

@@ -13,6 +13,7 @@ import typer
 
 from mbdkit import terminal
 from mbdkit.cli.common_options import AnySpecName, Archive, AsJson, Debug, Overwrite, Quiet, Set, SpecNameOrNone
+from mbdkit.cli.designs import validate_design
 from mbdkit.cli.inverse import repeated_inverse, validate_inverse
 from mbdkit.cli.output_paths import check_new, stem
 from mbdkit.progress_bars import progress_bar
@@ -151,6 +152,9 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
         show(f"{spec}: this study is valid\n{told}")
         return
     document = read_source(source)
+    if "mbdkit_design" in document.data:
+        validate_design(document, spec, assignments or [])
+        return
     if is_inverse(document.data):
         validate_inverse(document, spec, assignments or [])
         return

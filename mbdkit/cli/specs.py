@@ -48,6 +48,17 @@ def schema_inverse(debug: Debug = False) -> None:
     show_json(inverse_schema(), indent=2)
 
 
+@schema_app.command("design")
+def schema_design(debug: Debug = False) -> None:
+    """Print the JSON schema of a design spec.
+
+    It contains the options of all installed models, integrators and force laws.
+    """
+    from mbdkit.spec.schema import design_schema
+
+    show_json(design_schema(), indent=2)
+
+
 @examples_app.callback(invoke_without_command=True)
 def examples(context: typer.Context, debug: Debug = False) -> None:
     """List the packaged examples, specs and notebooks.

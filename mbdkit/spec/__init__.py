@@ -1,5 +1,7 @@
-"""Specs of runs and studies: reading from YAML, TOML, JSON, a dict or a Mechanism, and strict validation."""
+"""Specs of runs, studies and designs: reading from YAML, TOML, JSON, a dict or a Mechanism, and strict validation."""
 
+from mbdkit.spec.design_loading import load_design_spec
+from mbdkit.spec.design_spec import DesignSpec
 from mbdkit.spec.inverse_spec import InverseSpec
 from mbdkit.spec.loading import example_names, example_text, load_inverse_spec, load_spec
 from mbdkit.spec.run_spec import RunSpec
@@ -8,6 +10,7 @@ from mbdkit.spec.study_loading import load_study_spec, study_names
 from mbdkit.spec.study_spec import StudySpec
 
 __all__ = [
+    "DesignSpec",
     "InverseSpec",
     "Limits",
     "Output",
@@ -16,6 +19,7 @@ __all__ = [
     "Time",
     "example_names",
     "example_text",
+    "load_design_spec",
     "load_inverse_spec",
     "load_spec",
     "load_study_spec",

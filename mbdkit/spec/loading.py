@@ -69,6 +69,9 @@ def _loaded(kind: type[S], source: Any, overrides: Iterable[str], sections: Mapp
     if "mbdkit_study" in document.data and "mbdkit" not in document.data:
         message = "this is a study spec, which `mbdkit study` runs; a run spec begins with `mbdkit: 1`"
         raise document.place(SpecError(message, key="mbdkit_study"))
+    if "mbdkit_design" in document.data:
+        message = "this is a design spec, which `mbdkit design` solves"
+        raise document.place(SpecError(message, key="mbdkit_design"))
     document.data |= sections
     document.keywords = frozenset(sections)
     if kind is RunSpec and is_inverse(document.data):

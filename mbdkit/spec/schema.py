@@ -1,4 +1,4 @@
-"""JSON schemas of the specs of runs, studies and inverse dynamics, for editors and other tools."""
+"""JSON schemas of the specs of runs, studies, inverse dynamics and designs, for editors and other tools."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pydantic.json_schema import models_json_schema
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import registry
+from mbdkit.spec.design_spec import DesignSpec
 from mbdkit.spec.inverse_spec import inverse_spec_type
 from mbdkit.spec.law_options import law_element
 from mbdkit.spec.run_spec import spec_type
@@ -103,6 +104,26 @@ def study_schema(installed: Registry | None = None) -> dict[str, Any]:
     return {"$schema": DRAFT, **schema}
 
 
+def design_schema(installed: Registry | None = None) -> dict[str, Any]:
+    """Return the JSON schema (draft 2020-12) of the design spec; its bases are run specs and specs of inverse dynamics.
+
+    Parameters
+    ----------
+    installed
+        Registry of the models, integrators and force laws to include; by default, all that are installed.
+    """
+    schema = _described(DesignSpec.model_json_schema())
+    run, measured = run_schema(installed), inverse_schema(installed)
+    bases = {
+        name: {"type": "object", "properties": one["properties"], "additionalProperties": False}
+        for name, one in (("RunBase", run), ("InverseBase", measured))
+    }
+    for place in (schema, schema["$defs"]["Scenario"]):
+        place["properties"]["base"]["anyOf"] = [{"type": "string"}, *({"$ref": f"#/$defs/{name}"} for name in bases)]
+    schema["$defs"] |= measured["$defs"] | run["$defs"] | bases
+    return {"$schema": DRAFT, **schema}
+
+
 def _described(schema: dict[str, Any]) -> dict[str, Any]:
     return schema | {"description": schema["description"].partition("\n\nRaises")[0]}
 
@@ -111,6 +132,7 @@ SCHEMAS: dict[str, Callable[[Registry], dict[str, Any]]] = {
     "run": run_schema,
     "study": study_schema,
     "inverse": inverse_schema,
+    "design": design_schema,
 }
 
 

@@ -52,6 +52,9 @@ def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
         source = source.model_dump(exclude_unset=True)
     document, folder = _document(source)
     data = document.data
+    if "mbdkit_design" in data:
+        message = "this is a design spec, which `mbdkit design` solves"
+        raise document.place(SpecError(message, key="mbdkit_design"))
     if "mbdkit" in data and "mbdkit_study" not in data:
         message = "this is a run spec, which `mbdkit run` runs; a study spec begins with `mbdkit_study: 1`"
         raise document.place(SpecError(message, key="mbdkit"))
@@ -149,12 +152,12 @@ def _document(source: Any) -> tuple[Document, FilePath]:
     if isinstance(source, Mapping):
         return Document(copied(source)), FilePath()
     if isinstance(source, Document):
-        return _by_text(source), FilePath(source.file).parent
+        return by_text(source), FilePath(source.file).parent
     if not isinstance(source, str | FilePath):
         what = type(source).__name__
         raise SpecError(f"a study is a file, the name of a packaged study, a dict or a StudySpec, not {what}")
     if source == "-":
-        return _by_text(read_stdin()), FilePath()
+        return by_text(read_stdin()), FilePath()
     path = FilePath(source)
     packaged = None if os.path.isfile(path) else _packaged(str(source))
     if packaged is not None:
@@ -166,7 +169,7 @@ def _document(source: Any) -> tuple[Document, FilePath]:
             f"studies: {listed(names)}{registry().advice(str(source))}",
             file=str(source)[:200],
         )
-    return _by_text(read_file(path)), path.parent
+    return by_text(read_file(path)), path.parent
 
 
 def _document_of(item: Registered) -> tuple[Document, FilePath]:
@@ -174,13 +177,13 @@ def _document_of(item: Registered) -> tuple[Document, FilePath]:
     assert isinstance(item.plugin, StudyPlugin)
     path = item.plugin.spec
     text = path.read_text("utf-8")
-    document = _by_text(read_text(text, f"{item.spec_name} (packaged study)", path.suffix))
+    document = by_text(read_text(text, f"{item.spec_name} (packaged study)", path.suffix))
     if item.plugin.verdict is not None and "verdict" not in document.data:
         document.data["verdict"] = item.spec_name
     return document, path.parent
 
 
-def _by_text(document: Document) -> Document:
+def by_text(document: Document) -> Document:
     """Convert the paths in `lines` as `parse_path` would, so that keys with dots in them are found."""
     lines = document.lines
     document.lines = lambda: {parse_path(path_text(path)): line for path, line in lines().items()}
@@ -202,7 +205,7 @@ def _write_out_bases(data: dict[str, Any], folder: FilePath) -> dict[Path, Docum
         if base is None or isinstance(base, Mapping):
             continue
         if isinstance(base, str):
-            base = _named(base, folder, path_text((*path, "base")))
+            base = base_source(base, folder, path_text((*path, "base")), "study")
         documents[*path, "base"] = document = read_source(base)
         if is_inverse(document.data):
             message = "this is a spec of inverse dynamics; the base of a study is a run spec"
@@ -211,14 +214,20 @@ def _write_out_bases(data: dict[str, Any], folder: FilePath) -> dict[Path, Docum
     return documents
 
 
-def _named(base: str, folder: FilePath, key: str) -> str | FilePath:
-    """Return a source for `read_source`: the path of a file in the study's folder, or the name of an example."""
+def base_source(base: str, folder: FilePath, key: str, owner: str) -> str | FilePath:
+    """Return a source for `read_source`: the path of a file in the folder of its owner, or the name of an example.
+
+    Parameters
+    ----------
+    owner
+        ``study`` or ``design``, for error messages.
+    """
     path = folder / base
     names = example_names()
     if os.path.isfile(path) or base not in names:
         if base == "-" or not exists(path):
             raise SpecError(
-                f"there is no file '{base}' in the folder of the study, and no packaged example with this "
+                f"there is no file '{base}' in the folder of the {owner}, and no packaged example with this "
                 f"name{did_you_mean(base, names)}; examples: {listed(names)}",
                 key=key,
             )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from tests.design.exotendons import STIFFNESS, Gait, Norm, change, optimum, residual
+from tests.designs.exotendons import STIFFNESS, Gait, Norm, change, optimum, residual
 from tests.inverse_dynamics.running import reference, table
 
 STRIDE = 1.1396

@@ -1,0 +1,186 @@
+"""Goals and limits of a design at points of its variables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.archive.stored_run import Heading, StoredRun
+from mbdkit.batch import simulate_batch
+from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.inverse_dynamics.inverse_run import compute_run
+from mbdkit.measures.take import describe, take
+from mbdkit.plain_data import Path, copied, path_text, plain
+from mbdkit.spec import DesignSpec, InverseSpec, RunSpec
+from mbdkit.spec.design_spec import variable_path
+from mbdkit.spec.reading import put
+from mbdkit.spec.varied_specs import VariedSpecs
+
+Settings = Sequence[tuple[Path, Any]]
+"""Key paths and their values."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a scenario yields with some values of the variables.
+
+    Attributes
+    ----------
+    values
+        Goals and limits in their order; nan if the run failed.
+    verdict, reason
+        Verdict on the run, or ``failed``, and why it has no values.
+    """
+
+    values: tuple[float, ...]
+    verdict: str
+    reason: str = ""
+
+
+class ScenarioRuns:
+    """The runs of one scenario.
+
+    Parameters
+    ----------
+    spec
+        Its spec; goals and limits are its measures.
+    """
+
+    def __init__(self, spec: RunSpec | InverseSpec):
+        self.spec = spec
+        assert spec._document is not None
+        self._data = plain(spec._document.data)
+        self._varied = VariedSpecs(json.dumps(self._data))
+
+    def at(self, settings: Settings) -> RunSpec | InverseSpec:
+        """Return the spec with these values.
+
+        Raises
+        ------
+        SpecError
+            If it is not valid.
+        """
+        if isinstance(self.spec, RunSpec):
+            spec = self._varied.spec(settings)
+            spec.mechanism()
+            return spec
+        data = copied(self._data)
+        for path, value in settings:
+            put(data, path, value)
+        inverse = InverseSpec(**data)
+        inverse._document = self.spec._document
+        return inverse
+
+    def outcomes(self, points: Sequence[Settings]) -> list[Outcome]:
+        """Return what the scenario yields at some points; forward runs are computed side by side where possible."""
+        found: list[Outcome | None] = [None] * len(points)
+        runs: dict[int, RunSpec] = {}
+        for place, settings in enumerate(points):
+            try:
+                spec = self.at(settings)
+                if isinstance(spec, RunSpec):
+                    runs[place] = spec
+                else:
+                    with compute_run(spec) as run:
+                        values = tuple(run.measures[one.name] for one in self._measures)
+                        found[place] = Outcome(values, run.verdict)
+            except MbdkitError as error:
+                found[place] = self._failed(str(error))
+        for (place, spec), result in zip(runs.items(), simulate_batch(runs.values()), strict=True):
+            if not isinstance(result, FinishedRun) or result.status != "complete":
+                found[place] = self._failed(result.reason)
+                continue
+            stored = StoredRun(result, Heading(spec, ""))
+            values = tuple(take(one, stored, spec) for one in self._measures)
+            found[place] = Outcome(values, result.judgement.level)
+        return [one for one in found if one is not None]
+
+    @cached_property
+    def _measures(self) -> tuple[Any, ...]:
+        return self.spec.defined_measures()
+
+    def _failed(self, reason: str) -> Outcome:
+        return Outcome((np.nan,) * len(self._measures), "failed", reason)
+
+
+class Evaluator:
+    """Evaluates a design at points of its variables, each coordinate of which is a share of the bounds, from 0 to 1.
+
+    Parameters
+    ----------
+    spec
+        The design.
+
+    Attributes
+    ----------
+    names
+        Names of the goals, then of the limits.
+    scenarios
+        The runs of each scenario.
+    runs
+        Number of runs so far.
+
+    Raises
+    ------
+    SpecError
+        If an expression of a goal or limit is not valid for one of the scenarios.
+    """
+
+    def __init__(self, spec: DesignSpec):
+        self.spec, self.runs = spec, 0
+        self.names = tuple(one.name for one in spec.defined_measures())
+        self.scenarios = tuple(ScenarioRuns(one) for one in spec.specs.values())
+        self._known: dict[bytes, tuple[Outcome, ...]] = {}
+        for name, one in spec.specs.items():
+            for measure in spec.defined_measures():
+                try:
+                    describe(measure, one)
+                except SpecError as error:
+                    told = f"{error.message} (scenario '{name}')" if name else error.message
+                    raise spec.placed(SpecError(told, key=path_text(measure.place))) from None
+
+    @property
+    def first(self) -> np.ndarray:
+        """The start (n,) of the variables."""
+        return np.array([(one.first - one.bounds[0]) / self._width(one) for one in self.spec.variables.values()])
+
+    def variables(self, x: np.ndarray) -> dict[str, float]:
+        """Return the values of the variables at a point."""
+        return {
+            name: float(min(max(one.bounds[0] + share * self._width(one), one.bounds[0]), one.bounds[1]))
+            for (name, one), share in zip(self.spec.variables.items(), x, strict=True)
+        }
+
+    def settings(self, x: np.ndarray) -> Settings:
+        """Return the key paths of the variables and their values at a point."""
+        return [(variable_path(name), value) for name, value in self.variables(x).items()]
+
+    def outcomes(self, points: np.ndarray) -> list[tuple[Outcome, ...]]:
+        """Return what every scenario yields at points (N, n); those that were evaluated before are not run again."""
+        keys = [np.ascontiguousarray(x).tobytes() for x in points]
+        new = {key: self.settings(x) for key, x in zip(keys, points, strict=True) if key not in self._known}
+        if new:
+            each = [scenario.outcomes(list(new.values())) for scenario in self.scenarios]
+            self._known |= dict(zip(new, zip(*each, strict=True), strict=True))
+            self.runs += len(new) * len(each)
+        return [self._known[key] for key in keys]
+
+    def values(self, points: np.ndarray) -> np.ndarray:
+        """Return goals and limits (N, S, K) of S scenarios at points (N, n); nan where a run failed."""
+        found = [one.values for outcome in self.outcomes(points) for one in outcome]
+        return np.array(found).reshape(len(points), len(self.scenarios), len(self.names))
+
+    def totals(self, x: np.ndarray) -> np.ndarray:
+        """Return the goals (G,) at a point (n,), summed over the scenarios by their weights."""
+        weights = [one.weight for one in self.spec.situations.values()]
+        return np.asarray(weights @ self.values(x[None])[0][:, : len(self.spec.goals)])
+
+    @staticmethod
+    def _width(variable: Any) -> float:
+        return float(variable.bounds[1] - variable.bounds[0])

@@ -1,0 +1,182 @@
+"""A design as a problem of constrained optimisation with scaled variables, goals and limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.errors import RunError
+
+if TYPE_CHECKING:
+    from mbdkit.designs.evaluation import Evaluator
+
+STEP = 1e-4
+"""Step of central differences, as a share of the bounds."""
+FAILED = 1e3
+"""Cost at points where a run fails, relative to that at the start: no search ends there."""
+FEASIBLE = 1e-6
+"""Violation of a limit that counts as none, relative to the limit, or to the value at the start if that is larger."""
+
+Jacobian = Callable[["Evaluator", np.ndarray], np.ndarray]
+"""Returns the derivatives (S, K, n) of goals and limits by the shares of the bounds, at a point (n,)."""
+
+
+def differences(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
+    """Return derivatives (S, K, n) by central differences, or one-sided ones at a bound."""
+    low, high = np.maximum(x - STEP, 0.0), np.minimum(x + STEP, 1.0)
+    sides = [np.where(np.eye(len(x), dtype=bool), side, x) for side in (low, high)]
+    values = evaluator.values(np.concatenate(sides))
+    below, above = values[: len(x)], values[len(x) :]
+    return np.asarray(np.moveaxis((above - below) / (high - low)[:, None, None], 0, -1))
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A limit of one measure in one scenario, or an upper limit of a goal.
+
+    Attributes
+    ----------
+    name
+        Name of the measure, and of the scenario before a colon if there are several.
+    weights
+        (S, K) the limited quantity is the sum of these times goals and limits.
+    low, high
+        Limits, infinite where there is none.
+    """
+
+    name: str
+    weights: np.ndarray
+    low: float
+    high: float
+
+    def of(self, values: np.ndarray) -> np.ndarray:
+        """Return the limited quantity (N,) of goals and limits (N, S, K), nan where a run failed."""
+        return _weighted(values, self.weights)
+
+
+def _weighted(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return the weighted sum (N,) of goals and limits (N, S, K); nan counts only where the weight is not zero."""
+    counted: np.ndarray = np.where(weights != 0.0, weights * values, 0.0)
+    return np.asarray(counted.sum(axis=(1, 2)))
+
+
+class Problem:
+    """Minimises one goal of a design within its limits.
+
+    Parameters
+    ----------
+    evaluator
+        Evaluates goals and limits.
+    goal
+        Number of the goal.
+    caps
+        Upper limits of other goals, by their number.
+    jacobian
+        Derivatives of goals and limits.
+
+    Raises
+    ------
+    RunError
+        If a run fails at the start.
+    """
+
+    def __init__(
+        self,
+        evaluator: Evaluator,
+        goal: int = 0,
+        caps: dict[int, float] | None = None,
+        jacobian: Jacobian = differences,
+    ):
+        self.evaluator, self._jacobian = evaluator, jacobian
+        self.weights = goal_weights(evaluator, goal)
+        self.bounds = [*_limits(evaluator), *(_cap(evaluator, *cap) for cap in (caps or {}).items())]
+        outcome = evaluator.outcomes(evaluator.first[None])[0]
+        failed = next((one for one in outcome if one.verdict == "failed"), None)
+        if failed is not None:
+            raise RunError(f"a run fails at the start of the variables: {failed.reason}")
+        first = evaluator.values(evaluator.first[None])
+        self.scale = float(abs(self._goal(first)[0])) or 1.0
+        self._sizes = [_size(bound, float(bound.of(first)[0])) for bound in self.bounds]
+
+    def _goal(self, values: np.ndarray) -> np.ndarray:
+        return _weighted(values, self.weights)
+
+    def cost(self, x: np.ndarray) -> float:
+        """Return the goal at a point (n,), relative to its value at the start; `FAILED` if a run fails."""
+        return float(self.costs(x[None])[0])
+
+    def costs(self, points: np.ndarray) -> np.ndarray:
+        """Return the cost at points (N, n)."""
+        return np.nan_to_num(self._goal(self.evaluator.values(points)) / self.scale, nan=FAILED)
+
+    def slope(self, x: np.ndarray) -> np.ndarray:
+        """Return the derivatives (n,) of the cost, zero where they are unknown."""
+        return np.asarray(np.tensordot(self.weights, self._derivatives(x), 2) / self.scale)
+
+    def margins(self, x: np.ndarray) -> np.ndarray:
+        """Return distances (m,) from all limits, relative to their size; negative where a limit is violated."""
+        return np.asarray(self.all_margins(x[None])[0])
+
+    def all_margins(self, points: np.ndarray) -> np.ndarray:
+        """Return the margins (N, m) at points (N, n)."""
+        values = self.evaluator.values(points)
+        columns = []
+        for bound, size in zip(self.bounds, self._sizes, strict=True):
+            found = bound.of(values)
+            columns += [side * (found - limit) / size for side, limit in _sides(bound)]
+        return np.nan_to_num(np.stack(columns, axis=1), nan=-FAILED) if columns else np.zeros((len(points), 0))
+
+    def margin_slopes(self, x: np.ndarray) -> np.ndarray:
+        """Return the derivatives (m, n) of the margins."""
+        by_variable = self._derivatives(x)
+        rows = []
+        for bound, size in zip(self.bounds, self._sizes, strict=True):
+            slope = np.tensordot(bound.weights, by_variable, 2)
+            rows += [side * slope / size for side, _ in _sides(bound)]
+        return np.array(rows) if rows else np.zeros((0, len(x)))
+
+    def is_feasible(self, x: np.ndarray) -> bool:
+        """Return whether a point satisfies all limits."""
+        return bool(np.all(self.margins(x) >= -FEASIBLE))
+
+    def _derivatives(self, x: np.ndarray) -> np.ndarray:
+        return np.asarray(np.nan_to_num(self._jacobian(self.evaluator, x)))
+
+
+def goal_weights(evaluator: Evaluator, goal: int) -> np.ndarray:
+    """Return (S, K) weights of goals and limits, the sum of which is a goal of the design."""
+    situations = evaluator.spec.situations.values()
+    weights = np.zeros((len(situations), len(evaluator.names)))
+    weights[:, goal] = [one.weight for one in situations]
+    return weights
+
+
+def _limits(evaluator: Evaluator) -> list[Bound]:
+    """Return the limits of a design in every scenario."""
+    found = []
+    for row, scenario in enumerate(evaluator.spec.situations):
+        for name, limit in evaluator.spec.subject_to.items():
+            weights = np.zeros((len(evaluator.spec.situations), len(evaluator.names)))
+            weights[row, evaluator.names.index(name)] = 1.0
+            low = -np.inf if limit.min is None else limit.min
+            high = np.inf if limit.max is None else limit.max
+            found.append(Bound(f"{scenario}: {name}" if scenario else name, weights, low, high))
+    return found
+
+
+def _cap(evaluator: Evaluator, goal: int, most: float) -> Bound:
+    return Bound(evaluator.names[goal], goal_weights(evaluator, goal), -np.inf, most)
+
+
+def _size(bound: Bound, first: float) -> float:
+    """Return the size with which a limit is compared."""
+    sizes = [abs(x) for x in (bound.low, bound.high, first) if np.isfinite(x)]
+    return max(sizes, default=1.0) or 1.0
+
+
+def _sides(bound: Bound) -> list[tuple[float, float]]:
+    """Return the sign and the value of each limit of a bound."""
+    return [(side, limit) for side, limit in ((1.0, bound.low), (-1.0, bound.high)) if np.isfinite(limit)]

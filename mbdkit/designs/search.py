@@ -1,0 +1,112 @@
+"""Searches for the least cost of a problem, with the optimisers of SciPy."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import NonlinearConstraint, OptimizeResult, differential_evolution, minimize
+from scipy.stats import qmc
+
+from mbdkit.designs.problem import Problem
+from mbdkit.spec.design_spec import GlobalOptimizer, LocalOptimizer
+
+
+@dataclass(frozen=True)
+class Search:
+    """One search.
+
+    Attributes
+    ----------
+    start, end
+        First and last point (n,), as shares of the bounds.
+    cost
+        Goal at the end, relative to that at the start of the design.
+    feasible
+        Whether the end satisfies all limits.
+    message
+        Why the search ended, in the words of SciPy.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    cost: float
+    feasible: bool
+    message: str
+
+
+def searches(problem: Problem, optimizer: LocalOptimizer | GlobalOptimizer, first: np.ndarray) -> list[Search]:
+    """Return searches from all starts, the best one first: feasible ones by their cost, and then all others.
+
+    Parameters
+    ----------
+    first
+        (n,) first start.
+    """
+    if isinstance(optimizer, GlobalOptimizer):
+        return [_evolution(problem, optimizer, first)]
+    found = [_descent(problem, optimizer, start) for start in _starts(optimizer, first)]
+    return sorted(found, key=lambda one: (not one.feasible, one.cost))
+
+
+def _starts(optimizer: LocalOptimizer, first: np.ndarray) -> list[np.ndarray]:
+    """Return the first start, and points of a Sobol sequence, whose number is a power of two before it is cut."""
+    more = optimizer.starts - 1
+    if more < 1:
+        return [first]
+    sobol = qmc.Sobol(len(first), seed=optimizer.seed).random_base2(int(np.ceil(np.log2(more))))
+    return [first, *sobol[:more]]
+
+
+def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> Search:
+    """Return a search along gradients."""
+    n, is_slsqp = len(start), optimizer.name == "slsqp"
+    options: dict[str, float] = {"maxiter": optimizer.max_iterations}
+    if is_slsqp:
+        limits: list[object] = [{"type": "ineq", "fun": problem.margins, "jac": problem.margin_slopes}]
+        options |= {"ftol": optimizer.tolerance}
+    else:
+        limits = [NonlinearConstraint(problem.margins, 0.0, np.inf, jac=problem.margin_slopes)]
+        options |= {"xtol": optimizer.tolerance, "gtol": optimizer.tolerance}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of trust-constr, where a goal or limit is linear
+        result = minimize(
+            problem.cost,
+            start,
+            jac=problem.slope,
+            method=optimizer.name,
+            bounds=[(0.0, 1.0)] * n,
+            constraints=limits if problem.bounds else (),
+            options=options,
+        )
+    return _search(problem, start, result)
+
+
+def _evolution(problem: Problem, optimizer: GlobalOptimizer, first: np.ndarray) -> Search:
+    """Return a search by differential evolution, whose generations are evaluated at once."""
+    limits = NonlinearConstraint(lambda x: problem.all_margins(_points(x)).T, 0.0, np.inf)
+    result = differential_evolution(
+        lambda x: problem.costs(_points(x)),
+        [(0.0, 1.0)] * len(first),
+        x0=first,
+        popsize=optimizer.population,
+        maxiter=optimizer.max_iterations,
+        tol=optimizer.tolerance,
+        seed=optimizer.seed,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        constraints=(limits,) if problem.bounds else (),
+    )
+    return _search(problem, first, result)
+
+
+def _points(x: np.ndarray) -> np.ndarray:
+    """Return points (N, n) from the array (n, N), or the single point (n,), of SciPy."""
+    return np.atleast_2d(x.T)
+
+
+def _search(problem: Problem, start: np.ndarray, result: OptimizeResult) -> Search:
+    end: np.ndarray = np.clip(result.x, 0.0, 1.0)
+    return Search(start, end, problem.cost(end), problem.is_feasible(end), str(result.message))

@@ -1,0 +1,114 @@
+"""How far the result of a design can be trusted: errors of its goals, and the gain beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbdkit.designs.evaluation import Evaluator, Settings
+from mbdkit.errors import MbdkitError
+from mbdkit.plain_data import Path
+from mbdkit.spec import RunSpec
+
+FINER = 2.0
+"""Factor by which the steps of the finer run are shorter."""
+TIGHTER = 100.0
+"""Factor by which its tolerances are tighter, if its steps adapt."""
+GAUSS, RADAU = {"name": "gauss", "stages": 3}, {"name": "radau-iia", "stages": 3}
+"""The other method that a result is compared with: Gauss, or Radau IIA for runs of Gauss."""
+WORST = ("failed", "bad", "doubtful", "unknown", "good")
+"""Verdicts from the worst to the best."""
+
+
+@dataclass(frozen=True)
+class Trust:
+    """How far a design can be trusted.
+
+    Attributes
+    ----------
+    errors
+        Estimated error of each goal and limit at the best point, by name: the largest difference from a run with
+        shorter steps or tighter tolerances, and from one of another method; nan for inverse dynamics, which has no
+        steps, and where no such run ended.
+    gain
+        Decrease of each goal from the start to the best point, by name.
+    is_gain
+        Whether the gain of each goal exceeds the estimated errors of both points, by name. True also where there is no
+        estimate.
+    verdict
+        Worst verdict of the runs at the best point.
+    """
+
+    errors: dict[str, float]
+    gain: dict[str, float]
+    is_gain: dict[str, bool]
+    verdict: str
+
+    def sentences(self) -> list[str]:
+        """Return what a user should know, one sentence for each goal without a gain and for a verdict below good."""
+        told = [
+            f"The gain of {name}, {self.gain[name]:.3g}, is within the estimated errors: it counts as none."
+            for name, real in self.is_gain.items()
+            if not real
+        ]
+        unknown = [name for name, error in self.errors.items() if np.isnan(error)]
+        if unknown:
+            told.append(f"There is no estimate of the error of {', '.join(unknown)}.")
+        if self.verdict in ("failed", "bad", "doubtful"):
+            told.append(f"The worst verdict on a run at the best point is {self.verdict}.")
+        return told
+
+
+def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trust:
+    """Return how far the best point (n,) can be trusted, by runs with shorter steps and with another method."""
+    goals = list(evaluator.spec.goals)
+    errors = {x.tobytes(): _errors(evaluator, x) for x in (start, best)}
+    at_start, at_best = (evaluator.totals(x) for x in (start, best))
+    gain = {name: float(at_start[k] - at_best[k]) for k, name in enumerate(goals)}
+    both = np.nan_to_num(errors[start.tobytes()]) + np.nan_to_num(errors[best.tobytes()])
+    outcomes = evaluator.outcomes(best[None])[0]
+    return Trust(
+        errors=dict(zip(evaluator.names, errors[best.tobytes()].tolist(), strict=True)),
+        gain=gain,
+        is_gain={name: bool(gain[name] > both[k]) for k, name in enumerate(goals)},
+        verdict=min((one.verdict for one in outcomes), key=WORST.index),
+    )
+
+
+def _errors(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
+    """Return the estimated error (K,) of goals, summed over the scenarios, and of limits, their largest."""
+    settings, differences = evaluator.settings(x), []
+    for runs, found in zip(evaluator.scenarios, evaluator.outcomes(x[None])[0], strict=True):
+        others = [runs.outcomes([[*settings, *change]])[0].values for change in _changes(runs.at(settings))]
+        differences.append(
+            np.max([np.abs(np.subtract(one, found.values)) for one in others], axis=0)
+            if others
+            else np.full(len(found.values), np.nan)
+        )
+    weights = np.array([one.weight for one in evaluator.spec.situations.values()])
+    count = len(evaluator.spec.goals)
+    table = np.array(differences)
+    return np.concatenate([weights @ table[:, :count], np.max(table[:, count:], axis=0, initial=-np.inf)])
+
+
+def _changes(spec: Any) -> list[Settings]:
+    """Return the changes of a run spec that give a finer run and one of another method; none for inverse dynamics."""
+    if not isinstance(spec, RunSpec):
+        return []
+    step = spec.time.step
+    other = RADAU if spec.integrator_item.name == "gauss" else GAUSS
+    try:
+        adaptive = spec.claims.adaptive
+    except MbdkitError:
+        adaptive = False
+    if not adaptive and step is not None:
+        halved: tuple[Path, Any] = (("time", "step"), step / FINER)
+        return [[halved], [(("integrator",), other), halved]]
+    tolerances = [
+        (("integrator", name), getattr(spec.integrator, name) / TIGHTER)
+        for name in ("rtol", "atol")
+        if getattr(spec.integrator, name, None) is not None
+    ]
+    return [tolerances] if tolerances else []

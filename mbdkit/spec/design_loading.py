@@ -1,0 +1,136 @@
+"""Loading of design specs from files and mappings, with the specs of their scenarios."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path as FilePath
+from typing import Any
+
+from mbdkit.errors import SpecError
+from mbdkit.plain_data import Path, copied, parse_path, path_text
+from mbdkit.spec.design_spec import DesignSpec, Scenario, variable_path
+from mbdkit.spec.inverse_spec import InverseSpec, is_inverse
+from mbdkit.spec.loading import exists, read_source
+from mbdkit.spec.reading import parse_key, put, read_file, read_stdin, set_value
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.source_document import Document
+from mbdkit.spec.study_loading import base_source, by_text
+from mbdkit.text import did_you_mean, listed
+
+
+def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: Any) -> DesignSpec:
+    """Load and validate a design spec and the specs of its scenarios, and return it.
+
+    Parameters
+    ----------
+    source
+        A file (YAML, TOML, JSON), ``"-"`` for standard input, a mapping, a document that was read, or a `DesignSpec`.
+        The file name of a base is relative to the folder of the design file.
+    assignments
+        Assignments to keys of the design spec, such as ``"optimizer.starts=8"``, with values in YAML.
+    sections
+        Top-level keys of the spec, which replace those in `source`.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, with the file, line and key path if known.
+    """
+    assignments = tuple(assignments)
+    if isinstance(source, DesignSpec) and source.specs and not assignments and not sections:
+        return source
+    document, folder = _document(source)
+    document.data |= sections
+    document.keywords = frozenset(sections)
+    if "mbdkit_design" not in document.data:
+        for key, command in (("mbdkit_study", "study"), ("mbdkit", "run")):
+            if key in document.data:
+                message = f"this is the spec of a {command}; a design spec begins with `mbdkit_design: 1`"
+                raise document.place(SpecError(message, key=key))
+    try:
+        for assignment in assignments:
+            set_value(document, assignment)
+        spec = DesignSpec(**document.data)
+        spec._document = document
+        spec._specs = {name: _scenario_spec(spec, name, one, folder) for name, one in spec.situations.items()}
+    except SpecError as error:
+        raise document.place(error) from None
+    return spec
+
+
+def _document(source: Any) -> tuple[Document, FilePath]:
+    """Return the document of a design, and the folder to which file names in it are relative."""
+    if isinstance(source, DesignSpec):
+        source = source.model_dump(exclude_unset=True)
+    if isinstance(source, Mapping):
+        return Document(copied(source)), FilePath()
+    if isinstance(source, Document):
+        return by_text(source), FilePath(source.file).parent
+    if not isinstance(source, str | FilePath):
+        raise SpecError(f"a design is a file, a dict or a DesignSpec, not {type(source).__name__}")
+    if source == "-":
+        return by_text(read_stdin()), FilePath()
+    path = FilePath(source)
+    if not exists(path):
+        raise SpecError("there is no such file", file=str(source)[:200])
+    return by_text(read_file(path)), path.parent
+
+
+def _scenario_spec(design: DesignSpec, name: str, scenario: Scenario, folder: FilePath) -> RunSpec | InverseSpec:
+    """Return the spec of a scenario, with goals and limits as its measures and the variables at their start."""
+    own = scenario.base is not None
+    base, place = (scenario.base, ("scenarios", name, "base")) if own else (design.base, ("base",))
+    assert base is not None
+    if isinstance(base, str):
+        document = read_source(base_source(base, folder, path_text(place), "design"))
+    else:
+        document = Document(copied(base))
+    data = copied(document.data)
+    given = {path_text(("overrides", key)): (parse_key(key), value) for key, value in design.overrides.items()}
+    for key, value in scenario.overrides.items():
+        given[path_text(("scenarios", name, "overrides", key))] = (parse_key(key), value)
+    for key, variable in design.variables.items():
+        _check_variable(key, data)
+        given[path_text(("variables", key))] = (variable_path(key), variable.first)
+    for where, (path, value) in given.items():
+        try:
+            put(data, path, value)
+        except SpecError as error:
+            raise SpecError(error.message, key=where) from None
+    data["measures"] = {one.name: {"value": one.expression} for one in design.defined_measures()}
+    kind = InverseSpec if is_inverse(data) else RunSpec
+    try:
+        spec = kind(**data)
+        spec.mechanism()
+    except SpecError as error:
+        raise _located(error, given, document, path_text(place)) from None
+    own_file = document.file or (design._document.file if design._document is not None else "")
+    spec._document = Document(data, own_file)
+    return spec
+
+
+def _check_variable(name: str, data: Mapping[str, Any]) -> None:
+    """Raise SpecError if a variable is no parameter of its base, and no key of an element that this has."""
+    path, place = variable_path(name), dict(data)  # type: Path, Any
+    for depth, part in enumerate(path):
+        if not isinstance(place, Mapping):
+            return  # a list, or a mistake that `put` or the validation of the base reports
+        if part in place:
+            place = place[part]
+            continue
+        if depth == len(path) - 1 and path[0] != "parameters":
+            return  # an option of an element that has its default value in the base
+        known = [str(key) for key in place]
+        hint = did_you_mean(str(part), known) or (f"; there are {listed(known)}" if known else "")
+        what = f"parameter '{part}'" if path[0] == "parameters" else f"'{path_text(path[: depth + 1])}'"
+        raise SpecError(f"the base has no {what}{hint}", key=path_text(("variables", name)))
+
+
+def _located(error: SpecError, given: Mapping[str, tuple[Path, Any]], document: Document, place: str) -> SpecError:
+    """Return an error in the spec of a scenario, placed at the key of the design, or at the line of its base."""
+    path = parse_path(error.key)
+    for where, (key, _) in given.items():
+        if path[: len(key)] == key:
+            return SpecError(f"{error.key}: {error.message}", key=where)
+    return document.place(error) if os.path.basename(document.file) else error.located(prefix=place)

@@ -1,0 +1,213 @@
+"""The spec of a design: variables of a base spec, goals to minimise, limits, and the optimiser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.checks import check_name
+from mbdkit.mechanism.values import Number, Positive, pair
+from mbdkit.plain_data import Path, found, path_text
+from mbdkit.spec.inverse_spec import InverseSpec
+from mbdkit.spec.reading import parse_key
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.sections import Count, Section
+from mbdkit.spec.source_document import Document
+from mbdkit.spec.strict_spec import StrictSpec
+from mbdkit.spec.study_measures import DefinedMeasure, defined
+from mbdkit.spec.study_spec import Base, Overrides
+
+GOAL = "goal"
+"""Name of the only goal if `minimize` is an expression."""
+
+
+class Variable(Section):
+    """A number of the base spec that the optimiser chooses."""
+
+    bounds: Annotated[tuple[Number, Number], BeforeValidator(pair("two numbers [lower, upper]"))]
+    """Smallest and largest value."""
+    start: Number | None = None
+    """Value at which the search begins, and that the optimum is compared with; by default, the middle of the bounds."""
+
+    @model_validator(mode="after")
+    def _start_in_bounds(self) -> Variable:
+        low, high = self.bounds
+        if low >= high:
+            raise SpecError(f"the lower bound {low:g} should be less than the upper bound {high:g}", key="bounds")
+        if self.start is not None and not low <= self.start <= high:
+            raise SpecError(f"should be within the bounds {low:g} and {high:g}, not {self.start:g}", key="start")
+        return self
+
+    @property
+    def first(self) -> float:
+        """Value at which the search begins."""
+        return 0.5 * (self.bounds[0] + self.bounds[1]) if self.start is None else self.start
+
+
+class Limit(Section):
+    """A measure that the design keeps within limits, in every scenario."""
+
+    value: str
+    """Expression of a run, as that of a measure."""
+    max: Number | None = None
+    """Largest value."""
+    min: Number | None = None
+    """Smallest value."""
+
+    @model_validator(mode="after")
+    def _has_a_limit(self) -> Limit:
+        if self.max is None and self.min is None:
+            raise SpecError("is missing: give `max`, `min` or both", key="max")
+        if self.max is not None and self.min is not None and self.min > self.max:
+            raise SpecError(f"should be at most `max`, {self.max:g}, not {self.min:g}", key="min")
+        return self
+
+
+class Scenario(Section):
+    """One of several situations in which a design is used, such as walking and standing up."""
+
+    base: Base | None = None
+    """The spec of its run, or of inverse dynamics: the name of a packaged example, a file, or a mapping; by default,
+    that at the top level."""
+    overrides: Overrides = Field(default_factory=dict)
+    """Dotted keys to set in the base."""
+    weight: Positive = 1.0
+    """Weight of its goals in the sum over the scenarios."""
+
+
+class LocalOptimizer(Section):
+    """A method that follows gradients to a local minimum, from one or several starts."""
+
+    name: Literal["slsqp", "trust-constr"]
+    starts: Count = 1
+    """Number of starts: the first at the `start` of the variables, the others in a Sobol sequence within the bounds."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the Sobol sequence."""
+    tolerance: Positive = 1e-9
+    """Relative change of the goal, and of variables as a share of their bounds, at which a search ends."""
+    max_iterations: Count = 100
+    """Largest number of iterations of each search."""
+
+
+class GlobalOptimizer(Section):
+    """Differential evolution, which needs no gradients."""
+
+    name: Literal["differential-evolution"]
+    population: Count = 15
+    """Number of members for each variable."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of its random numbers."""
+    tolerance: Positive = 1e-6
+    """Spread of the population, relative to its mean, at which the search ends."""
+    max_iterations: Count = 200
+    """Largest number of generations."""
+
+
+def _check_goals(given: Any) -> Any:
+    if not isinstance(given, str | Mapping):
+        raise SpecError(f"should be an expression, or a mapping of names and expressions, not {found(given)}")
+    if isinstance(given, Mapping) and not given:
+        raise SpecError("needs at least one goal, such as `torque: rms(joints.motor.torque)`")
+    return given
+
+
+def _check_variables(variables: dict[str, Variable]) -> dict[str, Variable]:
+    if not variables:
+        raise SpecError("needs at least one variable, such as `stiffness: {bounds: [0, 100]}`")
+    for name in variables:
+        if not parse_key(name):
+            raise SpecError(
+                "should be the name of a parameter, or a dotted key of the base spec", key=path_text((name,))
+            )
+    return variables
+
+
+class DesignSpec(StrictSpec):
+    """The complete input of a design: a base spec, the numbers to choose, what to minimise and what to keep.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, with the key path.
+    """
+
+    model_config = ConfigDict(title="mbdkit design spec", defer_build=True)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ()
+
+    mbdkit_design: Literal[1]
+    """Version of the spec format."""
+    title: str = ""
+    """Title, free text."""
+    base: Base | None = None
+    """The spec of a run or of inverse dynamics: the name of a packaged example, a file, or a mapping."""
+    overrides: Overrides = Field(default_factory=dict)
+    """Dotted keys to set in the base of every scenario, such as `time.end: 5.0`."""
+    scenarios: dict[str, Scenario] = Field(default_factory=dict)
+    """Situations by name, in each of which goals and limits are evaluated; by default one, the base."""
+    variables: Annotated[dict[str, Variable], AfterValidator(_check_variables)]
+    """The numbers to choose, by the name of a parameter or a dotted key, such as `model.forces.spring.stiffness`."""
+    minimize: Annotated[str | dict[str, str], BeforeValidator(_check_goals)]
+    """What to minimise: an expression of a run, as that of a measure; or several by name, which give a Pareto front."""
+    subject_to: dict[str, Limit] = Field(default_factory=dict)
+    """Measures that are kept within limits, by name."""
+    optimizer: Annotated[LocalOptimizer | GlobalOptimizer, Field(discriminator="name")] = LocalOptimizer(name="slsqp")
+    """The method: `slsqp`, `trust-constr` or `differential-evolution` of SciPy, and its options."""
+    front: Annotated[int, Field(ge=3, le=1000)] = 9
+    """Number of points of a Pareto front, both ends included."""
+
+    _specs: dict[str, RunSpec | InverseSpec] = PrivateAttr(default_factory=dict)
+    _documents: dict[Path, Document] = PrivateAttr(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> DesignSpec:
+        if self.base is None and not self.scenarios:
+            raise SpecError("is missing: the spec to improve (a packaged example, a file or a mapping)", key="base")
+        for name, scenario in self.scenarios.items():
+            check_name(name, path_text(("scenarios", name)))
+            if self.base is None and scenario.base is None:
+                raise SpecError(
+                    "is missing, here and at the top level of the design: the spec to improve",
+                    key=path_text(("scenarios", name, "base")),
+                )
+        if len(self.goals) > 2:
+            raise SpecError(
+                f"has {len(self.goals)} goals; a Pareto front has two. Combine some of them in one expression",
+                key="minimize",
+            )
+        for name in self.subject_to:
+            if name in self.goals:
+                raise SpecError("is the name of a goal too; choose another one", key=path_text(("subject_to", name)))
+        tuple(self.defined_measures())
+        return self
+
+    @property
+    def goals(self) -> dict[str, str]:
+        """Expressions of the goals by name."""
+        return {GOAL: self.minimize} if isinstance(self.minimize, str) else dict(self.minimize)
+
+    @property
+    def situations(self) -> dict[str, Scenario]:
+        """The scenarios by name; the base alone is one without a name."""
+        return self.scenarios or {"": Scenario()}
+
+    @property
+    def specs(self) -> Mapping[str, RunSpec | InverseSpec]:
+        """The validated specs of the scenarios by name, with the variables at their start."""
+        return self._specs
+
+    def defined_measures(self) -> Iterator[DefinedMeasure]:
+        """Yield goals and limits as measures, with their places in this spec."""
+        for one in defined(self.goals, ("minimize",)):
+            yield one if isinstance(self.minimize, Mapping) else replace(one, place=("minimize",))
+        for name, limit in self.subject_to.items():
+            yield from defined({name: {"value": limit.value}}, ("subject_to",))
+
+
+def variable_path(name: str) -> Path:
+    """Return the key path that a variable sets: a name without dots is that of a parameter."""
+    path = parse_key(name)
+    return path if len(path) > 1 else ("parameters", *path)

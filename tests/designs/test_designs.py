@@ -1,0 +1,209 @@
+"""Designs against optima in closed form: regression of moments, balanced springs, active limits and Pareto fronts."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import mbdkit
+from mbdkit.cli import app
+from mbdkit.errors import RunError
+
+BRACE = "model.forces.brace"
+MASS, INERTIA, ARM = 4.0, 0.1, 0.25
+T = np.linspace(0.0, 2.0, 20_001)
+"""Times of the integrals that are computed here."""
+
+
+def shank() -> mbdkit.Mechanism:
+    """Return a limb that stands on its joint at the ground, with a brace there."""
+    m = mbdkit.Mechanism()
+    m.body("shank", mass=MASS, inertia=INERTIA, position=(0.0, ARM), angle=0.0)
+    m.revolute("knee", m.ground, "shank", at=(0, 0))
+    m.torsion_spring("brace", m.ground, "shank", stiffness=1.0, free_angle=0.0)
+    return m
+
+
+def swing(amplitude: float = 0.5) -> dict[str, Any]:
+    """Return the spec of a run in which a motor swings the shank."""
+    m = shank()
+    m.driver("motor", m.ground, "shank", coordinate="angle", motion=f"0.2 + {amplitude}*sin(3*t)")
+    method = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": 2.0, "step": 0.002}}
+    return {"mbdkit": 1, "model": m.to_spec(), **method}
+
+
+def moments(amplitude: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
+    """Return angle and torque of the motor without the brace at the times `T`, in closed form."""
+    angle, acceleration = 0.2 + amplitude * np.sin(3 * T), -9 * amplitude * np.sin(3 * T)
+    return angle, (INERTIA + MASS * ARM**2) * acceleration - MASS * 9.81 * ARM * np.sin(angle)
+
+
+def mean(x: np.ndarray) -> float:
+    return float(np.trapezoid(x, T) / (T[-1] - T[0]))
+
+
+def design_of(base: Any, **sections: Any) -> dict[str, Any]:
+    return {
+        "mbdkit_design": 1,
+        "base": base,
+        "variables": {f"{BRACE}.stiffness": {"bounds": [0.0, 200.0]}, f"{BRACE}.free_angle": {"bounds": [-2.0, 2.0]}},
+        "minimize": "mean(joints.motor.torque**2)",
+        "optimizer": {"name": "slsqp", "tolerance": 1e-14},
+        **sections,
+    }
+
+
+@pytest.mark.parametrize("optimizer", ["slsqp", "trust-constr"])
+def test_the_best_torsion_spring_is_the_regression_of_the_moment(optimizer: str) -> None:
+    # expected: torque of the motor = moment - k (phi_0 - phi), with k and k phi_0 by least squares
+    angle, moment = moments()
+    matrix = [[mean(angle**2), -mean(angle)], [-mean(angle), 1.0]]
+    k, k_free = np.linalg.solve(matrix, [-mean(angle * moment), mean(moment)])
+    found = mbdkit.design(design_of(swing(), optimizer={"name": optimizer, "tolerance": 1e-12, "starts": 3}))
+    assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(k, rel=1e-4)
+    assert found.best.variables[f"{BRACE}.free_angle"] == pytest.approx(k_free / k, rel=1e-4)
+    assert found.best.goals["goal"] == pytest.approx(mean((moment - k_free + k * angle) ** 2), abs=1e-6)
+    assert found.trust.is_gain["goal"]
+
+
+def test_a_design_of_inverse_dynamics_has_no_estimate_of_its_error() -> None:
+    # expected: <(k phi - 2)^2> of the brace is least at k = 2 <phi> / <phi^2>, with the weights of the table's rows
+    m, rows = shank(), np.linspace(0.0, 2.0, 201)
+    data = {"time": rows.tolist(), "angle": (0.2 + 0.5 * np.sin(3 * rows)).tolist()}
+    motion = {"data": data, "columns": {"knee.angle": "angle"}, "smooth": "quintic"}
+    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion}
+    found = mbdkit.design(design_of(spec, variables=ONE, minimize="mean((-forces.brace.value - 2)**2)"))
+    angle, _ = moments()
+    assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(2 * mean(angle) / mean(angle**2), rel=1e-3)
+    assert np.isnan(found.trust.errors["goal"])
+    assert found.trust.is_gain["goal"]
+    assert "no estimate" in found.summary()
+
+
+ONE = {f"{BRACE}.stiffness": {"bounds": [0.0, 200.0]}}
+
+
+def test_scenarios_are_summed_by_their_weights() -> None:
+    # expected: with phi_0 = 0, the sum of w_s <(M_s + k phi_s)^2> is least at k = -sum w_s <M phi> / sum w_s <phi^2>
+    amplitudes, weights = (0.5, 1.2), (1.0, 0.3)
+    over = under = 0.0
+    for amplitude, weight in zip(amplitudes, weights, strict=True):
+        angle, moment = moments(amplitude)
+        over, under = over - weight * mean(moment * angle), under + weight * mean(angle**2)
+    specs = [swing(amplitude) for amplitude in amplitudes]
+    scenarios = {name: {"base": spec, "weight": w} for name, spec, w in zip("ab", specs, weights, strict=True)}
+    found = mbdkit.design(design_of(None, scenarios=scenarios, variables=ONE))
+    assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(over / under, rel=1e-6)
+    total = sum(w * found.best.measures[name]["goal"] for name, w in zip("ab", weights, strict=True))
+    assert found.best.goals["goal"] == pytest.approx(total, rel=1e-12)
+
+
+@pytest.mark.parametrize("optimizer", ["slsqp", "trust-constr", "differential-evolution"])
+def test_a_limit_that_is_active_holds_at_the_best_point(optimizer: str) -> None:
+    # expected: the brace may exert 3 N m at most, at the largest angle
+    spec, most = swing(), float(np.max(np.abs(moments()[0])))
+    limits = {"torque": {"value": "max(abs(forces.brace.value))", "max": 3.0}}
+    options: dict[str, Any] = {"name": optimizer, "tolerance": 1e-9}
+    if optimizer == "differential-evolution":
+        options |= {"population": 8, "tolerance": 1e-4, "max_iterations": 60}
+    found = mbdkit.design(design_of(spec, variables=ONE, subject_to=limits, optimizer=options))
+    rel = 1e-5 if optimizer == "slsqp" else 1e-2
+    assert found.is_feasible
+    assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(3.0 / most, rel=rel)
+    assert found.best.measures[""]["torque"] <= 3.0 * (1 + 1e-6)
+
+
+def test_two_goals_give_a_front_between_their_least_values() -> None:
+    # expected: <(M + k phi)^2> falls, and the torque of the brace rises, from k = 0 to the regression
+    spec = swing()
+    angle, moment = moments()
+    k = -mean(moment * angle) / mean(angle**2)
+    goals = {"moment": "mean(joints.motor.torque**2)", "brace": "rms(forces.brace.value)"}
+    found = mbdkit.design(design_of(spec, variables=ONE, minimize=goals, front=5))
+    stiffness = np.array([point.variables[f"{BRACE}.stiffness"] for point in found.front])
+    brace = np.array([point.goals["brace"] for point in found.front])
+    np.testing.assert_allclose(stiffness, np.linspace(k, 0.0, 5), rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(brace, stiffness * np.sqrt(mean(angle**2)), rtol=1e-6, atol=1e-6)
+    assert found.best in found.front
+
+
+def test_a_design_of_runs_finds_the_balance_of_an_arm_and_certifies_it() -> None:
+    # expected: k h b = m g c of the example, 961.38 and 294.3 N/m
+    upper, forearm = (f"model.forces.{name} spring.stiffness" for name in ("upper", "forearm"))
+    found = mbdkit.design(
+        {
+            "mbdkit_design": 1,
+            "base": "gravity-balanced-arm",
+            "overrides": {"model.forces.hand.value": [0, 0], "time.end": 0.5},
+            "variables": {upper: {"bounds": [500, 1500]}, forearm: {"bounds": [100, 500]}},
+            "minimize": "integral(upper.angle**2) + integral((forearm.angle + pi/3)**2)",
+            "optimizer": {"name": "slsqp", "tolerance": 1e-16},
+        }
+    )
+    assert found.best.variables[upper] == pytest.approx(961.38, rel=1e-6)
+    assert found.best.variables[forearm] == pytest.approx(294.3, rel=1e-6)
+    assert found.trust.errors["goal"] < 1e-6 * found.start.goals["goal"]
+    assert found.trust.is_gain["goal"]
+
+
+def pendulum(step: float = 0.01, **variables: Any) -> dict[str, Any]:
+    base = {"time": {"end": 1.0, "step": step}, "integrator": {"name": "gauss", "stages": 1}}
+    spec = {"mbdkit": 1, "model": {"name": "single-pendulum", "angle": 0.0}, **base}
+    return {"mbdkit_design": 1, "base": spec, "variables": variables, "minimize": "final(rod1.y)"}
+
+
+def test_a_gain_within_the_error_of_the_method_counts_as_none() -> None:
+    # a length that may change by 1e-6 m changes y by about as much; steps of 0.1 s have errors of 1e-3 m and more
+    given = pendulum(0.1, **{"model.length": {"bounds": [1.0, 1.000001], "start": 1.0000005}})
+    found = mbdkit.design(given)
+    assert found.trust.errors["goal"] > 1e-4
+    assert not found.trust.is_gain["goal"]
+    assert "counts as none" in found.summary()
+
+
+def test_several_starts_leave_a_local_minimum() -> None:
+    # the angle at the start is free: y after 1 s has several minima, and the one from the only start is not the least
+    angle = {"model.angle": {"bounds": [-1.5, 9.0], "start": 4.5}}
+    alone = mbdkit.design(pendulum(**angle))
+    several = mbdkit.design(pendulum(**angle) | {"optimizer": {"name": "slsqp", "starts": 9}})
+    assert several.best.goals["goal"] <= alone.best.goals["goal"] + 1e-12
+    assert several.searches[1] == 9
+
+
+def test_a_run_that_fails_at_the_start_is_an_error() -> None:
+    given = pendulum(**{"model.angle": {"bounds": [0.0, 1.0]}})
+    given["base"]["limits"] = {"max_steps": 3}
+    with pytest.raises(RunError, match="a run fails at the start of the variables: max-steps"):
+        mbdkit.design(given)
+
+
+def test_the_command_writes_a_folder_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = pendulum(**{"model.angle": {"bounds": [-1.0, 0.5]}})
+    Path("drop.json").write_text(json.dumps(given), encoding="utf-8")
+    done = CliRunner().invoke(app, ["design", "drop.json", "--json"], prog_name="mbdkit")
+    assert done.exit_code == 0, done.stderr
+    printed, stored = json.loads(done.stdout), json.loads(Path("drop/design.json").read_text(encoding="utf-8"))
+    assert printed == {"path": "drop", **stored}
+    best = stored["best"]["variables"]["model.angle"]
+    with mbdkit.load("drop/best.h5") as run:
+        assert run.spec["model"]["angle"] == best
+        assert run.measures["goal"] == pytest.approx(stored["best"]["goals"]["goal"], rel=1e-12)
+    again = CliRunner().invoke(app, ["design", "drop.json"], prog_name="mbdkit")
+    assert again.exit_code == 2
+    assert "exists already" in again.stderr
+
+
+def test_limits_that_cannot_be_met_are_told_by_the_exit_status(tmp_path: Path) -> None:
+    given = pendulum(**{"model.angle": {"bounds": [0.0, 0.1]}})
+    given["subject_to"] = {"height": {"value": "final(rod1.y)", "min": 10.0}}
+    file = tmp_path / "high.json"
+    file.write_text(json.dumps(given), encoding="utf-8")
+    done = CliRunner().invoke(app, ["design", str(file), "-o", str(tmp_path / "high")], prog_name="mbdkit")
+    assert done.exit_code == 3
+    assert "No point that satisfies all limits was found" in done.stdout
