@@ -18,14 +18,14 @@ ROUND_OFF = 1e-13
 STAGNANT = 1e-8
 """Scaled step below which an iteration may end because its steps no longer shrink."""
 
-SETTLED = 1e-3
+SETTLED = 0.03
 """Scaled step below which the pose of a key frame is good enough to start from."""
 
 LONGEST = 0.5
 """Longest scaled step of an iteration, and longest change of the pose between key frames."""
 
-KEYS = 400
-"""Number of key frames that are fitted one after the other, unless the pose changes too much between them."""
+KEYS = 50
+"""Least number of key frames, which are fitted one after the other; there are more if poses change much."""
 
 UNSEEN = 1e-7
 """Share of the best observed free direction below which a direction counts as not observed."""
@@ -114,7 +114,8 @@ class Fitter:
                 continue
             keys.append(following)
             poses.append(pose)
-            stride = min(max(1, count // KEYS), 2 * stride)
+            if moved < LONGEST / 2:
+                stride = min(max(1, count // KEYS), 2 * stride)
         known = np.array(poses)
         start = np.empty((count, self.manifold.n))
         for place in range(self.manifold.n):

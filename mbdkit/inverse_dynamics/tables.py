@@ -88,9 +88,13 @@ class Table:
             some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
             hint = did_you_mean(heading, names) or f"; its columns: {some}"
             raise SpecError(f"{self.name} has no column '{shown(heading)}'{hint}", key=key)
-        values = np.empty(len(self.cells))
-        for row, cells in enumerate(self.cells):
-            values[row] = self._number(cells[place] if place < len(cells) else None, row, heading)
+        try:
+            values = np.array([float(cells[place]) for cells in self.cells])
+        except (IndexError, TypeError, ValueError):  # there are gaps, or cells that are no numbers
+            values = np.array([math.inf])
+        if np.any(np.isinf(values)):
+            cells = (cells[place] if place < len(cells) else None for cells in self.cells)
+            values = np.array([self._number(cell, row, heading) for row, cell in enumerate(cells)])
         return values
 
     def _number(self, cell: Any, row: int, heading: str) -> float:
