@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from mbdkit.designs.design import Design, design
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.errors import MbdkitError, PluginError, ResourceError, RunError, SpecError, StepError
+    from mbdkit.gradients.gradient import Gradient, gradient
     from mbdkit.inverse_dynamics.inverse_run import inverse
     from mbdkit.mechanics.equilibrium import Equilibrium, equilibrium
     from mbdkit.mechanics.kinematics import Kinematics, kinematics
@@ -49,6 +50,7 @@ __all__ = [
     "ExpressionLaw",
     "ForceLawPlugin",
     "FunctionLaw",
+    "Gradient",
     "ImplicitRungeKutta",
     "IntegratorPlugin",
     "InverseSpec",
@@ -76,6 +78,7 @@ __all__ = [
     "design",
     "ensemble",
     "equilibrium",
+    "gradient",
     "hookimpl",
     "inverse",
     "kinematics",
@@ -101,6 +104,7 @@ _HOME = {
     "ExpressionLaw": "mbdkit.mechanism.force_law",
     "ForceLawPlugin": "mbdkit.registry.items",
     "FunctionLaw": "mbdkit.mechanism.force_law",
+    "Gradient": "mbdkit.gradients.gradient",
     "ImplicitRungeKutta": "mbdkit.methods.kinds",
     "IntegratorPlugin": "mbdkit.registry.items",
     "InverseSpec": "mbdkit.spec",
@@ -125,6 +129,7 @@ _HOME = {
     "StudyPlugin": "mbdkit.registry.items",
     "StudySpec": "mbdkit.spec",
     "equilibrium": "mbdkit.mechanics.equilibrium",
+    "gradient": "mbdkit.gradients.gradient",
     "hookimpl": "mbdkit.registry.hookspecs",
     "inverse": "mbdkit.inverse_dynamics.inverse_run",
     "kinematics": "mbdkit.mechanics.kinematics",

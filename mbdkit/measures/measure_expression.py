@@ -55,7 +55,7 @@ REDUCTIONS: Mapping[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
 """
 _OF_VECTORS = ("mean", "final", "integral", "at")
 """Reductions that apply to each component of a vector."""
-_REDUCE = "over time: "
+REDUCE = "over time: "
 """Begin of the operations of a program that reduce over time."""
 
 
@@ -171,12 +171,12 @@ class MeasureExpression:
             stack.append(recorded(self.quantities[int(number)], run))
         elif operation == "powi":
             stack.append(stack.pop() ** number)
-        elif operation == _REDUCE + "at":
+        elif operation == REDUCE + "at":
             time, values = stack.pop(), stack.pop()
             stack.append(_interpolated(float(time[0]), run.time, values))
-        elif operation.startswith(_REDUCE):
+        elif operation.startswith(REDUCE):
             values = stack.pop()
-            stack.append(REDUCTIONS[operation.removeprefix(_REDUCE)](run.time, values)[..., None])
+            stack.append(REDUCTIONS[operation.removeprefix(REDUCE)](run.time, values)[..., None])
         elif operation in _BINARY:
             right, left = stack.pop(), stack.pop()
             stack.append(_BINARY[operation](left, right))
@@ -284,7 +284,7 @@ class _MeasureCompiler(RunCompiler):
         tree = self.tree()
         program = self.compile(tree, 0)
         value = _known(program)
-        if any(operation.startswith(_REDUCE) for operation, _ in program):
+        if any(operation.startswith(REDUCE) for operation, _ in program):
             self.refuse("the expression has functions that reduce values over time; write it without them", tree)
         if value.is_vector:
             self.refuse("the expression is a vector, which has no quantiles; use abs of it, its norm", tree)
@@ -362,7 +362,7 @@ class _MeasureCompiler(RunCompiler):
         unit = value.unit
         if name == "integral" and unit is not None:
             unit = unit.times(_SECOND)
-        return _Code([*program, (_REDUCE + name, 0.0)], _Value(unit, is_vector=value.is_vector))
+        return _Code([*program, (REDUCE + name, 0.0)], _Value(unit, is_vector=value.is_vector))
 
     def apply(self, operation: str, operands: list[Code], node: ast.expr) -> Code:
         """Append an operation to the programs of its operands."""

@@ -100,6 +100,12 @@ def is_vector(quantity: Quantity) -> bool:
     return is_over_time(quantity) and _COLUMNS[quantity.kind][quantity.attribute].is_vector
 
 
+def component_of(quantity: Quantity) -> tuple[str, int | None, bool]:
+    """Return the column of a quantity in its history, its component, and whether it is a vector; not of events."""
+    found = _COLUMNS[quantity.kind][quantity.attribute]
+    return found.column, found.component, found.is_vector
+
+
 def unit_of(quantity: Quantity, mechanism: Mechanism) -> Unit:
     """Return the SI unit of a quantity of a mechanism."""
     if quantity.kind == "events":

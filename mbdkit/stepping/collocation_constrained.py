@@ -86,7 +86,7 @@ def _tangents(c, m, h, at_start):
 
 
 @subkernel
-def _evaluate_residual(c, m, t, h):
+def evaluate_residual(c, m, t, h):
     """Evaluate the residual of the equations of motion and of the constraints of every stage into ``m.residual``."""
     top, w = c.top, c.w
     n3 = len(c.q) - 3
@@ -167,7 +167,7 @@ def _change_shift(c, m, h):
 
 
 @inlined
-def _right_side(c, m, rate, z, b):
+def right_side(c, m, rate, z, b):
     """Write the transformed residual with its constraint rows scaled by ``rate = h mu``."""
     scale = rate * rate if m.settings.formulation[0] == INDEX_3 else rate
     n3 = len(c.q) - 3
@@ -180,12 +180,12 @@ def _right_side(c, m, rate, z, b):
 @subkernel
 def _changes(c, m, t, h, rough):
     """Write the change of accelerations and multipliers by one iteration, and change the multipliers."""
-    _evaluate_residual(c, m, t, h)
+    evaluate_residual(c, m, t, h)
     if m.settings.formulation[0] == GGL:
         status = _change_shift(c, m, h)
         if status != OK:
             return status
-    newton_changes(c, m, h, _right_side)
+    newton_changes(c, m, h, right_side)
     for i in range(len(m.rk.c)):
         for k in range(len(c.top.pairs)):
             for r in range(c.top.rows[k]):
@@ -249,7 +249,7 @@ def _round_off(c, m, h, now, moved, idle):
 
 
 @subkernel
-def _unfold(c, t, q, lam, out):
+def unfold(c, t, q, lam, out):
     """Write multipliers of the rows that are solved for as multipliers of the pairs; prepares the position `q`."""
     prepare(c.top, c.w, t, q)
     for k in range(len(out)):
@@ -258,10 +258,10 @@ def _unfold(c, t, q, lam, out):
 
 
 @subkernel
-def _powers(c, m, t, h):
+def stage_powers(c, m, t, h):
     """Evaluate the powers of the stages."""
     for i in range(len(m.rk.c)):
-        _unfold(c, t + m.rk.c[i] * h, m.q_stage[i], m.lam[i], m.pairs)
+        unfold(c, t + m.rk.c[i] * h, m.q_stage[i], m.lam[i], m.pairs)
         applied_forces(c.top, c.w, m.q_stage[i], m.v_stage[i])
         m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage[i], m.v_stage[i], m.pairs)
     c.counts[RHS] += len(m.rk.c)
@@ -278,7 +278,7 @@ def _estimate_side(c, m, z, b):
         b[d] = 0.0
 
 
-_KERNELS = StageKernels(_tangents, _changes, _sizes, _round_off, _powers, _right_side, _estimate_side)
+_KERNELS = StageKernels(_tangents, _changes, _sizes, _round_off, stage_powers, right_side, _estimate_side)
 
 
 @entry
@@ -288,7 +288,7 @@ def attempt(run, method, t, h, want_error):
     status = try_step(c, m, t, h, want_error, _KERNELS)
     if status == OK:
         last = len(m.rk.c) - 1
-        _unfold(c, t + h, m.q_stage[last], m.lam[last], c.own_lam)
+        unfold(c, t + h, m.q_stage[last], m.lam[last], c.own_lam)
     return status
 
 
@@ -303,7 +303,7 @@ def dense(run, method, t, h, theta):
         for k in range(len(m.pairs)):
             for r in range(2):
                 m.pairs[k, r] += m.weights[0, i] * m.lam[i, k, r]
-    _unfold(c, t + theta * h, c.point_q, m.pairs, c.point_lam)
+    unfold(c, t + theta * h, c.point_q, m.pairs, c.point_lam)
     return OK
 
 

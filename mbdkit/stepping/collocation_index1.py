@@ -57,7 +57,7 @@ def _tangents(c, m, h, at_start):
 
 
 @subkernel
-def _evaluate_accelerations(c, m, t, h, refine, with_powers):
+def evaluate_accelerations(c, m, t, h, refine, with_powers):
     """Evaluate the index-1 accelerations of every stage into ``m.spread``; return a status."""
     top, w = c.top, c.w
     for i in range(len(m.rk.c)):
@@ -91,7 +91,7 @@ def _lift(c, m, x, b):
 
 
 @inlined
-def _right_side(c, m, rate, z, b):
+def right_side(c, m, rate, z, b):
     """Write the right side of an eigenvalue's system; it does not depend on ``rate = h mu``."""
     _lift(c, m, z, b)
 
@@ -99,7 +99,7 @@ def _right_side(c, m, rate, z, b):
 @subkernel
 def _changes(c, m, t, h, rough):
     """Write the change of the stage accelerations by one iteration; return a status."""
-    status = _evaluate_accelerations(c, m, t, h, not rough, False)
+    status = evaluate_accelerations(c, m, t, h, not rough, False)
     if status != OK:
         return status
     s, n3 = len(m.residual), len(c.q) - 3
@@ -107,7 +107,7 @@ def _changes(c, m, t, h, rough):
         for i in range(s):
             for d in range(n3):
                 m.residual[i, d] = m.acc[i, d] - m.spread[i, d]
-        newton_changes(c, m, h, _right_side)
+        newton_changes(c, m, h, right_side)
     else:
         for i in range(s):
             for d in range(n3):
@@ -132,12 +132,12 @@ def _round_off(c, m, h, now, moved, idle):
 
 
 @subkernel
-def _powers(c, m, t, h):
+def stage_powers(c, m, t, h):
     """Write the power of loads, drivers and active laws, and the dissipated power, of each stage to ``m.power``."""
-    return _evaluate_accelerations(c, m, t, h, True, True)
+    return evaluate_accelerations(c, m, t, h, True, True)
 
 
-KERNELS = StageKernels(_tangents, _changes, _sizes, _round_off, _powers, _right_side, _lift)
+KERNELS = StageKernels(_tangents, _changes, _sizes, _round_off, stage_powers, right_side, _lift)
 
 
 @entry

@@ -220,7 +220,7 @@ def _first_acceleration(c, m, t):
 
 
 @subkernel
-def _increments(c, m, h):
+def increments(c, m, h):
     """Write the increments of positions and velocities by the step."""
     fill(c.dq, 0.0)
     fill(c.dv, 0.0)
@@ -266,7 +266,7 @@ def complete_step(c, m, t, h, kernels):
         if status != OK:
             return status
         dense_gains(h, m.rk.b, m.power, c.gain)
-    _increments(c, m, h)
+    increments(c, m, h)
     return OK
 
 

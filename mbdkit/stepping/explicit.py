@@ -85,7 +85,7 @@ load_explicit = bundle_loader(_example)
 
 
 @subkernel
-def _stage_state(base, h, weights, slopes, i, out):
+def stage_state(base, h, weights, slopes, i, out):
     """Write ``base + h sum_{j < i} weights[i, j] slopes[j]`` into `out`."""
     fill(out, 0.0)
     for j in range(i):
@@ -117,8 +117,8 @@ def evaluate_stages(c, m, t, h, first, last):
             copy(c.from_v, m.rates[0])
             copy(c.from_q, m.q_stage)
         else:
-            _stage_state(c.from_q, h, m.a, m.rates, i, m.q_stage)
-            _stage_state(c.from_v, h, m.a, m.accelerations, i, m.rates[i])
+            stage_state(c.from_q, h, m.a, m.rates, i, m.q_stage)
+            stage_state(c.from_v, h, m.a, m.accelerations, i, m.rates[i])
         prepare(c.top, c.w, t + m.c[i] * h, m.q_stage)
         c.counts[RHS] += 1
         c.counts[FACTORIZATIONS] += 1
@@ -164,22 +164,30 @@ def evaluate_point(c, m, h, theta, out):
     dense_gains(h, m.weights, m.power, out.point_gain)
 
 
-@entry
-def attempt(run, method, t, h, want_error):
-    """Compute a step from the base state; see `mbdkit.stepping.driver`."""
-    c, m = load_run_state(run), load_explicit(method)
+@subkernel
+def reuse_first_stage(c, m):
+    """Copy what the last step has evaluated of the first stage; return the number of stages that are known."""
     stages = len(m.b)
-    first = 0
+    known = 0
     if m.status[1] > 0 and c.base_state[0] != MODIFIED:
         if c.base_state[0] == AT_END_OF_LAST:
             if m.status[0] != 0 and m.status[1] >= stages:
                 copy(m.rates[stages - 1], m.rates[0])
                 copy(m.accelerations[stages - 1], m.accelerations[0])
                 m.power[0, 0], m.power[0, 1] = m.power[stages - 1, 0], m.power[stages - 1, 1]
-                first = 1
+                known = 1
         else:
-            first = 1
+            known = 1
     m.status[1] = 0
+    return known
+
+
+@entry
+def attempt(run, method, t, h, want_error):
+    """Compute a step from the base state; see `mbdkit.stepping.driver`."""
+    c, m = load_run_state(run), load_explicit(method)
+    stages = len(m.b)
+    first = reuse_first_stage(c, m)
     status = evaluate_stages(c, m, t, h, first, stages)
     if status != OK:
         return status

@@ -21,12 +21,19 @@ from mbdkit.methods.tableau import TableauError
 from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.diagonally_implicit import DiagonallyImplicit
+from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper, NoDerivativeError
+from mbdkit.stepping.dual_run import Seeds
 from mbdkit.stepping.explicit import CompiledExplicit
 from mbdkit.stepping.interface import Stepper, Timetable
 from mbdkit.stepping.lobatto_iiia_iiib import CompiledLobattoPair
 from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.stepping.scipy_bridge import SciPyStepper
 from mbdkit.stepping.step_control import Control, unit_of_length
+
+WITHOUT_DERIVATIVES = (
+    "fixed steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives; "
+    "methods of SciPy, methods in Python, Lobatto pairs and controlled step sizes have none"
+)
 
 
 def _control(tolerances: Tolerances, mechanism: CompiledMechanism, **parameters: Any) -> Control:
@@ -52,6 +59,36 @@ def explicit_control(method: ExplicitRungeKutta, mechanism: CompiledMechanism) -
         estimates=len(method.pair.error),
         memory=0.2,
     )
+
+
+def start_differentiated(
+    method: Method, workspace: Workspace, timetable: Timetable, seeds: Seeds, *, with_nodes: bool
+) -> DifferentiatedStepper:
+    """Return a stepper that runs a method, and differentiates its steps by parameters.
+
+    Parameters
+    ----------
+    method, workspace, timetable
+        See `start_method`.
+    seeds
+        Derivatives of mechanism and start.
+    with_nodes
+        Whether the stages of the steps are kept as nodes of integrals.
+
+    Raises
+    ------
+    mbdkit.stepping.differentiated_stepper.NoDerivativeError
+        If the steps of the method cannot be differentiated.
+    """
+    rows = timetable.steps // timetable.every + 2 if timetable.step is not None else 64
+    nodes = 1 if with_nodes else 0
+    if isinstance(method, ExplicitRungeKutta) and method.tolerances is None:
+        compiled: CompiledExplicit | CompiledCollocation = CompiledExplicit(method, workspace)
+    elif isinstance(method, ImplicitRungeKutta) and method.tolerances is None and method.tableau.is_diagonalisable:
+        compiled = CompiledCollocation(method, workspace, None)
+    else:
+        raise NoDerivativeError(WITHOUT_DERIVATIVES)
+    return DifferentiatedStepper(compiled, workspace, timetable, None, seeds, rows, nodes)
 
 
 @singledispatch

@@ -82,7 +82,7 @@ def _typeof_lanes(value: Lanes, context: Any) -> LaneArray:
 # --- elements
 
 
-def _indices(context: Any, builder: Any, kind: Any, value: Any) -> list[Any]:
+def indices_of(context: Any, builder: Any, kind: Any, value: Any) -> list[Any]:
     """Return the indices of a subscript as words."""
     if isinstance(kind, types.Integer):
         return [context.cast(builder, value, kind, types.intp)]
@@ -90,7 +90,7 @@ def _indices(context: Any, builder: Any, kind: Any, value: Any) -> list[Any]:
     return [context.cast(builder, part, one, types.intp) for part, one in zip(parts, kind, strict=True)]
 
 
-def _count(index: Any) -> int | None:
+def count_of_indices(index: Any) -> int | None:
     """Return the number of indices of a subscript; None if it is not made of integers."""
     if isinstance(index, types.Integer):
         return 1
@@ -116,7 +116,7 @@ def _place(context: Any, builder: Any, kind: LaneArray, value: Any, indices: lis
 class _GetItem(AbstractTemplate):
     def generic(self, arguments: Any, keywords: Any) -> Any:
         array, index = arguments
-        if not isinstance(array, LaneArray) or (count := _count(index)) is None or count > array.ndim:
+        if not isinstance(array, LaneArray) or (count := count_of_indices(index)) is None or count > array.ndim:
             return None
         return signature(array.item if count == array.ndim else LaneArray(array.ndim - count, array.item), array, index)
 
@@ -125,7 +125,7 @@ class _GetItem(AbstractTemplate):
 @lower_builtin(operator.getitem, LaneArray, types.BaseTuple)
 def _get(context, builder, signature, arguments):
     kind, index = signature.args
-    place = _place(context, builder, kind, arguments[0], _indices(context, builder, index, arguments[1]))
+    place = _place(context, builder, kind, arguments[0], indices_of(context, builder, index, arguments[1]))
     result = signature.return_type
     if not isinstance(result, LaneArray):
         places = [builder.gep(place, [ir.IntType(32)(i)], inbounds=True) for i in range(kind.parts)]
@@ -144,7 +144,7 @@ def _get(context, builder, signature, arguments):
 class _SetItem(AbstractTemplate):
     def generic(self, arguments: Any, keywords: Any) -> Any:
         array, index, value = arguments
-        if isinstance(array, LaneArray) and _count(index) == array.ndim and is_operand(value, array.item):
+        if isinstance(array, LaneArray) and count_of_indices(index) == array.ndim and is_operand(value, array.item):
             return signature(types.none, array, index, array.item)
         return None
 
@@ -163,7 +163,7 @@ def store_lanes(context: Any, builder: Any, kind: LaneArray, array: Any, indices
 @lower_builtin(operator.setitem, LaneArray, types.BaseTuple, LaneComplex)
 def _set(context, builder, signature, arguments):
     kind, index = signature.args[:2]
-    indices = _indices(context, builder, index, arguments[1])
+    indices = indices_of(context, builder, index, arguments[1])
     store_lanes(context, builder, kind, arguments[0], indices, arguments[2])
     return context.get_dummy_value()
 

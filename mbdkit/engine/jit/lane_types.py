@@ -200,6 +200,8 @@ class _Where(AbstractTemplate):
             return None
         if any(isinstance(one, LaneReal) for one in arguments[1:]) or isinstance(arguments[0], LaneMask):
             return signature(REAL, MASK, REAL, REAL)
+        if not all(isinstance(one, types.Number) for one in arguments[1:]):
+            return None
         return signature(types.float64, types.boolean, types.float64, types.float64)
 
 
@@ -357,6 +359,8 @@ def _one_by_one(function: Any, of_numbers: Any) -> None:
         def generic(self, arguments: Any, keywords: Any) -> Any:
             if any(isinstance(one, LaneReal) for one in arguments):
                 return signature(REAL, *(REAL,) * len(arguments))
+            if not all(isinstance(one, types.Number) for one in arguments):
+                return None
             return signature(types.float64, *(types.float64,) * len(arguments))
 
     def call(context: Any, builder: Any, values: Any) -> Any:

@@ -5,6 +5,9 @@ writes the force, its derivatives by length and by rate, and the potential into 
 number of parameters that follow. Kernels read the address of a law from an array, so that a new law does not require
 them to be compiled again.
 
+For dual numbers (`mbdkit.engine.jit.dual_types`), a law is compiled from the same source with pointers to dual numbers:
+``void law(double *length, double *rate, double time, double *parameters, double *out)``.
+
 This module uses the public API of Numba and llvmlite: `njit`, `intrinsic`, `is_jitted`, and the IR builder. It also
 uses the helper ``context.make_array``, which is internal to Numba and has no public counterpart.
 """
@@ -19,6 +22,8 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic, is_jitted
 
+from mbdkit.engine.jit.dual_arrays import ITEM, DualArray, load_dual, store_dual
+from mbdkit.engine.jit.dual_types import DUAL
 from mbdkit.engine.jit.lane_arrays import LaneArray, store_lanes
 from mbdkit.engine.jit.lane_types import REAL
 from mbdkit.engine.jit.lane_width import WIDTH
@@ -30,6 +35,12 @@ PASSIVE: all power that is not stored as potential energy is dissipated."""
 SIGNATURE = types.void(
     types.float64, types.float64, types.float64, types.CPointer(types.float64), types.CPointer(types.float64)
 )
+
+DUAL_SIGNATURE = types.void(
+    types.CPointer(types.float64), types.CPointer(types.float64), types.float64, types.CPointer(types.float64),
+    types.CPointer(types.float64),
+)  # fmt: skip
+"""Signature of a law for dual numbers."""
 
 PARAMETERS = types.Array(types.float64, 1, "C", readonly=True)
 """Type of the parameters passed to a law: they belong to the mechanism, so a law that changes them is not compiled."""
@@ -60,6 +71,8 @@ def _call_law(typing, address, length, rate, time, parameters, begin, out, row):
     """
     if isinstance(out, LaneArray):
         return _call_in_lanes()
+    if isinstance(out, DualArray):
+        return _call_with_derivatives()
     number, real = types.int64, types.float64
     vector, matrix = types.Array(real, 1, "C"), types.Array(real, 2, "C")
     signature = types.void(number, real, real, real, vector, number, matrix, number)
@@ -77,6 +90,75 @@ def _call_law(typing, address, length, rate, time, parameters, begin, out, row):
         return context.get_dummy_value()
 
     return signature, generate
+
+
+def _call_with_derivatives():
+    """Return signature and code of `call_law` for dual numbers, but for the time."""
+    number, vector, matrix = types.int64, DualArray(1), DualArray(2)
+    signature = types.void(number, DUAL, DUAL, types.float64, vector, number, matrix, number)
+
+    def generate(context, builder, signature, arguments):
+        address, length, rate, time, parameters, begin, out, row = arguments
+        double = ir.DoubleType()
+        kind = ir.FunctionType(ir.VoidType(), [double.as_pointer()] * 2 + [double] + [double.as_pointer()] * 2)
+        state = cgutils.alloca_once(builder, double, 2 * ITEM)
+        second = builder.gep(state, [ir.IntType(32)(ITEM)])
+        store_dual(builder, length, state)
+        store_dual(builder, rate, second)
+        block, results = (
+            builder.gep(
+                builder.bitcast(builder.extract_value(array, 4), double.as_pointer()),
+                [builder.mul(index, index.type(count * ITEM))],
+            )
+            for array, index, count in ((parameters, begin, 1), (out, row, 4))
+        )
+        builder.call(builder.inttoptr(address, kind.as_pointer()), [state, second, time, block, results])
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+def _dual_at_typing(typing, pointer, index):
+    """Return the dual number with an index behind a pointer."""
+
+    def generate(context, builder, signature, arguments):
+        offset = builder.mul(arguments[1], arguments[1].type(ITEM))
+        return load_dual(builder, builder.gep(arguments[0], [offset]))
+
+    return DUAL(types.CPointer(types.float64), types.int64), generate
+
+
+dual_at: Any = intrinsic(_dual_at_typing)
+
+
+def _put_dual_typing(typing, pointer, index, x):
+    """Store a dual number with an index behind a pointer."""
+
+    def generate(context, builder, signature, arguments):
+        offset = builder.mul(arguments[1], arguments[1].type(ITEM))
+        store_dual(builder, arguments[2], builder.gep(arguments[0], [offset]))
+        return context.get_dummy_value()
+
+    return types.void(types.CPointer(types.float64), types.int64, DUAL), generate
+
+
+put_dual: Any = intrinsic(_put_dual_typing)
+
+
+def _duals_behind_typing(typing, pointer, count):
+    """Return `count` dual numbers as an array, beginning with the second one behind a pointer."""
+    kind = DualArray(1)
+
+    def generate(context, builder, signature, arguments):
+        array = cgutils.create_struct_proxy(kind)(context, builder)
+        array.data = builder.gep(arguments[0], [ir.IntType(64)(ITEM)])
+        array.shape = cgutils.pack_array(builder, [arguments[1], ir.IntType(64)(ITEM)])
+        return array._getvalue()
+
+    return kind(types.CPointer(types.float64), types.int64), generate
+
+
+duals_behind: Any = intrinsic(_duals_behind_typing)
 
 
 def _call_in_lanes():

@@ -49,6 +49,42 @@ def entry(length, rate, time, parameters, out):
     results[2] = by_rate
     results[3] = potential
 '''
+_DUAL_HEAD = """from math import nan
+
+from mbdkit.engine.jit.cache import cached_cfunc
+from mbdkit.engine.jit.law_calls import DUAL_SIGNATURE, compiled, dual_at, duals_behind, put_dual
+
+"""
+_DUAL_ENTRY = '''
+
+@{decorator}(DUAL_SIGNATURE, error_model="numpy")
+def entry(length, rate, time, parameters, out):
+    """Write force, its derivatives by length and by rate, and the potential, with their derivatives by parameters."""
+    for i in range(4):
+        put_dual(out, i, nan)
+    count = int(dual_at(parameters, 0))
+    force, by_length, by_rate, potential = law(
+        dual_at(length, 0), dual_at(rate, 0), time, duals_behind(parameters, count)
+    )
+    put_dual(out, 0, force)
+    put_dual(out, 1, by_length)
+    put_dual(out, 2, by_rate)
+    put_dual(out, 3, potential)
+'''
+
+
+@dataclass(frozen=True)
+class _Form:
+    """What surrounds a law in its module: imports, and the function that kernels call."""
+
+    head: str
+    entry: str
+
+
+_FOR_NUMBERS, _FOR_DUAL_NUMBERS = _Form(_HEAD, _ENTRY), _Form(_DUAL_HEAD, _DUAL_ENTRY)
+
+_FOR_DUALS: dict[int, CompiledLaw] = {}
+"""Laws compiled for dual numbers, by the address of the law for numbers."""
 _COMPILED: dict[tuple[ForceLaw, tuple[str, ...]], CompiledLaw] = {}
 """Laws compiled or loaded by this process; the key is the law and the names of its parameters."""
 
@@ -67,11 +103,15 @@ class CompiledLaw:
         `HAS_POTENTIAL` and `PASSIVE`, as bits.
     keeper
         Reference that keeps the machine code in memory.
+    law, parameters
+        The law, and the names and example values of its parameters.
     """
 
     address: int
     claims: int
     keeper: Any
+    law: ForceLaw
+    parameters: tuple[tuple[str, float], ...]
 
 
 def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[float]]:
@@ -97,6 +137,32 @@ def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[
     return _COMPILED[law, names], [float(len(values)), *values]
 
 
+def law_for_duals(compiled_law: CompiledLaw, name: str) -> CompiledLaw:
+    """Return a law compiled for dual numbers; `name` is that of the force in error messages.
+
+    Raises
+    ------
+    PluginError
+        If its source cannot be compiled for them.
+    """
+    key = compiled_law.address
+    if key not in _FOR_DUALS:
+        law, example = compiled_law.law, dict(compiled_law.parameters)
+        try:
+            if isinstance(law, ExpressionLaw):
+                keeper = _of_expression(law, example, _FOR_DUAL_NUMBERS)
+            else:
+                keeper = _of_function(law.function, _FOR_DUAL_NUMBERS)
+        except Exception as error:
+            raise PluginError(
+                f"the law of force {name} cannot be differentiated by parameters: {one_line(error)}"
+            ) from error
+        _FOR_DUALS[key] = CompiledLaw(
+            keeper["entry"].address, compiled_law.claims, keeper, law, compiled_law.parameters
+        )
+    return _FOR_DUALS[key]
+
+
 def _compile(law: ForceLaw, example: dict[str, float], name: str) -> CompiledLaw:
     """Return the machine code of a law; `example` maps the names of an expression's parameters to example values."""
     try:
@@ -109,10 +175,10 @@ def _compile(law: ForceLaw, example: dict[str, float], name: str) -> CompiledLaw
     except Exception as error:
         raise PluginError(f"force law {name} cannot be compiled: {one_line(error)}") from error
     claims = HAS_POTENTIAL * (law.potential not in (None, False)) | PASSIVE * law.passive
-    return CompiledLaw(keeper["entry"].address, claims, keeper)
+    return CompiledLaw(keeper["entry"].address, claims, keeper, law, tuple(example.items()))
 
 
-def _of_expression(law: ExpressionLaw, example: dict[str, float]) -> dict[str, Any]:
+def _of_expression(law: ExpressionLaw, example: dict[str, float], form: _Form = _FOR_NUMBERS) -> dict[str, Any]:
     def body() -> str:
         from mbdkit.symbolic.symbolic_law import law_source
 
@@ -121,17 +187,17 @@ def _of_expression(law: ExpressionLaw, example: dict[str, float]) -> dict[str, A
     expressions = [law.force] if law.potential is None else [law.force, law.potential]
     origins = [_origin(expression) for expression in expressions]
     if None not in origins:  # SymPy is imported only if the compiled law is not in the cache
-        return _generated_module("\n".join(map(str, [*origins, "", *example])), body)
+        return _generated_module("\n".join(map(str, [*origins, "", *example])), body, form)
     text = body()
-    return _generated_module(text, lambda: text)
+    return _generated_module(text, lambda: text, form)
 
 
-def _of_function(function: Callable[..., Any]) -> dict[str, Any]:
+def _of_function(function: Callable[..., Any], form: _Form = _FOR_NUMBERS) -> dict[str, Any]:
     origin = _origin(function)
     if origin is None:
         _check_results(function)
         space: dict[str, Any] = {"law": compiled(function), "__name__": "mbdkit_law"}
-        exec(_HEAD + _ENTRY.format(decorator="cfunc"), space)
+        exec("from numba import cfunc\n" + form.head + form.entry.format(decorator="cfunc"), space)
         return space
 
     def body() -> str:
@@ -139,7 +205,7 @@ def _of_function(function: Callable[..., Any]) -> dict[str, Any]:
         python = getattr(function, "py_func", function)
         return f"from {python.__module__} import {python.__qualname__} as _law\n\nlaw = compiled(_law)\n"
 
-    return _generated_module(origin, body)
+    return _generated_module(origin, body, form)
 
 
 def _check_results(function: Callable[..., Any]) -> None:
@@ -186,7 +252,7 @@ def _package_hash(package: str, file: str) -> str:
     return digest.hexdigest()
 
 
-def _generated_module(origin: str, body: Callable[[], str]) -> dict[str, Any]:
+def _generated_module(origin: str, body: Callable[[], str], form: _Form) -> dict[str, Any]:
     """Return the namespace of the generated module of a law; it is written first if it is not in the cache.
 
     Parameters
@@ -195,12 +261,14 @@ def _generated_module(origin: str, body: Callable[[], str]) -> dict[str, Any]:
         Text that depends on all sources of the law.
     body
         Returns source code that defines the function ``law``.
+    form
+        What surrounds the law.
     """
-    name = f"mbdkit_law_{hashlib.sha256((origin + _HEAD + _ENTRY).encode()).hexdigest()[:24]}"
+    name = f"mbdkit_law_{hashlib.sha256((origin + form.head + form.entry).encode()).hexdigest()[:24]}"
     path = FOLDER / f"{name}.law"
     text = stored(path)
     if text is None:
-        text = (_HEAD + body() + _ENTRY.format(decorator="cached_cfunc")).encode()
+        text = (form.head + body() + form.entry.format(decorator="cached_cfunc")).encode()
         store(path, text)
     module = ModuleType(name)
     sys.modules[name] = module

@@ -11,7 +11,10 @@ platforms.
 
 from __future__ import annotations
 
+from numba.extending import overload
+
 from mbdkit.engine.jit.decorators import inlined
+from mbdkit.engine.jit.dual_types import DualNumber, chain, value_of
 from mbdkit.engine.jit.lane_types import any_of, below, cosine_of_each, nearest, sine_of_each, where
 
 FAR = 1e5
@@ -28,9 +31,25 @@ _C1, _C2, _C3 = 4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015
 _C4, _C5, _C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11
 
 
-@inlined
 def cosine_and_sine(x):
-    """Return cosine and sine of `x` [rad]."""
+    """Return cosine and sine of `x` [rad]; also of lanes and of dual numbers."""
+    return _cosine_and_sine(x)
+
+
+@overload(cosine_and_sine)
+def _typed(x):
+    if isinstance(x, DualNumber):
+        return _of_dual
+    return lambda x: _cosine_and_sine(x)
+
+
+def _of_dual(x):
+    c, s = _cosine_and_sine(value_of(x))
+    return chain(x, c, -s), chain(x, s, c)
+
+
+@inlined
+def _cosine_and_sine(x):
     quarters = nearest(x * _QUARTERS)
     first = x - quarters * _HALF_PI_1
     step = quarters * _HALF_PI_2

@@ -527,7 +527,7 @@ def schur_accelerations(top, w, schur, has_forces, acc, lam, refine):
 
 
 @inlined
-def _by_pivots_or_schur(top, w, solver, has_forces, acc, lam, refine):
+def by_pivots_or_schur(top, w, solver, has_forces, acc, lam, refine):
     """Solve the index-1 system with ``w.force``, ``w.jac`` and ``w.gamma`` of the independent rows; return a status.
 
     The pivoted solver refines in any case; `refine` applies to the Schur complement only.
@@ -557,12 +557,14 @@ def solve_system(top, w, solver, has_forces, acc, lam, refine):
     The pivoted solver refines in any case; `refine` applies to the Schur complement only. In lanes, there is no pivoted
     solver: accelerations become NaN in a lane that would need it.
     """
-    return _by_pivots_or_schur(top, w, solver, has_forces, acc, lam, refine)
+    return by_pivots_or_schur(top, w, solver, has_forces, acc, lam, refine)
 
 
 @overload(solve_system)
 def _solve_system(top, w, solver, has_forces, acc, lam, refine):
-    solve = _by_pivots_or_schur if "pivoted" in solver.bundle.fields else _by_schur
+    if "numbers" in solver.bundle.fields:  # of dual numbers; see `mbdkit.engine.kernels.dual_system`
+        return None
+    solve = by_pivots_or_schur if "pivoted" in solver.bundle.fields else _by_schur
     return lambda top, w, solver, has_forces, acc, lam, refine: solve(top, w, solver, has_forces, acc, lam, refine)
 
 

@@ -1,0 +1,178 @@
+"""The index-1 system of dual numbers: a system of their values, and one for each derivative with the same factors.
+
+With the solution a, lambda of the values, differentiation of ``M a + Phi_q^T lambda = Q``, ``Phi_q a = gamma`` gives
+
+    M a_p + Phi_q^T lambda_p = (Q - M a - Phi_q^T lambda)_p,    Phi_q a_p = (gamma - Phi_q a)_p
+
+where the derivatives on the right are those of M, Phi_q, Q and gamma at constant a and lambda. The values are solved
+for as in a run, with its working arrays, its pivots and the same bits.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba.extending import overload
+
+from mbdkit.engine.jit.decorators import inlined, subkernel
+from mbdkit.engine.jit.dual_arrays import new_duals
+from mbdkit.engine.jit.dual_types import value_of, with_value
+from mbdkit.engine.kernels.bundle_types import IntMatrix
+from mbdkit.engine.kernels.lu import Factors, substitute
+from mbdkit.engine.kernels.schur import solve as schur_solve
+from mbdkit.engine.kernels.system import OK, Engine, by_pivots_or_schur, solve_system
+
+
+class DualSolver(NamedTuple):
+    """Solver of the index-1 system of dual numbers. Arrays are dual unless stated otherwise."""
+
+    numbers: Engine
+    """Mechanism, working arrays and solver of the values."""
+    factors: Factors
+    """Factors of the pivoted system of the values, with a dual work array."""
+    row_index: IntMatrix
+    """Numbers: as in `mbdkit.engine.kernels.system.Solver`."""
+    acc: np.ndarray
+    """(3 (B + 1),) accelerations; numbers."""
+    lam: np.ndarray
+    """(P, 2) multipliers; numbers."""
+    lack: np.ndarray
+    """(3 (B + 1),) residual of the equations of motion, then change of the accelerations."""
+    rows: np.ndarray
+    """(P, 2) residual of the constraint rows, then change of the multipliers."""
+    right: np.ndarray
+    """(n,) right side of the pivoted system, then its solution."""
+
+
+def new_dual_solver(numbers: Engine, row_index: np.ndarray) -> DualSolver:
+    """Return the solver of dual numbers that belongs to the mechanism, working arrays and solver of their values."""
+    top, factors = numbers.top, numbers.solver.factors
+    size, unknowns = 3 * len(top.mass), len(numbers.w.right)
+    return DualSolver(
+        numbers=numbers._replace(top=top._replace(gravity=top.gravity.copy())),
+        factors=factors._replace(work=new_duals(len(factors.work))),
+        row_index=row_index,
+        acc=np.zeros(size),
+        lam=np.zeros((len(top.pairs), 2)),
+        lack=new_duals(size),
+        rows=new_duals(len(top.pairs), 2),
+        right=new_duals(unknowns),
+    )
+
+
+@subkernel
+def _take_values(top, w, n, has_forces):
+    """Copy the values of the system into the working arrays of numbers `n`."""
+    for i in range(2):
+        n.top.gravity[i] = value_of(top.gravity[i])
+    for k in range(len(top.pairs)):
+        for c in range(12):
+            n.w.jac[k, c] = value_of(w.jac[k, c])
+        for r in range(2):
+            n.w.gamma[k, r] = value_of(w.gamma[k, r])
+    if has_forces:
+        for d in range(len(n.w.force)):
+            n.w.force[d] = value_of(w.force[d])
+
+
+@subkernel
+def _residual(top, w, has_forces, acc, lam, lack, rows):
+    """Write ``Q - M a - Phi_q^T lambda`` into `lack` and ``gamma - Phi_q a`` into `rows`."""
+    mass, pairs, jac = top.mass, top.pairs, w.jac
+    for b in range(len(mass)):
+        for i in range(3):
+            d = 3 * b + i
+            pull = top.gravity[i] - acc[d] if i < 2 else -acc[d]
+            lack[d] = mass[b, i] * pull + w.force[d] if has_forces else mass[b, i] * pull
+    for k in range(len(pairs)):
+        a, b = 3 * pairs[k, 1], 3 * pairs[k, 2]
+        l0, l1, r0, r1 = lam[k, 0], lam[k, 1], w.gamma[k, 0], w.gamma[k, 1]
+        for i in range(3):
+            lack[a + i] -= jac[k, i] * l0 + jac[k, 6 + i] * l1
+            lack[b + i] -= jac[k, 3 + i] * l0 + jac[k, 9 + i] * l1
+            r0 -= jac[k, i] * acc[a + i] + jac[k, 3 + i] * acc[b + i]
+            r1 -= jac[k, 6 + i] * acc[a + i] + jac[k, 9 + i] * acc[b + i]
+        rows[k, 0] = r0 if top.rows[k] > 0 else r0 * 0.0
+        rows[k, 1] = r1 if top.rows[k] > 1 else r1 * 0.0
+
+
+@subkernel
+def _by_schur(n, lack, rows):
+    """Replace the residuals by the changes of accelerations and multipliers that remove them."""
+    pairs, jac, weight = n.top.pairs, n.w.jac, n.top.weight
+    for b in range(len(weight)):
+        for i in range(3):
+            lack[3 * b + i] = weight[b, i] * lack[3 * b + i]
+    for k in range(len(pairs)):
+        a, b = 3 * pairs[k, 1], 3 * pairs[k, 2]
+        r0, r1 = rows[k, 0] * -1.0, rows[k, 1] * -1.0
+        for i in range(3):
+            r0 += jac[k, i] * lack[a + i] + jac[k, 3 + i] * lack[b + i]
+            r1 += jac[k, 6 + i] * lack[a + i] + jac[k, 9 + i] * lack[b + i]
+        rows[k, 0] = r0
+        rows[k, 1] = r1 if n.top.rows[k] == 2 else r1 * 0.0
+    schur_solve(n.solver.schur, rows)
+    for k in range(len(pairs)):
+        a, b = pairs[k, 1], pairs[k, 2]
+        l0, l1 = rows[k, 0], rows[k, 1]
+        for i in range(3):
+            lack[3 * a + i] -= weight[a, i] * (jac[k, i] * l0 + jac[k, 6 + i] * l1)
+            lack[3 * b + i] -= weight[b, i] * (jac[k, 3 + i] * l0 + jac[k, 9 + i] * l1)
+
+
+@subkernel
+def _by_pivots(n, factors, row_index, right, lack, rows):
+    """Replace the residuals by the changes that remove them, with the factors of the pivoted system."""
+    n3 = len(lack) - 3
+    for d in range(n3):
+        right[d] = lack[d]
+    for k in range(len(rows)):
+        for r in range(n.top.rows[k]):
+            right[row_index[k, r]] = rows[k, r]
+    substitute(n.solver.pattern, factors, right, right)
+    for d in range(n3):
+        lack[d] = right[d]
+    for k in range(len(rows)):
+        for r in range(n.top.rows[k]):
+            rows[k, r] = right[row_index[k, r]]
+
+
+@inlined
+def _with_derivatives(top, w, solver, has_forces, acc, lam, refine):
+    """Solve for accelerations and multipliers with their derivatives; return a status.
+
+    The derivatives are refined once where the values are: with `refine`, and by the pivoted solver.
+    """
+    n = solver.numbers
+    _take_values(top, w, n, has_forces)
+    status = by_pivots_or_schur(n.top, n.w, n.solver, has_forces, solver.acc, solver.lam, refine)
+    if status != OK:
+        return status
+    for d in range(len(acc)):
+        acc[d] = solver.acc[d]
+    for k in range(len(lam)):
+        for r in range(2):
+            lam[k, r] = solver.lam[k, r] if r < top.rows[k] else 0.0
+    pivoted = n.solver.pivoted[0] != 0
+    for _ in range(2 if refine or pivoted else 1):
+        _residual(top, w, has_forces, acc, lam, solver.lack, solver.rows)
+        if pivoted:
+            _by_pivots(n, solver.factors, solver.row_index, solver.right, solver.lack, solver.rows)
+        else:
+            _by_schur(n, solver.lack, solver.rows)
+        for d in range(len(acc) - 3):
+            acc[d] = with_value(acc[d] + solver.lack[d], solver.acc[d])
+        for k in range(len(lam)):
+            for r in range(top.rows[k]):
+                lam[k, r] = with_value(lam[k, r] + solver.rows[k, r], solver.lam[k, r])
+    return OK
+
+
+@overload(solve_system)
+def _solve_system(top, w, solver, has_forces, acc, lam, refine):
+    if "numbers" not in solver.bundle.fields:
+        return None
+    return lambda top, w, solver, has_forces, acc, lam, refine: _with_derivatives(
+        top, w, solver, has_forces, acc, lam, refine
+    )

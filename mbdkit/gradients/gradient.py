@@ -1,0 +1,185 @@
+"""`gradient`: measures of a run and their exact derivatives by parameters of its model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbdkit.errors import RunError, SpecError
+from mbdkit.gradients.differentiated_run import differentiated_run
+from mbdkit.gradients.gradient_check import GradientCheck, check_gradient
+from mbdkit.gradients.gradient_parameters import Parameter, resolved
+from mbdkit.gradients.measured_derivatives import MeasureOfRun, uses_nodes
+from mbdkit.gradients.prepared_derivatives import prepared_derivatives
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.one_thread import one_thread_of_linear_algebra
+from mbdkit.spec import RunSpec, load_spec
+from mbdkit.spec.run_source import RunSource
+
+Measures = str | Sequence[str] | Mapping[str, str | Mapping[str, str]]
+"""One expression, several, or expressions by name, as in the section `measures` of a spec."""
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """Measures of a run, and their derivatives by parameters.
+
+    Attributes
+    ----------
+    measures, units
+        Names of the M measures, and their units.
+    parameters
+        Names of the K parameters, in the order asked for.
+    value
+        (M,) values of the measures.
+    jacobian
+        (M, K) derivatives of the measures by the parameters, in the unit of the measure per SI unit of the parameter.
+    preparation_error
+        (K,) estimated relative errors of the derivatives of the compiled mechanism and its start; 0 where exact.
+    doubts
+        Sentences on measures that have no derivative, such as the largest of two equal peaks.
+    check
+        The gradient in one direction beside differences of runs; None if it was not asked for.
+    """
+
+    measures: tuple[str, ...]
+    units: tuple[str, ...]
+    parameters: tuple[str, ...]
+    value: np.ndarray
+    jacobian: np.ndarray
+    preparation_error: np.ndarray
+    doubts: tuple[str, ...]
+    check: GradientCheck | None
+
+    def __getitem__(self, key: tuple[str, str]) -> float:
+        measure, parameter = key
+        return float(self.jacobian[self.measures.index(measure), self.parameters.index(parameter)])
+
+    def __str__(self) -> str:
+        lines = []
+        for m, (name, unit) in enumerate(zip(self.measures, self.units, strict=True)):
+            lines.append(f"{name} = {self.value[m]:.12g} {unit}".rstrip())
+            width = max(map(len, self.parameters))
+            lines += [
+                f"  by {one:{width}}  {x: .10g}" for one, x in zip(self.parameters, self.jacobian[m], strict=True)
+            ]
+        lines += self.doubts
+        if self.check is not None:
+            lines.append(str(self.check))
+        return "\n".join(lines)
+
+
+def gradient(
+    source: RunSource,
+    measures: Measures,
+    parameters: str | Sequence[str],
+    *,
+    check: bool = True,
+    **sections: Any,
+) -> Gradient:
+    """Run a spec, and return the exact derivatives of measures of the run by parameters of its model.
+
+    Every step of the method is differentiated with the run (forward sensitivities of the discrete solution), so that
+    the result is the derivative of the computed numbers, whatever the step. Derivatives of the initial state by
+    parameters, and by assembly, are included.
+
+    Parameters
+    ----------
+    source
+        A file name, the name of a packaged example, a mapping, a RunSpec, or a Mechanism with its `sections`.
+    measures
+        Expressions such as ``"max(abs(joints.B.force))"``: one, several, or a mapping as in the section `measures` of a
+        spec. Names of measures that the spec defines may stand for their expressions.
+    parameters
+        Names of `parameters` of the spec, or key paths of numbers of its model such as ``model.bodies.rod.mass``; at
+        most 50.
+    check
+        Whether to check the gradient in one direction by differences of four runs.
+    **sections
+        Other sections of the spec, such as ``time={"end": 1.0, "step": 0.01}``, which replace those of `source`.
+
+    Returns
+    -------
+    Gradient
+        Values, derivatives and check. A check that fails is part of the result, not an error.
+
+    Raises
+    ------
+    SpecError
+        If the input is wrong, or runs of this spec or a measure have no derivatives.
+    RunError
+        If the run stops early.
+
+    Examples
+    --------
+    >>> import mbdkit
+    >>> run = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": 1.0, "step": 0.01}}
+    >>> found = mbdkit.gradient("pendulum", "final(bodies.rod1.angle)", "model.length", **run)
+    >>> found.jacobian.shape
+    (1, 1)
+    >>> found.check.is_passed
+    True
+    """
+    spec = load_spec(source, (), **sections)
+    chosen = resolved(spec, [parameters] if isinstance(parameters, str) else list(parameters))
+    expressions = parsed(spec, measures)
+    with one_thread_of_linear_algebra():
+        return _gradient(spec, expressions, chosen, check=check)
+
+
+def parsed(spec: RunSpec, measures: Measures) -> dict[str, MeasureExpression]:
+    """Return the expressions of measures by name; raise SpecError if one is not valid or has no derivative."""
+    known = {one.name: one for one in spec.defined_measures()}
+    if isinstance(measures, str):
+        measures = [measures]
+    named = measures.items() if isinstance(measures, Mapping) else ((text, text) for text in measures)
+    found = {}
+    for name, given in named:
+        text, unit = (given, "") if isinstance(given, str) else (given.get("value", ""), given.get("unit", ""))
+        if text in known and not isinstance(measures, Mapping):
+            text, unit = known[name].expression, known[name].unit
+            if known[name].item is not None:
+                raise SpecError(f"the measure '{name}' of a plugin has no derivatives", key="measures")
+        found[name] = MeasureExpression.parse(text, spec, unit)
+    if not found:
+        raise SpecError("a gradient needs at least one measure", key="measures")
+    return found
+
+
+def _gradient(
+    spec: RunSpec, expressions: Mapping[str, MeasureExpression], parameters: Sequence[Parameter], *, check: bool
+) -> Gradient:
+    prepared = prepared_derivatives(spec, parameters)
+    with_nodes = any(map(uses_nodes, expressions.values()))
+    run = differentiated_run(spec, prepared.seeds, len(parameters), with_nodes=with_nodes)
+    values, slopes, doubts = [], [], []
+    measure = MeasureOfRun(run)
+    for expression in expressions.values():
+        value, slope = measure.of(expression)
+        values.append(value)
+        slopes.append(slope)
+        doubts += measure.doubts
+    jacobian = np.array(slopes).reshape(len(values), len(parameters))
+    found = None
+    if check:
+
+        def measured(specs: Sequence[RunSpec]) -> np.ndarray:
+            return np.array([_values(one, expressions, with_nodes=with_nodes) for one in specs])
+
+        found = check_gradient(spec, parameters, measured, dict(zip(expressions, values, strict=True)), jacobian)
+    return Gradient(
+        tuple(expressions), tuple(one.unit.text for one in expressions.values()), tuple(one.name for one in parameters),
+        np.array(values), jacobian, prepared.error, tuple(doubts), found,
+    )  # fmt: skip
+
+
+def _values(spec: RunSpec, expressions: Mapping[str, MeasureExpression], *, with_nodes: bool) -> list[float]:
+    """Return the measures of a run; nan if it stops early."""
+    try:
+        measure = MeasureOfRun(differentiated_run(spec, {}, 0, with_nodes=with_nodes))
+    except RunError:
+        return [np.nan] * len(expressions)
+    return [measure.of(expression)[0] for expression in expressions.values()]

@@ -1,0 +1,107 @@
+"""The parameters by which a run is differentiated: named parameters and numbers of the model."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mbdkit.errors import SpecError
+from mbdkit.plain_data import Path, found, path_text
+from mbdkit.spec import RunSpec
+from mbdkit.spec.reading import parse_key
+from mbdkit.text import did_you_mean, listed
+
+MOST_PARAMETERS = 50
+"""Largest number of parameters of one gradient."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of a spec.
+
+    Parameters
+    ----------
+    name
+        Its name as given by the user.
+    path
+        Its key path in the spec.
+    value
+        Its value.
+    """
+
+    name: str
+    path: Path
+    value: float
+
+    @property
+    def scale(self) -> float:
+        """Size by which changes are measured: the value, or 1 if that is 0."""
+        return abs(self.value) or 1.0
+
+
+def resolved(spec: RunSpec, names: Sequence[str]) -> tuple[Parameter, ...]:
+    """Return the parameters with these names: keys of `parameters`, or key paths that begin with ``model.``.
+
+    Raises
+    ------
+    SpecError
+        If one does not exist, is no number or is not a number of the model, or if they are too many.
+    """
+    if isinstance(names, str):
+        names = [names]
+    if not names:
+        raise SpecError("a gradient needs at least one parameter", key="gradients")
+    if len(names) > MOST_PARAMETERS:
+        raise SpecError(f"a gradient takes at most {MOST_PARAMETERS} parameters, not {len(names)}", key="gradients")
+    if twice := [name for i, name in enumerate(names) if name in names[:i]]:
+        raise SpecError(f"the parameter '{twice[0]}' is named twice", key="gradients")
+    data = json.loads(spec.canonical_json())
+    return tuple(_resolved(spec, data, name) for name in names)
+
+
+def _resolved(spec: RunSpec, data: dict[str, Any], name: str) -> Parameter:
+    if name in spec.parameters:
+        value = spec.parameters[name]
+        if isinstance(value, str):
+            raise _refused(f"'{name}' is the expression '{value}'; name the parameters that it consists of")
+        return Parameter(name, ("parameters", name), float(value))
+    path = parse_key(name)
+    if path[:1] == ("parameters",) and len(path) == 2:
+        return _resolved(spec, data, str(path[1])) if path[1] in spec.parameters else _unknown(spec, name)
+    if len(path) < 2:
+        return _unknown(spec, name)
+    if path[0] != "model":
+        raise _refused(
+            f"'{name}' is no parameter of the model; gradients are by `parameters` and by numbers of `model`"
+        )
+    holder: Any = data
+    for i, key in enumerate(path):
+        part = int(key) if isinstance(holder, list) and str(key).isdecimal() else key
+        known = (
+            list(range(len(holder))) if isinstance(holder, list) else list(holder) if isinstance(holder, dict) else []
+        )
+        if part not in known:
+            where = path_text(path[:i])
+            hint = did_you_mean(str(part), [one for one in known if isinstance(one, str)])
+            raise _refused(f"the spec has no key '{name}': there is no '{part}' in {where}{hint}")
+        holder = holder[part]
+    if isinstance(holder, str):
+        raise _refused(f"'{name}' is the text or expression '{holder}', not a number; name a parameter in it")
+    if isinstance(holder, bool) or not isinstance(holder, int | float):
+        raise _refused(f"'{name}' should be the key of a number, not of {found(holder)}")
+    return Parameter(name, path, float(holder))
+
+
+def _unknown(spec: RunSpec, name: str) -> Parameter:
+    known = list(spec.parameters)
+    told = f"; parameters: {listed(known)}" if known else "; the spec has no `parameters`"
+    hint = did_you_mean(name, known) or told
+    raise _refused(
+        f"there is no parameter '{name}'{hint}. Numbers of the model have key paths, such as model.bodies.rod.mass"
+    )
+
+
+def _refused(message: str) -> SpecError:
+    return SpecError(message, key="gradients")

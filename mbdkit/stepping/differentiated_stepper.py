@@ -1,0 +1,228 @@
+"""Advances a run together with the derivatives of its states by parameters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.engine.jit.bundle import PinnedBundle
+from mbdkit.engine.jit.law_compiler import law_for_duals
+from mbdkit.engine.kernels.dual_system import new_dual_solver
+from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.workspace import Workspace
+from mbdkit.errors import MbdkitError, StepError
+from mbdkit.stepping.collocation import CompiledCollocation
+from mbdkit.stepping.collocation_stages import GGL
+from mbdkit.stepping.compiled_stepper import CompiledStepper
+from mbdkit.stepping.dual_collocation import constrained_step, dual_stages, index1_step
+from mbdkit.stepping.dual_explicit import dual_explicit, explicit_step
+from mbdkit.stepping.dual_run import DualRun, Seeds, new_dual_run
+from mbdkit.stepping.explicit import CompiledExplicit
+from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.run_plan import NO_PROJECTION
+
+if TYPE_CHECKING:
+    from mbdkit.stepping.step_control import Control
+
+
+class NoDerivativeError(MbdkitError, ValueError):
+    """The steps of a method, formulation or stabilization cannot be differentiated."""
+
+
+def dual_laws(workspace: Workspace) -> np.ndarray:
+    """Return the laws of a mechanism compiled for dual numbers, in the form of ``Topology.laws``.
+
+    Raises
+    ------
+    mbdkit.errors.PluginError
+        If a law cannot be compiled for dual numbers.
+    """
+    laws = workspace.mechanism.topology.laws.copy()
+    for row, (name, law) in enumerate(workspace.mechanism.laws):
+        laws[row, 0] = law_for_duals(law, name).address
+    return laws
+
+
+class DifferentiatedSteps:
+    """The derivatives of the steps of a compiled method, one step at a time.
+
+    Parameters
+    ----------
+    method
+        The method of the run.
+    workspace
+        The mechanism and its start.
+    seeds
+        Derivatives of mechanism and start by parameters.
+    rows, nodes
+        Number of recorded states without the first, and of stages that are kept.
+
+    Raises
+    ------
+    NoDerivativeError
+        If the steps of the method cannot be differentiated.
+    """
+
+    def __init__(
+        self, method: CompiledExplicit | CompiledCollocation, workspace: Workspace, seeds: Seeds, rows: int, nodes: int
+    ):
+        self.method, self.workspace = method, workspace
+        self.run: DualRun = new_dual_run(workspace, seeds, dual_laws(workspace), rows, nodes)
+        self._pinned = PinnedBundle(self.run)
+        self._solver = workspace.solver
+        self._plain: Any = None
+        self._take_up_method()
+        self._stage_count = len(method.bundle.b if isinstance(method, CompiledExplicit) else method.rk.b)
+
+    def _take_up_method(self) -> None:
+        """Make the bundle of dual numbers that belongs to the current bundle of the method."""
+        method = self.method
+        if isinstance(method, CompiledExplicit):
+            self._plain = method.bundle
+            self._stages = PinnedBundle(dual_explicit(method.bundle))
+            return
+        if method.formulation.code == GGL:
+            raise NoDerivativeError("the formulation ggl is not differentiated; use index-1, index-2 or index-3")
+        new = dual_stages(method.bundle)
+        if self._plain is not None:  # new pivots; the derivatives of the last stages remain valid
+            new.acc[...] = self._stages.bundle.acc
+            new.previous.size[:], new.previous.begin[:] = np.nan, 0.0
+        self._plain = method.bundle
+        self._stages = PinnedBundle(new)
+        self._kernel = constrained_step if method.formulation.solves_multipliers else index1_step
+
+    def step(self, run_state: int, t: float, h: float, row: int) -> None:
+        """Differentiate the step of size `h` from `t` that the run at this address has taken, and record its end.
+
+        Raises
+        ------
+        StepError
+            If its derivatives cannot be computed.
+        """
+        self.take_up_solver()
+        self._make_room(row)
+        if isinstance(self.method, CompiledExplicit):
+            status = explicit_step(self._pinned.address, run_state, self._stages.address, t, h, row)
+        else:
+            if self.method.bundle is not self._plain:
+                self._take_up_method()
+            status = self._kernel(
+                self._pinned.address, run_state, self._stages.address, self.method.pinned.address, t, h, row
+            )
+        if status != OK:
+            raise StepError(
+                "newton-failed",
+                f"the derivatives of the step from t = {t:.6g} s by parameters cannot be computed (status {status}); "
+                "a smaller time.step may help",
+            )
+
+    def take_up_solver(self) -> None:
+        """Use the current solver of the workspace."""
+        if self.workspace.solver is self._solver:
+            return
+        self._solver = self.workspace.solver
+        numbers = self.run.solver.numbers._replace(solver=self._solver)
+        self._renew(solver=new_dual_solver(numbers, self.run.solver.row_index))
+
+    def _renew(self, **fields: Any) -> None:
+        self.run = self.run._replace(**fields)
+        self._pinned.replace(self.run)
+
+    def _make_room(self, row: int) -> None:
+        """Enlarge the buffers of recorded states and of nodes if the next step needs that."""
+        run = self.run
+        if row >= len(run.row_q):
+            self._enlarge(("row_q", "row_v", "row_energy"), row + 1)
+        used = int(run.nodes[1])
+        if run.nodes[0] and used + self._stage_count > len(run.node_time):
+            self._enlarge(("node_time", "node_weight", "node_q", "node_v"), used + self._stage_count)
+
+    def _enlarge(self, names: tuple[str, ...], rows: int) -> None:
+        self._renew(**{name: _enlarged(getattr(self.run, name), rows) for name in names})
+
+    def recorded(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the first recorded positions, velocities and energies after the start, with their derivatives."""
+        run = self.run
+        return np.asarray(run.row_q[:count]), np.asarray(run.row_v[:count]), np.asarray(run.row_energy[:count])
+
+    def nodes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return times, weights, positions and velocities of the stages that were kept."""
+        run, some = self.run, slice(int(self.run.nodes[1]))
+        return run.node_time[some], run.node_weight[some], np.asarray(run.node_q[some]), np.asarray(run.node_v[some])
+
+
+class DifferentiatedStepper(CompiledStepper):
+    """Runs a compiled method with fixed or controlled steps, and differentiates every step.
+
+    Parameters
+    ----------
+    method, workspace, timetable, control
+        See `CompiledStepper`. The step sizes of `control` are not differentiated.
+    seeds
+        Derivatives of mechanism and start by up to `DIRECTIONS` parameters.
+    rows, nodes
+        Number of recorded states without the first, and of stages that are kept.
+
+    Attributes
+    ----------
+    recorded
+        Number of states recorded so far, without the first.
+    """
+
+    def __init__(
+        self,
+        method: CompiledExplicit | CompiledCollocation,
+        workspace: Workspace,
+        timetable: Timetable,
+        control: Control | None,
+        seeds: Seeds,
+        rows: int,
+        nodes: int,
+    ):
+        self.steps: DifferentiatedSteps | None = None
+        self.recorded = 0
+        super().__init__(method, workspace, timetable, control)
+        if self.mode != NO_PROJECTION:
+            raise NoDerivativeError("steps with projection are not differentiated; use `stabilization: none`")
+        self.steps = DifferentiatedSteps(method, workspace, seeds, rows, nodes)
+
+    def _drive(self, plan: PinnedBundle, budget: int) -> tuple[int, int]:
+        """Attempt up to `budget` steps of a plan, one after another, and differentiate those that are accepted."""
+        if self.steps is None or budget <= 0:
+            return super()._drive(plan, budget)
+        c = self.run_state
+        progress, rows, limit = (
+            c.progress,
+            (c.row_time, c.row_q, c.row_v, c.row_energy, c.row_interval),
+            len(c.row_time),
+        )
+        count = 0
+        while True:
+            before = int(progress.accepted[0])
+            status, written = super()._drive(plan, 1)
+            if int(progress.accepted[0]) > before:
+                t, h = float(progress.tried_begin[0]), float(progress.last_size[0])
+                self.steps.step(self._pinned_state.address, t, h, self.recorded if written else -1)
+            if written:
+                self.recorded += 1
+                count += 1
+                if count > 1:  # the driver writes each row into the first place; so the first one is kept
+                    for x in rows:
+                        x[count - 1] = x[0]
+                else:
+                    first = [np.copy(x[0]) for x in rows]
+            budget -= 1
+            if status != OK or budget <= 0 or count >= limit or progress.time[0] >= self.timetable.end:
+                break
+        if count > 1:
+            for x, row in zip(rows, first, strict=True):
+                x[0] = row
+        return status, count
+
+
+def _enlarged(x: Any, rows: int) -> Any:
+    """Return an array with its values, and room for at least `rows` rows."""
+    larger = np.zeros((max(rows, 2 * len(x)), *x.shape[1:])).view(type(x))
+    larger[: len(x)] = x
+    return larger

@@ -1,0 +1,167 @@
+"""Differentiated steps of collocation methods; see `mbdkit.stepping.dual_run`.
+
+The stages of the run satisfy their equations. Their derivatives follow from the same iteration with the same factors:
+the residual is evaluated with dual numbers, so that its derivatives are exact, and the iteration goes on until those of
+the stages no longer change.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.engine.jit import dual_complex  # noqa: F401  arithmetic that the kernels of this module use
+from mbdkit.engine.jit.bundle import bundle_loader
+from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
+from mbdkit.engine.jit.dual_types import larger_derivatives, largest_quotient, with_value
+from mbdkit.engine.kernels.system import DIVERGED, OK
+from mbdkit.stepping import collocation_constrained, collocation_index1
+from mbdkit.stepping.collocation_stages import NEWTON, Stages, example_stages, load_stages
+from mbdkit.stepping.collocation_step import increments
+from mbdkit.stepping.dual_run import advance, keep_node, load_dual_run, take_base, with_derivatives
+from mbdkit.stepping.run_state import load_run_state
+from mbdkit.stepping.simplified_newton import newton_changes
+from mbdkit.stepping.stage_polynomials import dense_gains, extrapolate, extrapolation_weights, stage_states
+
+MOST_ITERATIONS = 60
+SMALL = 1e-14
+"""Relative change of the derivatives of a step at which the iteration ends, by its rate of convergence."""
+STALLED, NEGLIGIBLE = 0.5, 1e-5
+"""A change that shrinks by less than the first is round-off if it is below the second."""
+
+
+def dual_stages(m: Stages) -> Stages:
+    """Return the bundle of a collocation method with stages of dual numbers; coefficients and factors are numbers."""
+    names = ("acc", "lam", "q_stage", "v_stage", "residual", "change", "constraints", "power", "spread", "pairs")
+    systems = m.systems
+    factors = {name: getattr(systems, name) for name in ("real", "cplx")}
+    work = {name: with_derivatives(getattr(systems, name)) for name in systems._fields[4:]}
+    factors = {name: one._replace(work=with_derivatives(one.work)) for name, one in factors.items()}
+    own = m.previous._replace(begin=np.zeros(1), size=np.full(1, np.nan))
+    return m._replace(
+        **{name: with_derivatives(getattr(m, name)) for name in names},
+        systems=systems._replace(**factors, **work),
+        previous=own,
+        weights=m.weights.copy(),
+    )
+
+
+load_dual_stages = bundle_loader(lambda: dual_stages(example_stages()))
+
+
+@subkernel
+def _predict(m, t, h):
+    """Extrapolate the stages of the previous step."""
+    size = m.previous.size[0]
+    if abs(size) > 0.0:
+        extrapolation_weights((t - m.previous.begin[0]) / size, h / size, m.rk.c, m.weights)
+        extrapolate(m.weights, m.acc, m.spread)
+    m.previous.begin[0], m.previous.size[0] = t, h
+
+
+@subkernel
+def _take_values(m, k):
+    """Copy the values of the stages from the bundle of the run."""
+    for i in range(len(m.acc)):
+        for d in range(len(m.acc[0])):
+            m.acc[i, d] = with_value(m.acc[i, d], k.acc[i, d])
+        for p in range(len(m.lam[0])):
+            for r in range(2):
+                m.lam[i, p, r] = with_value(m.lam[i, p, r], k.lam[i, p, r])
+
+
+@subkernel
+def _change_accelerations(m, k):
+    """Change the derivatives of the accelerations; return the largest change relative to the largest derivative."""
+    change, size = m.change[0, 0], m.acc[0, 0]
+    for i in range(len(m.change)):
+        for d in range(len(m.acc[0]) - 3):
+            m.acc[i, d] = with_value(m.acc[i, d] + m.change[i, d], k.acc[i, d])
+            change = larger_derivatives(change, m.change[i, d])
+            size = larger_derivatives(size, m.acc[i, d])
+    return largest_quotient(change, size)
+
+
+@subkernel
+def _index1_changes(c, n, m, k, t, h):
+    """Write the changes of the derivatives of the stages by one iteration; return a status."""
+    status = collocation_index1.evaluate_accelerations(c, m, t, h, False, False)
+    if status != OK:
+        return status
+    newton = m.settings.solver[0] == NEWTON
+    for i in range(len(m.residual)):
+        for d in range(len(c.q) - 3):
+            lack = m.acc[i, d] - m.spread[i, d]
+            m.residual[i, d] = lack
+            m.change[i, d] = -lack
+    if newton:
+        newton_changes(n, m, h, collocation_index1.right_side)
+    return OK
+
+
+@subkernel
+def _constrained_changes(c, n, m, k, t, h):
+    """Write the changes of the derivatives of the stages by one iteration, and change the multipliers."""
+    collocation_constrained.evaluate_residual(c, m, t, h)
+    newton_changes(n, m, h, collocation_constrained.right_side)
+    for i in range(len(m.change)):
+        for p in range(len(c.top.pairs)):
+            for r in range(c.top.rows[p]):
+                changed = m.lam[i, p, r] + m.change[i, c.solver.row_index[p, r]]
+                m.lam[i, p, r] = with_value(changed, k.lam[i, p, r])
+    return OK
+
+
+@inlined
+def _step(dual, run, method, plain, t, h, row, changes, powers):
+    """Differentiate a step; `changes` and `powers` belong to the formulation."""
+    c, n, m, k = load_dual_run(dual), load_run_state(run), load_dual_stages(method), load_stages(plain)
+    take_base(c, n)
+    _predict(m, t, h)
+    _take_values(m, k)
+    before = 0.0
+    converged = False
+    for iteration in range(MOST_ITERATIONS):
+        stage_states(c, m, h)
+        status = changes(c, n, m, k, t, h)
+        if status != OK:
+            return status
+        now = _change_accelerations(m, k)
+        ratio = now / before
+        converges_to_it = ratio < 1.0 and now * ratio / (1.0 - ratio) < SMALL
+        if now == 0.0 or (iteration > 0 and (converges_to_it or (ratio > STALLED and now < NEGLIGIBLE))):
+            converged = True
+            break
+        before = now
+    if not converged:
+        return DIVERGED
+    stage_states(c, m, h)
+    if c.has_power[0] != 0:
+        status = powers(c, m, t, h)
+        if status != OK:
+            return status
+        dense_gains(h, m.rk.b, m.power, c.gain)
+    increments(c, m, h)
+    for i in range(len(m.rk.c)):
+        keep_node(c, t + m.rk.c[i] * h, h * m.rk.b[i], m.q_stage[i], m.v_stage[i])
+    advance(c, n, row)
+    return OK
+
+
+@kernel
+def index1_step(dual, run, method, plain, t, h, row):
+    """Differentiate the step of size `h` from `t` that a run has taken on the index-1 equations; return a status.
+
+    Parameters
+    ----------
+    dual, run, method, plain
+        Addresses of the `DualRun`, of the `RunState`, and of the method's bundles of dual numbers and of numbers.
+    row
+        Place where the end of the step is recorded; -1 if it is not.
+    """
+    return _step(dual, run, method, plain, t, h, row, _index1_changes, collocation_index1.stage_powers)
+
+
+@kernel
+def constrained_step(dual, run, method, plain, t, h, row):
+    """Differentiate a step on the constraints of index 2 or 3; see `index1_step`."""
+    return _step(dual, run, method, plain, t, h, row, _constrained_changes, collocation_constrained.stage_powers)

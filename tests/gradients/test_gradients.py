@@ -1,0 +1,187 @@
+"""Gradients of measures: published values, derivatives that are known, and what is refused."""
+
+from __future__ import annotations
+
+from math import pi, sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.errors import SpecError
+
+SLIDER_CRANK: dict[str, Any] = {
+    "mbdkit": 1,
+    "parameters": {"k": 1.0, "c": 1.0},
+    "model": {
+        "name": "mechanism",
+        "gravity": [0.0, 0.0],
+        "bodies": {
+            "crank": {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0], "angle": pi / 2},
+            "rod": {"mass": 1.0, "inertia": 2.0, "position": [sqrt(3) / 2, 0.0], "angle": -pi / 6},
+        },
+        "joints": {
+            "A": {"type": "revolute", "bodies": ["ground", "crank"], "points": [[0, 0], [0, 0]]},
+            "B": {"type": "revolute", "bodies": ["crank", "rod"], "points": [[0.5, 0], [-1, 0]]},
+            "C": {"type": "point-on-line", "bodies": ["ground", "rod"], "points": [[0, 0], [0, 0]], "axis": [1, 0]},
+        },
+        "forces": {
+            "s": {
+                "type": "spring-damper", "bodies": ["crank", "rod"], "points": [[0.25, 0], [-0.5, 0]],
+                "stiffness": "k", "damping": "c", "free_length": 1.0,
+            },
+            "f": {"type": "force", "body": "rod", "point": [1, 0], "value": [1.0, 0.0]},
+        },
+    },
+}  # fmt: skip
+"""The slider-crank of SUNDIALS, example idasSlCrank_FSA_dns."""
+
+PENDULUM: dict[str, Any] = {
+    "integrator": {"name": "gauss", "stages": 2},
+    "time": {"end": 0.5, "step": 0.02},
+}
+
+
+@pytest.mark.parametrize(
+    ("integrator", "step"),
+    [
+        ({"name": "gauss", "stages": 3}, 0.01),
+        ({"name": "radau-iia", "stages": 3}, 0.01),
+        ({"name": "rk4"}, 0.004),
+    ],
+)
+def test_gradient_of_the_slider_crank_of_sundials(integrator: dict[str, Any], step: float) -> None:
+    # expected: the integral of the kinetic energy over 10 s and its derivatives by stiffness and damping, computed from
+    # the equations of the example in one coordinate to 13 digits
+    found = mbdkit.gradient(
+        SLIDER_CRANK,
+        "integral(energy.kinetic)",
+        ["k", "c"],
+        check=False,
+        integrator=integrator,
+        time={"end": 10.0, "step": step},
+    )
+    assert found.value == pytest.approx([3.3366067994828], rel=0, abs=1e-10)
+    np.testing.assert_allclose(found.jacobian, [[0.333448106128, -0.363754033971]], rtol=0, atol=1e-10)
+
+
+def test_the_differentiated_run_has_the_values_of_the_run() -> None:
+    # expected: the same bits, since the gradient is that of the numbers that a run computes
+    measures = ["final(bodies.rod.angle)", "max(abs(joints.B.force))", "final(energy.dissipated)"]
+    for integrator in ({"name": "rk4"}, {"name": "gauss", "stages": 2}):
+        sections = {"integrator": integrator, "time": {"end": 1.0, "step": 0.02}}
+        found = mbdkit.gradient(SLIDER_CRANK, measures, "k", check=False, **sections)
+        run = mbdkit.run(SLIDER_CRANK, measures=dict(zip("abc", measures, strict=True)), **sections)
+        assert found.value.tolist() == [run.measures[name] for name in "abc"]
+
+
+def test_gradient_by_an_initial_angle_is_that_of_a_free_rotation() -> None:
+    # expected: a balanced rotor turns by its initial rate, so that d(angle)/d(angle) = 1 and d(angle)/d(rate) = T
+    rotor = {
+        "mbdkit": 1,
+        "model": {
+            "name": "mechanism",
+            "bodies": {"rotor": {"mass": 2.0, "inertia": 0.3, "angle": 0.4, "angular_velocity": 0.7}},
+            "joints": {"hub": {"type": "revolute", "bodies": ["ground", "rotor"], "points": [[0, 0], [0, 0]]}},
+        },
+    }
+    wanted = ["model.bodies.rotor.angle", "model.bodies.rotor.angular_velocity", "model.bodies.rotor.mass"]
+    found = mbdkit.gradient(rotor, ["final(bodies.rotor.angle)", "max(abs(joints.hub.force))"], wanted, **PENDULUM)
+    np.testing.assert_allclose(found.jacobian, [[1.0, 0.5, 0.0], [0.0, 0.0, 9.81]], rtol=0, atol=1e-12)
+    assert found.parameters == tuple(wanted)
+    assert found["final(bodies.rotor.angle)", "model.bodies.rotor.angular_velocity"] == pytest.approx(0.5)
+
+
+def test_more_parameters_than_one_pass_takes_give_the_same_gradient() -> None:
+    every = [
+        f"model.bodies.{body}.{key}"
+        for body in ("crank", "rod")
+        for key in ("mass", "inertia", "position.0", "position.1", "angle", "velocity.0", "angular_velocity")
+    ]
+    measures = ["final(energy.kinetic)", "mean(bodies.rod.x)"]
+    sections = {"integrator": {"name": "rk4"}, "time": {"end": 0.2, "step": 0.02}}
+    both = mbdkit.gradient(SLIDER_CRANK, measures, every, **sections)
+    last = mbdkit.gradient(SLIDER_CRANK, measures, every[-2:], check=False, **sections)
+    np.testing.assert_array_equal(both.jacobian[:, -2:], last.jacobian)
+    assert both.check is not None
+    assert both.check.is_passed, str(both)
+
+
+def test_check_reports_a_wrong_gradient_with_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    from mbdkit.gradients import gradient_check
+
+    found = gradient_check.check_gradient(
+        mbdkit.RunSpec(**SLIDER_CRANK, **PENDULUM),
+        gradient_check_parameters(),
+        lambda specs: np.array([[float(str(spec.parameters["k"])) ** 2] for spec in specs]),
+        {"square": 1.0},
+        np.array([[2.1]]),
+    )
+    assert not found.is_passed
+    assert abs(found.extrapolated[0]) == pytest.approx(2.0)
+    assert "square: the derivative in a random direction" in str(found)
+    assert "DISAGREES" in str(found)
+
+
+def gradient_check_parameters() -> tuple[Any, ...]:
+    from mbdkit.gradients.gradient_parameters import Parameter
+
+    return (Parameter("k", ("parameters", "k"), 1.0),)
+
+
+def test_a_peak_at_two_times_is_said_to_have_no_derivative() -> None:
+    # an undamped oscillator reaches the same height again after a period
+    oscillator = {
+        "mbdkit": 1,
+        "model": {
+            "name": "mechanism",
+            "gravity": [0.0, 0.0],
+            "bodies": {"weight": {"mass": 1.0, "position": [1.0, 0.0]}},
+            "forces": {
+                "spring": {
+                    "type": "spring-damper", "bodies": ["ground", "weight"], "points": [[-3.0, 0.0], [0.0, 0.0]],
+                    "stiffness": 4 * pi**2, "free_length": 3.0,
+                }
+            },
+        },
+        "integrator": {"name": "gauss", "stages": 3},
+        "time": {"end": 2.0, "step": 0.02},
+    }  # fmt: skip
+    found = mbdkit.gradient(oscillator, "max(bodies.weight.x)", "model.forces.spring.stiffness", check=False)
+    assert "is taken at several times" in "".join(found.doubts)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "message"),
+    [
+        ("kk", "there is no parameter 'kk' (did you mean 'k'?)"),
+        ("model.bodies.rodd.mass", "no key 'model.bodies.rodd.mass': there is no 'rodd' in model.bodies"),
+        ("model.forces.s.stiffness", "is the text or expression 'k'"),
+        ("model.bodies.rod", "should be the key of a number"),
+        ("time.step", "is no parameter of the model"),
+    ],
+)
+def test_wrong_parameters_are_refused(parameter: str, message: str) -> None:
+    with pytest.raises(SpecError) as error:
+        mbdkit.gradient(SLIDER_CRANK, "final(energy.kinetic)", parameter, **PENDULUM)
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("sections", "message"),
+    [
+        ({"integrator": {"name": "scipy-dop853"}}, "mbdkit:scipy-dop853 has no derivatives by parameters: fixed steps"),
+        ({"stabilization": {"name": "projection"}}, "steps with projection are not differentiated"),
+        ({"output": {"interval": 0.1}}, "states recorded by `interval` have no derivatives"),
+    ],
+)
+def test_runs_without_derivatives_are_refused(sections: dict[str, Any], message: str) -> None:
+    with pytest.raises(SpecError) as error:
+        mbdkit.gradient(SLIDER_CRANK, "final(energy.kinetic)", "k", **{**PENDULUM, **sections})
+    assert message in str(error.value)
+
+
+def test_a_measure_without_derivative_is_refused() -> None:
+    with pytest.raises(SpecError, match=r"joints\.B\.misalignment has no derivative"):
+        mbdkit.gradient(SLIDER_CRANK, "max(joints.B.misalignment)", "k", **PENDULUM)
