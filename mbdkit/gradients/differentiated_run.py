@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -12,13 +11,15 @@ from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.jit.dual_arrays import Duals
 from mbdkit.engine.jit.dual_types import DIRECTIONS
-from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.kernels.dual_observe import observe_duals
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.system import OK
-from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import RunError, SpecError
+from mbdkit.gradients.differentiated_states import States, series_of
+from mbdkit.gradients.prepared_derivatives import CENTRAL, weights
+from mbdkit.measures.measure_expression import SeriesExpression
 from mbdkit.run_preparation import build, guards, make_method, size_at_start, timetable
+from mbdkit.simulation import simulate
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper, NoDerivativeError
 from mbdkit.stepping.dual_run import Seeds, constants, dual_states
@@ -26,50 +27,44 @@ from mbdkit.stepping.start import start_differentiated
 
 
 @dataclass(frozen=True)
-class States:
-    """T states of a run with derivatives by K parameters, and what is computed from them.
+class Event:
+    """A crossing of an event: its name and time [s], the expression, and whether it ends the run."""
 
-    All arrays but `time` and `weight` have a last axis of 1 + K: the value, then the derivatives.
+    name: str
+    time: float
+    expression: SeriesExpression
+    stops: bool
 
-    Parameters
-    ----------
-    workspace
-        The mechanism.
-    time
-        (T,) times [s].
-    weight
-        (T,) weights of an integral over time [s]; None for recorded states.
-    q, v
-        (T, 3 (B + 1), 1 + K) positions and velocities, ground last.
-    energy
-        (T, 2, 1 + K) work and dissipated energy [J]; None where they are not known.
-    observed
-        Accelerations, reactions, forces, markers and energies.
-    """
 
-    workspace: Workspace
-    time: np.ndarray
-    weight: np.ndarray | None
-    q: np.ndarray
-    v: np.ndarray
-    energy: np.ndarray | None
-    observed: Observed
+@dataclass(frozen=True)
+class Crossing:
+    """A crossing of an event: its name, its time [s], and the derivatives (K,) of the time."""
 
-    @cached_property
-    def reactions(self) -> np.ndarray:
-        """(T, J, 3, 1 + K) reaction force (x, y) [N] and torque [N m] of each joint."""
-        x = self.observed.reactions
-        flat = x.reshape(*x.shape[:2], 3 * x.shape[-1])
-        summed = JointSums(self.workspace.mechanism).sum(flat)
-        return summed.reshape(*summed.shape[:2], 3, x.shape[-1])
+    name: str
+    time: float
+    slope: np.ndarray
 
 
 @dataclass(frozen=True)
 class DifferentiatedRun:
-    """The recorded states of a run, and the stages of its steps as nodes of integrals, with derivatives."""
+    """The states of a run with derivatives.
+
+    Parameters
+    ----------
+    rows
+        Recorded states; the last one moves with the end of the run.
+    nodes
+        Stages of the steps, as nodes of integrals over time.
+    end
+        (K,) derivatives of the time at which the run ends; not zero if an event ends it.
+    crossings
+        Events in order of time.
+    """
 
     rows: States
     nodes: States
+    end: np.ndarray
+    crossings: tuple[Crossing, ...]
 
 
 def differentiated_run(spec: RunSpec, seeds: Seeds, count: int, *, with_nodes: bool) -> DifferentiatedRun:
@@ -100,7 +95,14 @@ def differentiated_run(spec: RunSpec, seeds: Seeds, count: int, *, with_nodes: b
         )
     if len(parts) == 1:
         return parts[0]
-    return DifferentiatedRun(_joined([one.rows for one in parts]), _joined([one.nodes for one in parts]))
+    crossings = (
+        Crossing(same[0].name, same[0].time, np.concatenate([one.slope for one in same]))
+        for same in zip(*(one.crossings for one in parts), strict=True)
+    )
+    end = np.concatenate([one.end for one in parts])
+    return DifferentiatedRun(
+        _joined([one.rows for one in parts]), _joined([one.nodes for one in parts]), end, tuple(crossings)
+    )
 
 
 def refuse(spec: RunSpec) -> None:
@@ -112,8 +114,6 @@ def refuse(spec: RunSpec) -> None:
             "states recorded by `interval` have no derivatives; record every k-th step by `every`",
             key="output.interval",
         )
-    if spec.events:
-        raise SpecError("runs with events have no derivatives", key="events")
 
 
 def _pass(spec: RunSpec, seeds: Seeds, count: int, with_nodes: bool) -> DifferentiatedRun:
@@ -123,6 +123,7 @@ def _pass(spec: RunSpec, seeds: Seeds, count: int, with_nodes: bool) -> Differen
     table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
+    events = events_of(spec) if spec.events else []
     try:
         stepper = start_differentiated(method, workspace, table, seeds, with_nodes=with_nodes)
     except NoDerivativeError as error:
@@ -132,50 +133,147 @@ def _pass(spec: RunSpec, seeds: Seeds, count: int, with_nodes: bool) -> Differen
     except SingularSystemError as error:
         name = workspace.mechanism.unknown_name(error.index)
         raise RunError(f"the stage equations are singular at the start, near {name}") from None
-    times = [np.array([workspace.t0])]
-    while not (stepper.finished or stepper.failure):
-        times.append(stepper.advance().time)
-    if stepper.failure:
-        raise RunError(f"a run that stops early has no gradient: {stepper.failure.code}: {stepper.failure.sentence}")
-    return DifferentiatedRun(*_observed(stepper, np.concatenate(times), seeds, 1 + count))
+    return _Pass(spec, stepper, seeds, 1 + count).run(events)
 
 
-def _observed(stepper: DifferentiatedStepper, time: np.ndarray, seeds: Seeds, width: int) -> tuple[States, States]:
-    """Return recorded states and nodes, with what is computed from them."""
-    workspace, steps = stepper.workspace, stepper.steps
-    assert steps is not None
-    q0, v0 = (constants(x, seeds.get(name))[None] for name, x in (("q", workspace.q0), ("v", workspace.v0)))
-    q, v, energy = steps.recorded(len(time) - 1)
-    q, v = np.concatenate([q0, q]), np.concatenate([v0, v])
-    energy = np.concatenate([np.zeros((1, *energy.shape[1:])), energy])
-    workspace.clamp_motions(-np.inf, np.inf)
-    rows = _evaluated(stepper, time, None, q, v, energy, width)
-    return rows, _evaluated(stepper, *steps.nodes(), None, width)
+class _Pass:
+    """One differentiated run.
+
+    Parameters
+    ----------
+    stepper
+        The run at its start.
+    width
+        Number of derivatives, plus 1.
+    """
+
+    def __init__(self, spec: RunSpec, stepper: DifferentiatedStepper, seeds: Seeds, width: int):
+        assert stepper.steps is not None
+        self.spec, self.stepper, self.seeds, self.width = spec, stepper, seeds, width
+        self.workspace, self.steps = stepper.workspace, stepper.steps
+
+    def run(self, events: Sequence[Event]) -> DifferentiatedRun:
+        """Take all steps, and return the states with their derivatives."""
+        stepper, times = self.stepper, [np.array([self.workspace.t0])]
+        waiting, at_events = list(events), []
+        last: tuple[float, np.ndarray, np.ndarray, np.ndarray] | None = None
+        while not (stepper.finished or stepper.failure):
+            stretch = stepper.advance()
+            step = stepper.last_step
+            while waiting and step is not None and last is None and waiting[0].time <= step.t1:
+                event = waiting.pop(0)
+                theta = min(1.0, (event.time - step.t0) / (step.t1 - step.t0))
+                if event.stops:
+                    last = stepper.cut_with_derivatives(theta)
+                    at_events.append(last[1:3])
+                else:
+                    at_events.append(stepper.derivatives_within(theta))
+            times.append(stretch.time if last is None else stretch.time[stretch.time < last[0]])
+        if stepper.failure:
+            told = f"{stepper.failure.code}: {stepper.failure.sentence}"
+            raise RunError(f"a run that stops early has no gradient: {told}")
+        return self._observed(np.concatenate(times), last, events, at_events)
+
+    def _observed(
+        self,
+        time: np.ndarray,
+        last: tuple[float, np.ndarray, np.ndarray, np.ndarray] | None,
+        events: Sequence[Event],
+        at_events: Sequence[tuple[np.ndarray, np.ndarray]],
+    ) -> DifferentiatedRun:
+        """Return recorded states, nodes and states at events, with what is computed from them."""
+        workspace = self.workspace
+        q0, v0 = (constants(x, self.seeds.get(name))[None] for name, x in (("q", workspace.q0), ("v", workspace.v0)))
+        q, v, energy = self.steps.recorded(len(time) - 1)
+        q, v = np.concatenate([q0, q]), np.concatenate([v0, v])
+        energy = np.concatenate([np.zeros((1, *energy.shape[1:])), energy])
+        workspace.clamp_motions(-np.inf, np.inf)
+        crossings = [self._crossing(event, *state) for event, state in zip(events, at_events, strict=False)]
+        moved = np.zeros(self.width - 1)
+        if last is not None:  # the end moves with the parameters
+            moved = crossings[-1].slope
+            time = np.append(time, last[0])
+            energy = np.concatenate([energy, last[3][None]])
+            ends = self._moving_end(last, moved)
+            q, v = np.concatenate([q, ends[0][None]]), np.concatenate([v, ends[1][None]])
+        rows = self.evaluated(time, None, q, v, energy)
+        return DifferentiatedRun(rows, self.evaluated(*self.steps.nodes(), None), moved, tuple(crossings))
+
+    def _moving_end(
+        self, last: tuple[float, np.ndarray, np.ndarray, np.ndarray], moved: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the last state with the derivatives along a change of its time."""
+        t, q, v, _ = last
+        state = self.evaluated(np.array([t]), None, q[None], v[None], None)
+        q, v = q.copy(), v.copy()
+        some = slice(1, self.width)
+        q[:, some] += np.outer(v[:, 0], moved)
+        v[:, some] += np.outer(state.observed.acc[0, :, 0], moved)
+        return q, v
+
+    def _crossing(self, event: Event, q: np.ndarray, v: np.ndarray) -> Crossing:
+        """Return the time of an event and its derivatives, ``-g_p / g_t`` for the expression g that crosses zero."""
+        here = self.evaluated(np.array([event.time]), None, q[None], v[None], None)
+        value = series_of(event.expression, here)
+        acc = here.observed.acc[0, :, 0]
+        unit = self.spec.time.step or 1e-3
+        offsets = unit * np.array(CENTRAL) / 32.0
+        moved_q, moved_v = (constants(x[:, 0] + offsets[:, None] * rate) for x, rate in ((q, v[:, 0]), (v, acc)))
+        around = self.evaluated(event.time + offsets, None, moved_q, moved_v, None)
+        differences = series_of(event.expression, around).value - value.value[0]
+        rate = float(np.dot(weights(CENTRAL), differences)) / (unit / 32.0)
+        with np.errstate(all="ignore"):
+            return Crossing(event.name, event.time, -value.slope[:, 0] / rate)
+
+    def evaluated(
+        self, time: np.ndarray, weight: np.ndarray | None, q: np.ndarray, v: np.ndarray, energy: np.ndarray | None
+    ) -> States:
+        """Return states with what is computed from them."""
+        self.steps.take_up_solver()
+        states = dual_states(self.steps.run, self.workspace, time, q.view(Duals), v.view(Duals))
+        done = 0
+        renewed = -1
+        while done < len(time):
+            part = slice(done, None)
+            rest = states._replace(
+                solver=self.steps.run.solver, time=states.time[part], q=states.q[part], v=states.v[part],
+                observed=states.observed.rows(part),
+            )  # fmt: skip
+            pinned = PinnedBundle(rest)
+            status, row = observe_duals(pinned.address)
+            done += int(row)
+            if status != OK:
+                self._use_other_pivots(float(time[done]), is_last_try=renewed == done)
+                renewed = done
+        some = slice(self.width)
+        observed = Observed(*(np.asarray(x[..., some]) for x in states.observed))
+        return States(
+            self.workspace, time, weight, np.asarray(q[..., some]), np.asarray(v[..., some]),
+            None if energy is None else np.asarray(energy[..., some]), observed,
+        )  # fmt: skip
+
+    def _use_other_pivots(self, t: float, *, is_last_try: bool) -> None:
+        """Choose pivots for the state that could not be evaluated; raise RunError if there are none."""
+        try:
+            if is_last_try or not self.workspace.is_finite(tangents=False):
+                raise SingularSystemError
+            self.workspace.use_pivots()
+        except SingularSystemError:
+            raise RunError(f"the accelerations at t = {t:.6g} s have no derivatives") from None
+        self.steps.take_up_solver()
 
 
-def _evaluated(
-    stepper: DifferentiatedStepper,
-    time: np.ndarray,
-    weight: np.ndarray | None,
-    q: np.ndarray,
-    v: np.ndarray,
-    energy: np.ndarray | None,
-    width: int,
-) -> States:
-    """Return states with what is computed from them."""
-    steps, workspace = stepper.steps, stepper.workspace
-    assert steps is not None
-    steps.take_up_solver()
-    states = dual_states(steps.run, workspace, time, q.view(Duals), v.view(Duals))
-    pinned = PinnedBundle(states)
-    status, row = observe_duals(pinned.address)
-    if status != OK:
-        raise RunError(f"the derivatives of the accelerations at t = {time[row]:.6g} s cannot be computed")
-    observed = Observed(*(np.asarray(x[..., :width]) for x in states.observed))
-    cut = [None if x is None else np.asarray(x[..., :width]) for x in (q, v, energy)]
-    assert cut[0] is not None
-    assert cut[1] is not None
-    return States(workspace, time, weight, cut[0], cut[1], cut[2], observed)
+def events_of(spec: RunSpec) -> list[Event]:
+    """Return the events of a run in order of time."""
+    run = simulate(spec, notify=lambda message: None)
+    run.check()
+    expressions = {name: SeriesExpression.parse(event.when, spec) for name, event in spec.events.items()}
+    found = [
+        Event(name, float(time), expressions[name], event.action == "stop")
+        for name, event in spec.events.items()
+        for time in run.events.of_name(name).time
+    ]
+    return sorted(found, key=lambda event: (event.time, event.stops))
 
 
 def _joined(parts: Sequence[States]) -> States:

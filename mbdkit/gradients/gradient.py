@@ -155,12 +155,13 @@ def _gradient(
     prepared = prepared_derivatives(spec, parameters)
     with_nodes = any(map(uses_nodes, expressions.values()))
     run = differentiated_run(spec, prepared.seeds, len(parameters), with_nodes=with_nodes)
-    values, slopes, doubts = [], [], []
+    values, slopes, doubts, sizes = [], [], [], []
     measure = MeasureOfRun(run)
     for expression in expressions.values():
         value, slope = measure.of(expression)
         values.append(value)
         slopes.append(slope)
+        sizes.append(max(abs(value), measure.size))
         doubts += measure.doubts
     jacobian = np.array(slopes).reshape(len(values), len(parameters))
     found = None
@@ -169,7 +170,7 @@ def _gradient(
         def measured(specs: Sequence[RunSpec]) -> np.ndarray:
             return np.array([_values(one, expressions, with_nodes=with_nodes) for one in specs])
 
-        found = check_gradient(spec, parameters, measured, dict(zip(expressions, values, strict=True)), jacobian)
+        found = check_gradient(spec, parameters, measured, dict(zip(expressions, sizes, strict=True)), jacobian)
     return Gradient(
         tuple(expressions), tuple(one.unit.text for one in expressions.values()), tuple(one.name for one in parameters),
         np.array(values), jacobian, prepared.error, tuple(doubts), found,

@@ -78,7 +78,7 @@ def check_gradient(
     spec: RunSpec,
     parameters: Sequence[Parameter],
     measured: Callable[[Sequence[RunSpec]], np.ndarray],
-    values: Mapping[str, float],
+    sizes: Mapping[str, float],
     jacobian: np.ndarray,
 ) -> GradientCheck:
     """Check a gradient by four runs.
@@ -87,8 +87,8 @@ def check_gradient(
     ----------
     measured
         Returns the measures (N, M) of N runs.
-    values
-        Measures of the run by name.
+    sizes
+        Sizes of the numbers that each measure is computed from, by its name.
     jacobian
         (M, K) their gradients.
     """
@@ -109,9 +109,9 @@ def check_gradient(
     ratio = (STEPS[1] / STEPS[0]) ** 2
     extrapolated = (ratio * differences[0] - differences[1]) / (ratio - 1.0)
     derivative = jacobian @ direction
-    size = np.abs(np.array([*values.values()]))
+    size = np.array([*sizes.values()])
     error = np.abs(extrapolated - differences[0]) + ROUND_OFF * size / STEPS[0]
     terms = np.sum(np.abs(jacobian * direction), axis=1)
     deviation = np.abs(derivative - extrapolated)
     agrees = deviation <= ALLOWED * error + SMALLEST * terms
-    return GradientCheck(direction, steps, derivative, differences, extrapolated, error, agrees, tuple(values))
+    return GradientCheck(direction, steps, derivative, differences, extrapolated, error, agrees, tuple(sizes))

@@ -2,48 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from mbdkit.errors import SpecError
 from mbdkit.events.event_expression import Quantity
-from mbdkit.gradients.differentiated_run import DifferentiatedRun, States
+from mbdkit.gradients.derived_values import IS_BINARY, Value, of_one, of_two
+from mbdkit.gradients.differentiated_run import DifferentiatedRun
+from mbdkit.gradients.differentiated_states import quantity_of
 from mbdkit.measures.measure_expression import REDUCE, MeasureExpression
-from mbdkit.measures.measured_quantities import component_of
 
 OF_NODES = ("integral", "mean", "rms")
 """Reductions that are integrals over time, by the weights of the method at the stages of its steps."""
 
 UNIQUE = 1e-9
 """Two extrema that differ by less than this share of the range of a quantity count as equal."""
-
-
-@dataclass(frozen=True)
-class Value:
-    """Values (...) with derivatives (K, ...) by K parameters."""
-
-    value: np.ndarray
-    slope: np.ndarray
-
-    @staticmethod
-    def constant(value: np.ndarray, count: int) -> Value:
-        """Return values without derivatives."""
-        return Value(value, np.zeros((count, *value.shape)))
-
-    @staticmethod
-    def joined(x: np.ndarray) -> Value:
-        """Return values and derivatives from one array (..., 1 + K)."""
-        return Value(x[..., 0], np.moveaxis(x[..., 1:], -1, 0))
-
-    def chained(self, value: np.ndarray, slope: np.ndarray) -> Value:
-        """Return a function of these values, from its own value and its derivative."""
-        return Value(value, slope * self.slope)
-
-    def __getitem__(self, index: slice) -> Value:
-        return Value(self.value[..., index], self.slope[..., index])
 
 
 @dataclass(frozen=True)
@@ -54,66 +27,8 @@ class _Operand:
     nodes: Value | None
 
 
-def _product(x: Value, y: Value) -> Value:
-    return Value(x.value * y.value, x.slope * y.value + x.value * y.slope)
-
-
-def _quotient(x: Value, y: Value) -> Value:
-    value = x.value / y.value
-    return Value(value, (x.slope - value * y.slope) / y.value)
-
-
-def _power(x: Value, y: Value) -> Value:
-    value = np.power(x.value, y.value)
-    by_base = np.where(y.value == 0.0, 0.0, y.value * np.power(x.value, y.value - 1.0))
-    slope = by_base * x.slope
-    if np.any(y.slope):
-        slope = slope + value * np.log(x.value) * y.slope
-    return Value(value, slope)
-
-
-def _angle(y: Value, x: Value) -> Value:
-    square = x.value**2 + y.value**2
-    return Value(np.arctan2(y.value, x.value), (x.value * y.slope - y.value * x.slope) / square)
-
-
-def _chosen(is_first: np.ndarray, x: Value, y: Value) -> Value:
-    return Value(np.where(is_first, x.value, y.value), np.where(is_first, x.slope, y.slope))
-
-
-_BINARY: Mapping[str, Callable[[Value, Value], Value]] = {
-    "add": lambda x, y: Value(x.value + y.value, x.slope + y.slope),
-    "sub": lambda x, y: Value(x.value - y.value, x.slope - y.slope),
-    "mul": _product,
-    "div": _quotient,
-    "pow": _power,
-    "atan2": _angle,
-    "min": lambda x, y: _chosen(x.value <= y.value, x, y),
-    "max": lambda x, y: _chosen(x.value >= y.value, x, y),
-}
-
-
-def _norm(x: Value) -> Value:
-    value = np.hypot(x.value[0], x.value[1])
-    scale = np.where(value > 0.0, value, 1.0)
-    return Value(value, (x.value[0] * x.slope[:, 0] + x.value[1] * x.slope[:, 1]) / scale)
-
-
-_SLOPES: Mapping[str, tuple[Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray], np.ndarray]]] = {
-    "neg": (np.negative, lambda x: np.full(x.shape, -1.0)),
-    "sin": (np.sin, np.cos),
-    "cos": (np.cos, lambda x: -np.sin(x)),
-    "tan": (np.tan, lambda x: 1.0 + np.tan(x) ** 2),
-    "asin": (np.arcsin, lambda x: 1.0 / np.sqrt(1.0 - x * x)),
-    "acos": (np.arccos, lambda x: -1.0 / np.sqrt(1.0 - x * x)),
-    "atan": (np.arctan, lambda x: 1.0 / (1.0 + x * x)),
-    "exp": (np.exp, np.exp),
-    "log": (np.log, lambda x: 1.0 / x),
-    "sqrt": (np.sqrt, lambda x: 0.5 / np.sqrt(x)),
-    "abs": (np.abs, np.sign),
-    "tanh": (np.tanh, lambda x: 1.0 - np.tanh(x) ** 2),
-}
-"""Functions of one number with their derivatives."""
+def _same(one: Value) -> _Operand:
+    return _Operand(one, one)
 
 
 def uses_nodes(expression: MeasureExpression) -> bool:
@@ -132,18 +47,21 @@ class MeasureOfRun:
     Attributes
     ----------
     doubts
-        Sentences on extrema that are not unique, by their expression.
+        Sentences on extrema that are not unique, of the measure evaluated last.
+    size
+        Largest absolute value that the functions over time of this measure were applied to, in its unit.
     """
 
     def __init__(self, run: DifferentiatedRun):
         self.run = run
         self.count = run.rows.q.shape[-1] - 1
         self.doubts: list[str] = []
+        self.size = 0.0
 
     def of(self, expression: MeasureExpression) -> tuple[float, np.ndarray]:
         """Return the value of a measure and its derivatives (K,), in its unit."""
         stack: list[_Operand] = []
-        self.doubts = []
+        self.doubts, self.size = [], 0.0
         with np.errstate(all="ignore"):
             for operation, number in expression.program:
                 self._execute(operation, number, stack, expression)
@@ -155,33 +73,43 @@ class MeasureOfRun:
     def _execute(self, operation: str, number: float, stack: list[_Operand], expression: MeasureExpression) -> None:
         """Apply an instruction to the stack; see `MeasureExpression`."""
         if operation == "const":
-            one = Value.constant(np.array([number]), self.count)
-            stack.append(_Operand(one, one))
+            stack.append(_same(Value.constant(np.array([number]), self.count)))
         elif operation == "t":
-            rows, nodes = self.run.rows.time, self.run.nodes.time
-            stack.append(_Operand(Value.constant(rows, self.count), Value.constant(nodes, self.count)))
+            rows = Value.constant(self.run.rows.time, self.count)
+            rows.slope[:, -1] = self.run.end
+            stack.append(_Operand(rows, Value.constant(self.run.nodes.time, self.count)))
         elif operation == "get":
             quantity = expression.quantities[int(number)]
+            if quantity.kind == "events":
+                stack.append(_same(self._of_event(quantity)))
+                return
             known = quantity.attribute not in ("work", "dissipated", "balance")
             nodes_of = quantity_of(self.run.nodes, quantity) if known else None
             stack.append(_Operand(quantity_of(self.run.rows, quantity), nodes_of))
         elif operation == REDUCE + "at":
             time, operand = stack.pop().rows, stack.pop().rows
-            one = self._at(time, operand)
-            stack.append(_Operand(one, one))
+            stack.append(_same(self._at(time, operand)))
         elif operation.startswith(REDUCE):
-            one = self._reduced(operation.removeprefix(REDUCE), stack.pop(), expression)
-            stack.append(_Operand(one, one))
-        elif operation in _BINARY:
+            stack.append(_same(self._reduced(operation.removeprefix(REDUCE), stack.pop(), expression)))
+        elif operation in IS_BINARY:
             right, left = stack.pop(), stack.pop()
-            function = _BINARY[operation]
             known_there = left.nodes is not None and right.nodes is not None
-            inner = function(left.nodes, right.nodes) if known_there else None  # type: ignore[arg-type]
-            stack.append(_Operand(function(left.rows, right.rows), inner))
+            inner = of_two(operation, left.nodes, right.nodes) if known_there else None  # type: ignore[arg-type]
+            stack.append(_Operand(of_two(operation, left.rows, right.rows), inner))
         else:
             given = stack.pop()
-            inner = None if given.nodes is None else _of_one(operation, number, given.nodes)
-            stack.append(_Operand(_of_one(operation, number, given.rows), inner))
+            inner = None if given.nodes is None else of_one(operation, number, given.nodes)
+            stack.append(_Operand(of_one(operation, number, given.rows), inner))
+
+    def _of_event(self, quantity: Quantity) -> Value:
+        """Return a quantity of an event: the time of its first or last crossing, or their number."""
+        found = [one for one in self.run.crossings if one.name == quantity.name]
+        if quantity.attribute == "count":
+            return Value.constant(np.array([float(len(found))]), self.count)
+        if not found:
+            return Value.constant(np.array([np.nan]), self.count)
+        one = found[0 if quantity.attribute == "time" else -1]
+        return Value(np.array([one.time]), one.slope[:, None])
 
     def _at(self, time: Value, operand: Value) -> Value:
         """Return an operand at a time, interpolated linearly between the rows around it."""
@@ -200,18 +128,21 @@ class MeasureOfRun:
     def _reduced(self, name: str, operand: _Operand, expression: MeasureExpression) -> Value:
         """Return an operand reduced over time."""
         rows = operand.rows
+        self.size = max(self.size, float(np.max(np.abs(rows.value))) / expression.unit.factor)
         if name == "final":
             return rows[-1:]
         if name in ("max", "min"):
             return self._extremum(name, rows, expression)
         square = name == "rms"
         if operand.nodes is not None:
-            values = _product(operand.nodes, operand.nodes) if square else operand.nodes
+            values = of_two("mul", operand.nodes, operand.nodes) if square else operand.nodes
             weight = self.run.nodes.weight
             assert weight is not None
             total = Value((values.value @ weight)[..., None], (values.slope @ weight)[..., None])
+            last = of_two("mul", rows, rows)[-1:].value if square else rows[-1:].value
+            total = Value(total.value, total.slope + np.multiply.outer(self.run.end, last))
         else:
-            values = _product(rows, rows) if square else rows
+            values = of_two("mul", rows, rows) if square else rows
             time = self.run.rows.time
             total = Value(
                 np.trapezoid(values.value, time, axis=-1)[..., None],
@@ -220,8 +151,8 @@ class MeasureOfRun:
         if name == "integral":
             return total
         duration = self.run.rows.time[-1] - self.run.rows.time[0]
-        mean = Value(total.value / duration, total.slope / duration)
-        return _of_one("sqrt", 0.0, mean) if square else mean
+        mean = of_two("div", total, Value(np.array([duration]), self.run.end[:, None]))
+        return of_one("sqrt", 0.0, mean) if square else mean
 
     def _extremum(self, name: str, rows: Value, expression: MeasureExpression) -> Value:
         """Return the largest or smallest value; note where that is not unique."""
@@ -238,103 +169,3 @@ class MeasureOfRun:
                 "a p-norm is a smooth maximum: mean(x**8)**(1/8)"
             )
         return rows[place : place + 1]
-
-
-def _of_one(operation: str, number: float, x: Value) -> Value:
-    """Apply a function of one operand."""
-    if operation == "norm":
-        return _norm(x)
-    if operation == "powi":
-        slope = np.zeros(x.value.shape) if number == 0.0 else number * x.value ** (number - 1.0)
-        return x.chained(x.value**number, slope)
-    function, derivative = _SLOPES[operation]
-    return x.chained(function(x.value), derivative(x.value))
-
-
-def quantity_of(states: States, quantity: Quantity) -> Value:
-    """Return a quantity of states with derivatives: (T,), or (2, T) of a vector.
-
-    Raises
-    ------
-    SpecError
-        If it has no derivative.
-    """
-    column, component, is_vector = component_of(quantity)
-    found = _columns(states, quantity)
-    if column not in found:
-        redundant = quantity.kind == "joints" and states.workspace.mechanism.redundancy.rows
-        why = ", because redundant joints share their reactions" if redundant else ""
-        what = ".".join(filter(None, (quantity.kind, quantity.name, quantity.attribute)))
-        raise SpecError(f"{what} has no derivative by parameters{why}", key="measures")
-    x = found[column]()
-    if is_vector:
-        return Value.joined(np.moveaxis(x[:, :2], 1, 0))
-    return Value.joined(x if component is None else x[:, component])
-
-
-def _columns(states: States, quantity: Quantity) -> Mapping[str, Callable[[], np.ndarray]]:
-    """Return functions that give the columns of the element of a quantity, by name, (T, ..., 1 + K)."""
-    mechanism, observed = states.workspace.mechanism, states.observed
-    if quantity.kind == "bodies":
-        first = 3 * mechanism.bodies.index(quantity.name)
-        place, angle = slice(first, first + 2), first + 2
-        return {
-            "position": lambda: states.q[:, place],
-            "angle": lambda: states.q[:, angle],
-            "velocity": lambda: states.v[:, place],
-            "angular_velocity": lambda: states.v[:, angle],
-            "acceleration": lambda: observed.acc[:, place],
-            "angular_acceleration": lambda: observed.acc[:, angle],
-        }
-    if quantity.kind == "joints":
-        return _of_joint(states, mechanism.joints.index(quantity.name))
-    if quantity.kind == "forces":
-        f = [one.name for one in mechanism.forces].index(quantity.name)
-        return {name: partial(_part, observed.forces, f, i) for i, name in enumerate(_FORCE_COLUMNS)}
-    if quantity.kind == "markers":
-        k = [name for name, _ in mechanism.markers].index(quantity.name)
-        return {
-            "position": lambda: observed.markers[:, k, :2],
-            "velocity": lambda: observed.markers[:, k, 2:],
-        }
-    return _energies(states)
-
-
-_FORCE_COLUMNS = ("length", "rate", "value", "power", "potential")
-
-
-def _part(x: np.ndarray, element: int, part: int | slice) -> np.ndarray:
-    return np.asarray(x[:, element, part])
-
-
-def _of_joint(states: States, j: int) -> Mapping[str, Callable[[], np.ndarray]]:
-    """Return the columns of joint `j`; only its coordinate if redundant joints share their reactions."""
-    joints = states.observed.joints
-    if states.workspace.mechanism.redundancy.rows:
-        return {"angle": partial(_part, joints, j, 0)}
-    return {
-        "angle": partial(_part, joints, j, 0),
-        "driver_power": partial(_part, joints, j, 1),
-        "reaction_force": lambda: _part(states.reactions, j, slice(0, 2)),
-        "reaction_torque": lambda: _part(states.reactions, j, 2),
-        "reaction_force_first": partial(_part, joints, j, slice(2, 4)),
-        "reaction_force_second": partial(_part, joints, j, slice(4, 6)),
-    }
-
-
-def _energies(states: States) -> Mapping[str, Callable[[], np.ndarray]]:
-    observed, energy = states.observed, states.energy
-
-    def total() -> np.ndarray:
-        return np.asarray(observed.kinetic + observed.potential)
-
-    found: dict[str, Callable[[], np.ndarray]] = {
-        "kinetic": lambda: observed.kinetic,
-        "potential": lambda: observed.potential,
-        "total": total,
-    }
-    if energy is not None:
-        found["work"] = lambda: energy[:, 0]
-        found["dissipated"] = lambda: energy[:, 1]
-        found["balance"] = lambda: total() + energy[:, 1] - energy[:, 0] - total()[:1]
-    return found

@@ -9,6 +9,7 @@ line through two points, which is exact but for rounding errors. All others are 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
@@ -19,6 +20,7 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.errors import SpecError
 from mbdkit.gradients.gradient_parameters import Parameter
+from mbdkit.run_corners import stops_of
 from mbdkit.spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
 
@@ -33,10 +35,13 @@ ACCURATE = 1e-13
 LINEAR = 64.0
 """Deviation from a line, in roundings of the array, that counts as round-off."""
 CENTRAL, FORWARD = (-4, -3, -2, -1, 1, 2, 3, 4), (1, 2, 3, 4, 5, 6, 7, 8)
+BACKWARD = tuple(-place for place in FORWARD)
 """Places of the points, in units of a quarter of the largest change."""
+FEW = {CENTRAL: (-4, 1, 4), FORWARD: (2, 4, 8), BACKWARD: (-8, -4, -2)}
+"""Places by which linear dependence is recognised."""
 
-CHOSEN = ("length", "row_units", "spare_axes")
-"""Arrays of the mechanism that are units or choices, on which its motion does not depend."""
+LEFT_OUT = ("length", "row_units", "spare_axes", "weight")
+"""Arrays of the mechanism that are units or choices, on which its motion does not depend, and the inverse masses."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +77,8 @@ def prepared_derivatives(spec: RunSpec, parameters: Sequence[Parameter]) -> Prep
         if any(name in slopes for slopes, _ in found)
     }
     if "mass" in seeds:  # exact, and zero for ground
-        seeds["weight"] = -(base["weight"] ** 2)[..., None] * seeds["mass"]
+        weight = preparation.mechanism.topology.weight
+        seeds["weight"] = -(weight**2)[..., None] * seeds["mass"]
     return PreparedDerivatives(seeds, np.array([error for _, error in found]))
 
 
@@ -84,56 +90,53 @@ class _Preparation:
         self.specs = VariedSpecs(spec.canonical_json())
         self.starts = Starts()
         self.mechanism, self.base = self._arrays(spec)
+        self.stops = stops_of(spec)
+        self.has_corners = bool(self.stops.times)
 
     def _arrays(self, spec: RunSpec) -> tuple[CompiledMechanism, dict[str, np.ndarray]]:
         start = self.starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
         top = start.mechanism.topology
-        arrays = {name: x for name, x in top._asdict().items() if x.dtype.kind == "f" and name not in CHOSEN}
+        arrays = {name: x for name, x in top._asdict().items() if x.dtype.kind == "f" and name not in LEFT_OUT}
         return start.mechanism, {**arrays, "q": start.q0, "v": start.v0}
 
     def derivatives(self, parameter: Parameter) -> tuple[dict[str, np.ndarray], float]:
         """Return the derivatives by a parameter that are not zero, and their estimated error."""
         try:
-            places: tuple[int, ...] = CENTRAL
-            return self._with_places(parameter, places)
+            return self._with_places(parameter, CENTRAL)
         except SpecError as error:
-            try:
-                return self._with_places(parameter, FORWARD)
-            except SpecError:
-                try:
-                    return self._with_places(parameter, tuple(-place for place in FORWARD))
-                except SpecError:
-                    raise SpecError(
-                        f"the run has no derivative by '{parameter.name}', because the spec is not valid for values "
-                        f"close to {parameter.value!r}: {error}",
-                        key="gradients",
-                    ) from None
+            for side in (FORWARD, BACKWARD):
+                with suppress(SpecError):
+                    return self._with_places(parameter, side)
+            if error.key == "gradients":
+                raise
+            raise SpecError(
+                f"the run has no derivative by '{parameter.name}', because the spec is not valid for values close to "
+                f"{parameter.value!r}: {error}",
+                key="gradients",
+            ) from None
 
     def _with_places(self, parameter: Parameter, places: tuple[int, ...]) -> tuple[dict[str, np.ndarray], float]:
+        """Return the same by points at these places."""
         unit = 2.0 ** np.floor(np.log2(WIDEST / 4.0 * self._scale(parameter)))
-        ends = (places[0], places[-1]) if places is CENTRAL else (places[3], places[-1])
-        middle = (-2, 2) if places is CENTRAL else (places[1],)
-        points = {place: self._at(parameter, place * unit) for place in (*ends, *middle)}
-        best: tuple[dict[str, np.ndarray], float] | None = None
+        points = {place: self._at(parameter, place * unit) for place in FEW[places]}
+        slopes: dict[str, np.ndarray] = {}
+        errors: dict[str, float] = {}
+        for name, base in self.base.items():
+            slope = _slope_of_line(base, {place: (x, arrays[name]) for place, (x, arrays) in points.items()})
+            if slope is not None:
+                slopes[name], errors[name] = slope, 0.0
+        waiting = [name for name in self.base if name not in slopes]
         for _ in range(MOST_ATTEMPTS):
-            if best is None and all(self._is_line(name, points, ends, middle) for name in self.base):
-                low, high = points[ends[0]], points[ends[1]]
-                span = high[0] - low[0]
-                return _without_zeros({name: (high[1][name] - low[1][name]) / span for name in self.base}), 0.0
-            for place in places:
-                if place not in points:
-                    points[place] = self._at(parameter, place * unit)
-            found = self._by_differences(parameter, points, places, ends, middle)
-            if best is None or found[1] < best[1]:
-                best = found
-            if best[1] <= ACCURATE:
+            if not waiting:
                 break
-            unit /= FACTOR
-            points = {}
-            for place in (*ends, *middle):
-                points[place] = self._at(parameter, place * unit)
-        assert best is not None
-        return _without_zeros(best[0]), best[1]
+            points |= {place: self._at(parameter, place * unit) for place in places if place not in points}
+            for name in waiting:
+                slope, error = self._difference(parameter, name, points, places)
+                if error < errors.get(name, np.inf):
+                    slopes[name], errors[name] = slope, error
+            waiting = [name for name in waiting if errors[name] > ACCURATE]
+            unit, points = unit / FACTOR, {}
+        return {name: x for name, x in slopes.items() if np.any(x)}, max(errors.values())
 
     def _scale(self, parameter: Parameter) -> float:
         """Return the size of the changes of a parameter."""
@@ -142,7 +145,14 @@ class _Preparation:
     def _at(self, parameter: Parameter, change: float) -> tuple[float, dict[str, np.ndarray]]:
         """Return the value of a parameter near its own, and the arrays for it."""
         value = parameter.value + change
-        mechanism, arrays = self._arrays(self.specs.spec([(parameter.path, value)]))
+        spec = self.specs.spec([(parameter.path, value)])
+        if self.has_corners and stops_of(spec) != self.stops:
+            raise SpecError(
+                f"a knot or corner of a motion, where steps end, moves with '{parameter.name}'; by such parameters a "
+                "run has no derivatives",
+                key="gradients",
+            )
+        mechanism, arrays = self._arrays(spec)
         for name, x in self.mechanism.topology._asdict().items():
             other = getattr(mechanism.topology, name)
             if x.shape != other.shape or (x.dtype.kind == "i" and not np.array_equal(x, other)):
@@ -152,47 +162,38 @@ class _Preparation:
                 )
         return value - parameter.value, arrays
 
-    def _is_line(
-        self,
-        name: str,
-        points: Mapping[int, tuple[float, Arrays]],
-        ends: tuple[int, int],
-        middle: tuple[int, ...],
-    ) -> bool:
-        """Return whether an array is a linear function of the parameter, as far as the points tell."""
-        (x0, low), (x1, high) = (points[place] for place in ends)
-        slope = (high[name] - low[name]) / (x1 - x0)
-        size = np.maximum(np.maximum(np.abs(high[name]), np.abs(low[name])), np.abs(self.base[name]))
-        limit = LINEAR * np.finfo(float).eps * size
-        deviations = [np.abs(self.base[name] - low[name] + slope * x0)]
-        deviations += [np.abs(points[m][1][name] - low[name] - slope * (points[m][0] - x0)) for m in middle]
-        return all(bool(np.all(one <= limit)) for one in deviations)
-
-    def _by_differences(
+    def _difference(
         self,
         parameter: Parameter,
+        name: str,
         points: Mapping[int, tuple[float, Arrays]],
         places: tuple[int, ...],
-        ends: tuple[int, int],
-        middle: tuple[int, ...],
-    ) -> tuple[dict[str, np.ndarray], float]:
-        """Return derivatives by differences of order 8, exact ones of arrays that are linear, and the largest error."""
+    ) -> tuple[np.ndarray, float]:
+        """Return the derivative of an array by differences of order 8, and its relative error by those of order 6."""
+        base, unit = self.base[name], points[places[0]][0] / places[0]
         fewer = tuple(place for place in places if abs(place) < max(map(abs, places)))
-        unit = points[places[0]][0] / places[0]
-        found, worst = {}, 0.0
-        for name, base in self.base.items():
-            if self._is_line(name, points, ends, middle):
-                (x0, low), (x1, high) = (points[place] for place in ends)
-                found[name] = (high[name] - low[name]) / (x1 - x0)
-                continue
-            fine, coarse = (
+        fine, coarse = (
+            np.asarray(
                 sum(w * (points[place][1][name] - base) for place, w in zip(some, weights(some), strict=True)) / unit
-                for some in (places, fewer)
             )
-            found[name] = np.asarray(fine)
-            size = max(float(np.max(np.abs(fine))), float(np.max(np.abs(base))) / self._scale(parameter))
-            worst = max(worst, float(np.max(np.abs(fine - coarse))) / size if size > 0.0 else 0.0)
-        return found, worst
+            for some in (places, fewer)
+        )
+        scale = self._scale(parameter)
+        size = max(float(np.max(np.abs(fine))), float(np.max(np.abs(base))) / scale)
+        if name in ("q", "v"):  # which assembly changes by rounding errors of lengths and angles
+            size = max(size, self.mechanism.length / scale)
+        error = float(np.max(np.abs(fine - coarse))) / size if size > 0.0 else 0.0
+        return fine, error
+
+
+def _slope_of_line(base: np.ndarray, points: Mapping[int, tuple[float, np.ndarray]]) -> np.ndarray | None:
+    """Return the slope of the line through the first and the last point; None if others are not on it."""
+    (x0, low), (x1, high) = points[min(points)], points[max(points)]
+    slope = (high - low) / (x1 - x0)
+    limit = LINEAR * np.finfo(float).eps * np.maximum(np.maximum(np.abs(high), np.abs(low)), np.abs(base))
+    others = [(0.0, base), *points.values()]
+    is_line = all(bool(np.all(np.abs(y - low - slope * (x - x0)) <= limit)) for x, y in others)
+    return np.asarray(slope) if is_line else None
 
 
 @cache
@@ -206,7 +207,3 @@ def weights(places: tuple[int, ...]) -> tuple[float, ...]:
                 weight *= Fraction(-other, one - other)
         found.append(float(weight))
     return tuple(found)
-
-
-def _without_zeros(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return {name: x for name, x in arrays.items() if np.any(x)}

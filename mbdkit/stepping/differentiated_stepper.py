@@ -19,7 +19,7 @@ from mbdkit.stepping.dual_collocation import constrained_step, dual_stages, inde
 from mbdkit.stepping.dual_explicit import dual_explicit, explicit_step
 from mbdkit.stepping.dual_run import DualRun, Seeds, new_dual_run
 from mbdkit.stepping.explicit import CompiledExplicit
-from mbdkit.stepping.interface import Timetable
+from mbdkit.stepping.interface import StepTaken, Timetable
 from mbdkit.stepping.run_plan import NO_PROJECTION
 
 if TYPE_CHECKING:
@@ -141,6 +141,16 @@ class DifferentiatedSteps:
     def _enlarge(self, names: tuple[str, ...], rows: int) -> None:
         self._renew(**{name: _enlarged(getattr(self.run, name), rows) for name in names})
 
+    @property
+    def memory(self) -> tuple[np.ndarray, ...]:
+        """The arrays that a step reads from the step before."""
+        run, stages = self.run, self._stages.bundle
+        if isinstance(self.method, CompiledExplicit):
+            kept = (stages.rates, stages.accelerations, stages.power, stages.status)
+        else:
+            kept = (stages.acc, stages.lam, *stages.previous)
+        return (run.q, run.v, run.energy, run.base_state, run.nodes, *kept)
+
     def recorded(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the first recorded positions, velocities and energies after the start, with their derivatives."""
         run = self.run
@@ -186,6 +196,43 @@ class DifferentiatedStepper(CompiledStepper):
         if self.mode != NO_PROJECTION:
             raise NoDerivativeError("steps with projection are not differentiated; use `stabilization: none`")
         self.steps = DifferentiatedSteps(method, workspace, seeds, rows, nodes)
+
+    def _memory(self) -> tuple[np.ndarray, ...]:
+        own = () if self.steps is None else self.steps.memory
+        return (*super()._memory(), *own)
+
+    def _retake(self, step: StepTaken, theta: float) -> bool:
+        recorded = self.recorded
+        done = super()._retake(step, theta)
+        self.recorded = recorded  # its end is no recorded state
+        return done
+
+    def derivatives_within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities with their derivatives at the share `theta` of the last step.
+
+        Raises
+        ------
+        StepError
+            If that part of the step cannot be taken.
+        """
+        step, steps = self.last_step, self.steps
+        assert step is not None
+        assert steps is not None
+        after = [np.copy(x) for x in self._memory()]
+        done = theta >= 1.0 or self._retake(step, theta)
+        q, v = np.copy(steps.run.q), np.copy(steps.run.v)
+        self._recall(after)
+        self._count()
+        if not done:
+            raise StepError("newton-failed", f"the step from t = {step.t0:.6g} s cannot be taken in part")
+        return q, v
+
+    def cut_with_derivatives(self, theta: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        """End the run at the share `theta` of the last step; return time, positions, velocities and energies there."""
+        self.cut(theta)
+        steps = self.steps
+        assert steps is not None
+        return self.time, np.copy(steps.run.q), np.copy(steps.run.v), np.copy(steps.run.energy)
 
     def _drive(self, plan: PinnedBundle, budget: int) -> tuple[int, int]:
         """Attempt up to `budget` steps of a plan, one after another, and differentiate those that are accepted."""

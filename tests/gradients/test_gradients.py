@@ -185,3 +185,17 @@ def test_runs_without_derivatives_are_refused(sections: dict[str, Any], message:
 def test_a_measure_without_derivative_is_refused() -> None:
     with pytest.raises(SpecError, match=r"joints\.B\.misalignment has no derivative"):
         mbdkit.gradient(SLIDER_CRANK, "max(joints.B.misalignment)", "k", **PENDULUM)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "order"),
+    [({"name": "gauss", "stages": 1}, 2), ({"name": "radau-iia", "stages": 2}, 3), ({"name": "rk4"}, 4)],
+)
+def test_gradient_converges_with_the_order_of_the_method(integrator: dict[str, Any], order: int) -> None:
+    # expected: the exact derivatives of the slider-crank over 10 s
+    def error(step: float) -> float:
+        sections = {"integrator": integrator, "time": {"end": 10.0, "step": step}}
+        found = mbdkit.gradient(SLIDER_CRANK, "integral(energy.kinetic)", ["k", "c"], check=False, **sections)
+        return float(np.max(np.abs(found.jacobian - [[0.333448106128, -0.363754033971]])))
+
+    assert np.log2(error(0.1) / error(0.05)) == pytest.approx(order, abs=0.35)

@@ -1,0 +1,69 @@
+"""Gradients of the times of events, and of runs that end at an event."""
+
+from __future__ import annotations
+
+from math import cos, sin, sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.special import ellipk
+
+import mbdkit
+
+ANGLE, LENGTH, INERTIA, GRAVITY = 1.0, 1.3, 1e-3, 9.81
+
+
+def pendulum(action: str) -> dict[str, Any]:
+    """Return a pendulum that is released at an angle, and an event at its lowest position."""
+    return {
+        "mbdkit": 1,
+        "parameters": {"L": LENGTH},
+        "model": {
+            "name": "mechanism",
+            "bodies": {
+                "bob": {
+                    "mass": 1.0, "inertia": INERTIA, "angle": ANGLE,
+                    "position": [f"L*{sin(ANGLE)!r}", f"-L*{cos(ANGLE)!r}"],
+                }
+            },
+            "joints": {"A": {"type": "revolute", "bodies": ["ground", "bob"], "points": [[0, 0], [0, "L"]]}},
+        },
+        "integrator": {"name": "gauss", "stages": 4},
+        "time": {"end": 1.0, "step": 0.01},
+        "events": {"low": {"when": "bob.angle", "action": action}},
+    }  # fmt: skip
+
+
+def quarter(length: float) -> float:
+    """Return a quarter of the period."""
+    return float(sqrt((length + INERTIA / length) / GRAVITY) * ellipk(sin(ANGLE / 2) ** 2))
+
+
+def quarter_by_length(length: float) -> float:
+    return quarter(length) * 0.5 * (1.0 - INERTIA / length**2) / (length + INERTIA / length)
+
+
+@pytest.mark.parametrize(("action", "measure"), [("note", "events.low.time"), ("stop", "final(t)")])
+def test_derivative_of_the_period_of_a_pendulum_by_its_length(action: str, measure: str) -> None:
+    # expected: the period by the complete elliptic integral; a physical pendulum with the length L + I / (m L)
+    found = mbdkit.gradient(pendulum(action), measure, "L", check=False)
+    assert found.value[0] == pytest.approx(quarter(LENGTH), rel=0, abs=1e-11)
+    assert found.jacobian[0, 0] == pytest.approx(quarter_by_length(LENGTH), rel=0, abs=1e-10)
+
+
+def test_state_and_integrals_at_an_event_that_ends_the_run_move_with_its_time() -> None:
+    # expected: by the balance of energy, the angular velocity there is sqrt(2 m g L (1 - cos) / (m L^2 + I)); the
+    # horizontal velocity of the bob integrates to the distance L sin
+    found = mbdkit.gradient(
+        pendulum("stop"),
+        ["final(bodies.bob.angular_velocity)", "integral(bodies.bob.vx)", "final(bodies.bob.angle)"],
+        "L",
+    )
+    inertia = LENGTH**2 + INERTIA
+    rate = -sqrt(2.0 * GRAVITY * LENGTH * (1.0 - cos(ANGLE)) / inertia)
+    by_length = rate * (0.5 / LENGTH - LENGTH / inertia)
+    np.testing.assert_allclose(found.value, [rate, -LENGTH * sin(ANGLE), 0.0], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.jacobian[:, 0], [by_length, -sin(ANGLE), 0.0], rtol=0, atol=1e-9)
+    assert found.check is not None
+    assert found.check.is_passed, str(found)
