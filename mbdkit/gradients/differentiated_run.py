@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,16 +14,18 @@ from mbdkit.engine.jit.dual_types import DIRECTIONS
 from mbdkit.engine.kernels.dual_observe import observe_duals
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.observed_states import StateObserver
 from mbdkit.errors import RunError, SpecError
+from mbdkit.events.watch import Found, Watch, Watched
 from mbdkit.gradients.differentiated_states import States, series_of
 from mbdkit.gradients.prepared_derivatives import CENTRAL, weights
 from mbdkit.measures.measure_expression import SeriesExpression
 from mbdkit.run_preparation import build, guards, make_method, size_at_start, timetable
-from mbdkit.simulation import simulate
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper, NoDerivativeError
 from mbdkit.stepping.dual_run import Seeds, constants, dual_states
-from mbdkit.stepping.start import start_differentiated
+from mbdkit.stepping.interface import Stretch, joined
+from mbdkit.stepping.start import start_differentiated, start_method
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,32 @@ def differentiated_run(spec: RunSpec, seeds: Seeds, count: int, *, with_nodes: b
     return DifferentiatedRun(
         _joined([one.rows for one in parts]), _joined([one.nodes for one in parts]), end, tuple(crossings)
     )
+
+
+def plain_run(spec: RunSpec) -> DifferentiatedRun:
+    """Run a spec without events, and return its recorded states without derivatives and without nodes; raise RunError."""
+    method = make_method(spec)
+    workspace, _ = build(spec)
+    stepper = start_method(method, workspace, timetable(spec, guards(spec, size_at_start(spec, workspace))))
+    none = np.zeros(1)
+    stretches = [
+        Stretch(np.array([workspace.t0]), workspace.q0[None], workspace.v0[None], none, none, np.zeros((1, 6)))
+    ]
+    while not (stepper.finished or stepper.failure):
+        stretches.append(stepper.advance())
+    if stepper.failure:
+        raise RunError(f"{stepper.failure.code}: {stepper.failure.sentence}")
+    rows = joined(stretches)
+    workspace.clamp_motions(-np.inf, np.inf)
+    observer = StateObserver(workspace.with_own_pivots())
+    observed = observer.arrays(len(rows.time))
+    q, v = np.ascontiguousarray(rows.q), np.ascontiguousarray(rows.v)
+    if observer.observe(rows.time, q, v, observed) is not None:
+        raise RunError("a recorded state has no unique accelerations")
+    energy = np.stack([rows.work, rows.dissipated], axis=-1)
+    q, v, energy, *values = (x[..., None] for x in (q, v, energy, *observed))
+    states = States(workspace, rows.time, None, q, v, energy, Observed(*values))
+    return DifferentiatedRun(states, replace(states, weight=np.zeros(len(rows.time))), np.zeros(0), ())
 
 
 def refuse(spec: RunSpec) -> None:
@@ -264,16 +292,23 @@ class _Pass:
 
 
 def events_of(spec: RunSpec) -> list[Event]:
-    """Return the events of a run in order of time."""
-    run = simulate(spec, notify=lambda message: None)
-    run.check()
-    expressions = {name: SeriesExpression.parse(event.when, spec) for name, event in spec.events.items()}
-    found = [
-        Event(name, float(time), expressions[name], event.action == "stop")
-        for name, event in spec.events.items()
-        for time in run.events.of_name(name).time
+    """Run a spec, and return its events in order of time; raise RunError if the run stops early."""
+    workspace, _ = build(spec)
+    table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
+    watched = [
+        Watched(name, expression, spec.events[name].direction, spec.events[name].action)
+        for name, expression in spec.watched().items()
     ]
-    return sorted(found, key=lambda event: (event.time, event.stops))
+    watch = Watch(start_method(make_method(spec), workspace, table), workspace, watched)
+    crossings: list[Found] = []
+    while not (watch.finished or watch.failure):
+        watch.advance()
+        crossings += watch.taken()
+    if watch.failure:
+        raise RunError(f"a run that stops early has no gradient: {watch.failure.code}: {watch.failure.sentence}")
+    expressions = {name: SeriesExpression.parse(event.when, spec) for name, event in spec.events.items()}
+    stops = [one is crossings[-1] and watch.stopped is not None for one in crossings]
+    return [Event(one.name, one.time, expressions[one.name], end) for one, end in zip(crossings, stops, strict=True)]
 
 
 def _joined(parts: Sequence[States]) -> States:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.errors import RunError, SpecError
-from mbdkit.gradients.differentiated_run import differentiated_run
+from mbdkit.gradients.differentiated_run import differentiated_run, plain_run
 from mbdkit.gradients.gradient_check import GradientCheck, check_gradient
 from mbdkit.gradients.gradient_parameters import Parameter, resolved
 from mbdkit.gradients.measured_derivatives import MeasureOfRun, uses_nodes
@@ -180,7 +180,10 @@ def _gradient(
 def _values(spec: RunSpec, expressions: Mapping[str, MeasureExpression], *, with_nodes: bool) -> list[float]:
     """Return the measures of a run; nan if it stops early."""
     try:
-        measure = MeasureOfRun(differentiated_run(spec, {}, 0, with_nodes=with_nodes))
+        needs_more = with_nodes or spec.events
+        measure = MeasureOfRun(
+            differentiated_run(spec, {}, 0, with_nodes=with_nodes) if needs_more else plain_run(spec)
+        )
     except RunError:
         return [np.nan] * len(expressions)
     return [measure.of(expression)[0] for expression in expressions.values()]

@@ -14,13 +14,14 @@ from mbdkit.errors import SpecError
 from mbdkit.files import check_suffix
 from mbdkit.plot.style import FORMATS
 
-from . import chain, ensemble, executors, inverse_frames, plugins, python_steps, race, scale, startup
+from . import chain, ensemble, executors, gradients, inverse_frames, plugins, python_steps, race, scale, startup
 from .precision.race import precision
 
 SECTIONS: dict[str, Callable[[Console], None]] = {
     "chain": chain.explicit,
     "ensemble": ensemble.ensemble,
     "executors": executors.executors,
+    "gradients": gradients.gradients,
     "implicit": chain.implicit,
     "inverse": inverse_frames.inverse_frames,
     "memory": chain.memory,
