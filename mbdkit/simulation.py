@@ -23,6 +23,8 @@ from mbdkit.accuracy.position_measure import PositionMeasure
 from mbdkit.accuracy.recorded_pilot import Replay
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
+from mbdkit.archive.hdf5 import set_text
+from mbdkit.archive.layout import GRADIENTS
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
@@ -33,6 +35,7 @@ from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
+from mbdkit.gradients.gradient import check_gradients, gradients_json
 from mbdkit.interrupts import interrupts_noted
 from mbdkit.logs import logger_of
 from mbdkit.measures.take import take_all
@@ -313,6 +316,7 @@ def _prepared(
     """Return a simulation whose writer is begun by `begun`; see `simulate`."""
     method = make_method(spec)
     check_jumps(spec)
+    check_gradients(spec, method)
     cautions = caution(spec, method)
     _warn(cautions, notify)
     workspace, start = build(spec, notify, starts)
@@ -583,6 +587,8 @@ class _Simulation:
         found = take_all(Run(file), self.spec)
         for name, reason in found.reasons.items():
             _LOG.warning("measure %s: %s", name, reason)
+        if self.spec.gradients and self.failure is None and not self.interrupted:
+            set_text(file, GRADIENTS, gradients_json(self.spec))
         return found.to_json()
 
     def finish(self) -> None:

@@ -50,6 +50,8 @@ ROOT_ATTRIBUTES = (
 )
 MEASURES = "measures"
 """Root attribute with the values and units of the measures of a run, in JSON; absent without measures."""
+GRADIENTS = "gradients"
+"""Root attribute with the derivatives of the measures by parameters, in JSON; absent without `gradients`."""
 VERDICT_ATTRIBUTES = ("verdict", "verdict_reasons", "warnings")
 """Root attributes that say how far a run can be trusted; archives of earlier versions lack them."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -352,6 +353,17 @@ class Run(HtmlView):
         """
         with reading("the measures", self.path):
             return MeasuredValues.from_json(str(self.file.attrs.get(layout.MEASURES, "{}")))
+
+    @cached_property
+    def gradients(self) -> Mapping[str, Mapping[str, Any]]:
+        """Derivatives of the measures by the parameters that the spec names under `gradients`, by name of the measure.
+
+        Each has its ``unit``, the ``derivatives`` by parameter and a ``check`` by differences of runs, or a ``reason``
+        why there are none; empty without `gradients` in the spec.
+        """
+        with reading("the gradients", self.path):
+            found: dict[str, Any] = json.loads(str(self.file.attrs.get(layout.GRADIENTS, "{}")))
+            return ReadOnlyDict(found)
 
     @cached_property
     def drivers(self) -> tuple[str, ...]:

@@ -81,6 +81,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("actuators", _actuators(run)),
         ("events", _events(run)),
         *_measures(run),
+        *_gradients(run),
         ("counters", _counters(run.stats)),
         ("archive", "in memory" if run.path is None else str(run.path)),
     ]
@@ -379,6 +380,20 @@ def _measures(run: Run) -> list[tuple[str, str]]:
         unit, reason = run.measures.units[name], run.measures.reasons.get(name, "undefined")
         text = f"{value:.6g} {unit.removesuffix('1')}".rstrip() if math.isfinite(value) else reason
         lines.append(("" if lines else "measures", f"{name} {text}"))
+    return lines
+
+
+def _gradients(run: Run) -> list[tuple[str, str]]:
+    """Return a line for each derivative of a measure, and one where its check fails or it has none."""
+    lines: list[tuple[str, str]] = []
+    for name, found in run.gradients.items():
+        texts = [found["reason"]] if "reason" in found else []
+        for parameter, value in found.get("derivatives", {}).items():
+            texts.append(f"by {parameter}: {'undefined' if value is None else f'{value:.6g}'}")
+        check = found.get("check", {"agrees": True})
+        if not check["agrees"]:
+            texts.append(f"the check DISAGREES: {check['derivative']:.6g}, by differences {check['extrapolated']:.6g}")
+        lines += [("" if lines or i else "gradients", f"{name} {text}") for i, text in enumerate(texts)]
     return lines
 
 

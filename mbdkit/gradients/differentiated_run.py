@@ -20,12 +20,13 @@ from mbdkit.events.watch import Found, Watch, Watched
 from mbdkit.gradients.differentiated_states import States, series_of
 from mbdkit.gradients.prepared_derivatives import CENTRAL, weights
 from mbdkit.measures.measure_expression import SeriesExpression
+from mbdkit.methods.kinds import Method
 from mbdkit.run_preparation import build, guards, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper, NoDerivativeError
 from mbdkit.stepping.dual_run import Seeds, constants, dual_states
 from mbdkit.stepping.interface import Stretch, joined
-from mbdkit.stepping.start import start_differentiated, start_method
+from mbdkit.stepping.start import require_derivatives, start_differentiated, start_method
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def differentiated_run(spec: RunSpec, seeds: Seeds, count: int, *, with_nodes: b
     RunError
         If the run stops early.
     """
-    refuse(spec)
+    refuse(spec, make_method(spec))
     parts = []
     for first in range(0, max(count, 1), DIRECTIONS):
         some = slice(first, first + DIRECTIONS)
@@ -108,7 +109,7 @@ def differentiated_run(spec: RunSpec, seeds: Seeds, count: int, *, with_nodes: b
 
 
 def plain_run(spec: RunSpec) -> DifferentiatedRun:
-    """Run a spec without events, and return its recorded states without derivatives and without nodes; raise RunError."""
+    """Run a spec without events, and return its recorded states, without derivatives and nodes; raise RunError."""
     method = make_method(spec)
     workspace, _ = build(spec)
     stepper = start_method(method, workspace, timetable(spec, guards(spec, size_at_start(spec, workspace))))
@@ -133,8 +134,13 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
     return DifferentiatedRun(states, replace(states, weight=np.zeros(len(rows.time))), np.zeros(0), ())
 
 
-def refuse(spec: RunSpec) -> None:
-    """Raise SpecError if runs of a spec have no derivatives."""
+def refuse(spec: RunSpec, method: Method) -> None:
+    """Raise SpecError if runs of a spec with a method have no derivatives."""
+    try:
+        require_derivatives(method, spec.formulation, spec.stabilized)
+    except NoDerivativeError as error:
+        message = f"{spec.integrator_item.id} has no derivatives by parameters here: {error}"
+        raise SpecError(message, key="integrator") from None
     if spec.is_to_be_chosen:
         raise SpecError("a gradient needs a method and a step; it does not choose them", key="accuracy")
     if spec.output.interval is not None:
@@ -154,10 +160,6 @@ def _pass(spec: RunSpec, seeds: Seeds, count: int, with_nodes: bool) -> Differen
     events = events_of(spec) if spec.events else []
     try:
         stepper = start_differentiated(method, workspace, table, seeds, with_nodes=with_nodes)
-    except NoDerivativeError as error:
-        raise SpecError(
-            f"{spec.integrator_item.id} has no derivatives by parameters: {error}", key="integrator"
-        ) from None
     except SingularSystemError as error:
         name = workspace.mechanism.unknown_name(error.index)
         raise RunError(f"the stage equations are singular at the start, near {name}") from None

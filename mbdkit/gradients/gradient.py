@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from mbdkit.errors import RunError, SpecError
-from mbdkit.gradients.differentiated_run import differentiated_run, plain_run
+from mbdkit.errors import RunError, SpecError, StepError
+from mbdkit.gradients.differentiated_run import differentiated_run, plain_run, refuse
 from mbdkit.gradients.gradient_check import GradientCheck, check_gradient
 from mbdkit.gradients.gradient_parameters import Parameter, resolved
 from mbdkit.gradients.measured_derivatives import MeasureOfRun, uses_nodes
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
 from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.methods.kinds import Method
 from mbdkit.one_thread import one_thread_of_linear_algebra
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.run_source import RunSource
@@ -58,6 +61,24 @@ class Gradient:
         measure, parameter = key
         return float(self.jacobian[self.measures.index(measure), self.parameters.index(parameter)])
 
+    def described(self, measure: str) -> dict[str, Any]:
+        """Return unit, derivatives by parameter and check of one measure as plain data; None for what is not finite."""
+        m = self.measures.index(measure)
+        found: dict[str, Any] = {
+            "unit": self.units[m],
+            "derivatives": {one: _finite(x) for one, x in zip(self.parameters, self.jacobian[m].tolist(), strict=True)},
+        }
+        if self.check is not None:
+            check = self.check
+            found["check"] = {
+                "derivative": _finite(check.derivative[m]),
+                "differences": [_finite(x) for x in check.differences[:, m]],
+                "extrapolated": _finite(check.extrapolated[m]),
+                "error": _finite(check.error[m]),
+                "agrees": bool(check.agrees[m]),
+            }
+        return found
+
     def __str__(self) -> str:
         lines = []
         for m, (name, unit) in enumerate(zip(self.measures, self.units, strict=True)):
@@ -70,6 +91,10 @@ class Gradient:
         if self.check is not None:
             lines.append(str(self.check))
         return "\n".join(lines)
+
+
+def _finite(x: float) -> float | None:
+    return float(x) if math.isfinite(x) else None
 
 
 def gradient(
@@ -128,6 +153,33 @@ def gradient(
     expressions = parsed(spec, measures)
     with one_thread_of_linear_algebra():
         return _gradient(spec, expressions, chosen, check=check)
+
+
+def check_gradients(spec: RunSpec, method: Method) -> None:
+    """Raise SpecError if the gradients that a spec asks for cannot be computed."""
+    if not spec.gradients:
+        return
+    try:
+        if not spec.measures:
+            raise SpecError("gradients are those of measures, and the spec has no `measures`", key="gradients")
+        resolved(spec, spec.gradients)
+        parsed(spec, list(spec.measures))
+        refuse(spec, method)
+    except SpecError as error:
+        raise spec.placed(error) from None
+
+
+def gradients_json(spec: RunSpec) -> str:
+    """Return the gradients that a spec asks for as the attribute of an archive, or the reason why there are none."""
+    try:
+        with one_thread_of_linear_algebra():
+            measures = parsed(spec, list(spec.measures))
+            found = _gradient(spec, measures, resolved(spec, spec.gradients), check=True)
+    except (RunError, SpecError, StepError) as error:
+        text = {name: {"reason": str(error)} for name in spec.measures}
+    else:
+        text = {name: found.described(name) for name in found.measures}
+    return json.dumps(text, ensure_ascii=False, allow_nan=False)
 
 
 def parsed(spec: RunSpec, measures: Measures) -> dict[str, MeasureExpression]:

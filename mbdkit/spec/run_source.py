@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypedDict
 
@@ -38,6 +38,7 @@ class Sections(TypedDict, total=False):
     output: Section
     events: Mapping[str, Section]
     measures: Mapping[str, str | Mapping[str, Any]]
+    gradients: Sequence[str]
     limits: Section
     check: bool
     accuracy: float | None

@@ -48,6 +48,7 @@ class RunSpec(ModelSpec):
         "parameters",
         "events",
         "measures",
+        "gradients",
         "check",
         "accuracy",
         "choose",
@@ -69,6 +70,9 @@ class RunSpec(ModelSpec):
     """Events by name: zero crossings of expressions in the state of the run, which are recorded or stop the run."""
     measures: RunMeasures = Field(default_factory=dict)
     """Measures by name: numbers that expressions, such as `max(abs(joints.B.force))`, or plugins take from the run."""
+    gradients: list[str] = Field(default_factory=list, max_length=50)
+    """Parameters by which all measures are differentiated at the end of the run: names of `parameters`, or key paths of
+    numbers such as `model.bodies.rod.mass`."""
     limits: Limits = Limits()
     """Limits that stop the run early."""
     check: bool = False

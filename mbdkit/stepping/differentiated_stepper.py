@@ -13,14 +13,12 @@ from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError, StepError
 from mbdkit.stepping.collocation import CompiledCollocation
-from mbdkit.stepping.collocation_stages import GGL
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.dual_collocation import constrained_step, dual_stages, index1_step
 from mbdkit.stepping.dual_explicit import dual_explicit, explicit_step
 from mbdkit.stepping.dual_run import DualRun, Seeds, new_dual_run
 from mbdkit.stepping.explicit import CompiledExplicit
 from mbdkit.stepping.interface import StepTaken, Timetable
-from mbdkit.stepping.run_plan import NO_PROJECTION
 
 if TYPE_CHECKING:
     from mbdkit.stepping.step_control import Control
@@ -57,11 +55,6 @@ class DifferentiatedSteps:
         Derivatives of mechanism and start by parameters.
     rows, nodes
         Number of recorded states without the first, and of stages that are kept.
-
-    Raises
-    ------
-    NoDerivativeError
-        If the steps of the method cannot be differentiated.
     """
 
     def __init__(
@@ -82,8 +75,6 @@ class DifferentiatedSteps:
             self._plain = method.bundle
             self._stages = PinnedBundle(dual_explicit(method.bundle))
             return
-        if method.formulation.code == GGL:
-            raise NoDerivativeError("the formulation ggl is not differentiated; use index-1, index-2 or index-3")
         new = dual_stages(method.bundle)
         if self._plain is not None:  # new pivots; the derivatives of the last stages remain valid
             new.acc[...] = self._stages.bundle.acc
@@ -193,8 +184,6 @@ class DifferentiatedStepper(CompiledStepper):
         self.steps: DifferentiatedSteps | None = None
         self.recorded = 0
         super().__init__(method, workspace, timetable, control)
-        if self.mode != NO_PROJECTION:
-            raise NoDerivativeError("steps with projection are not differentiated; use `stabilization: none`")
         self.steps = DifferentiatedSteps(method, workspace, seeds, rows, nodes)
 
     def _memory(self) -> tuple[np.ndarray, ...]:

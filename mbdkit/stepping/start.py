@@ -7,6 +7,7 @@ from functools import singledispatch
 from typing import Any
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import (
     ExplicitRungeKutta,
@@ -61,6 +62,17 @@ def explicit_control(method: ExplicitRungeKutta, mechanism: CompiledMechanism) -
     )
 
 
+def require_derivatives(method: Method, formulation: str, stabilization: Stabilization) -> None:
+    """Raise NoDerivativeError unless the steps of a method can be differentiated."""
+    fixed = isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) and method.tolerances is None
+    if not fixed or (isinstance(method, ImplicitRungeKutta) and not method.tableau.is_diagonalisable):
+        raise NoDerivativeError(WITHOUT_DERIVATIVES)
+    if formulation == "ggl":
+        raise NoDerivativeError("the formulation ggl is not differentiated; use index-1, index-2 or index-3")
+    if stabilization.kind == "projection":
+        raise NoDerivativeError("steps with projection are not differentiated; use `stabilization: none`")
+
+
 def start_differentiated(
     method: Method, workspace: Workspace, timetable: Timetable, seeds: Seeds, *, with_nodes: bool
 ) -> DifferentiatedStepper:
@@ -80,14 +92,15 @@ def start_differentiated(
     mbdkit.stepping.differentiated_stepper.NoDerivativeError
         If the steps of the method cannot be differentiated.
     """
+    require_derivatives(method, workspace.formulation, workspace.stabilization)
     rows = timetable.steps // timetable.every + 2 if timetable.step is not None else 64
     nodes = 1 if with_nodes else 0
-    if isinstance(method, ExplicitRungeKutta) and method.tolerances is None:
-        compiled: CompiledExplicit | CompiledCollocation = CompiledExplicit(method, workspace)
-    elif isinstance(method, ImplicitRungeKutta) and method.tolerances is None and method.tableau.is_diagonalisable:
-        compiled = CompiledCollocation(method, workspace, None)
+    compiled: CompiledExplicit | CompiledCollocation
+    if isinstance(method, ExplicitRungeKutta):
+        compiled = CompiledExplicit(method, workspace)
     else:
-        raise NoDerivativeError(WITHOUT_DERIVATIVES)
+        assert isinstance(method, ImplicitRungeKutta)
+        compiled = CompiledCollocation(method, workspace, None)
     return DifferentiatedStepper(compiled, workspace, timetable, None, seeds, rows, nodes)
 
 

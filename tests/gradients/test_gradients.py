@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import pi, sqrt
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -171,7 +172,10 @@ def test_wrong_parameters_are_refused(parameter: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("sections", "message"),
     [
-        ({"integrator": {"name": "scipy-dop853"}}, "mbdkit:scipy-dop853 has no derivatives by parameters: fixed steps"),
+        (
+            {"integrator": {"name": "scipy-dop853"}},
+            "has no derivatives by parameters here: fixed steps",
+        ),
         ({"stabilization": {"name": "projection"}}, "steps with projection are not differentiated"),
         ({"output": {"interval": 0.1}}, "states recorded by `interval` have no derivatives"),
     ],
@@ -199,3 +203,31 @@ def test_gradient_converges_with_the_order_of_the_method(integrator: dict[str, A
         return float(np.max(np.abs(found.jacobian - [[0.333448106128, -0.363754033971]])))
 
     assert np.log2(error(0.1) / error(0.05)) == pytest.approx(order, abs=0.35)
+
+
+def test_gradients_of_a_spec_are_stored_in_the_archive_and_printed(tmp_path: Path) -> None:
+    # expected: what `mbdkit.gradient` returns
+    measures = {"speed": "final(abs(bodies.rod.angular_velocity))", "energy": "final(energy.kinetic)"}
+    spec = {**SLIDER_CRANK, **PENDULUM, "measures": measures, "gradients": ["k", "model.bodies.rod.mass"]}
+    mbdkit.run(spec, archive=tmp_path / "run.h5")
+    run = mbdkit.load(tmp_path / "run.h5")
+    found = mbdkit.gradient(SLIDER_CRANK, measures, ["k", "model.bodies.rod.mass"], **PENDULUM)
+    for name in measures:
+        stored = run.gradients[name]["derivatives"]
+        assert stored == {one: found[name, one] for one in ("k", "model.bodies.rod.mass")}
+        assert run.gradients[name]["check"]["agrees"]
+    assert f"speed by k: {found['speed', 'k']:.6g}" in run.summary()
+
+
+@pytest.mark.parametrize(
+    ("sections", "message"),
+    [
+        ({"gradients": ["k"]}, "the spec has no `measures`"),
+        ({"gradients": ["kk"], "measures": {"a": "final(energy.kinetic)"}}, "there is no parameter 'kk'"),
+    ],
+)
+def test_gradients_of_a_spec_are_checked_before_the_run(sections: dict[str, Any], message: str) -> None:
+    with pytest.raises(SpecError) as error:
+        mbdkit.run({**SLIDER_CRANK, **PENDULUM, **sections})
+    assert message in str(error.value)
+    assert error.value.key == "gradients"
