@@ -15,7 +15,7 @@ from mbdkit.engine.kernels.dual_observe import observe_duals
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.observed_states import StateObserver
-from mbdkit.errors import RunError, SpecError
+from mbdkit.errors import RunError, SpecError, StepError
 from mbdkit.events.watch import Found, Watch, Watched
 from mbdkit.gradients.differentiated_states import States, series_of
 from mbdkit.gradients.prepared_derivatives import CENTRAL, weights
@@ -163,7 +163,10 @@ def _pass(spec: RunSpec, seeds: Seeds, count: int, with_nodes: bool) -> Differen
     except SingularSystemError as error:
         name = workspace.mechanism.unknown_name(error.index)
         raise RunError(f"the stage equations are singular at the start, near {name}") from None
-    return _Pass(spec, stepper, seeds, 1 + count).run(events)
+    try:
+        return _Pass(spec, stepper, seeds, 1 + count).run(events)
+    except StepError as error:
+        raise RunError(str(error)) from None
 
 
 class _Pass:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.errors import RunError, SpecError, StepError
+from mbdkit.errors import RunError, SpecError
 from mbdkit.gradients.differentiated_run import differentiated_run, plain_run, refuse
 from mbdkit.gradients.gradient_check import GradientCheck, check_gradient
 from mbdkit.gradients.gradient_parameters import Parameter, resolved
@@ -175,7 +175,7 @@ def gradients_json(spec: RunSpec) -> str:
         with one_thread_of_linear_algebra():
             measures = parsed(spec, list(spec.measures))
             found = _gradient(spec, measures, resolved(spec, spec.gradients), check=True)
-    except (RunError, SpecError, StepError) as error:
+    except (RunError, SpecError) as error:
         text = {name: {"reason": str(error)} for name in spec.measures}
     else:
         text = {name: found.described(name) for name in found.measures}

@@ -40,7 +40,8 @@ def _example() -> DualStates:
 
     w = Scratch(*dual(engine.w))._replace(time=engine.w.time, sides=engine.w.sides)
     top = Topology(*dual(engine.top))
-    observed = Observed(*dual(Observed.zeros(0, engine.top)))
+    six = np.zeros((0, 6), dtype=np.int64)  # `Observed.zeros` reads a column of the springs
+    observed = Observed(*dual(Observed.zeros(0, engine.top._replace(springs=six))))
     solver = new_dual_solver(engine, engine.solver.row_index)
     return DualStates(top, w, solver, np.zeros(0), new_duals(0, 0), new_duals(0, 0), observed)
 
