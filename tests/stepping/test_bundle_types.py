@@ -71,6 +71,9 @@ def test_bundles_of_runs_have_the_types_that_kernels_are_compiled_for(pinned: li
         for integrator in ({"name": "rk4"}, {"name": "gauss"}, {"name": "dop853", "adaptive": True}):
             in_lanes = load_spec(example, (), integrator=integrator, time={"end": 0.02, "step": 0.01}, events={})
             assert len(list(simulate_batch([in_lanes]))) == 1
+        for integrator in ({"name": "rk4"}, {"name": "gauss", "stages": 2}):
+            short = {"integrator": integrator, "time": {"end": 0.02, "step": 0.01}, "events": {}}
+            mbdkit.gradient(example, "final(energy.kinetic)", "model.gravity.1", check=False, **short)
         workspace.use_pivots()
     expected = expected_types()
     assert {type(bundle).__name__ for bundle in pinned} == set(expected)
