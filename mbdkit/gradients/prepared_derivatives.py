@@ -91,7 +91,6 @@ class _Preparation:
         self.starts = Starts()
         self.mechanism, self.base = self._arrays(spec)
         self.stops = stops_of(spec)
-        self.has_corners = bool(self.stops.times)
 
     def _arrays(self, spec: RunSpec) -> tuple[CompiledMechanism, dict[str, np.ndarray]]:
         start = self.starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
@@ -146,7 +145,7 @@ class _Preparation:
         """Return the value of a parameter near its own, and the arrays for it."""
         value = parameter.value + change
         spec = self.specs.spec([(parameter.path, value)])
-        if self.has_corners and stops_of(spec) != self.stops:
+        if stops_of(spec) != self.stops:
             raise SpecError(
                 f"a knot or corner of a motion, where steps end, moves with '{parameter.name}'; by such parameters a "
                 "run has no derivatives",
