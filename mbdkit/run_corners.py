@@ -70,6 +70,12 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
     return Stops(tuple(times), tuple(margins), tuple(impacts))
 
 
+def knots_of(spec: RunSpec) -> tuple[float, ...]:
+    """Return the times of all knots and corners of the motions and loads of a run, its start and end included [s]."""
+    start, end = spec.time.start, spec.time.final
+    return tuple(sorted(corner.time for _, motion in _motions(spec) for corner in corners_of(motion, start, end)))
+
+
 def check_jumps(spec: RunSpec) -> None:
     """Check that the motions of all drivers are continuous, and their rates too unless the spec allows impacts.
 

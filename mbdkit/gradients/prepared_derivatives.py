@@ -20,7 +20,7 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.errors import SpecError
 from mbdkit.gradients.gradient_parameters import Parameter
-from mbdkit.run_corners import stops_of
+from mbdkit.run_corners import knots_of
 from mbdkit.spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
 
@@ -90,7 +90,7 @@ class _Preparation:
         self.specs = VariedSpecs(spec.canonical_json())
         self.starts = Starts()
         self.mechanism, self.base = self._arrays(spec)
-        self.stops = stops_of(spec)
+        self.knots = knots_of(spec)
 
     def _arrays(self, spec: RunSpec) -> tuple[CompiledMechanism, dict[str, np.ndarray]]:
         start = self.starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
@@ -145,10 +145,10 @@ class _Preparation:
         """Return the value of a parameter near its own, and the arrays for it."""
         value = parameter.value + change
         spec = self.specs.spec([(parameter.path, value)])
-        if stops_of(spec) != self.stops:
+        if knots_of(spec) != self.knots:
             raise SpecError(
-                f"a knot or corner of a motion, where steps end, moves with '{parameter.name}'; by such parameters a "
-                "run has no derivatives",
+                f"a knot or corner of a motion moves with '{parameter.name}'; by such parameters a run has no "
+                "derivatives",
                 key="gradients",
             )
         mechanism, arrays = self._arrays(spec)

@@ -186,6 +186,30 @@ def test_runs_without_derivatives_are_refused(sections: dict[str, Any], message:
     assert message in str(error.value)
 
 
+TABLE = [[-0.1, 0.0, 0.1, 0.2, 0.3], [0.2, 0.0, 1.0, 0.5, 0.7]]
+"""Knots before, at the start of, in, at the end of and after a run of 0.2 s."""
+
+
+@pytest.mark.parametrize("knot", [1, 2, 3])
+def test_knots_of_tables_are_refused_at_the_start_and_end_too(knot: int) -> None:
+    load = {"type": "torque", "body": "disc", "value": {"table": TABLE}}
+    spec = {
+        "mbdkit": 1,
+        "model": {
+            "name": "mechanism",
+            "bodies": {"disc": {"mass": 1.0, "inertia": 0.5, "position": [0.0, 0.0], "angle": 0.0}},
+            "joints": {"pin": {"type": "revolute", "bodies": ["ground", "disc"], "at": [0.0, 0.0]}},
+            "forces": {"load": load},
+        },
+        "integrator": {"name": "rk4"},
+        "time": {"end": 0.2, "step": 0.02},
+    }
+    by_value = mbdkit.gradient(spec, "final(energy.kinetic)", "model.forces.load.value.table.1.1")
+    assert by_value.check.agrees
+    with pytest.raises(SpecError, match="a knot or corner of a motion moves"):
+        mbdkit.gradient(spec, "final(energy.kinetic)", f"model.forces.load.value.table.0.{knot}")
+
+
 def test_a_measure_without_derivative_is_refused() -> None:
     with pytest.raises(SpecError, match=r"joints\.B\.misalignment has no derivative"):
         mbdkit.gradient(SLIDER_CRANK, "max(joints.B.misalignment)", "k", **PENDULUM)
