@@ -39,7 +39,14 @@ MARKER = ("x", "y", "vx", "vy")
 ENERGY = ("kinetic", "potential", "total")
 
 Code = list[tuple[str, float]]
-_ONE = {"bodies": "body", "joints": "joint", "forces": "force element", "markers": "marker", "events": "event"}
+_ONE = {
+    "bodies": "body",
+    "joints": "joint",
+    "forces": "force element",
+    "markers": "marker",
+    "events": "event",
+    "actuators": "actuator",
+}
 _EXAMPLE = {
     "bodies": "angle",
     "joints": "force",
@@ -47,6 +54,7 @@ _EXAMPLE = {
     "markers": "x",
     "energy": "total",
     "events": "time",
+    "actuators": "value",
 }
 _BARE = ("bodies", "joints")
 """Kinds of elements whose quantities can be written without the kind, as NAME.ATTRIBUTE."""

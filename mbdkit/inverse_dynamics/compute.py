@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.errors import SpecError
-from mbdkit.inverse_dynamics.actuators import NamedActuator, actuators_of
 from mbdkit.inverse_dynamics.dynamics import Dynamics, largest_unbalanced, solve_dynamics
 from mbdkit.inverse_dynamics.fit import Fitter
 from mbdkit.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_loads
 from mbdkit.inverse_dynamics.manifold import Manifold
 from mbdkit.inverse_dynamics.measured import Measured, read_motion
-from mbdkit.inverse_dynamics.quantity_names import QuantityNames
 from mbdkit.inverse_dynamics.reduced_motion import (
     Independent,
     Motion,
@@ -23,7 +21,9 @@ from mbdkit.inverse_dynamics.reduced_motion import (
 )
 from mbdkit.inverse_dynamics.smoothing import smoothed
 from mbdkit.mechanics.source import AssembledMechanism
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
+from mbdkit.spec.named_actuators import NamedActuator, actuators_of
 from mbdkit.text import counted, listed
 
 
@@ -71,7 +71,7 @@ class InverseProblem:
             measured, table = read_motion(spec, names)
             loads = read_loads(spec, names, table)
             observed = dict(zip(measured.names, measured.quantities.quantities, strict=True))
-            actuators = actuators_of(spec, names, observed)
+            actuators = actuators_of(spec.actuators, names, observed)
         except SpecError as error:
             raise spec.placed(error) from error
         prepared = AssembledMechanism.at(spec, float(measured.time[0]), float(measured.time[-1]))

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.errors import RunError, SpecError
-from mbdkit.inverse_dynamics.actuators import NamedActuator
 from mbdkit.inverse_dynamics.fit import Fitter
 from mbdkit.inverse_dynamics.loads import Loads
 from mbdkit.inverse_dynamics.manifold import Directions
-from mbdkit.inverse_dynamics.mechanism_quantities import Quantities
 from mbdkit.inverse_dynamics.reduced_motion import Motion
+from mbdkit.mechanism.mechanism_quantities import Quantities
+from mbdkit.spec.named_actuators import NamedActuator
 from mbdkit.text import counted
 
 WEAK = 1e-8

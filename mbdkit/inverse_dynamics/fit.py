@@ -8,7 +8,7 @@ import numpy as np
 
 from mbdkit.errors import RunError, SpecError
 from mbdkit.inverse_dynamics.manifold import Manifold
-from mbdkit.inverse_dynamics.mechanism_quantities import Quantities
+from mbdkit.mechanism.mechanism_quantities import Quantities
 from mbdkit.text import listed
 
 MOST_ITERATIONS = 200

@@ -85,8 +85,8 @@ def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool 
     begin = time.perf_counter()
     if path is not None:
         check_target(path, overwrite=overwrite)
-    check_measures(spec)
     problem = InverseProblem.of(spec)
+    check_measures(spec)  # which need the actuators, whose errors come first
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
     result = compute(problem)
     for warning in result.warnings:

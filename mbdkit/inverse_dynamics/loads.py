@@ -11,10 +11,10 @@ from scipy.interpolate import CubicSpline
 
 from mbdkit.errors import SpecError
 from mbdkit.inverse_dynamics.measured import source_table, unit_factor
-from mbdkit.inverse_dynamics.mechanism_quantities import GROUND
-from mbdkit.inverse_dynamics.quantity_names import QuantityNames
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.inverse_dynamics.tables import Table
+from mbdkit.mechanism.mechanism_quantities import GROUND
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
 from mbdkit.spec.inverse_sections import ColumnOfTable, Load
 from mbdkit.text import shown

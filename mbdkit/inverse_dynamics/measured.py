@@ -13,9 +13,9 @@ from scipy.interpolate import CubicSpline
 from mbdkit.archive.reader import load
 from mbdkit.errors import SpecError
 from mbdkit.inverse_dynamics.fit import Target
-from mbdkit.inverse_dynamics.mechanism_quantities import Quantities, Quantity
-from mbdkit.inverse_dynamics.quantity_names import QuantityNames
 from mbdkit.inverse_dynamics.tables import Table, read_table, table_of
+from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
 from mbdkit.spec.inverse_sections import ColumnOfTable, Gaps, Load, MeasuredMotion, ObservedColumn
 from mbdkit.text import counted, listed, shown

@@ -16,8 +16,8 @@ import numpy as np
 from mbdkit.inverse_dynamics.fit import Fitter, Target
 from mbdkit.inverse_dynamics.manifold import Directions, Manifold
 from mbdkit.inverse_dynamics.measured import Measured
-from mbdkit.inverse_dynamics.mechanism_quantities import Quantities, Quantity
 from mbdkit.inverse_dynamics.smoothing import Smoothed
+from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
 
 PREFERRED = 0.2
 """Independence from which on an observed quantity is taken before others that are more independent."""

@@ -260,7 +260,7 @@ class _MeasureCompiler(RunCompiler):
     def __init__(self, text: str, spec: ModelSpec, parameters: Mapping[str, float] | None = None):
         self.spec = spec
         super().__init__(text, spec.mechanism(), spec.numbers if parameters is None else parameters)
-        self.known["events"] = list(spec.event_names)
+        self.known |= {"events": list(spec.event_names), "actuators": list(spec.actuator_units)}
 
     def measure(self) -> tuple[Program, _Value]:
         """Return the program and its value, which is one number; raise SpecError otherwise."""
@@ -307,6 +307,12 @@ class _MeasureCompiler(RunCompiler):
             self.refuse(f"'{node.id}' is a function and needs its argument in parentheses", node)
         return super().operand(node)
 
+    def of(self, kind: str, name: str, attribute: str, node: ast.expr) -> Code:
+        """Return the program of a quantity of an element."""
+        if kind == "actuators" and not self.known[kind]:
+            self.refuse("only inverse dynamics has actuators; the torque of a driver is joints.NAME.torque", node)
+        return super().of(kind, name, attribute, node)
+
     def get(self, quantity: Quantity) -> Code:
         """Return the program that pushes a checked quantity."""
         if quantity.kind in QUANTITIES and quantity.kind not in self.spec.recorded:
@@ -315,7 +321,7 @@ class _MeasureCompiler(RunCompiler):
                 "`output.quantities`"
             )
         value = _Value(
-            unit_of(quantity, self.mechanism),
+            unit_of(quantity, self.spec),
             is_series=is_over_time(quantity),
             is_vector=is_vector(quantity),
         )

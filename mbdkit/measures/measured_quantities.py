@@ -11,7 +11,7 @@ import numpy as np
 from mbdkit.archive.layout import MULTIPLIER_UNITS, RATE_UNITS
 from mbdkit.events.event_expression import Quantity
 from mbdkit.mechanism.forces import PointForce, Torque
-from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.units import Unit, read_unit
 
 if TYPE_CHECKING:
@@ -71,6 +71,7 @@ _COLUMNS: Mapping[str, Mapping[str, _Recorded]] = {
         **_vector("position", "position", "m", "x", "y"),
         **_vector("velocity", "velocity", "m/s", "vx", "vy"),
     },
+    "actuators": {"value": _Recorded("value", ""), "power": _Recorded("power", "W")},
     "energy": {
         name: _Recorded(name, "J") for name in ("kinetic", "potential", "total", "dissipated", "work", "balance")
     },
@@ -106,15 +107,18 @@ def component_of(quantity: Quantity) -> tuple[str, int | None, bool]:
     return found.column, found.component, found.is_vector
 
 
-def unit_of(quantity: Quantity, mechanism: Mechanism) -> Unit:
-    """Return the SI unit of a quantity of a mechanism."""
+def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit:
+    """Return the SI unit of a quantity of the runs of a spec."""
     if quantity.kind == "events":
         return read_unit(_EVENTS[quantity.attribute][0])
     text = _COLUMNS[quantity.kind][quantity.attribute].unit
-    return read_unit(text or _unit_of_element(quantity, mechanism))
+    return read_unit(text or _unit_of_element(quantity, spec))
 
 
-def _unit_of_element(quantity: Quantity, mechanism: Mechanism) -> str:
+def _unit_of_element(quantity: Quantity, spec: ModelSpec) -> str:
+    if quantity.kind == "actuators":
+        return spec.actuator_units[quantity.name]
+    mechanism = spec.mechanism()
     if quantity.kind == "joints":
         return mechanism.joints[quantity.name].coordinate_unit
     force = mechanism.forces[quantity.name]

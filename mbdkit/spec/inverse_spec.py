@@ -11,10 +11,13 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.checks import check_name
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.plain_data import path_text
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.spec.choices import Choice
 from mbdkit.spec.inverse_sections import Actuator, Load, MeasuredMotion, Span
 from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.named_actuators import actuators_of
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
 
 
@@ -61,6 +64,17 @@ class InverseSpec(ModelSpec):
     def items(self) -> list[Registered]:
         """The registry entries of the model and the force laws."""
         return [self.model_item, *self.force_law_items]
+
+    @property
+    def actuator_units(self) -> Mapping[str, str]:
+        """Units of the values of the actuators, by name; of all possible ones if the data tell what is observed."""
+        names = QuantityNames(self.mechanism())
+        columns = self.motion.columns
+        if columns is None:  # one by one, since the first of several names of a quantity would hide the others
+            groups = [{name: quantity} for name, quantity in names.candidates().items()]
+        else:
+            groups = [{name: names.find(name, path_text(("motion", "columns", name))) for name in columns}]
+        return {one.name: one.unit for group in groups for one in actuators_of(self.actuators, names, group)}
 
     @property
     def folder(self) -> Path:

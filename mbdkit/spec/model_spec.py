@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
@@ -69,6 +70,11 @@ class ModelSpec(StrictSpec):
     def event_names(self) -> tuple[str, ...]:
         """Names of the events."""
         return ()
+
+    @property
+    def actuator_units(self) -> Mapping[str, str]:
+        """Units of the values of the actuators that inverse dynamics may have, N or N m, by name."""
+        return {}
 
     @property
     def model_item(self) -> Registered:

@@ -144,3 +144,47 @@ def test_a_torque_between_bodies_without_a_joint_acts_on_both() -> None:
 def test_actuators_that_are_not_complete_are_refused(actuator: dict[str, Any], told: str) -> None:
     with pytest.raises(SpecError, match=told):
         mbdkit.inverse(double_pendulum(actuators={"a": actuator}))
+
+
+def test_measures_take_values_and_powers_of_actuators_in_their_units() -> None:
+    measures = {
+        "torque": "max(abs(actuators.hip.value))",
+        "work": {"value": "integral(actuators.knee.power)", "unit": "kJ"},
+    }
+    run = mbdkit.inverse(double_pendulum(measures=measures))
+    hip, knee = run.actuators["hip"], run.actuators["knee"]
+    assert run.measures["torque"] == np.max(np.abs(hip.value))
+    assert run.measures.units["torque"] == "N m"
+    assert run.measures["work"] == pytest.approx(np.trapezoid(knee.power, T) / 1000, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("expression", "told"),
+    [
+        ("rms(actuators.hpi.value)", r"there is no actuator 'hpi' \(did you mean 'hip'\?\)"),
+        ("rms(actuators.hip.torque)", "actuator 'hip' has no 'torque'.*; it has value and power"),
+        ("rms(actuators.hip.value + joints.hip.force_x)", "adds quantities of different units, N m and N"),
+    ],
+)
+def test_wrong_quantities_of_actuators_are_refused(expression: str, told: str) -> None:
+    with pytest.raises(SpecError, match=rf"^measures\.one.*{told}"):
+        mbdkit.inverse(double_pendulum(measures={"one": expression}))
+
+
+def test_names_of_actuators_may_follow_from_headings_of_the_table() -> None:
+    spec = double_pendulum(measures={"torque": "rms(actuators.knee.value)"})
+    data = spec["motion"]["data"]
+    spec["motion"] = {"data": {"time": T, "hip.angle": data["hip"], "knee.angle": data["knee"]}, "smooth": "quintic"}
+    mean_square = np.trapezoid(mbdkit.inverse(double_pendulum()).actuators["knee"].value ** 2, T) / T[-1]
+    assert mbdkit.inverse(spec).measures["torque"] == pytest.approx(np.sqrt(mean_square), rel=1e-12)
+
+
+def test_residual_actuators_are_quoted_in_measures_and_runs_have_no_actuators() -> None:
+    m = mbdkit.Mechanism()
+    m.body("disc", mass=2.0, inertia=0.5)
+    data = {"time": T, "disc.x": T**2, "disc.y": 0 * T, "disc.angle": 0 * T}
+    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": data, "smooth": "quintic"}}
+    run = mbdkit.inverse(spec | {"measures": {"push": 'mean(actuators["root.x"].value)'}})
+    assert run.measures["push"] == pytest.approx(4.0, rel=1e-9)
+    with pytest.raises(SpecError, match=r"measures\.push.*only inverse dynamics has actuators"):
+        mbdkit.run("pendulum", measures={"push": "mean(actuators.J1.value)"})

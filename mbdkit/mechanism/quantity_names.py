@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from mbdkit.errors import SpecError
-from mbdkit.inverse_dynamics.mechanism_quantities import (
+from mbdkit.mechanism.joints import JointBase
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_quantities import (
     AXES,
     GROUND,
     Affine,
@@ -16,8 +18,6 @@ from mbdkit.inverse_dynamics.mechanism_quantities import (
     RelativeAngle,
     Travel,
 )
-from mbdkit.mechanism.joints import JointBase
-from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.text import did_you_mean, listed
 
 _PREFIXES = {kind: f"{kind[:-1] if kind != 'bodies' else 'body'}" for kind in ("bodies", "joints", "markers")}

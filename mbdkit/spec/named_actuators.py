@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mbdkit.errors import SpecError
-from mbdkit.inverse_dynamics.mechanism_quantities import (
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_quantities import (
     AXES,
     Coordinate,
     MarkerCoordinate,
@@ -17,9 +18,7 @@ from mbdkit.inverse_dynamics.mechanism_quantities import (
     Travel,
     without_scale,
 )
-from mbdkit.inverse_dynamics.quantity_names import QuantityNames
-from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.spec import InverseSpec
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec.inverse_sections import Actuator
 from mbdkit.text import did_you_mean, listed
 
@@ -51,11 +50,15 @@ class NamedActuator:
         return "N m" if self.quantity.unit == "rad" else "N"
 
 
-def actuators_of(spec: InverseSpec, names: QuantityNames, observed: dict[str, Quantity]) -> list[NamedActuator]:
+def actuators_of(
+    given: Mapping[str, Actuator], names: QuantityNames, observed: Mapping[str, Quantity]
+) -> list[NamedActuator]:
     """Return the actuators of a spec.
 
     Parameters
     ----------
+    given
+        The section `actuators` of the spec.
     observed
         The observed quantities by name.
 
@@ -65,13 +68,13 @@ def actuators_of(spec: InverseSpec, names: QuantityNames, observed: dict[str, Qu
         If an actuator refers to an unknown joint or body, or to a joint whose coordinate is fixed, or has the name of
         a residual.
     """
-    if spec.actuators:
-        found = [_given(name, one, names) for name, one in spec.actuators.items()]
+    if given:
+        found = [_given(name, one, names) for name, one in given.items()]
     else:
         found = _of_observed(observed, names)
-    residuals = [one for one in _residuals(names) if all(one.quantity != given.quantity for given in found)]
+    residuals = [one for one in _residuals(names) if all(one.quantity != other.quantity for other in found)]
     for one in residuals:
-        if one.name in spec.actuators:
+        if one.name in given:
             raise SpecError(
                 f"is the residual actuator of the coordinate '{one.name}'; call this actuator otherwise",
                 key=f"actuators.{one.name}",
