@@ -16,12 +16,20 @@ if TYPE_CHECKING:
 
 
 def design(
-    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, or - for stdin.")],
+    spec: Annotated[
+        str,
+        typer.Argument(
+            metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged design such as gravity-balance."
+        ),
+    ],
     *,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="The folder; by default ./SPEC.")
     ] = None,
     assignments: Set = None,
+    with_report: Annotated[
+        bool, typer.Option("--report", help="Also write report.html, with the device, its loads and what is around it.")
+    ] = False,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -38,9 +46,13 @@ def design(
 
     checked = load_design_spec(spec, assignments or ())
     folder = output if output is not None else Path(stem(spec))
-    check_folder_of(checked, folder, overwrite=overwrite)
+    check_folder_of(checked, folder, overwrite=overwrite, with_report=with_report)
     result = solve(checked, silence if quiet or as_json else say)
     files = write(result, folder, overwrite=overwrite)
+    if with_report:
+        from mbdkit.report.design_report import write_design_report
+
+        files.append(write_design_report(result, folder, overwrite=overwrite))
     if as_json:
         show_json({"path": str(folder), **result.to_dict()})
     elif not quiet:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -63,26 +63,24 @@ def schema_design(debug: Debug = False) -> None:
 def examples(context: typer.Context, debug: Debug = False) -> None:
     """List the packaged examples, specs and notebooks.
 
-    Run a spec by its name with `mbdkit run`, or `mbdkit inverse` for inverse dynamics,
-    or copy a spec or a notebook to edit it.
+    Run a spec by its name with `mbdkit run`, `mbdkit inverse` for inverse dynamics, or
+    `mbdkit design` for designs, or copy a spec or a notebook to edit it.
     """
     if context.invoked_subcommand is not None:
         return
     from mbdkit.notebook.example_notebooks import notebook_names, notebook_title
     from mbdkit.spec.loading import example_names, read_source  # without validation, which would import plugins
 
-    specs = [(name, read_source(name).data["title"]) for name in example_names("run")]
-    inverse = [(name, read_source(name).data["title"]) for name in example_names("inverse")]
-    notebooks = [(name, notebook_title(name)) for name in notebook_names()]
-    show(
-        table(
-            [
-                *(("RUN", "TITLE"), *specs, ("", "")),
-                *(("INVERSE DYNAMICS", "TITLE"), *inverse, ("", "")),
-                *(("NOTEBOOK", "TITLE"), *notebooks),
-            ]
-        )
-    )
+    kinds: list[tuple[str, Literal["run", "inverse", "design"]]] = [
+        ("RUN", "run"),
+        ("INVERSE DYNAMICS", "inverse"),
+        ("DESIGN", "design"),
+    ]
+    rows: list[tuple[str, str]] = []
+    for heading, kind in kinds:
+        rows += [(heading, "TITLE"), *((name, read_source(name).data["title"]) for name in example_names(kind))]
+        rows.append(("", ""))
+    show(table([*rows, ("NOTEBOOK", "TITLE"), *((name, notebook_title(name)) for name in notebook_names())]))
 
 
 @examples_app.command("copy")

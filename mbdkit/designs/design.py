@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.designs.evaluation import Evaluator
+from mbdkit.designs.identifiability import sentence, undetermined
 from mbdkit.designs.problem import Problem
 from mbdkit.designs.search import Search, searches
 from mbdkit.designs.trust import Trust, certified
@@ -61,6 +62,9 @@ class Design:
         Number of searches that ended at the best point to 0.1 % of its goal, and of all searches.
     message
         Why the best search ended.
+    undetermined
+        Changes of variables by name, each of which leaves the goal at the best point as it is, because only a
+        combination of these variables is determined; empty for a Pareto front.
     """
 
     spec: DesignSpec
@@ -72,6 +76,7 @@ class Design:
     runs: int
     searches: tuple[int, int]
     message: str
+    undetermined: tuple[dict[str, float], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data for JSON; unknown numbers are None."""
@@ -85,6 +90,7 @@ class Design:
                 "runs": self.runs,
                 "searches": {"at_best": self.searches[0], "all": self.searches[1]},
                 "message": self.message,
+                "undetermined": self.undetermined,
             }
         )
         return plain
@@ -102,7 +108,12 @@ class Design:
         lines = [table(rows), f"{counted(self.runs, 'run')}, {at_best} of {every} searches ended here: {self.message}"]
         if not self.is_feasible:
             lines.append("No point that satisfies all limits was found; this one violates them least.")
-        return "\n".join([*lines, *self.trust.sentences()])
+        return "\n".join([*lines, *self.warnings])
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a user should know of the best point, in sentences."""
+        return [*map(sentence, self.undetermined), *self.trust.sentences()]
 
 
 def design(source: Any, *, notify: Notify | None = None, **sections: Any) -> Design:
@@ -155,11 +166,10 @@ def solve(spec: DesignSpec, notify: Notify) -> Design:
     """Solve a validated design; see `design`."""
     evaluator = Evaluator(spec)
     first = evaluator.first
-    found = searches(Problem(evaluator), spec.optimizer, first)
-    notify(
-        f"{counted(evaluator.runs, 'run')}: the least {evaluator.names[0]} is {evaluator.totals(found[0].end)[0]:.6g}"
-    )
-    front = [found[0]] if len(spec.goals) == 1 else _front(evaluator, found[0], notify)
+    problem = Problem(evaluator)
+    found = searches(problem, spec.optimizer, first)
+    notify(f"{counted(evaluator.runs, 'run')}: the least {spec.totals[0]} is {evaluator.totals(found[0].end)[0]:.6g}")
+    front = [found[0]] if len(spec.totals) == 1 else _front(evaluator, found[0], notify)
     best = front[0] if len(front) == 1 else _knee(evaluator, front)
     trust = certified(evaluator, first, best.end)
     near = sum(
@@ -175,6 +185,7 @@ def solve(spec: DesignSpec, notify: Notify) -> Design:
         runs=evaluator.runs,
         searches=(near, len(found)),
         message=best.message,
+        undetermined=undetermined(problem, best.end) if len(spec.totals) == 1 else (),
     )
 
 
@@ -210,7 +221,7 @@ def _point(evaluator: Evaluator, x: np.ndarray) -> DesignPoint:
     values, goals = evaluator.values(x[None])[0], evaluator.totals(x)
     return DesignPoint(
         variables=evaluator.variables(x),
-        goals=dict(zip(evaluator.spec.goals, goals.tolist(), strict=True)),
+        goals=dict(zip(evaluator.spec.totals, goals.tolist(), strict=True)),
         measures={
             name: dict(zip(evaluator.names, row.tolist(), strict=True))
             for name, row in zip(evaluator.spec.situations, values, strict=True)

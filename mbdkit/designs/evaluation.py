@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -83,7 +83,7 @@ class ScenarioRuns:
         runs: dict[int, RunSpec] = {}
         for place, settings in enumerate(points):
             try:
-                spec = self.at(settings)
+                spec = self.at([*settings, *self._cheaper])
                 if isinstance(spec, RunSpec):
                     runs[place] = spec
                 else:
@@ -100,6 +100,11 @@ class ScenarioRuns:
             values = tuple(take(one, stored, spec) for one in self._measures)
             found[place] = Outcome(values, result.judgement.level)
         return [one for one in found if one is not None]
+
+    @property
+    def _cheaper(self) -> Settings:
+        """What is left out while searching: the error bars of inverse dynamics, which take ten times as long."""
+        return [] if isinstance(self.spec, RunSpec) else [(("motion", "errors"), "none")]
 
     @cached_property
     def _measures(self) -> tuple[Any, ...]:
@@ -148,7 +153,12 @@ class Evaluator:
     @property
     def first(self) -> np.ndarray:
         """The start (n,) of the variables."""
-        return np.array([(one.first - one.bounds[0]) / self._width(one) for one in self.spec.variables.values()])
+        return self.point({name: one.first for name, one in self.spec.variables.items()})
+
+    def point(self, variables: Mapping[str, float]) -> np.ndarray:
+        """Return the point (n,) of values of the variables."""
+        given = self.spec.variables
+        return np.array([(variables[name] - one.bounds[0]) / self._width(one) for name, one in given.items()])
 
     def variables(self, x: np.ndarray) -> dict[str, float]:
         """Return the values of the variables at a point."""
@@ -176,10 +186,17 @@ class Evaluator:
         found = [one.values for outcome in self.outcomes(points) for one in outcome]
         return np.array(found).reshape(len(points), len(self.scenarios), len(self.names))
 
+    @property
+    def root_weights(self) -> np.ndarray:
+        """Square roots (S,) of the weights of the scenarios."""
+        return np.sqrt([one.weight for one in self.spec.situations.values()])
+
     def totals(self, x: np.ndarray) -> np.ndarray:
-        """Return the goals (G,) at a point (n,), summed over the scenarios by their weights."""
-        weights = [one.weight for one in self.spec.situations.values()]
-        return np.asarray(weights @ self.values(x[None])[0][:, : len(self.spec.goals)])
+        """Return the goals (G,) at a point (n,), summed over the scenarios by their weights; or the sum of squares."""
+        values, weights = self.values(x[None])[0][:, : len(self.spec.goals)], self.root_weights**2
+        if self.spec.sums_squares:
+            return np.array([weights @ np.sum(values**2, axis=1)])
+        return np.asarray(weights @ values)
 
     @staticmethod
     def _width(variable: Any) -> float:

@@ -91,6 +91,7 @@ class Problem:
         jacobian: Jacobian = differences,
     ):
         self.evaluator, self._jacobian = evaluator, jacobian
+        self.sums_squares = evaluator.spec.sums_squares
         self.weights = goal_weights(evaluator, goal)
         self.bounds = [*_limits(evaluator), *(_cap(evaluator, *cap) for cap in (caps or {}).items())]
         outcome = evaluator.outcomes(evaluator.first[None])[0]
@@ -102,15 +103,32 @@ class Problem:
         self._sizes = [_size(bound, float(bound.of(first)[0])) for bound in self.bounds]
 
     def _goal(self, values: np.ndarray) -> np.ndarray:
+        if self.sums_squares:
+            return np.asarray(np.sum(self._terms(values) ** 2, axis=1))
         return _weighted(values, self.weights)
+
+    def _terms(self, values: np.ndarray) -> np.ndarray:
+        """Return the terms (N, R), whose squares are summed, of goals and limits (N, S, K)."""
+        terms = self.evaluator.root_weights[:, None] * values[:, :, : len(self.evaluator.spec.goals)]
+        return np.asarray(terms.reshape(len(values), -1))
+
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """Return the terms (R,) of a sum of squares at a point (n,), the sum of whose squares is the cost."""
+        found = self._terms(self.evaluator.values(x[None]))[0]
+        return np.nan_to_num(found / np.sqrt(self.scale), nan=np.sqrt(FAILED))
+
+    def residual_slopes(self, x: np.ndarray) -> np.ndarray:
+        """Return the derivatives (R, n) of these terms."""
+        by_variable = np.moveaxis(self._derivatives(x), -1, 0)
+        return np.asarray(self._terms(by_variable).T / np.sqrt(self.scale))
 
     def cost(self, x: np.ndarray) -> float:
         """Return the goal at a point (n,), relative to its value at the start; `FAILED` if a run fails."""
         return float(self.costs(x[None])[0])
 
-    def costs(self, points: np.ndarray) -> np.ndarray:
-        """Return the cost at points (N, n)."""
-        return np.nan_to_num(self._goal(self.evaluator.values(points)) / self.scale, nan=FAILED)
+    def costs(self, points: np.ndarray, failed: float = FAILED) -> np.ndarray:
+        """Return the cost at points (N, n); `failed` where a run fails."""
+        return np.nan_to_num(self._goal(self.evaluator.values(points)) / self.scale, nan=failed)
 
     def slope(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives (n,) of the cost, zero where they are unknown."""

@@ -6,7 +6,7 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import NonlinearConstraint, OptimizeResult, differential_evolution, minimize
+from scipy.optimize import NonlinearConstraint, OptimizeResult, differential_evolution, least_squares, minimize
 from scipy.stats import qmc
 
 from mbdkit.designs.problem import Problem
@@ -46,7 +46,8 @@ def searches(problem: Problem, optimizer: LocalOptimizer | GlobalOptimizer, firs
     """
     if isinstance(optimizer, GlobalOptimizer):
         return [_evolution(problem, optimizer, first)]
-    found = [_descent(problem, optimizer, start) for start in _starts(optimizer, first)]
+    search = _squares if problem.sums_squares else _descent
+    found = [search(problem, optimizer, start) for start in _starts(optimizer, first)]
     return sorted(found, key=lambda one: (not one.feasible, one.cost))
 
 
@@ -80,6 +81,22 @@ def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> 
             constraints=limits if problem.bounds else (),
             options=options,
         )
+    return _search(problem, start, result)
+
+
+def _squares(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> Search:
+    """Return a search for the least sum of squares, by a trust region and the Jacobian of the terms."""
+    tolerance = max(optimizer.tolerance, 2 * np.finfo(float).eps)  # SciPy accepts no smaller one
+    result = least_squares(
+        problem.residuals,
+        start,
+        problem.residual_slopes,
+        bounds=(0.0, 1.0),
+        ftol=tolerance,
+        xtol=tolerance,
+        gtol=tolerance,
+        max_nfev=optimizer.max_iterations,
+    )
     return _search(problem, start, result)
 
 

@@ -17,22 +17,29 @@ from mbdkit.spec import DesignSpec, RunSpec
 from mbdkit.spec.design_spec import variable_path
 
 RESULT = "design.json"
+PAGE = "report.html"
 
 
-def check_folder_of(spec: DesignSpec, folder: Path, *, overwrite: bool) -> None:
+def check_folder_of(spec: DesignSpec, folder: Path, *, overwrite: bool, with_report: bool = False) -> None:
     """Raise SpecError or ResourceError unless the results of a design can be written into a folder.
 
     Parameters
     ----------
     overwrite
         Whether files of an earlier design may be replaced.
+    with_report
+        Whether a report is written too.
     """
     if not os.path.lexists(folder):
         check_folder(folder.parent, folder)
         return
     if not os.path.isdir(folder):
         raise SpecError("this is not a folder; name another one with -o", file=folder)
-    names = [RESULT, *(_archive(which, name) for which in ("start", "best") for name in spec.situations)]
+    names = [
+        RESULT,
+        *([PAGE] if with_report else []),
+        *(archive_name(which, name) for which in ("start", "best") for name in spec.situations),
+    ]
     for name in names:
         check_output(folder / name, overwrite=overwrite)
 
@@ -56,7 +63,7 @@ def _archives(design: Design, which: str, folder: Path, overwrite: bool) -> Iter
     point: DesignPoint = getattr(design, which)
     settings = [(variable_path(name), value) for name, value in point.variables.items()]
     for name, scenario in design.spec.specs.items():
-        spec, path = ScenarioRuns(scenario).at(settings), folder / _archive(which, name)
+        spec, path = ScenarioRuns(scenario).at(settings), folder / archive_name(which, name)
         run = (
             simulate(spec, path=path, overwrite=overwrite)
             if isinstance(spec, RunSpec)
@@ -66,5 +73,6 @@ def _archives(design: Design, which: str, folder: Path, overwrite: bool) -> Iter
         yield path
 
 
-def _archive(which: str, scenario: str) -> str:
+def archive_name(which: str, scenario: str) -> str:
+    """Return the name of the archive of a point, ``start`` or ``best``, in a scenario."""
     return f"{which}-{scenario}.h5" if scenario else f"{which}.h5"

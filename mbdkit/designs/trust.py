@@ -63,14 +63,14 @@ class Trust:
 
 def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trust:
     """Return how far the best point (n,) can be trusted, by runs with shorter steps and with another method."""
-    goals = list(evaluator.spec.goals)
+    goals = evaluator.spec.totals
     errors = {x.tobytes(): _errors(evaluator, x) for x in (start, best)}
     at_start, at_best = (evaluator.totals(x) for x in (start, best))
     gain = {name: float(at_start[k] - at_best[k]) for k, name in enumerate(goals)}
     both = np.nan_to_num(errors[start.tobytes()]) + np.nan_to_num(errors[best.tobytes()])
     outcomes = evaluator.outcomes(best[None])[0]
     return Trust(
-        errors=dict(zip(evaluator.names, errors[best.tobytes()].tolist(), strict=True)),
+        errors=dict(zip([*goals, *evaluator.spec.subject_to], errors[best.tobytes()].tolist(), strict=True)),
         gain=gain,
         is_gain={name: bool(gain[name] > both[k]) for k, name in enumerate(goals)},
         verdict=min((one.verdict for one in outcomes), key=WORST.index),
@@ -87,10 +87,13 @@ def _errors(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
             if others
             else np.full(len(found.values), np.nan)
         )
-    weights = np.array([one.weight for one in evaluator.spec.situations.values()])
-    count = len(evaluator.spec.goals)
+    weights, count = evaluator.root_weights**2, len(evaluator.spec.goals)
     table = np.array(differences)
-    return np.concatenate([weights @ table[:, :count], np.max(table[:, count:], axis=0, initial=-np.inf)])
+    of_goals = table[:, :count]
+    if evaluator.spec.sums_squares:  # (r + e)^2 - r^2
+        values = np.abs(evaluator.values(x[None])[0][:, :count])
+        of_goals = np.sum(of_goals * (2 * values + of_goals), axis=1, keepdims=True)
+    return np.concatenate([weights @ of_goals, np.max(table[:, count:], axis=0, initial=-np.inf)])
 
 
 def _changes(spec: Any) -> list[Settings]:

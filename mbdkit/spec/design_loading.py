@@ -11,7 +11,7 @@ from mbdkit.errors import SpecError
 from mbdkit.plain_data import Path, copied, parse_path, path_text
 from mbdkit.spec.design_spec import DesignSpec, Scenario, variable_path
 from mbdkit.spec.inverse_spec import InverseSpec, is_inverse
-from mbdkit.spec.loading import exists, read_source
+from mbdkit.spec.loading import example_names, exists, read_source
 from mbdkit.spec.reading import parse_key, put, read_file, read_stdin, set_value
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.source_document import Document
@@ -25,7 +25,8 @@ def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: A
     Parameters
     ----------
     source
-        A file (YAML, TOML, JSON), ``"-"`` for standard input, a mapping, a document that was read, or a `DesignSpec`.
+        A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged design, a mapping, a document that
+        was read, or a `DesignSpec`.
         The file name of a base is relative to the folder of the design file.
     assignments
         Assignments to keys of the design spec, such as ``"optimizer.starts=8"``, with values in YAML.
@@ -68,12 +69,21 @@ def _document(source: Any) -> tuple[Document, FilePath]:
     if isinstance(source, Document):
         return by_text(source), FilePath(source.file).parent
     if not isinstance(source, str | FilePath):
-        raise SpecError(f"a design is a file, a dict or a DesignSpec, not {type(source).__name__}")
+        raise SpecError(
+            f"a design is a file, the name of a packaged design, a dict or a DesignSpec, not {type(source).__name__}"
+        )
     if source == "-":
         return by_text(read_stdin()), FilePath()
     path = FilePath(source)
+    names = example_names("design")
+    if str(source) in names and not os.path.isfile(path):
+        return by_text(read_source(source)), FilePath()
     if not exists(path):
-        raise SpecError("there is no such file", file=str(source)[:200])
+        raise SpecError(
+            f"there is no such file, and no packaged design with this name{did_you_mean(str(source), names)}; "
+            f"designs: {listed(names)}",
+            file=str(source)[:200],
+        )
     return by_text(read_file(path)), path.parent
 
 
@@ -90,14 +100,13 @@ def _scenario_spec(design: DesignSpec, name: str, scenario: Scenario, folder: Fi
     given = {path_text(("overrides", key)): (parse_key(key), value) for key, value in design.overrides.items()}
     for key, value in scenario.overrides.items():
         given[path_text(("scenarios", name, "overrides", key))] = (parse_key(key), value)
+    _put_all(data, given)
+    chosen: dict[str, tuple[Path, Any]] = {}
     for key, variable in design.variables.items():
         _check_variable(key, data)
-        given[path_text(("variables", key))] = (variable_path(key), variable.first)
-    for where, (path, value) in given.items():
-        try:
-            put(data, path, value)
-        except SpecError as error:
-            raise SpecError(error.message, key=where) from None
+        chosen[path_text(("variables", key))] = (variable_path(key), variable.first)
+    _put_all(data, chosen)
+    given |= chosen
     data["measures"] = {one.name: {"value": one.expression} for one in design.defined_measures()}
     kind = InverseSpec if is_inverse(data) else RunSpec
     try:
@@ -106,8 +115,17 @@ def _scenario_spec(design: DesignSpec, name: str, scenario: Scenario, folder: Fi
     except SpecError as error:
         raise _located(error, given, document, path_text(place)) from None
     own_file = document.file or (design._document.file if design._document is not None else "")
-    spec._document = Document(data, own_file)
+    spec._document = Document(data, own_file, folder=document.folder)
     return spec
+
+
+def _put_all(data: dict[str, Any], given: Mapping[str, tuple[Path, Any]]) -> None:
+    """Set key paths of a base, by the key of the design that says so."""
+    for where, (path, value) in given.items():
+        try:
+            put(data, path, value)
+        except SpecError as error:
+            raise SpecError(error.message, key=where) from None
 
 
 def _check_variable(name: str, data: Mapping[str, Any]) -> None:

@@ -82,7 +82,7 @@ class Scenario(Section):
 class LocalOptimizer(Section):
     """A method that follows gradients to a local minimum, from one or several starts."""
 
-    name: Literal["slsqp", "trust-constr"]
+    name: Literal["slsqp", "trust-constr", "least-squares"]
     starts: Count = 1
     """Number of starts: the first at the `start` of the variables, the others in a Sobol sequence within the bounds."""
     seed: Annotated[int, Field(ge=0)] = 0
@@ -155,7 +155,8 @@ class DesignSpec(StrictSpec):
     subject_to: dict[str, Limit] = Field(default_factory=dict)
     """Measures that are kept within limits, by name."""
     optimizer: Annotated[LocalOptimizer | GlobalOptimizer, Field(discriminator="name")] = LocalOptimizer(name="slsqp")
-    """The method: `slsqp`, `trust-constr` or `differential-evolution` of SciPy, and its options."""
+    """The method: `slsqp`, `trust-constr`, `least-squares` or `differential-evolution` of SciPy, and its options;
+    `least-squares` minimises the sum of the squares of all expressions of `minimize`."""
     front: Annotated[int, Field(ge=3, le=1000)] = 9
     """Number of points of a Pareto front, both ends included."""
 
@@ -173,7 +174,9 @@ class DesignSpec(StrictSpec):
                     "is missing, here and at the top level of the design: the spec to improve",
                     key=path_text(("scenarios", name, "base")),
                 )
-        if len(self.goals) > 2:
+        if self.sums_squares and self.subject_to:
+            raise SpecError("keeps no limits (`subject_to`); use slsqp or trust-constr", key="optimizer.name")
+        if len(self.totals) > 2:
             raise SpecError(
                 f"has {len(self.goals)} goals; a Pareto front has two. Combine some of them in one expression",
                 key="minimize",
@@ -188,6 +191,16 @@ class DesignSpec(StrictSpec):
     def goals(self) -> dict[str, str]:
         """Expressions of the goals by name."""
         return {GOAL: self.minimize} if isinstance(self.minimize, str) else dict(self.minimize)
+
+    @property
+    def sums_squares(self) -> bool:
+        """Whether the sum of the squares of all goals is minimised, in place of each goal."""
+        return self.optimizer.name == "least-squares"
+
+    @property
+    def totals(self) -> tuple[str, ...]:
+        """Names of what is minimised: of the goals, or of their sum of squares."""
+        return (GOAL,) if self.sums_squares else tuple(self.goals)
 
     @property
     def situations(self) -> dict[str, Scenario]:

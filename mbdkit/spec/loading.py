@@ -89,10 +89,11 @@ def _loaded(kind: type[S], source: Any, overrides: Iterable[str], sections: Mapp
     return spec
 
 
-def example_names(kind: Literal["run", "inverse"] | None = None) -> list[str]:
-    """Return the names of the packaged examples: of run specs, of specs of inverse dynamics, or of both.
+def example_names(kind: Literal["run", "inverse", "design"] | None = None) -> list[str]:
+    """Return the names of the packaged examples: of run specs, of specs of inverse dynamics, of designs, or of all.
 
-    `load_spec` accepts the names of run specs as a source, and `load_inverse_spec` those of inverse dynamics.
+    `load_spec` accepts the names of run specs as a source, `load_inverse_spec` those of inverse dynamics, and
+    `load_design_spec` those of designs.
     """
     return [name for name, own in _kinds().items() if kind in (None, own)]
 
@@ -104,7 +105,9 @@ def _kinds() -> dict[str, str]:
     for path in _examples().iterdir():
         name, suffix = os.path.splitext(path.name)
         if suffix == ".yaml":
-            found[name] = "inverse" if "\nmotion:" in path.read_text("utf-8") else "run"
+            text = path.read_text("utf-8")
+            signs = {"design": "\nmbdkit_design:", "inverse": "\nmotion:"}
+            found[name] = next((kind for kind, sign in signs.items() if sign in text), "run")
     return dict(sorted(found.items()))
 
 

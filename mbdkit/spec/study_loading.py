@@ -129,10 +129,15 @@ def recognized(source: str) -> tuple[str | Document, bool]:
         If the file cannot be read.
     """
     if source != "-" and not os.path.isfile(source):
-        return source, source not in example_names() and _packaged(source) is not None
+        return source, _is_study_name(source)
     document = read_stdin() if source == "-" else read_file(FilePath(source))
     has_grid = "model" not in document.data and bool({"axes", "families", "sample"} & document.data.keys())
     return document, "mbdkit" not in document.data and ("mbdkit_study" in document.data or has_grid)
+
+
+def _is_study_name(name: str) -> bool:
+    """Whether a name is that of a packaged study, and of no packaged spec of runs or of inverse dynamics."""
+    return name not in {*example_names("run"), *example_names("inverse")} and _packaged(name) is not None
 
 
 def study_names() -> list[str]:
@@ -223,7 +228,7 @@ def base_source(base: str, folder: FilePath, key: str, owner: str) -> str | File
         ``study`` or ``design``, for error messages.
     """
     path = folder / base
-    names = example_names()
+    names = [*example_names("run"), *example_names("inverse")]
     if os.path.isfile(path) or base not in names:
         if base == "-" or not exists(path):
             raise SpecError(

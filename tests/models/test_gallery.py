@@ -43,7 +43,7 @@ def test_example_says_where_it_comes_from(name):
 @every_example
 def test_entry_has_the_picture_the_command_the_spec_and_the_source_of_the_example(name):
     entry = entries()[name]
-    command = "inverse" if name in example_names("inverse") else "run"
+    command = next(kind for kind in ("run", "inverse", "design") if name in example_names(kind))
     assert f"`mbdkit {command} {name}`" in entry
     assert f"({name}.yaml)" in entry
     assert "* Source: " in entry

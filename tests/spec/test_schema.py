@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mbdkit.spec import example_names, load_inverse_spec, load_spec, load_study_spec, study_names
+from mbdkit.spec import example_names, load_design_spec, load_inverse_spec, load_spec, load_study_spec, study_names
 from mbdkit.spec.schema import HOME, SCHEMAS, builtin_schema_text, run_schema, study_schema
 
 FOLDER = Path(__file__).parents[2] / "schemas"
@@ -41,11 +41,11 @@ def test_a_choice_is_made_by_name():
     assert {"gauss", "mbdkit:gauss", "rk4"} <= names
 
 
-@pytest.mark.parametrize("kind", ["run", "inverse"])
+@pytest.mark.parametrize("kind", ["run", "inverse", "design"])
 def test_every_packaged_example_is_valid_and_names_the_schema(kind):
-    loaded = {"run": load_spec, "inverse": load_inverse_spec}[kind]
+    loaded = {"run": load_spec, "inverse": load_inverse_spec, "design": load_design_spec}[kind]
     for name in example_names(kind):
-        assert loaded(name).mechanism().bodies
+        assert loaded(name).title
         first = (files("mbdkit.models") / "examples" / f"{name}.yaml").read_text("utf-8").splitlines()[0]
         assert first == f"# yaml-language-server: $schema={HOME.format(kind)}"
 

@@ -1,0 +1,47 @@
+"""The goals of a design around its best point: cuts along each variable, and combinations that nothing determines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.designs.evaluation import Evaluator
+
+REACH = 0.1
+"""Half width of a cut, as a share of the bounds."""
+POINTS = 21
+"""Number of points of a cut."""
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The goals along one variable, while the others stay at the best point.
+
+    Attributes
+    ----------
+    variable
+        Name of the variable.
+    values
+        (P,) its values.
+    goals
+        (P, G) goals summed over the scenarios by their weights; nan where a run fails.
+    """
+
+    variable: str
+    values: np.ndarray
+    goals: np.ndarray
+
+
+def cuts(evaluator: Evaluator, best: np.ndarray) -> list[Cut]:
+    """Return a cut through the best point (n,) along each variable, within its bounds."""
+    found = []
+    for place, name in enumerate(evaluator.spec.variables):
+        low, high = max(best[place] - REACH, 0.0), min(best[place] + REACH, 1.0)
+        shares = np.union1d(np.linspace(low, high, POINTS), best[place])
+        points = np.tile(best, (len(shares), 1))
+        points[:, place] = shares
+        evaluator.outcomes(points)  # side by side, where possible
+        values = np.array([evaluator.variables(x)[name] for x in points])
+        found.append(Cut(name, values, np.array([evaluator.totals(x) for x in points])))
+    return found

@@ -1,0 +1,56 @@
+"""A limb that a motor swings, with a brace at its joint: designs of the brace have closed-form optima."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+import mbdkit
+
+BRACE = "model.forces.brace"
+MASS, INERTIA, ARM = 4.0, 0.1, 0.25
+T = np.linspace(0.0, 2.0, 201)
+"""Recorded times."""
+ONE = {f"{BRACE}.stiffness": {"bounds": [0.0, 200.0]}}
+"""The stiffness as the only variable."""
+
+
+def shank() -> mbdkit.Mechanism:
+    """Return a limb that stands on its joint at the ground, with a brace there."""
+    m = mbdkit.Mechanism()
+    m.body("shank", mass=MASS, inertia=INERTIA, position=(0.0, ARM), angle=0.0)
+    m.revolute("knee", m.ground, "shank", at=(0, 0))
+    m.torsion_spring("brace", m.ground, "shank", stiffness=1.0, free_angle=0.0)
+    return m
+
+
+def swing(amplitude: float = 0.5, mechanism: mbdkit.Mechanism | None = None) -> dict[str, Any]:
+    """Return the spec of a run in which a motor swings the shank."""
+    m = mechanism or shank()
+    m.driver("motor", m.ground, "shank", coordinate="angle", motion=f"0.2 + {amplitude}*sin(3*t)")
+    method = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": T[-1], "step": T[1]}}
+    return {"mbdkit": 1, "model": m.to_spec(), **method}
+
+
+def moments(amplitude: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
+    """Return angle and torque of the motor without the brace at the times `T`, in closed form."""
+    angle, acceleration = 0.2 + amplitude * np.sin(3 * T), -9 * amplitude * np.sin(3 * T)
+    return angle, (INERTIA + MASS * ARM**2) * acceleration - MASS * 9.81 * ARM * np.sin(angle)
+
+
+def mean(x: np.ndarray) -> float:
+    """Return the mean over time by the rule of measures."""
+    return float(np.trapezoid(x, T) / (T[-1] - T[0]))
+
+
+def design_of(base: Any, **sections: Any) -> dict[str, Any]:
+    """Return a design of the brace, by default for the least mean square of the motor's torque."""
+    return {
+        "mbdkit_design": 1,
+        "base": base,
+        "variables": {f"{BRACE}.stiffness": {"bounds": [0.0, 200.0]}, f"{BRACE}.free_angle": {"bounds": [-2.0, 2.0]}},
+        "minimize": "mean(joints.motor.torque**2)",
+        "optimizer": {"name": "slsqp", "tolerance": 1e-14},
+        **sections,
+    }

@@ -1,0 +1,75 @@
+"""Least squares, and variables of which only a combination is determined."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import mbdkit
+from mbdkit import SpecError
+from tests.designs.swinging_shank import BRACE, T, design_of, mean, moments, shank, swing
+
+STRAP = "model.forces.strap"
+BOTH = {f"{name}.stiffness": {"bounds": [0.0, 200.0], "start": 20.0 + k} for k, name in enumerate((BRACE, STRAP))}
+
+
+def strapped() -> dict[str, Any]:
+    """Return the swing with a second spring in parallel to the brace."""
+    m = shank()
+    m.torsion_spring("strap", m.ground, "shank", stiffness=1.0, free_angle=0.0)
+    return swing(mechanism=m)
+
+
+def test_least_squares_finds_the_spring_of_given_moments() -> None:
+    # expected: k (phi_0 - phi) of the brace is 3 - 8 phi at two times, hence k = 8 and k phi_0 = 3
+    angle, _ = moments()
+    terms = {
+        f"at_{place}": f"at(forces.brace.value, {T[place]:.2f}) - ({3.0 - 8.0 * angle[place]:.17g})"
+        for place in (30, 170)
+    }
+    options = {"name": "least-squares", "tolerance": 1e-15}
+    found = mbdkit.design(design_of(swing(), minimize=terms, optimizer=options))
+    assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(8.0, rel=1e-9)
+    assert found.best.variables[f"{BRACE}.free_angle"] == pytest.approx(0.375, rel=1e-9)
+    assert list(found.best.goals) == ["goal"]
+    assert found.start.goals["goal"] == pytest.approx(sum(value**2 for value in found.start.measures[""].values()))
+    assert not found.undetermined
+
+
+@pytest.mark.parametrize("optimizer", ["slsqp", "least-squares"])
+def test_of_two_springs_in_parallel_only_the_sum_is_determined(optimizer: str) -> None:
+    angle, moment = moments()
+    total = -mean(moment * angle) / mean(angle**2)
+    goal: Any = {"slsqp": "mean(joints.motor.torque**2)"}.get(optimizer)
+    if goal is None:  # torques that a spring of 30 N m/rad exerts
+        total, goal = 30.0, {f"at_{k}": f"at(joints.motor.torque, {T[k]:.2f}) - ({moment[k] + 30 * angle[k]:.17g})"
+                             for k in (30, 80, 170)}  # fmt: skip
+    found = mbdkit.design(design_of(strapped(), variables=BOTH, minimize=goal, optimizer={"name": optimizer}))
+    assert sum(found.best.variables.values()) == pytest.approx(total, rel=1e-4)
+    (change,) = found.undetermined
+    assert sorted(change) == sorted(BOTH)
+    assert sum(change.values()) == pytest.approx(0.0, abs=1e-3 * max(change.values()))
+    assert "Only a combination of model.forces.brace.stiffness, model.forces.strap.stiffness" in found.summary()
+
+
+def test_a_limit_or_a_bound_determines_one_of_two_springs() -> None:
+    limited = {"strap": {"value": "max(abs(forces.strap.value))", "max": 2.0, "min": 2.0}}
+    angle, _ = moments()
+    assert not mbdkit.design(design_of(strapped(), variables=BOTH, subject_to=limited)).undetermined
+    held = BOTH | {f"{STRAP}.stiffness": {"bounds": [0.0, 5.0]}}
+    found = mbdkit.design(design_of(strapped(), variables=held, minimize=f"mean(joints.motor.torque**2)"
+                                    f" + mean((forces.strap.value + 50*{mean(angle):.3f})**2)"))  # fmt: skip
+    assert found.best.variables[f"{STRAP}.stiffness"] == pytest.approx(5.0, rel=1e-6)
+    assert not found.undetermined
+
+
+def test_a_variable_without_effect_is_named() -> None:
+    given = design_of(swing(), variables={f"{BRACE}.damping": {"bounds": [0.0, 1.0]}}, minimize="final(shank.angle)")
+    assert "Nothing determines model.forces.brace.damping" in mbdkit.design(given).summary()
+
+
+def test_least_squares_keeps_no_limits() -> None:
+    limits = {"strap": {"value": "max(abs(forces.brace.value))", "max": 2.0}}
+    with pytest.raises(SpecError, match=r"optimizer.name.*keeps no limits"):
+        mbdkit.design(design_of(swing(), subject_to=limits, optimizer={"name": "least-squares"}))
