@@ -115,7 +115,7 @@ class Problem:
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Return the terms (R,) of a sum of squares at a point (n,), the sum of whose squares is the cost."""
         found = self._terms(self.evaluator.values(x[None]))[0]
-        return np.nan_to_num(found / np.sqrt(self.scale), nan=np.sqrt(FAILED))
+        return np.asarray(np.nan_to_num(found / np.sqrt(self.scale), nan=np.sqrt(FAILED)))
 
     def residual_slopes(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives (R, n) of these terms."""

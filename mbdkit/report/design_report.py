@@ -137,12 +137,7 @@ def _gains(design: Design) -> Iterator[Claim]:
 def _certified(design: Design) -> Claim:
     level = design.trust.verdict
     answer = {"good": Answer.YES, "unknown": Answer.OPEN, "doubtful": Answer.PARTLY}.get(level, Answer.NO)
-    if all(isinstance(one, InverseSpec) for one in design.spec.specs.values()):
-        return Claim("runs", "Joints are closed at the best point.", "", f"worst verdict: {level}", answer, "")
-    statement = (
-        "Energy and joints hold in all runs at the best point, computed also with shorter steps and by another method."
-    )
-    return Claim("runs", statement, "", f"worst verdict: {level}", answer, "")
+    return Claim("runs", "The runs at the best point can be trusted.", "", f"worst verdict: {level}", answer, "")
 
 
 def _goal_words(name: str) -> str:
@@ -252,6 +247,7 @@ def _landscape(design: Design, around: Sequence[Cut]) -> Iterator[Figure]:
         lines = tuple(Line(_goal_words(name), cut.values, cut.goals[:, k]) for k, name in enumerate(goals))
         yield Figure(
             f"cut-{place + 1}", f"Goal along {words}",
-            "The goal near the best point, which is marked, with all other variables at their best values.",
+            "The goal near the best point, which is marked, with all other variables at their best values."
+            + (" Limits are not considered: the goal may fall beyond an active one." if design.spec.subject_to else ""),
             Axis(words, unit), Axis("goal"), lines, marks=(Mark("best", design.best.variables[cut.variable]),),
         )  # fmt: skip

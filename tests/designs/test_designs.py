@@ -16,13 +16,13 @@ from mbdkit.errors import RunError
 from tests.designs.swinging_shank import BRACE, ONE, T, design_of, mean, moments, shank, swing
 
 
-@pytest.mark.parametrize("optimizer", ["slsqp", "trust-constr"])
-def test_the_best_torsion_spring_is_the_regression_of_the_moment(optimizer: str) -> None:
+@pytest.mark.parametrize(("optimizer", "starts"), [("slsqp", 3), ("trust-constr", 1)])
+def test_the_best_torsion_spring_is_the_regression_of_the_moment(optimizer: str, starts: int) -> None:
     # expected: torque of the motor = moment - k (phi_0 - phi), with k and k phi_0 by least squares
     angle, moment = moments()
     matrix = [[mean(angle**2), -mean(angle)], [-mean(angle), 1.0]]
     k, k_free = np.linalg.solve(matrix, [-mean(angle * moment), mean(moment)])
-    found = mbdkit.design(design_of(swing(), optimizer={"name": optimizer, "tolerance": 1e-12}))
+    found = mbdkit.design(design_of(swing(), optimizer={"name": optimizer, "tolerance": 1e-12, "starts": starts}))
     assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(k, rel=1e-4)
     assert found.best.variables[f"{BRACE}.free_angle"] == pytest.approx(k_free / k, rel=1e-4)
     assert found.best.goals["goal"] == pytest.approx(mean((moment - k_free + k * angle) ** 2), abs=1e-6)
@@ -65,7 +65,7 @@ def test_a_limit_that_is_active_holds_at_the_best_point(optimizer: str) -> None:
     limits = {"torque": {"value": "max(abs(forces.brace.value))", "max": 3.0}}
     options: dict[str, Any] = {"name": optimizer, "tolerance": 1e-9}
     if optimizer == "differential-evolution":
-        options |= {"population": 6, "tolerance": 1e-3, "max_iterations": 30}
+        options |= {"population": 8, "tolerance": 1e-4, "max_iterations": 60}
     found = mbdkit.design(design_of(spec, variables=ONE, subject_to=limits, optimizer=options))
     rel = 1e-5 if optimizer == "slsqp" else 1e-2
     assert found.is_feasible
