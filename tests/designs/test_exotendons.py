@@ -30,7 +30,7 @@ def gait() -> Gait:
         (ONE_OF_THREE, "moment", -46.0, 8),
         (ONE_OF_THREE, "power", -47.0, 8),
         (TWO_OF_SIX, "moment", -71.0, 32),
-        (TWO_OF_SIX, "power", -74.0, 32),
+        (TWO_OF_SIX, "power", -74.0, 16),
     ],
 )
 def test_the_published_reductions_are_reached_within_five_points(
