@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import h5py
 import numpy as np
@@ -15,6 +16,7 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.history import NotRecordedError, UnknownNameError
 from mbdkit.archive.measured_values import MeasuredValues
+from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import name_texts
 from mbdkit.archive.writer import ArchiveWriter
@@ -141,6 +143,11 @@ class StoredRun(Run):
     def measures(self) -> MeasuredValues:
         """Values of the measures in the spec of the run by name, each in its unit; nan where one is undefined."""
         return self._measured
+
+    @cached_property
+    def gradients(self) -> Mapping[str, Mapping[str, Any]]:
+        """Empty: gradients are computed only for runs with an archive of their own."""
+        return ReadOnlyDict({})
 
     @cached_property
     def accuracy(self) -> Accuracy | None:
