@@ -16,6 +16,7 @@ SLOW = {"begin-parts", "block-flips", "cache", "full-cache", "kill-blocks", "kil
 """Attacks that take many seconds for one case."""
 
 
+@pytest.mark.usefixtures("processes")
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in attacks()])
 def test_attack_is_held(name: str) -> None:
     attack = attacks()[name]
