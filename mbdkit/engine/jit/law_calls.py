@@ -22,9 +22,9 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic, is_jitted
 
-from mbdkit.engine.jit.dual_arrays import ITEM, DualArray, load_dual, store_dual
+from mbdkit.engine.jit.dual_arrays import ITEM, DualArray
 from mbdkit.engine.jit.dual_types import DUAL
-from mbdkit.engine.jit.lane_arrays import LaneArray, store_lanes
+from mbdkit.engine.jit.lane_arrays import LaneArray
 from mbdkit.engine.jit.lane_types import REAL
 from mbdkit.engine.jit.lane_width import WIDTH
 
@@ -102,16 +102,10 @@ def _call_with_derivatives():
         double = ir.DoubleType()
         kind = ir.FunctionType(ir.VoidType(), [double.as_pointer()] * 2 + [double] + [double.as_pointer()] * 2)
         state = cgutils.alloca_once(builder, double, 2 * ITEM)
-        second = builder.gep(state, [ir.IntType(32)(ITEM)])
-        store_dual(builder, length, state)
-        store_dual(builder, rate, second)
-        block, results = (
-            builder.gep(
-                builder.bitcast(builder.extract_value(array, 4), double.as_pointer()),
-                [builder.mul(index, index.type(count * ITEM))],
-            )
-            for array, index, count in ((parameters, begin, 1), (out, row, 4))
-        )
+        second = DualArray.behind(builder, state, 1)
+        DualArray.store(builder, length, state)
+        DualArray.store(builder, rate, second)
+        block, results = vector.place(builder, parameters, [begin]), matrix.place(builder, out, [row])
         builder.call(builder.inttoptr(address, kind.as_pointer()), [state, second, time, block, results])
         return context.get_dummy_value()
 
@@ -122,8 +116,7 @@ def _dual_at_typing(typing, pointer, index):
     """Return the dual number with an index behind a pointer."""
 
     def generate(context, builder, signature, arguments):
-        offset = builder.mul(arguments[1], arguments[1].type(ITEM))
-        return load_dual(builder, builder.gep(arguments[0], [offset]))
+        return DualArray.load(builder, DualArray.behind(builder, *arguments))
 
     return DUAL(types.CPointer(types.float64), types.int64), generate
 
@@ -135,8 +128,7 @@ def _put_dual_typing(typing, pointer, index, x):
     """Store a dual number with an index behind a pointer."""
 
     def generate(context, builder, signature, arguments):
-        offset = builder.mul(arguments[1], arguments[1].type(ITEM))
-        store_dual(builder, arguments[2], builder.gep(arguments[0], [offset]))
+        DualArray.store(builder, arguments[2], DualArray.behind(builder, *arguments[:2]))
         return context.get_dummy_value()
 
     return types.void(types.CPointer(types.float64), types.int64, DUAL), generate
@@ -151,7 +143,7 @@ def _duals_behind_typing(typing, pointer, count):
 
     def generate(context, builder, signature, arguments):
         array = cgutils.create_struct_proxy(kind)(context, builder)
-        array.data = builder.gep(arguments[0], [ir.IntType(64)(ITEM)])
+        array.data = DualArray.behind(builder, arguments[0], 1)
         array.shape = cgutils.pack_array(builder, [arguments[1], ir.IntType(64)(ITEM)])
         return array._getvalue()
 
@@ -182,7 +174,7 @@ def _call_in_lanes():
                 one = builder.load(builder.gep(results, [word(i)]))
                 columns[i] = builder.insert_element(columns[i], one, word(lane))
         for i in range(4):
-            store_lanes(context, builder, lanes, out, [row, row.type(i)], columns[i])
+            lanes.put(builder, out, [row, row.type(i)], columns[i])
         return context.get_dummy_value()
 
     return signature, generate
