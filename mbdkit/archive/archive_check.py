@@ -73,7 +73,7 @@ def _examined_block(path: Path) -> Checked | None:
     except (SpecError, FileNotFoundError):
         return None
     return Checked(
-        [] if sound else ["its arrays or attributes do not have the hashes that were written with them"], True
+        [] if sound else ["its arrays, attributes or dimension scales are not those that were written"], True
     )
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.columns import read_column, write_column, write_hashes
-from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, is_text
+from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, datasets, is_text
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.hdf5_errors import DAMAGE, reading
@@ -418,11 +418,12 @@ class Block:
             raise
 
     def is_sound(self) -> bool:
-        """Return whether arrays and attributes have the hashes that were written with them."""
+        """Return whether arrays and attributes have the hashes that were written with them, and axes their scales."""
         try:
             return bool(
                 self.file.attrs["data_sha256"] == data_sha256(self.file)
                 and self.file.attrs[layout.ATTRIBUTES_HASH] == attributes_sha256(self.file)
+                and all(map(_has_scales, datasets(self.file)))
             )
         except DAMAGE:
             return False
@@ -575,6 +576,20 @@ class Block:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _has_scales(item: h5py.Dataset) -> bool:
+    """Return whether each axis of an array has one dimension scale of its length, in the group of the array.
+
+    The hashes do not cover them, because HDF5 stores scales as addresses in the file.
+    """
+    if item.is_scale:
+        return True
+    group, axes = item.name.rpartition("/")[0], [dim.values() for dim in item.dims]
+    return all(
+        len(scales) == 1 and scales[0].name.rpartition("/")[0] == group and scales[0].shape == (length,)
+        for scales, length in zip(axes, item.shape, strict=True)
+    )
 
 
 _HINT = "run `mbdkit study` again to compute its block anew"

@@ -183,6 +183,17 @@ def test_only_missing_and_damaged_blocks_are_computed(tmp_path: Path) -> None:
     assert index_hash(out) == before
 
 
+@pytest.mark.parametrize("path", ["runs/status", "stats/steps", "trajectory/position"])
+def test_an_axis_without_its_scale_is_found(grid: mbdkit.Study, tmp_path: Path, path: str) -> None:
+    block = tmp_path / "block.h5"
+    block.write_bytes((grid.folder / "runs" / "block-000000.h5").read_bytes())
+    assert check(block) == []
+    with h5py.File(block, "r+") as file:
+        dim = file[path].dims[0]
+        dim.detach_scale(dim[0])
+    assert check(block) == ["its arrays, attributes or dimension scales are not those that were written"]
+
+
 def test_unchanged_blocks_are_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     options: dict[str, Any] = {"store": "histories", "out": tmp_path / "s", "block": 3}
     monkeypatch.setattr(known_blocks, "SETTLED", 0.0)
