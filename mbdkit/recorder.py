@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,20 +41,21 @@ below 0.1 of the uncertainty, near singular positions below 0.3; of drivers that
 NO_GUARDS = Guards()
 
 
+@lru_cache(maxsize=16)
 def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
     """Return the names of bodies, joints, constraint rows, force elements and markers, with units and bodies."""
     return ArchiveNames(
-        bodies=list(mechanism.bodies),
-        joints=list(mechanism.joints),
-        constraints=[row.label for row in mechanism.rows],
-        constraint_units=[row.unit for row in mechanism.rows],
-        joint_bodies=list(mechanism.joint_bodies),
-        joint_units=list(mechanism.joint_units),
-        forces=[force.name for force in mechanism.forces],
-        force_bodies=[force.bodies for force in mechanism.forces],
-        force_units=[force.unit for force in mechanism.forces],
-        markers=[name for name, _ in mechanism.markers],
-        marker_bodies=[body for _, body in mechanism.markers],
+        bodies=tuple(mechanism.bodies),
+        joints=tuple(mechanism.joints),
+        constraints=tuple(row.label for row in mechanism.rows),
+        constraint_units=tuple(row.unit for row in mechanism.rows),
+        joint_bodies=tuple(mechanism.joint_bodies),
+        joint_units=tuple(mechanism.joint_units),
+        forces=tuple(force.name for force in mechanism.forces),
+        force_bodies=tuple(force.bodies for force in mechanism.forces),
+        force_units=tuple(force.unit for force in mechanism.forces),
+        markers=tuple(name for name, _ in mechanism.markers),
+        marker_bodies=tuple(body for _, body in mechanism.markers),
     )
 
 

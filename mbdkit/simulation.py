@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -594,7 +594,7 @@ class _Simulation:
     def finish(self) -> None:
         """Finish the archive with the final status."""
         stepper = self.stepper
-        counters = asdict(stepper.counters) if stepper is not None else asdict(Counters())
+        counters = dict(vars(stepper.counters if stepper is not None else Counters()))
         counters["factorizations"] += self.workspace.pivotings + self.recorder.workspace.pivotings
         pairs = len(self.workspace.mechanism.topology.pairs)
         status, reason = "complete", ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from hashlib import sha256
 from types import MappingProxyType
 
@@ -184,7 +185,7 @@ class ArrayWriter(RunWriter):
             np.asarray(misalignment_max, layout.FLOAT),
             judgement,
             tuple(warnings),
-            ArrayHash(self.names, self.arrays).of(arrays),
+            array_hash(self.names, self.arrays).of(arrays),
             self._assembly,
             accuracy,
         )
@@ -229,3 +230,9 @@ class ArrayHash:
                 digests[key] = sha256(text_bytes(values)).hexdigest() if text else self.digest(values)
             lines.append(line(path, dtype, values.shape, digests[key]))
         return digest_lines(lines)
+
+
+@lru_cache(maxsize=16)
+def array_hash(names: ArchiveNames, recorded: tuple[Array, ...]) -> ArrayHash:
+    """Return the `ArrayHash` of these names and arrays; it is kept for further runs."""
+    return ArrayHash(names, recorded)

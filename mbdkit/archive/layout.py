@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 FORMAT = "mbdkit-run"
 FORMAT_VERSION = "1.1"
@@ -18,7 +18,7 @@ ROWS_FLUSHED = "rows_flushed"
 #: Group of the checkpoints of an unfinished archive; it is removed before the archive gets its final name.
 CHECKPOINT = "checkpoint"
 
-#: The first axis of each table that grows, in the order of `ROWS_FLUSHED`.
+#: Axes that grow during a run, in the order of `ROWS_FLUSHED`: recorded rows, intervals between them, and events.
 GROWING = ("time", "interval", "event")
 
 STATUSES = ("running", "complete", "failed", "interrupted")
@@ -116,27 +116,27 @@ class Array:
     optional: bool = False
     since: str = "1.0"
 
-    @property
+    @cached_property
     def group(self) -> str:
         """Name of the array's group."""
         return self.path.partition("/")[0]
 
-    @property
+    @cached_property
     def name(self) -> str:
         """Name of the array within its group."""
         return self.path.partition("/")[2]
 
-    @property
+    @cached_property
     def is_scale(self) -> bool:
         """Whether the array is a dimension scale."""
         return self.dims == (self.name,)
 
-    @property
+    @cached_property
     def grows(self) -> bool:
         """Whether rows are appended during the run."""
         return self.dims[0] in GROWING
 
-    @property
+    @cached_property
     def key(self) -> str:
         """Key of the rows to append: the path of the array, or ``time`` for the times of all groups."""
         return "time" if self.dims == ("time",) and self.is_scale else self.path
@@ -151,9 +151,6 @@ SHARED = (
     "joints/driver_power",
     "constraints/multiplier",
 )
-
-#: Axes that grow during a run: recorded rows, intervals between them, and events.
-GROWING = ("time", "interval", "event")
 
 
 def _time(group: str) -> Array:

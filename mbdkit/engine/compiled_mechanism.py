@@ -76,7 +76,7 @@ class Redundancy:
         return f"{counted(self.rows, 'redundant row')}: {listed(named, 'and')}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CompiledMechanism:
     """A mechanism in the form used by the kernels. It is immutable and can be shared by any number of runs.
 

@@ -271,10 +271,14 @@ class ButcherTableau:
 
     def floats(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return ``a`` (s, s), ``b`` (s,) and ``c`` (s,), each coefficient rounded once."""
+        a, b, c = self._rounded
+        return a.copy(), b.copy(), c.copy()
+
+    @cached_property
+    def _rounded(self) -> tuple[np.ndarray, ...]:
         import numpy as np
 
-        a, b, c = self._numbers
-        return np.array(a, dtype=float), np.array(b, dtype=float), np.array(c, dtype=float)
+        return tuple(np.array(x, dtype=float) for x in self._numbers)
 
     def second_order_floats(self) -> tuple[np.ndarray, np.ndarray]:
         """Return ``A A`` (s, s) and ``A^T b`` (s,), the weights of accelerations in positions, each rounded once."""

@@ -15,6 +15,7 @@ anything is compiled. Unlike for subkernels, no path without these internals exi
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 from collections.abc import Callable
 from typing import Any
@@ -29,6 +30,8 @@ JIT_DISABLED: bool = bool(vars(config)["DISABLE_JIT"])
 """Whether Numba is switched off (``NUMBA_DISABLE_JIT=1``), so that kernels run as Python functions."""
 _PYTHON_BUNDLES: dict[int, Any] = {}
 """Bundles by the address of their block; used only with NUMBA_DISABLE_JIT=1."""
+
+_Address, _HEAD = ctypes.c_ssize_t, object.__basicsize__
 
 _ARRAY_FIELDS = ("meminfo", "parent", "nitems", "itemsize", "data", "shape", "strides")
 """Members of an array in compiled code, in the order in which `_words` writes them."""
@@ -124,8 +127,18 @@ def _words(bundle: Any) -> list[int]:
         if isinstance(x, tuple):
             words += _words(x)
         else:
-            words += (0, 0, x.size, x.itemsize, x.__array_interface__["data"][0], *x.shape, *x.strides)
+            words += (0, 0, x.size, x.itemsize, _data_address(x), *x.shape, *x.strides)
     return words
+
+
+def _data_address(array: np.ndarray) -> int:
+    """Return the address of the data of an array.
+
+    It is the first member of NumPy's array object after the head of every Python object, which is part of the public
+    binary interface of NumPy (``PyArrayObject_fields``). Reading it there takes a tenth of the 0.8 us of
+    ``array.ctypes.data``; a run of a small mechanism needs about 500 addresses.
+    """
+    return int(_Address.from_address(id(array) + _HEAD).value)
 
 
 class PinnedBundle:
