@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -43,6 +43,7 @@ def simulate_batch(
     *,
     notify: Callable[[str], None] = to_stderr,
     begun: Callable[[int], None] | None = None,
+    measures: Sequence[str] = (),
 ) -> Iterator[FinishedRun | Refused]:
     """Run validated specs, and yield the result of each, in the order of `specs`.
 
@@ -57,10 +58,12 @@ def simulate_batch(
     begun
         Called with the place of a run in `specs`, from 0, before code of plugins prepares it or runs it alone. Several
         runs are prepared before the first result is yielded.
+    measures
+        As for `simulate`. Runs whose measures have time integrals are advanced one after another.
     """
     begun = begun or _ignored
     starts = Starts()
-    lanes, remaining = LaneRuns(starts), iter(enumerate(specs))
+    lanes, remaining = LaneRuns(starts, measures), iter(enumerate(specs))
     while chunk := list(islice(remaining, CHUNK)):
         with one_thread_of_linear_algebra():
             prepared = lanes.members(_noted(chunk, begun), notify)
@@ -69,7 +72,7 @@ def simulate_batch(
             run = None if member is None else next(finished)
             if run is None:
                 begun(place)
-            yield _alone(spec, notify, starts) if run is None else run
+            yield _alone(spec, notify, starts, measures) if run is None else run
 
 
 def _ignored(place: int) -> None:
@@ -83,10 +86,12 @@ def _noted(chunk: Iterable[tuple[int, RunSpec]], begun: Callable[[int], None]) -
         yield spec
 
 
-def _alone(spec: RunSpec, notify: Callable[[str], None], starts: Starts) -> FinishedRun | Refused:
+def _alone(
+    spec: RunSpec, notify: Callable[[str], None], starts: Starts, measures: Sequence[str]
+) -> FinishedRun | Refused:
     """Run one spec."""
     try:
-        return simulate_arrays(spec, notify=notify, starts=starts)
+        return simulate_arrays(spec, notify=notify, starts=starts, measures=measures)
     except (Exception, SystemExit) as error:
         return refusal(error)
 

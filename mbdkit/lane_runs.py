@@ -26,6 +26,7 @@ from mbdkit.recorded_columns import COLUMNS, ConstraintRows, RecordedStates
 from mbdkit.recorder import archive_names
 from mbdkit.run_corners import check_jumps
 from mbdkit.run_evidence import evidence_of_run
+from mbdkit.run_integrals import integrands_of
 from mbdkit.run_preparation import caution, guards, make_method, optional_arrays, timetable
 from mbdkit.run_warnings import center_warnings, doubts, start_warnings
 from mbdkit.spec import RunSpec
@@ -123,9 +124,12 @@ class LaneRuns:
     ----------
     starts
         Makes starts consistent, and keeps compiled mechanisms.
+    measures
+        Expressions that will be evaluated for the runs, beside the measures of their specs.
     """
 
-    def __init__(self, starts: Starts) -> None:
+    def __init__(self, starts: Starts, measures: Sequence[str]) -> None:
+        self._measures = measures
         self._groups: dict[tuple[object, ...], _Group] = {}
         self._starts, self._pivots = starts, PivotsAtStart()
         self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
@@ -174,10 +178,10 @@ class LaneRuns:
         """Return the method of a run; None if its settings do not suit lanes. Specs often share these."""
         settings = (
             spec.formulation, spec.stabilization, spec.events, spec.check, spec.accuracy, spec.choose, spec.limits,
-            spec.integrator,
+            spec.integrator, spec.measures,
         )  # fmt: skip
         if self._settings is None or any(a is not b for a, b in zip(settings, self._settings[0], strict=True)):
-            self._settings = settings, _method_for_lanes(spec)
+            self._settings = settings, None if integrands_of(spec, self._measures) else _method_for_lanes(spec)
         return self._settings[1]
 
     def _member(self, started: _Started, size: float) -> LaneMember | None:

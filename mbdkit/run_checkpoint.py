@@ -20,6 +20,7 @@ from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
 from mbdkit.methods.step_method import StepMethod
 from mbdkit.recorded_columns import ObservedRows
 from mbdkit.recorder import Recorder
+from mbdkit.run_integrals import RunIntegrals
 from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.collocation_stages import new_systems
 from mbdkit.stepping.compiled_method import CompiledMethod
@@ -44,9 +45,10 @@ _OF_RUN = frozenset(
     {
         *("top", "still", "w", "solver", "has_power", "rest"),
         *("row_time", "row_q", "row_v", "row_energy", "row_interval", "row_lam"),
+        *("node_time", "node_weight", "node_q", "node_v", "nodes"),
     }
 )
-"""Parts of `RunState` that a checkpoint leaves out: constants, scratch, the solver, and rows that are recorded."""
+"""Parts of `RunState` that a checkpoint leaves out: constants, scratch, the solver, rows and nodes that are taken."""
 
 _CONSTANT = frozenset(("rk", "a", "b", "c", "error", "dense", "tolerance"))
 """Parts of the bundles of methods that do not change."""
@@ -63,6 +65,7 @@ class Parts:
     stepper: CompiledStepper
     watch: Watch | None
     recorder: Recorder
+    integrals: RunIntegrals | None
 
     def stored(self) -> dict[str, Any]:
         """Return their state as plain values; arrays are not copied."""
@@ -76,6 +79,7 @@ class Parts:
             "stepper": _stored_stepper(self.stepper),
             "watch": None if self.watch is None else self.watch.stored(),
             "recorder": self.recorder.stored(),
+            "integrals": None if self.integrals is None else self.integrals.stored(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -95,6 +99,8 @@ class Parts:
             if self.watch is not None:
                 self.watch.restore(state["watch"])
             self.recorder.restore(state["recorder"])
+            if self.integrals is not None:
+                self.integrals.restore(state["integrals"])
         except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:
             raise SpecError(
                 f"this run cannot be resumed: the state of its checkpoint does not fit its spec ({one_line(error)})"

@@ -164,8 +164,8 @@ def guards(spec: RunSpec, size: float) -> Guards:
     )
 
 
-def timetable(spec: RunSpec, guards: Guards, *, all_knots: bool = False) -> Timetable:
-    """Return the timetable of a run: start, end, steps, stops (see `stops_of`), recorded states and limits."""
+def timetable(spec: RunSpec, guards: Guards, *, all_knots: bool = False, nodes: bool = False) -> Timetable:
+    """Return the timetable of a run: start, end, steps, stops (see `stops_of`), recorded states, nodes and limits."""
     stops = stops_of(spec, all_knots=all_knots)
     return Timetable(
         start=spec.time.start,
@@ -175,6 +175,7 @@ def timetable(spec: RunSpec, guards: Guards, *, all_knots: bool = False) -> Time
         every=spec.output.every or 1,
         interval=spec.output.interval,
         max_steps=spec.limits.max_steps,
+        nodes=nodes,
         single=bool(spec.events),
         guards=guards,
         stops=stops.times,

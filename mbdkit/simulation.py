@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
@@ -28,7 +28,7 @@ from mbdkit.archive.layout import GRADIENTS
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import RunWriter
+from mbdkit.archive.run_writer import Ending, RunWriter
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.consistent_start import Starts
@@ -48,6 +48,7 @@ from mbdkit.recorder import Recorder, archive_names, shared_forces
 from mbdkit.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
 from mbdkit.run_corners import check_jumps
 from mbdkit.run_evidence import estimated_errors, evidence_of_run
+from mbdkit.run_integrals import RunIntegrals, integrands_of
 from mbdkit.run_preparation import (
     build,
     caution,
@@ -144,6 +145,7 @@ def simulate(
     overwrite: bool = False,
     progress: Progress | None = None,
     notify: Callable[[str], None] = to_stderr,
+    measures: Sequence[str] = (),
 ) -> Run:
     """Run a validated spec; see `run`.
 
@@ -157,12 +159,16 @@ def simulate(
         As for `run`.
     notify
         Called with a message before long operations, such as the first compilation after installation.
+    measures
+        Expressions that will be evaluated for the run, beside the measures of the spec. Their time integrals are
+        computed with the run, see `mbdkit.run_integrals`.
     """
     begin = time.perf_counter()
     if path is not None:
         check_target(path, overwrite=overwrite)
     begun = partial(_begun_archive, path=path, overwrite=overwrite)
-    return _ended(spec, partial(_prepared, begun=begun, path=path, notify=notify, begin=begin), notify, progress).run()
+    prepare = partial(_prepared, begun=begun, path=path, notify=notify, begin=begin, measures=measures)
+    return _ended(spec, prepare, notify, progress).run()
 
 
 def simulate_on(
@@ -189,19 +195,25 @@ def simulate_on(
 
 
 def simulate_arrays(
-    spec: RunSpec, *, notify: Callable[[str], None] = to_stderr, starts: Starts | None = None
+    spec: RunSpec,
+    *,
+    notify: Callable[[str], None] = to_stderr,
+    starts: Starts | None = None,
+    measures: Sequence[str] = (),
 ) -> FinishedRun:
     """Run a validated spec without writing an archive, and return its arrays with the hash that the archive would have.
 
     Parameters
     ----------
-    notify
+    notify, measures
         As for `simulate`.
     starts
         Keeps compiled mechanisms for further runs, if given.
     """
     begin = time.perf_counter()
-    prepare = partial(_prepared, begun=_begun_arrays, path=None, notify=notify, begin=begin, starts=starts)
+    prepare = partial(
+        _prepared, begun=_begun_arrays, path=None, notify=notify, begin=begin, starts=starts, measures=measures
+    )
     simulation = _ended(spec, prepare, notify, None)
     assert isinstance(simulation.writer, ArrayWriter)
     assert simulation.writer.finished is not None
@@ -312,6 +324,7 @@ def _prepared(
     choice: Choice | None = None,
     continuation: Continuation | None = None,
     starts: Starts | None = None,
+    measures: Sequence[str] = (),
 ) -> _Simulation:
     """Return a simulation whose writer is begun by `begun`; see `simulate`."""
     method = make_method(spec)
@@ -325,6 +338,7 @@ def _prepared(
     if _LOG.isEnabledFor(logging.DEBUG):
         _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
     check_disk_space(spec, workspace.mechanism, path)
+    integrands = integrands_of(spec, measures)
     noted: list[bool] = []
     noting = interrupts_noted if begun is not _begun_arrays else _not_noted
     with noting(lambda: noted.append(True)):  # an archive that nobody knows of could not be removed
@@ -335,6 +349,8 @@ def _prepared(
             writer.abandon()
             raise
     simulation.interrupted, simulation.continuation = bool(noted), continuation
+    if integrands:
+        simulation.integrals = RunIntegrals(spec, workspace, integrands)
     return simulation
 
 
@@ -413,6 +429,7 @@ class _Simulation:
         self.tried = [] if choice is None else [choice]
         self.timings: dict[str, float] = {}
         self.file: h5py.File | None = None
+        self.integrals: RunIntegrals | None = None
         self.size = size_at_start(spec, workspace)
         self.guards = guards(spec, self.size)
         self.recorder = Recorder(workspace, writer, self.guards)
@@ -483,11 +500,12 @@ class _Simulation:
     def start(self) -> None:
         """Create the stepper of the method."""
         final = self.choice.final if self.choice is not None else None
-        if final is not None and final.is_run:
+        if final is not None and final.is_run and self.integrals is None:
             self.stepper = Replay(final)
             return
         try:
-            stepper = start_method(self.method, self.workspace, timetable(self.spec, self.guards))
+            table = timetable(self.spec, self.guards, nodes=self.integrals is not None)
+            stepper = start_method(self.method, self.workspace, table)
         except SingularSystemError as error:
             name = self.workspace.mechanism.unknown_name(error.index)
             self.failure = Failure("singular", f"the stage equations are singular at the start, near {name}.")
@@ -520,7 +538,7 @@ class _Simulation:
         stepper = self.stepper if self.watch is None else self.watch.stepper
         if why_without(self.spec, self.method) or not isinstance(stepper, CompiledStepper):
             return None
-        return Parts(self.workspace, stepper, self.watch, self.recorder)
+        return Parts(self.workspace, stepper, self.watch, self.recorder, self.integrals)
 
     def checkpoints(self, wall: float, cpu: float) -> Checkpoints | None:
         """Return the checkpoints of the run, whose steps began at these times [s]; None if it has none."""
@@ -553,6 +571,8 @@ class _Simulation:
             self.failure = self.recorder.record(stretch, (elapsed, now))
             if self.watch is not None:
                 self.recorder.record_events(self.watch.taken())
+            if self.integrals is not None:
+                self.integrals.add(stepper.taken_nodes())
             if len(stretch.time):
                 recorded = float(stretch.time[-1])
             elapsed = now
@@ -624,16 +644,17 @@ class _Simulation:
         if _LOG.isEnabledFor(level):
             _LOG.log(level, "run %s ends: %s, verdict %s", self.spec.run_id(), told, judgement.level)
         _LOG.debug("counters: %s; timings: %s", counters, self.timings)
-        self.file = self.writer.finish(
+        ended = Ending(
             status,
             reason,
             {**counters, **self.timings},
             misalignment_max,
-            accuracy=self.accuracy,
-            judgement=judgement,
-            warnings=self.warnings,
-            measured=self.measured if self.spec.measures else None,
+            judgement,
+            self.warnings,
+            self.accuracy,
+            {} if self.integrals is None else self.integrals.totals(),
         )
+        self.file = self.writer.finish(ended, measured=self.measured if self.spec.measures else None)
 
     def run(self) -> Run:
         """Return the run, once its archive is finished."""

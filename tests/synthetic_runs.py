@@ -12,7 +12,7 @@ import pytest
 
 from mbdkit.archive.layout import QUANTITIES
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import ArchiveNames
+from mbdkit.archive.run_writer import ArchiveNames, Ending
 from mbdkit.archive.writer import ArchiveWriter
 
 MakeRun = Callable[..., Run]
@@ -96,7 +96,7 @@ def make_run() -> Iterator[MakeRun]:
         writer = ArchiveWriter(None, names, spec, digest, "a-run", {}, quantities=quantities)
         writer.append({key: data[key] for key in writer.row_keys})
         largest = np.max(data["joints/misalignment"], axis=0, initial=0.0)
-        file = writer.finish(status, reason, {"steps": max(0, rows - 1)}, largest)
+        file = writer.finish(Ending(status, reason, {"steps": max(0, rows - 1)}, largest))
         assert file is not None
         opened.append(Run(file))
         return opened[-1]

@@ -19,7 +19,7 @@ from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.recorded_columns import ObservedRows
 from mbdkit.run_preparation import guards, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Advancing, Failure, StepEvidence, Stretch
+from mbdkit.stepping.interface import Advancing, Failure, Nodes, StepEvidence, Stretch
 from mbdkit.stepping.start import start_method
 
 MOST_VALUES = 20_000_000
@@ -164,3 +164,7 @@ class Replay:
     def last_state(self) -> Stretch:
         """See `Advancing.last_state`."""
         return self._pilot.stepper.last_state()
+
+    def taken_nodes(self) -> Nodes:
+        """See `Advancing.taken_nodes`; pilots keep none."""
+        return self._pilot.stepper.taken_nodes()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from hashlib import sha256
 from types import MappingProxyType
@@ -16,12 +16,12 @@ from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import digest_lines, line, text_bytes
 from mbdkit.archive.layout import Array
+from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.run_writer import (
-    UNJUDGED,
     ArchiveNames,
+    Ending,
     RunWriter,
     SharedForces,
-    check_ended,
     name_line,
     name_texts,
 )
@@ -59,6 +59,8 @@ class FinishedRun:
         Estimated errors, if the run was checked.
     cause
         The exception of a plugin that ended the run.
+    integrals
+        See `Ending`.
     """
 
     names: ArchiveNames
@@ -75,6 +77,21 @@ class FinishedRun:
     assembly: str = ""
     accuracy: Accuracy | None = None
     cause: BaseException | None = None
+    integrals: Integrals = field(default_factory=dict)
+
+    @property
+    def ending(self) -> Ending:
+        """How the run has ended."""
+        return Ending(
+            self.status,
+            self.reason,
+            self.stats,
+            self.misalignment_max,
+            self.judgement,
+            self.warnings,
+            self.accuracy,
+            self.integrals,
+        )
 
     def rows(self, dim: str) -> int:
         """Return the number of rows along a growing axis of the layout; 0 if there is no such array."""
@@ -150,21 +167,9 @@ class ArrayWriter(RunWriter):
         """Discard the rows."""
         self._parts = {}
 
-    def finish(
-        self,
-        status: str,
-        reason: str,
-        stats: Mapping[str, int | float],
-        misalignment_max: np.ndarray,
-        *,
-        judgement: Judgement = UNJUDGED,
-        warnings: Sequence[str] = (),
-        accuracy: Accuracy | None = None,
-        measured: Callable[[h5py.File], str] | None = None,
-    ) -> None:
+    def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> None:
         """Join the rows and compute their hash; the result is `finished`."""
         started = time.perf_counter()
-        check_ended(status)
         sizes = self.names.sizes
         arrays = {}
         for one in self.arrays:
@@ -179,17 +184,18 @@ class ArrayWriter(RunWriter):
             self.arrays,
             arrays,
             self._shared,
-            status,
-            reason,
-            stats,
-            np.asarray(misalignment_max, layout.FLOAT),
-            judgement,
-            tuple(warnings),
+            ending.status,
+            ending.reason,
+            ending.stats,
+            np.asarray(ending.misalignment_max, layout.FLOAT),
+            ending.judgement,
+            tuple(ending.warnings),
             array_hash(self.names, self.arrays).of(arrays),
             self._assembly,
-            accuracy,
+            ending.accuracy,
+            integrals=ending.integrals,
         )
-        self.finished = replace(made, stats={**stats, "finish_s": time.perf_counter() - started})
+        self.finished = replace(made, stats={**ending.stats, "finish_s": time.perf_counter() - started})
 
 
 class ArrayHash:

@@ -1,4 +1,4 @@
-"""Values of the measures of a run, and their units: the attribute ``measures`` of an archive."""
+"""Values of the measures of a run, and time integrals that they need: attributes of an archive."""
 
 from __future__ import annotations
 
@@ -7,6 +7,35 @@ import math
 from collections.abc import Mapping
 
 from mbdkit.archive.read_only_dict import ReadOnlyDict
+
+Integrals = Mapping[str, float | tuple[float, float]]
+"""Time integrals of numbers and vectors by their integrands, in SI units; nan where one is undefined."""
+
+
+def integrals_json(integrals: Integrals) -> str:
+    """Return the attribute ``integrals`` of an archive."""
+    return json.dumps(
+        {name: [*map(_finite, x)] if isinstance(x, tuple) else _finite(x) for name, x in integrals.items()}
+    )
+
+
+def integrals_from_json(text: str) -> Integrals:
+    """Return the integrals in the attribute of an archive; raise ValueError if the text is not such an attribute."""
+    try:
+        return {
+            name: (_number(x[0]), _number(x[1])) if isinstance(x, list) else _number(x)
+            for name, x in json.loads(text).items()
+        }
+    except (AttributeError, IndexError, TypeError) as error:
+        raise ValueError("the attribute integrals has no numbers by name") from error
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
 
 
 class MeasuredValues(ReadOnlyDict[str, float]):
@@ -40,7 +69,7 @@ class MeasuredValues(ReadOnlyDict[str, float]):
         """
         found = json.loads(text)
         try:
-            values = {name: math.nan if one["value"] is None else float(one["value"]) for name, one in found.items()}
+            values = {name: _number(one["value"]) for name, one in found.items()}
             units = {name: str(one["unit"]) for name, one in found.items()}
             reasons = {name: str(one["reason"]) for name, one in found.items() if "reason" in one}
         except (AttributeError, KeyError, TypeError) as error:
@@ -51,7 +80,7 @@ class MeasuredValues(ReadOnlyDict[str, float]):
         """Return value, unit and, where it failed, reason of each measure; values that are not finite become None."""
         found: dict[str, dict[str, float | str | None]] = {}
         for name, value in self.items():
-            found[name] = {"value": value if math.isfinite(value) else None, "unit": self.units[name]}
+            found[name] = {"value": _finite(value), "unit": self.units[name]}
             if name in self.reasons:
                 found[name]["reason"] = self.reasons[name]
         return found

@@ -39,7 +39,7 @@ from mbdkit.archive.history import (
     Steps,
     UnknownNameError,
 )
-from mbdkit.archive.measured_values import MeasuredValues
+from mbdkit.archive.measured_values import Integrals, MeasuredValues, integrals_from_json
 from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.part_file import write_image
 from mbdkit.archive.read_only_dict import ReadOnlyDict
@@ -336,6 +336,15 @@ class Run(HtmlView):
                 units[index],
             ),
         )
+
+    @cached_property
+    def integrals(self) -> Integrals:
+        """Time integrals that the measures of the run need, by their integrands, in SI units.
+
+        They were integrated with the run by the weights of its method.
+        """
+        with reading("the integrals", self.path):
+            return integrals_from_json(str(self.file.attrs.get(layout.INTEGRALS, "{}")))
 
     @cached_property
     def measures(self) -> MeasuredValues:

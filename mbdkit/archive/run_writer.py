@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
@@ -16,12 +16,52 @@ from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import line, text_bytes
 from mbdkit.archive.layout import Array
+from mbdkit.archive.measured_values import Integrals
 from mbdkit.trust.criteria import Judgement
 
 #: Keys accepted by the `append` methods.
 _KEYS = frozenset(array.key for array in layout.LAYOUT)
 
 UNJUDGED = Judgement("unknown")
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run has ended.
+
+    Parameters
+    ----------
+    status
+        ``complete``, ``failed`` or ``interrupted``.
+    reason
+        Code and sentence saying why the run is not complete, such as ``newton-failed: the step at t = ...``. For
+        a complete run, the event that ended it, or an empty string.
+    stats
+        Attributes of ``/stats``: counters (integers) and ``setup_s``, ``wall_s``, ``cpu_s``.
+    misalignment_max
+        (J,) largest misalignment of each joint over all steps [m].
+    judgement
+        The verdict on the run; ``unknown`` by default.
+    warnings
+        Warnings about the spec and the run, as sentences.
+    accuracy
+        Estimated errors of the rows, if they were checked.
+    integrals
+        Time integrals by their integrands, numbers or pairs of numbers, in SI units.
+    """
+
+    status: str
+    reason: str
+    stats: Mapping[str, int | float]
+    misalignment_max: np.ndarray
+    judgement: Judgement = UNJUDGED
+    warnings: Sequence[str] = ()
+    accuracy: Accuracy | None = None
+    integrals: Integrals = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.status not in layout.STATUSES[1:]:
+            raise ValueError(f"a run ends as complete, failed or interrupted, not {self.status!r}")
 
 
 @dataclass(frozen=True)
@@ -175,38 +215,14 @@ class RunWriter(ABC):
         """Discard the run; no effect once it is finished."""
 
     @abstractmethod
-    def finish(
-        self,
-        status: str,
-        reason: str,
-        stats: Mapping[str, int | float],
-        misalignment_max: np.ndarray,
-        *,
-        judgement: Judgement = UNJUDGED,
-        warnings: Sequence[str] = (),
-        accuracy: Accuracy | None = None,
-        measured: Callable[[h5py.File], str] | None = None,
-    ) -> h5py.File | None:
+    def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> h5py.File | None:
         """End the run.
 
         Parameters
         ----------
-        status
-            ``complete``, ``failed`` or ``interrupted``.
-        reason
-            Code and sentence saying why the run is not complete, such as ``newton-failed: the step at t = ...``. For
-            a complete run, the event that ended it, or an empty string.
-        stats
-            Attributes of ``/stats``: counters (integers) and ``setup_s``, ``wall_s``, ``cpu_s``. This method adds
-            ``finish_s``, its own duration up to the renaming.
-        misalignment_max
-            Largest misalignment of each joint over all steps, (J,), m.
-        accuracy
-            Estimated errors of the rows, if they were checked.
-        judgement
-            The verdict on the run; ``unknown`` by default.
-        warnings
-            Warnings about the spec and the run, as sentences.
+        ending
+            What is known at the end. This method adds ``finish_s`` to its `stats`, the time that it takes itself up to
+            the renaming.
         measured
             Takes the measures of the run from the file, in which all else is written, and returns the attribute
             ``measures``; not called without a file.
@@ -270,12 +286,6 @@ class RunWriter(ABC):
         if unknown:
             raise ValueError(f"the layout has no {', '.join(sorted(unknown))}")
         self.take(dim, rows)
-
-
-def check_ended(status: str) -> None:
-    """Raise ValueError if a run cannot end with this status."""
-    if status not in layout.STATUSES[1:]:
-        raise ValueError(f"a run ends as complete, failed or interrupted, not {status!r}")
 
 
 def name_texts(names: ArchiveNames) -> dict[str, Sequence[str]]:

@@ -15,7 +15,7 @@ from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.history import NotRecordedError, UnknownNameError
-from mbdkit.archive.measured_values import MeasuredValues
+from mbdkit.archive.measured_values import Integrals, MeasuredValues
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import name_texts
@@ -144,6 +144,11 @@ class StoredRun(Run):
         """Values of the measures in the spec of the run by name, each in its unit; nan where one is undefined."""
         return self._measured
 
+    @property
+    def integrals(self) -> Integrals:
+        """Time integrals by their integrands."""
+        return self._finished.integrals
+
     @cached_property
     def gradients(self) -> Mapping[str, Mapping[str, Any]]:
         """Empty: gradients are computed only for runs with an archive of their own."""
@@ -171,16 +176,8 @@ class StoredRun(Run):
             shared=finished.shared,
         )
         finished.write(writer)
-        file = writer.finish(
-            finished.status,
-            finished.reason,
-            finished.stats,
-            finished.misalignment_max,
-            judgement=finished.judgement,
-            warnings=finished.warnings,
-            accuracy=finished.accuracy,
-            measured=(lambda file: self.measures.to_json()) if self.measures else None,
-        )
+        measured = (lambda file: self.measures.to_json()) if self.measures else None
+        file = writer.finish(finished.ending, measured=measured)
         assert file is not None
         file.attrs.modify("data_sha256", finished.data_sha256)
         return file

@@ -14,20 +14,19 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.checkpoint import Checkpoint, FileImage, Slots
 from mbdkit.archive.fingerprint import attributes_sha256, digest_lines
 from mbdkit.archive.growing_array import Table
 from mbdkit.archive.hdf5 import create, set_text, set_texts
 from mbdkit.archive.hdf5_errors import cause
 from mbdkit.archive.layout import Array
+from mbdkit.archive.measured_values import integrals_json
 from mbdkit.archive.part_file import LIBVER, Target
 from mbdkit.archive.run_writer import (
-    UNJUDGED,
     ArchiveNames,
+    Ending,
     RunWriter,
     SharedForces,
-    check_ended,
     name_line,
     name_texts,
 )
@@ -206,22 +205,11 @@ class ArchiveWriter(RunWriter):
         assert self._target is not None
         self._target.take_place_of(part)
 
-    def finish(
-        self,
-        status: str,
-        reason: str,
-        stats: Mapping[str, int | float],
-        misalignment_max: np.ndarray,
-        *,
-        judgement: Judgement = UNJUDGED,
-        warnings: Sequence[str] = (),
-        accuracy: Accuracy | None = None,
-        measured: Callable[[h5py.File], str] | None = None,
-    ) -> h5py.File | None:
+    def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> h5py.File | None:
         """Write the remaining rows, the hash and the status, and rename the archive to its final name."""
         started = time.perf_counter()
-        check_ended(status)
-        file = self._file
+        file, accuracy = self._file, ending.accuracy
+        misalignment_max = np.asarray(ending.misalignment_max, layout.FLOAT)
         with self._storing():
             errors = 0 if accuracy is None else accuracy.size_in_bytes + _ATTRIBUTE_BYTES
             with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(misalignment_max) + errors):
@@ -230,10 +218,12 @@ class ArchiveWriter(RunWriter):
                 del file["trajectory"].attrs[layout.ROWS_FLUSHED]  # from now on, all rows are there
                 if accuracy is not None:
                     accuracy.write(file, self.names.bodies, self.names.joints)
-                self._write_end(reason, {**stats, "finish_s": 0.0}, np.asarray(misalignment_max, layout.FLOAT))
-                self._write_verdict(judgement, warnings)
+                self._write_end(ending.reason, {**ending.stats, "finish_s": 0.0}, misalignment_max)
+                self._write_verdict(ending.judgement, ending.warnings)
+                if ending.integrals:
+                    set_text(file, layout.INTEGRALS, integrals_json(ending.integrals))
                 file.flush()
-                file.attrs.modify("status", status)  # after all that it declares valid
+                file.attrs.modify("status", ending.status)  # after all that it declares valid
                 if measured is not None:
                     set_text(file, layout.MEASURES, measured(file))
                 # read back from the file, so that it covers attributes and arrays by whatever way they were written

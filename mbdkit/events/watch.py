@@ -18,7 +18,7 @@ from mbdkit.events.event_expression import CompiledExpression, RunExpression
 from mbdkit.events.quantities import QuantityEvaluator
 from mbdkit.events.sampling import INSIDE, refined
 from mbdkit.stepping import interface
-from mbdkit.stepping.interface import Failure, StepEvidence, Stepper, StepTaken, Stretch, joined
+from mbdkit.stepping.interface import Failure, Nodes, StepEvidence, Stepper, StepTaken, Stretch, joined
 
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
 
@@ -94,6 +94,7 @@ class Watch:
         self._signs = [0] * len(events)
         self._recorded = workspace.t0
         self._found: list[Found] = []
+        self._nodes: list[Nodes] = []
         self._raised: Exception | None = None
         self._failure: Failure | None = None
         self._values: list[float] | None = None
@@ -155,6 +156,7 @@ class Watch:
                     raise
                 self._raised = error
                 break
+            self._nodes.append(self.stepper.taken_nodes())
             if len(part.time):
                 self._recorded = float(part.time[-1])
             if len(part.time) or not parts:
@@ -166,6 +168,11 @@ class Watch:
     def last_state(self) -> Stretch:
         """Return the state reached as one row."""
         return self.stepper.last_state()
+
+    def taken_nodes(self) -> Nodes:
+        """Return the nodes of integrals of the steps since the last call, without the part of a step after a stop."""
+        taken, self._nodes = self._nodes, []
+        return Nodes.joined([*taken, self.stepper.taken_nodes()])
 
     def stored(self) -> dict[str, Any]:
         """Return what the watch keeps from step to step, as plain values for a checkpoint; all crossings are taken."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import ArchiveNames
+from mbdkit.archive.run_writer import ArchiveNames, Ending
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.inverse_dynamics.compute import Inverse
 from mbdkit.inverse_dynamics.error_bars import ErrorBars, error_bars
@@ -62,15 +62,15 @@ def archive_of(
         writer.append(rows | {key: COLUMNS[key](states) for key in writer.row_keys if key not in rows})
         writer.append_steps(_intervals(result.motion.time))
         counters = dict.fromkeys(layout.COUNTERS, 0)
-        return writer.finish(
+        ending = Ending(
             "complete",
             "",
             {**counters, **timings},
             states.misalignment.max(axis=0, initial=0.0),
             warnings=result.warnings,
             accuracy=None if bars is None else bars.accuracy,
-            measured=partial(_measured, result) if spec.measures else None,
         )
+        return writer.finish(ending, measured=partial(_measured, result) if spec.measures else None)
     finally:
         writer.abandon()
 

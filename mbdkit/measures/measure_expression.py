@@ -51,12 +51,46 @@ REDUCTIONS: Mapping[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
 }
 """Functions of times (T,) and values (..., T) that return a value for all rows together, (...).
 
-``mean``, ``rms`` and ``integral`` use the trapezoidal rule on the recorded rows.
+``mean``, ``rms`` and ``integral`` use the trapezoidal rule on the recorded rows. In measures of a run, their integrals
+are computed with the run instead, by the weights of its method; see `Integrand`.
 """
+_OF_INTEGRAL: Mapping[str, Callable[[np.ndarray, float], np.ndarray]] = {
+    "mean": lambda integral, duration: integral / duration,
+    "rms": lambda integral, duration: np.sqrt(integral / duration),
+    "integral": lambda integral, duration: integral,
+}
+"""Reductions as functions of an integral over time, of the square for ``rms``, and of the duration [s]."""
+_OF_HISTORY = ("work", "dissipated", "balance")
+"""Energies that are integrals over time themselves, and so are known in the recorded states only."""
 _OF_VECTORS = ("mean", "final", "integral", "at")
 """Reductions that apply to each component of a vector."""
 REDUCE = "over time: "
 """Begin of the operations of a program that reduce over time."""
+
+
+@dataclass(frozen=True)
+class Integrand:
+    """A quantity over time whose integral a measure needs.
+
+    Attributes
+    ----------
+    text
+        The quantity as an expression.
+    program, quantities
+        See `MeasureExpression`.
+    """
+
+    text: str
+    program: Program
+    quantities: tuple[Quantity, ...]
+
+    def values(self, run: Run) -> np.ndarray:
+        """Return the values in the T rows of a run: (T,), or (2, T) of a vector."""
+        stack: list[np.ndarray] = []
+        with np.errstate(all="ignore"):
+            for operation, number in self.program:
+                execute(operation, number, stack, run, self.quantities)
+        return stack.pop()
 
 
 @dataclass(frozen=True)
@@ -107,12 +141,16 @@ class MeasureExpression:
         Quantities in the expression, except time.
     unit
         Unit of the value.
+    integrands
+        What has to be integrated with the run. Reductions of a program have the place of their integrand, counted from
+        1; 0 if it is not known before the end of the run.
     """
 
     text: str
     program: Program
     quantities: tuple[Quantity, ...]
     unit: Unit
+    integrands: tuple[Integrand, ...] = ()
 
     @staticmethod
     def parse(text: str, spec: ModelSpec, unit: str = "") -> MeasureExpression:
@@ -144,7 +182,14 @@ class MeasureExpression:
             wanted = value.unit
         elif value.unit is not None and not value.unit.is_like(wanted):
             raise SpecError(f"the expression has the unit {value.unit}, which cannot be given in {wanted}", key="unit")
-        return MeasureExpression(text, program, tuple(compiler.quantities), wanted)
+        return MeasureExpression(text, program, tuple(compiler.quantities), wanted, compiler.integrands())
+
+    @staticmethod
+    def integrands_of(text: str, spec: ModelSpec) -> tuple[Integrand, ...]:
+        """Return what an expression integrates over time; raise SpecError as `parse` does, but for its unit."""
+        compiler = _MeasureCompiler(text, spec)
+        compiler.measure()
+        return compiler.integrands()
 
     def of(self, run: Run) -> float:
         """Return the value for a run, in `unit`; nan where it is undefined or a quantity was not recorded."""
@@ -163,25 +208,19 @@ class MeasureExpression:
 
     def _execute(self, operation: str, number: float, stack: list[np.ndarray], run: Run) -> None:
         """Apply an instruction to the stack. Values have the shapes (T,) or (1,), those of vectors (2, T) or (2, 1)."""
-        if operation == "const":
-            stack.append(np.array([number]))
-        elif operation == "t":
-            stack.append(run.time)
-        elif operation == "get":
-            stack.append(recorded(self.quantities[int(number)], run))
-        elif operation == "powi":
-            stack.append(stack.pop() ** number)
-        elif operation == REDUCE + "at":
+        if operation == REDUCE + "at":
             time, values = stack.pop(), stack.pop()
             stack.append(_interpolated(float(time[0]), run.time, values))
         elif operation.startswith(REDUCE):
-            values = stack.pop()
-            stack.append(REDUCTIONS[operation.removeprefix(REDUCE)](run.time, values)[..., None])
-        elif operation in _BINARY:
-            right, left = stack.pop(), stack.pop()
-            stack.append(_BINARY[operation](left, right))
+            values, name = stack.pop(), operation.removeprefix(REDUCE)
+            integral = run.integrals.get(self.integrands[int(number) - 1].text) if number else None
+            duration = run.time[-1] - run.time[0]
+            if integral is None or not duration > 0.0:
+                stack.append(REDUCTIONS[name](run.time, values)[..., None])
+            else:
+                stack.append(_OF_INTEGRAL[name](np.atleast_1d(integral), duration).reshape(*values.shape[:-1], 1))
         else:
-            stack.append(_UNARY[operation](stack.pop()))
+            execute(operation, number, stack, run, self.quantities)
 
 
 @dataclass(frozen=True)
@@ -209,6 +248,23 @@ class SeriesExpression(MeasureExpression):
             for operation, number in self.program:
                 self._execute(operation, number, stack, run)
         return stack.pop() / self.unit.factor
+
+
+def execute(operation: str, number: float, stack: list[np.ndarray], run: Run, quantities: Sequence[Quantity]) -> None:
+    """Apply an instruction that does not reduce over time to the stack; see `MeasureExpression._execute`."""
+    if operation == "const":
+        stack.append(np.array([number]))
+    elif operation == "t":
+        stack.append(run.time)
+    elif operation == "get":
+        stack.append(recorded(quantities[int(number)], run))
+    elif operation == "powi":
+        stack.append(stack.pop() ** number)
+    elif operation in _BINARY:
+        right, left = stack.pop(), stack.pop()
+        stack.append(_BINARY[operation](left, right))
+    else:
+        stack.append(_UNARY[operation](stack.pop()))
 
 
 def _interpolated(at: float, time: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -261,6 +317,7 @@ class _MeasureCompiler(RunCompiler):
         self.spec = spec
         super().__init__(text, spec.mechanism(), spec.numbers if parameters is None else parameters)
         self.known |= {"events": list(spec.event_names), "actuators": list(spec.actuator_units)}
+        self._integrated: list[tuple[str, Program]] = []
 
     def measure(self) -> tuple[Program, _Value]:
         """Return the program and its value, which is one number; raise SpecError otherwise."""
@@ -278,6 +335,10 @@ class _MeasureCompiler(RunCompiler):
         if all(operation not in ("get", "t") for operation, _ in program):
             self.refuse("the expression contains no quantity of the run", tree)
         return tuple(program), value
+
+    def integrands(self) -> tuple[Integrand, ...]:
+        """Return what the expression integrates over time, apart from what is known only at the end of a run."""
+        return tuple(Integrand(text, program, tuple(self.quantities)) for text, program in self._integrated)
 
     def series(self) -> tuple[Program, _Value]:
         """Return the program and its value, which is one number in each recorded row; raise SpecError otherwise."""
@@ -368,7 +429,20 @@ class _MeasureCompiler(RunCompiler):
         unit = value.unit
         if name == "integral" and unit is not None:
             unit = unit.times(_SECOND)
-        return _Code([*program, (REDUCE + name, 0.0)], _Value(unit, is_vector=value.is_vector))
+        place = self._place_of_integrand(program, node.args[0], squared=name == "rms") if name in _OF_INTEGRAL else 0
+        return _Code([*program, (REDUCE + name, float(place))], _Value(unit, is_vector=value.is_vector))
+
+    def _place_of_integrand(self, program: Code, node: ast.expr, *, squared: bool) -> int:
+        """Return the place of a quantity among the integrands, from 1; 0 if it is not known before the end of a run."""
+        read = [self.quantities[int(number)] for operation, number in program if operation == "get"]
+        reduces = any(operation.startswith(REDUCE) for operation, _ in program)
+        if reduces or any(one.kind == "events" or one.attribute in _OF_HISTORY for one in read):
+            return 0
+        text = ast.unparse(node)
+        entry = (f"({text})**2", (*program, ("powi", 2.0))) if squared else (text, tuple(program))
+        if entry not in self._integrated:
+            self._integrated.append(entry)
+        return 1 + self._integrated.index(entry)
 
     def apply(self, operation: str, operands: list[Code], node: ast.expr) -> Code:
         """Append an operation to the programs of its operands."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, get_args
 
@@ -89,6 +89,11 @@ class DefinedMeasure:
     def is_like(self, other: DefinedMeasure) -> bool:
         """Return whether another measure of this name has the same definition."""
         return replace(other, place=self.place, of_base=self.of_base) == self
+
+
+def expressions_of(measures: Iterable[DefinedMeasure]) -> tuple[str, ...]:
+    """Return the expressions of measures that a study defines itself; its bases give those of theirs to the runs."""
+    return tuple(one.expression for one in measures if one.item is None and not one.of_base)
 
 
 def built_in(measures: Any) -> tuple[str, ...] | None:

@@ -24,6 +24,7 @@ from mbdkit.stepping.collocation_stages import (
     new_stages,
     new_systems,
 )
+from mbdkit.stepping.collocation_step import keep
 from mbdkit.stepping.compiled_method import CompiledMethod
 from mbdkit.stepping.convergence import TOLERANCE, describe_divergence
 from mbdkit.stepping.coupled_newton import CoupledNewton
@@ -52,6 +53,7 @@ class CompiledCollocation(CompiledMethod):
         Control of the step size, which bounds the accuracy of the stages for index-1; None for fixed steps.
     """
 
+    keep = keep
     carries_stages = True
 
     def __init__(self, method: ImplicitRungeKutta, workspace: Workspace, control: Control | None):
@@ -61,6 +63,7 @@ class CompiledCollocation(CompiledMethod):
         self.carries_multipliers = formulation.solves_multipliers
         self.has_dense_output = method.tableau.is_collocation
         self.rk = coefficients_of(method.tableau)
+        self.stages = len(self.rk.b)
         tolerance = TOLERANCE
         if method.tolerance is not None:
             tolerance = method.tolerance

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import inlined, subkernel
+from mbdkit.engine.jit.decorators import entry, inlined, subkernel
 from mbdkit.engine.jit.lane_types import any_of, is_refused, renewed, usable, where
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import copy, fill, fill_rows, stays_finite
-from mbdkit.stepping.collocation_stages import INDEX_1, NEWTON
+from mbdkit.stepping.collocation_stages import INDEX_1, NEWTON, load_stages
 from mbdkit.stepping.convergence import (
     FEWEST_WITH_ONE_TANGENT,
     ROUGH_CHANGE,
@@ -28,7 +28,15 @@ from mbdkit.stepping.convergence import (
     stays_near,
 )
 from mbdkit.stepping.lane_hold import hold_counts, hold_finished
-from mbdkit.stepping.run_state import AT_END_OF_LAST, AT_START_OF_LAST, FACTORIZATIONS, ITERATIONS, RHS
+from mbdkit.stepping.run_state import (
+    AT_END_OF_LAST,
+    AT_START_OF_LAST,
+    FACTORIZATIONS,
+    ITERATIONS,
+    RHS,
+    keep_node,
+    load_run_state,
+)
 from mbdkit.stepping.simplified_newton import filter_estimate, leading
 from mbdkit.stepping.stage_polynomials import (
     dense_gains,
@@ -236,6 +244,21 @@ def increments(c, m, h):
         w = h * m.rk.b[j]
         for d in range(n3):
             c.dq[d] -= w * m.constraints.shift[j, d]
+
+
+@subkernel
+def keep_stages(c, m, t, h):
+    """Keep the stages of a step as nodes of integrals; `m` are the stages of a collocation method or Lobatto pair."""
+    stage_states(c, m, h)
+    for i in range(len(m.rk.c)):
+        keep_node(c, t + m.rk.c[i] * h, h * m.rk.b[i], m.q_stage[i], m.v_stage[i])
+
+
+@entry
+def keep(run, method, t, h, unused):
+    """Keep the stages of the last attempt as nodes of integrals; see `mbdkit.stepping.driver`."""
+    keep_stages(load_run_state(run), load_stages(method), t, h)
+    return OK
 
 
 @inlined

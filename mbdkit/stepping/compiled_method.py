@@ -21,8 +21,10 @@ class CompiledMethod(ABC):
 
     Attributes
     ----------
-    attempt, dense
-        The compiled step and dense output; see `mbdkit.stepping.driver`.
+    attempt, dense, keep
+        The compiled step, dense output, and what keeps its stages as nodes; see `mbdkit.stepping.driver`.
+    stages
+        Number of stages of a step.
     hint
         Advice to the user, added to the message when a step fails.
     pinned
@@ -41,6 +43,8 @@ class CompiledMethod(ABC):
 
     attempt: Entry
     dense: Entry | None = None
+    keep: Entry
+    stages: int
     hint: ClassVar[str] = "a smaller time.step may help"
     pinned: PinnedBundle
     memory: tuple[np.ndarray, ...]

@@ -17,7 +17,17 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import StepError
 from mbdkit.stepping import driver
 from mbdkit.stepping.impulse import impulse
-from mbdkit.stepping.interface import Failure, Impact, Pace, StepEvidence, StepTaken, Stretch, Timetable, joined
+from mbdkit.stepping.interface import (
+    Failure,
+    Impact,
+    Nodes,
+    Pace,
+    StepEvidence,
+    StepTaken,
+    Stretch,
+    Timetable,
+    joined,
+)
 from mbdkit.stepping.run_plan import (
     NEAR_SINGULARITY,
     PLAIN,
@@ -50,7 +60,7 @@ SINGULAR, REGULAR = 1e-6, 1e-2
 
 MAX_ROWS = 4096
 MAX_ROW_BYTES = 1 << 24
-"""Bounds of the buffer of recorded states: rows, and bytes."""
+"""Bounds of the buffers of recorded states and of nodes of integrals: rows, and bytes."""
 
 WORK = ("steps", "last_size", "iterations", "iterations_max", "rejected")
 WORK_COLUMNS = [INTERVAL_FIELDS.index(name) for name in WORK]
@@ -86,7 +96,12 @@ class CompiledStepper:
         self.failure: Failure | None = None
         self.time = timetable.start
         rows = max(2, min(MAX_ROWS, MAX_ROW_BYTES // (16 * workspace.mechanism.size)))
-        self.run_state = new_run_state(workspace, rows, own_multipliers=method.carries_multipliers)
+        stages = method.stages if timetable.nodes else 0
+        nodes = stages if timetable.single else stages * -(-rows // max(1, stages))
+        self.run_state = new_run_state(
+            workspace, rows, own_multipliers=method.carries_multipliers, stages=stages, nodes=nodes
+        )
+        self.run_state.nodes[0] = method.keep.address if timetable.nodes else 0
         self._pinned_state = PinnedBundle(self.run_state)
         limits = guard_limits(workspace.mechanism, timetable.guards)
         self.plan = new_plan(timetable, control, workspace.stabilization, limits)
@@ -236,7 +251,7 @@ class CompiledStepper:
         c = self.run_state
         return (
             c.interval.values, *c.progress, c.base_state, c.q, c.q_low, c.v, c.v_low, c.energy, c.energy_low,
-            c.from_q, c.from_v, c.shift_q, c.shift_v, c.mu, c.nu, *c.guards, *self.method.memory,
+            c.from_q, c.from_v, c.shift_q, c.shift_v, c.mu, c.nu, *c.guards, *self._node_arrays(), *self.method.memory,
         )  # fmt: skip
 
     def _recall(self, memory: list[np.ndarray]) -> None:
@@ -301,12 +316,15 @@ class CompiledStepper:
         progress, interval = c.progress, c.interval
         assert step is not None
         size, ends = float(progress.last_size[0]), c.energy.copy()
-        inner = self.inside(theta)
+        inner, whole = self.inside(theta), [x.copy() for x in self._node_arrays()]
         if theta > 0.0:
             if not self._retake(step, theta):  # use dense output instead
                 self._recall(self._before)
                 c.q[:], c.v[:] = inner
                 c.energy[:] += theta * (ends - c.energy)
+                for now, then in zip(self._node_arrays(), whole, strict=True):
+                    now[...] = then
+                c.node_weight[...] *= theta
             progress.accepted[0] += 1
         else:
             self._recall(self._before)
@@ -470,6 +488,18 @@ class CompiledStepper:
         c, some = self.run_state, slice(rows)
         states = c.row_time[some].copy(), c.row_q[some].copy(), c.row_v[some].copy()
         return self._stretch(*states, c.row_energy[some], c.row_interval[some], c.row_lam[some])
+
+    def _node_arrays(self) -> tuple[np.ndarray, ...]:
+        """Return the number of nodes of integrals that have been kept, and the buffers of them."""
+        c = self.run_state
+        return c.nodes, c.node_time, c.node_weight, c.node_q, c.node_v
+
+    def taken_nodes(self) -> Nodes:
+        """See `Stepper.taken_nodes`."""
+        c = self.run_state
+        some = slice(int(c.nodes[1]))
+        c.nodes[1] = 0
+        return Nodes(*(x[some].copy() for x in (c.node_time, c.node_weight, c.node_q, c.node_v)))
 
     def last_state(self) -> Stretch:
         """See `Stepper.last_state`."""

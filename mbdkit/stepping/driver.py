@@ -9,8 +9,11 @@ bundle of the run (`mbdkit.stepping.run_state`), and `method`, of the method's o
     0, the estimates ``est_q, est_v``. ``base_state`` tells how the base state is related to the last attempt.
 ``dense(run, method, t, h, theta)``
     Writes ``point_q, point_v, point_gain`` and ``point_lam``: the state at ``t + theta h`` within the last attempt.
+``keep(run, method, t, h, unused)``
+    Keeps the stages of the last attempt as nodes of integrals over time, with the weights of the method
+    (`mbdkit.stepping.run_state.keep_node`).
 
-Both return a status of `mbdkit.engine.kernels.system`. The driver knows them by their addresses, so that it is compiled
+All return a status of `mbdkit.engine.kernels.system`. The driver knows them by their addresses, so that it is compiled
 once for all methods.
 """
 
@@ -413,6 +416,12 @@ def _advance(c, plan):
     return limit_status(c.guards, c.worst, plan.limits), last, whole
 
 
+@subkernel
+def _has_room(c):
+    """Return whether the stages of another step can be kept, if they are kept."""
+    return c.nodes[0] == 0 or c.nodes[1] + c.nodes[2] <= len(c.node_time)
+
+
 @kernel
 def look_inside(run, method, dense, t, h, theta):
     """Evaluate dense output of the last attempt into ``point_q, point_v``; return a status."""
@@ -439,7 +448,7 @@ def drive(run, method, attempt, dense, plan, budget):
     rows = 0
     while True:
         if progress.pending[0] == 0:
-            if _has_ended(planned, progress) or budget <= 0 or rows >= len(c.row_time):
+            if _has_ended(planned, progress) or budget <= 0 or rows >= len(c.row_time) or not _has_room(c):
                 return OK, rows
             budget -= 1
             status = _try_step(run, method, attempt, planned)
@@ -450,6 +459,10 @@ def drive(run, method, attempt, dense, plan, budget):
         if every == 0:
             status, rows = _write_inner_rows(run, method, dense, planned, rows)
             if status != OK or rows >= len(c.row_time):
+                return status, rows
+        if c.nodes[0] != 0:
+            status = call_entry(c.nodes[0], run, method, progress.tried_begin[0], progress.last_size[0], 0.0)
+            if status != OK:
                 return status, rows
         status, last, whole = _advance(c, planned)
         if status == NOT_FINITE:

@@ -16,8 +16,8 @@ from mbdkit.engine.jit.dual_types import larger_derivatives, largest_quotient, w
 from mbdkit.engine.kernels.system import DIVERGED, OK
 from mbdkit.stepping import collocation_constrained, collocation_index1
 from mbdkit.stepping.collocation_stages import NEWTON, Stages, example_stages, load_stages
-from mbdkit.stepping.collocation_step import increments
-from mbdkit.stepping.dual_run import advance, keep_node, load_dual_run, take_base, with_derivatives
+from mbdkit.stepping.collocation_step import increments, keep_stages
+from mbdkit.stepping.dual_run import advance, load_dual_run, take_base, with_derivatives
 from mbdkit.stepping.run_state import load_run_state
 from mbdkit.stepping.simplified_newton import newton_changes
 from mbdkit.stepping.stage_polynomials import dense_gains, extrapolate, extrapolation_weights, stage_states
@@ -141,8 +141,7 @@ def _step(dual, run, method, plain, t, h, row, changes, powers):
             return status
         dense_gains(h, m.rk.b, m.power, c.gain)
     increments(c, m, h)
-    for i in range(len(m.rk.c)):
-        keep_node(c, t + m.rk.c[i] * h, h * m.rk.b[i], m.q_stage[i], m.v_stage[i])
+    keep_stages(c, m, t, h)
     advance(c, n, row)
     return OK
 

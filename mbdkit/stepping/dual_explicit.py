@@ -7,15 +7,14 @@ from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import kernel
 from mbdkit.engine.jit.dual_arrays import new_duals
 from mbdkit.engine.kernels.system import OK
-from mbdkit.engine.kernels.vectors import copy
-from mbdkit.stepping.dual_run import advance, keep_node, load_dual_run, take_base
+from mbdkit.stepping.dual_run import advance, load_dual_run, take_base
 from mbdkit.stepping.explicit import (
     Explicit,
     add_up_stages,
     evaluate_stages,
+    keep_stages,
     new_explicit,
     reuse_first_stage,
-    stage_state,
 )
 from mbdkit.stepping.run_state import load_run_state
 
@@ -59,11 +58,6 @@ def explicit_step(dual, run, method, t, h, row):
     m.status[1] = stages
     add_up_stages(c, m, h)
     if c.nodes[0] != 0:
-        for i in range(stages):
-            if i == 0:
-                copy(c.from_q, m.q_stage)
-            else:
-                stage_state(c.from_q, h, m.a, m.rates, i, m.q_stage)
-            keep_node(c, t + m.c[i] * h, h * m.b[i], m.q_stage, m.rates[i])
+        keep_stages(c, m, t, h)
     advance(c, n, row)
     return OK

@@ -170,19 +170,6 @@ def take_base(c, n):
 
 
 @subkernel
-def keep_node(c, t, weight, q, v):
-    """Keep a stage as a node of integrals over time."""
-    place = c.nodes[1]
-    if c.nodes[0] == 0 or place >= len(c.node_time):
-        return
-    c.node_time[place], c.node_weight[place] = t, weight
-    for d in range(len(q)):
-        c.node_q[place, d] = q[d]
-        c.node_v[place, d] = v[d]
-    c.nodes[1] = place + 1
-
-
-@subkernel
 def advance(c, n, row):
     """Advance the derivatives by a step; its end, with the values of the run, is recorded in a row unless it is < 0."""
     for d in range(len(c.q)):

@@ -15,7 +15,7 @@ from mbdkit.engine.jit.lane_types import any_of
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import copy, fill, stays_finite
 from mbdkit.stepping.compiled_method import CompiledMethod
-from mbdkit.stepping.run_state import AT_END_OF_LAST, FACTORIZATIONS, MODIFIED, RHS, load_run_state
+from mbdkit.stepping.run_state import AT_END_OF_LAST, FACTORIZATIONS, MODIFIED, RHS, keep_node, load_run_state
 from mbdkit.stepping.stage_polynomials import dense_gains, weights_at
 
 if TYPE_CHECKING:
@@ -182,6 +182,24 @@ def reuse_first_stage(c, m):
     return known
 
 
+@subkernel
+def keep_stages(c, m, t, h):
+    """Keep the stages of a step of the method `m` from the base state of the run `c` as nodes of integrals."""
+    for i in range(len(m.b)):
+        if i == 0:
+            copy(c.from_q, m.q_stage)
+        else:
+            stage_state(c.from_q, h, m.a, m.rates, i, m.q_stage)
+        keep_node(c, t + m.c[i] * h, h * m.b[i], m.q_stage, m.rates[i])
+
+
+@entry
+def keep(run, method, t, h, unused):
+    """Keep the stages of the last attempt as nodes of integrals; see `mbdkit.stepping.driver`."""
+    keep_stages(load_run_state(run), load_explicit(method), t, h)
+    return OK
+
+
 @entry
 def attempt(run, method, t, h, want_error):
     """Compute a step from the base state; see `mbdkit.stepping.driver`."""
@@ -217,7 +235,7 @@ def dense(run, method, t, h, theta):
 class CompiledExplicit(CompiledMethod):
     """Explicit Runge-Kutta methods."""
 
-    attempt, dense = attempt, dense
+    attempt, dense, keep = attempt, dense, keep
     hint = "a smaller time.step or an implicit integrator may help"
 
     def __init__(self, method: ExplicitRungeKutta, workspace: Workspace):
@@ -226,3 +244,4 @@ class CompiledExplicit(CompiledMethod):
         self.pinned = PinnedBundle(self.bundle)
         self.memory = (self.bundle.rates, self.bundle.accelerations, self.bundle.power, self.bundle.status)
         self.has_dense_output = len(self.bundle.dense) > 0
+        self.stages = len(self.bundle.b)

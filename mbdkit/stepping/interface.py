@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 
 from mbdkit.engine.counters import Counters
 from mbdkit.trust.criteria import BranchSuspicion
@@ -103,6 +104,8 @@ class Timetable:
         Instead of `every`: distance of recorded states in time [s], by dense output.
     max_steps
         Steps after which the run stops.
+    nodes
+        Whether the steps are kept as nodes of integrals over time; see `Advancing.taken_nodes`.
     single
         Whether `Stepper.advance` takes one accepted step per call, so that it can be searched for events.
     guards
@@ -128,6 +131,7 @@ class Timetable:
     every: int = 1
     interval: float | None = None
     max_steps: int = 10_000_000
+    nodes: bool = False
     single: bool = False
     guards: Guards = Guards()
     stops: tuple[float, ...] = ()
@@ -187,6 +191,57 @@ def joined(stretches: Sequence[Stretch]) -> Stretch:
 
 
 @dataclass(frozen=True)
+class Nodes:
+    """States within steps, with weights: a time integral is the sum of ``weight`` times the values in the states.
+
+    Parameters
+    ----------
+    time, weight
+        (N,) times and weights [s].
+    q, v
+        (N, 3 (B + 1)) positions and velocities, ground last.
+    """
+
+    time: np.ndarray
+    weight: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+
+    def part(self, some: slice) -> Nodes:
+        """Return some of the nodes."""
+        return Nodes(*(getattr(self, field.name)[some] for field in fields(self)))
+
+    @classmethod
+    def none(cls, size: int) -> Nodes:
+        """Return no nodes of a mechanism with this many coordinates."""
+        return cls(np.zeros(0), np.zeros(0), np.zeros((0, size)), np.zeros((0, size)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Nodes]) -> Nodes:
+        """Return consecutive nodes as one."""
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+
+
+_GAUSS_NODES, _GAUSS_WEIGHTS = (0.5 * x for x in (1.0 + leggauss(4)[0], leggauss(4)[1]))
+"""Gauss-Legendre quadrature of order 8 on [0, 1], for steps whose stages are not known."""
+
+
+def nodes_between(t0: float, t1: float, state: Callable[[float], tuple[np.ndarray, np.ndarray]]) -> Nodes:
+    """Return the nodes of Gauss-Legendre quadrature of order 8 in a step.
+
+    Parameters
+    ----------
+    t0, t1
+        Start and end of the step [s].
+    state
+        Returns positions and velocities (3 (B + 1),) at a share of the step.
+    """
+    q, v = zip(*map(state, _GAUSS_NODES.tolist()), strict=True)
+    h = t1 - t0
+    return Nodes(t0 + h * _GAUSS_NODES, h * _GAUSS_WEIGHTS, np.array(q), np.array(v))
+
+
+@dataclass(frozen=True)
 class StepTaken:
     """One accepted step: the times [s] and states (3 (B + 1),), ground last, of its start and its end."""
 
@@ -207,6 +262,22 @@ class StepTaken:
         powers = [[1.0, theta, square, theta * square], [0.0, 1.0 / h, 2.0 * theta / h, 3.0 * square / h]]
         q, v = np.array(powers) @ self._cubic
         return q, v
+
+    def quintic(self, a0: np.ndarray, a1: np.ndarray) -> Callable[[float], tuple[np.ndarray, np.ndarray]]:
+        """Return a function of the share of the step: positions and velocities of its quintic Hermite interpolant.
+
+        Parameters
+        ----------
+        a0, a1
+            Accelerations (3 (B + 1),) at both ends.
+        """
+        h = self.t1 - self.t0
+        slope, curve = h * self.v0, 0.5 * h * h * a0
+        d, e, f = self.q1 - self.q0 - slope - curve, h * self.v1 - slope - 2.0 * curve, h * h * a1 - 2.0 * curve
+        highest = np.array([6.0 * d - 3.0 * e + 0.5 * f, -15.0 * d + 7.0 * e - f, 10.0 * d - 4.0 * e + 0.5 * f])
+        q = np.concatenate([highest, [curve, slope, self.q0]])
+        v = np.array([5.0, 4.0, 3.0, 2.0, 1.0])[:, None] * q[:-1] / h
+        return lambda theta: (np.polyval(q, theta), np.polyval(v, theta))
 
     @cached_property
     def _cubic(self) -> np.ndarray:
@@ -266,6 +337,13 @@ class Advancing(Protocol):
 
     def last_state(self) -> Stretch:
         """Return the state reached as one row, for a run that is stopped between two recorded states."""
+        ...
+
+    def taken_nodes(self) -> Nodes:
+        """Return the nodes of integrals of the steps since the last call; none unless ``Timetable.nodes``.
+
+        Compiled methods return their stages and weights; others return those of `nodes_between`.
+        """
         ...
 
 

@@ -38,6 +38,7 @@ from mbdkit.engine.kernels.system import (
 )
 from mbdkit.engine.kernels.vectors import copy, stays_finite
 from mbdkit.methods.lobatto_pair import coefficients
+from mbdkit.stepping.collocation_step import keep_stages
 from mbdkit.stepping.compiled_method import CompiledMethod
 from mbdkit.stepping.convergence import (
     NEGLIGIBLE_CHANGE,
@@ -306,6 +307,13 @@ def attempt(run, method, t, h, want_error):
     return OK
 
 
+@entry
+def keep(run, method, t, h, unused):
+    """Keep the stages of the last attempt as nodes of integrals; see `mbdkit.stepping.driver`."""
+    keep_stages(load_run_state(run), load_pair(method), t, h)
+    return OK
+
+
 def new_pair(method: LobattoPair, workspace: Workspace) -> Pair:
     """Return the bundle of a pair for a mechanism."""
     a, bar, b, c = (np.array(x, dtype=float) for x in coefficients(method.stages))
@@ -326,7 +334,7 @@ def new_pair(method: LobattoPair, workspace: Workspace) -> Pair:
 class CompiledLobattoPair(CompiledMethod):
     """Lobatto IIIA-IIIB pairs."""
 
-    attempt = attempt
+    attempt, keep = attempt, keep
     carries_stages = True
     carries_multipliers = True
     hint = "a smaller time.step may help, or radau-iia for stiff forces"
@@ -334,6 +342,7 @@ class CompiledLobattoPair(CompiledMethod):
     def __init__(self, method: LobattoPair, workspace: Workspace):
         super().__init__(workspace)
         self.bundle = new_pair(method, workspace)
+        self.stages = method.stages
         self.pinned = PinnedBundle(self.bundle)
         if method.max_iterations is None:
             self.limit = self.bundle.limit

@@ -19,7 +19,17 @@ from mbdkit.errors import MbdkitError, StepError
 from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.stepping import interface
 from mbdkit.stepping.impulse import impulse
-from mbdkit.stepping.interface import SAME_TIME, Failure, Impact, StepEvidence, StepTaken, Stretch, Timetable
+from mbdkit.stepping.interface import (
+    SAME_TIME,
+    Failure,
+    Impact,
+    Nodes,
+    StepEvidence,
+    StepTaken,
+    Stretch,
+    Timetable,
+    nodes_between,
+)
 from mbdkit.stepping.kept_state import kept, protect
 from mbdkit.stepping.python_projection import StabilizedSteps, Taken
 from mbdkit.stepping.step_watch import StepWatch
@@ -110,6 +120,7 @@ class PythonStepper:
         self.impacts: list[Impact] = []
         self.time = timetable.start
         self._before = self.now
+        self._nodes: list[Nodes] = []
         _load_kernels()
         self._watch = StepWatch.loaded(workspace, timetable.guards, self.worst_pairs, method.hint)
 
@@ -153,6 +164,7 @@ class PythonStepper:
                 there, taken = self._after(before, 1.0, self.worst_pairs)
                 self._go_to(there)
                 self.failure = self._watched(before, there, taken)
+                self._keep_nodes(before, there)
             except StepError as error:
                 where = f"in step {before.done + 1} from t = {before.time:.6g} s"
                 self.failure = Failure(error.code, f"{error} {where}; {self.method.hint}.")
@@ -188,7 +200,7 @@ class PythonStepper:
     def cut(self, theta: float) -> Stretch:
         """See `Stepper.cut`."""
         assert self.last_step is not None
-        before, after = self._before, self.now
+        before, after, table = self._before, self.now, self.timetable
         there = self._again(theta) if theta > 0.0 else before
         if there is None:  # use dense output instead
             q, v = (x[: self.equations.n] for x in self.inside(theta))
@@ -198,6 +210,10 @@ class PythonStepper:
                 energy=before.energy + theta * (after.energy - before.energy),
                 interval=before.interval.after(theta * self._next(before).size, 0, np.zeros(4)),
             )
+        if table.nodes:
+            self._nodes.pop()
+            if theta > 0.0:
+                self._keep_nodes(before, there)
         self._go_to(replace(there, time=self.last_step.time(theta)))
         self.finished, self.failure = True, None
         return self.last_state()
@@ -205,6 +221,26 @@ class PythonStepper:
     def last_state(self) -> Stretch:
         """See `Stepper.last_state`."""
         return self._stretch([self._recorded()])
+
+    def taken_nodes(self) -> Nodes:
+        """See `Stepper.taken_nodes`."""
+        taken, self._nodes = self._nodes, []
+        return Nodes.joined(taken) if taken else Nodes.none(self.workspace.mechanism.size)
+
+    def _keep_nodes(self, before: Reached, there: Reached) -> None:
+        """Keep nodes of integrals in a step, on the quintic through positions, velocities and accelerations."""
+        if not self.timetable.nodes:
+            return
+        begin = before.time if before.restart is None else before.restart
+        end = there.time if there.restart is None else there.restart
+        ends = (*self._with_ground(before.state), *self._with_ground(there.state))
+        accelerations = (
+            with_ground(self.equations.accelerations(t, state.q, state.v)[0])
+            for t, state in ((begin, before.state), (end, there.state))
+        )
+        kept = nodes_between(begin, end, StepTaken(begin, end, *ends).quintic(*accelerations))
+        first, last = self.workspace.scratch.sides
+        self._nodes.append(replace(kept, time=np.clip(kept.time, first, last)))
 
     def _next(self, begin: Reached) -> _Planned:
         """Return the step from `begin`."""

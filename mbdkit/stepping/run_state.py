@@ -11,6 +11,7 @@ import numpy as np
 
 from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import bundle_loader
+from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels.system import Scratch, Solver, Topology
 from mbdkit.stepping.step_guards import GuardState, new_guard_state
 
@@ -180,9 +181,20 @@ class RunState(NamedTuple):
     row_interval: np.ndarray
     row_lam: np.ndarray
     """Empty if the method does not compute multipliers."""
+    node_time: np.ndarray
+    """Stages of accepted steps, if they are kept as nodes of integrals over time: (N,) times and weights, which are
+    parts of the steps [s], and (N, 3 (B + 1)) states."""
+    node_weight: np.ndarray
+    node_q: np.ndarray
+    node_v: np.ndarray
+    nodes: np.ndarray
+    """(3,) address of the function of the method that keeps them, or 0; how many there are in `node_time`; and how many
+    a step has."""
 
 
-def new_run_state(workspace: Workspace, rows: int, *, own_multipliers: bool = False) -> RunState:
+def new_run_state(
+    workspace: Workspace, rows: int, *, own_multipliers: bool = False, stages: int = 0, nodes: int = 0
+) -> RunState:
     """Return the bundle of a run at its start.
 
     Parameters
@@ -193,6 +205,8 @@ def new_run_state(workspace: Workspace, rows: int, *, own_multipliers: bool = Fa
         Size of the buffer of recorded states.
     own_multipliers
         Whether the method computes multipliers, which are then recorded.
+    stages, nodes
+        Number of stages of a step, and size of the buffer of those that are kept as nodes of integrals.
     """
     top = workspace.stepping_topology
     size, pairs = workspace.mechanism.size, len(top.pairs)
@@ -221,7 +235,24 @@ def new_run_state(workspace: Workspace, rows: int, *, own_multipliers: bool = Fa
         row_time=np.zeros(rows), row_q=np.zeros((rows, size)), row_v=np.zeros((rows, size)),
         row_energy=np.zeros((rows, 2)), row_interval=np.zeros((rows, len(INTERVAL_FIELDS))),
         row_lam=np.zeros((rows if own_multipliers else 0, pairs, 2)),
+        node_time=np.zeros(nodes), node_weight=np.zeros(nodes),
+        node_q=np.zeros((nodes, size)), node_v=np.zeros((nodes, size)),
+        nodes=np.array([0, 0, stages], dtype=np.int64),
     )  # fmt: skip
+
+
+@subkernel
+def keep_node(c, t, weight, q, v):
+    """Keep a stage of a step of the run `c` as a node of integrals over time."""
+    place = c.nodes[1]
+    if c.nodes[0] == 0 or place >= len(c.node_time):
+        return
+    c.node_time[place] = min(max(t, c.w.sides[0]), c.w.sides[1])  # motions are evaluated on this side of a corner
+    c.node_weight[place] = weight
+    for d in range(len(q)):
+        c.node_q[place, d] = q[d]
+        c.node_v[place, d] = v[d]
+    c.nodes[1] = place + 1
 
 
 load_run_state = bundle_loader(lambda: new_run_state(example_workspace(), 1))

@@ -11,6 +11,7 @@ import math
 import time
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +26,17 @@ from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import StepError
 from mbdkit.stepping.impulse import impulse
-from mbdkit.stepping.interface import STRETCH, Failure, Impact, StepEvidence, StepTaken, Stretch, Timetable
+from mbdkit.stepping.interface import (
+    STRETCH,
+    Failure,
+    Impact,
+    Nodes,
+    StepEvidence,
+    StepTaken,
+    Stretch,
+    Timetable,
+    nodes_between,
+)
 from mbdkit.stepping.step_control import unit_of_length
 from mbdkit.stepping.step_watch import StepWatch
 
@@ -92,6 +103,7 @@ class SciPyStepper:
         self._y0 = y0
         self._row_times: list[float] = []
         self._effort_so_far = self._since.copy()
+        self._nodes: list[Nodes] = []
 
     @property
     def evidence(self) -> StepEvidence:
@@ -224,11 +236,14 @@ class SciPyStepper:
             t0, y0 = self.time, self.y
             if not self._step():
                 break
+            dense = self._dense_output(t0, y0) if table.nodes else None
+            if dense is not None:
+                self._keep_nodes(t0, self.time, dense)
             if not table.single:
                 rows += self._due()
                 continue
             self.last_step = StepTaken(t0, self.time, *self._state(y0), *self._state(self.y))
-            self._dense, self._y0, self._effort_so_far = None, y0, self._since.copy()
+            self._dense, self._y0, self._effort_so_far = dense, y0, self._since.copy()
             rows = self._due()
             self._row_times = [row[0] for row in rows]
             break
@@ -244,6 +259,10 @@ class SciPyStepper:
     def cut(self, theta: float) -> Stretch:
         """See `Stepper.cut`."""
         assert self.last_step is not None
+        if self.timetable.nodes:
+            self._nodes.pop()
+            if theta > 0.0:
+                self._keep_nodes(self.last_step.t0, self.last_step.time(theta), self._dense)
         self.y, self.time = self._interpolated(theta), self.last_step.time(theta)
         if theta > 0.0 and not any(t < self.time for t in self._row_times):
             self._since = self._effort_so_far
@@ -258,19 +277,33 @@ class SciPyStepper:
         if theta in (0.0, 1.0):
             return self.y if theta else self._y0
         if self._dense is None:
-            try:
-                self._dense = self.solver.dense_output()
-            except (NotImplementedError, _StoppedError):
-                self._dense = self._cubic
+            self._dense = self._dense_output(step.t0, self._y0)
         return np.asarray(self._dense(step.time(theta)))
 
-    def _cubic(self, t: float) -> np.ndarray:
-        step = self.last_step
-        assert step is not None
-        theta = (t - step.t0) / (step.t1 - step.t0)
-        q, v = step.hermite(theta)
-        energies = self._y0[2 * self.n3 :] + theta * (self.y - self._y0)[2 * self.n3 :]
-        return np.concatenate([q[: self.n3], v[: self.n3], energies])
+    def _dense_output(self, t0: float, y0: np.ndarray) -> Callable[[float], np.ndarray]:
+        """Return y as a function of time in the last step, from `y0`, by dense output or the cubic through its ends."""
+        try:
+            dense: Callable[[float], np.ndarray] = self.solver.dense_output()
+        except (NotImplementedError, _StoppedError):
+            step, y1 = StepTaken(t0, self.time, *self._state(y0), *self._state(self.y)), self.y
+
+            def dense(t: float) -> np.ndarray:
+                theta = (t - step.t0) / (step.t1 - step.t0)
+                q, v = step.hermite(theta)
+                energies = y0[2 * self.n3 :] + theta * (y1 - y0)[2 * self.n3 :]
+                return np.concatenate([q[: self.n3], v[: self.n3], energies])
+
+        return dense
+
+    def _keep_nodes(self, t0: float, t1: float, dense: Callable[[float], np.ndarray]) -> None:
+        """Keep nodes of integrals from `t0` to `t1` in the last step."""
+        kept = nodes_between(t0, t1, lambda theta: self._state(dense(t0 + theta * (t1 - t0))))
+        self._nodes.append(replace(kept, time=np.clip(kept.time, *self.workspace.scratch.sides)))
+
+    def taken_nodes(self) -> Nodes:
+        """See `Stepper.taken_nodes`."""
+        taken, self._nodes = self._nodes, []
+        return Nodes.joined(taken) if taken else Nodes.none(self.workspace.mechanism.size)
 
     def _state(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return with_ground(y[: self.n3]), with_ground(y[self.n3 : 2 * self.n3])

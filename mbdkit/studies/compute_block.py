@@ -23,7 +23,7 @@ from mbdkit.plain_data import collecting_new_objects_only, path_text
 from mbdkit.provenance import plugins_of, surroundings
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_loading import load_study_spec
-from mbdkit.spec.study_measures import ERRORS, DefinedMeasure
+from mbdkit.spec.study_measures import ERRORS, DefinedMeasure, expressions_of
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.studies.column_names import check_column_names
@@ -141,6 +141,11 @@ class BlockStudyPlan:
         """The measures that the study defines by expressions or takes from plugins."""
         return self.spec.defined_measures()
 
+    @property
+    def expressions(self) -> tuple[str, ...]:
+        """Expressions of the measures of the study itself, and not of its bases."""
+        return expressions_of(self.user_measures)
+
 
 def plan_blocks(spec: StudySpec) -> BlockStudyPlan:
     """Return the plan of a study in blocks, with the specs of some runs validated.
@@ -205,7 +210,7 @@ def compute_block(
         varied = {grid.base_json: VariedSpecs(grid.base_json) for grid in plan.points.grids}
         members = [_member(plan.points[place], varied, skip, mark) for place in plan.blocks.places(block)]
         runs = []
-        results = _results(members, mark, notify)
+        results = _results(plan, members, mark, notify)
         while some := list(islice(results, CHUNK)):
             runs += _stored(plan, some)
         heading = BlockHeading(
@@ -247,12 +252,14 @@ def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mappin
 
 
 def _results(
-    members: Sequence[_Member], mark: _Mark, notify: Callable[[str], None]
+    plan: BlockStudyPlan, members: Sequence[_Member], mark: _Mark, notify: Callable[[str], None]
 ) -> Iterator[tuple[_Member, FinishedRun | Refused]]:
     """Yield each member with its result, in order."""
     specs = {member.point.number: member.spec for member in members if isinstance(member.spec, RunSpec)}
     numbers = list(specs)
-    results = simulate_batch(specs.values(), notify=notify, begun=lambda place: mark.note(numbers[place]))
+    results = simulate_batch(
+        specs.values(), notify=notify, begun=lambda place: mark.note(numbers[place]), measures=plan.expressions
+    )
     for member in members:
         yield member, (member.spec if isinstance(member.spec, Refused) else next(results))
 

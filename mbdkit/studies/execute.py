@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from mbdkit.errors import SpecError
 from mbdkit.interrupts import interrupts_delayed
+from mbdkit.spec.study_measures import expressions_of
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
 from mbdkit.studies.collect import collect
@@ -126,7 +127,8 @@ class Execution:
 
     def compute(self, missing: list[str], engine: Engine, total: int, known_runs: KnownRuns) -> None:
         """Compute runs in parallel."""
-        tasks = [Task(self.runs[run_id], self.folder.archive(run_id)) for run_id in missing]
+        measures = expressions_of(self.spec.defined_measures())
+        tasks = [Task(self.runs[run_id], self.folder.archive(run_id), measures=measures) for run_id in missing]
         with engine.pool(self.notify) as pool:
             for task, outcome in pool.work(tasks):
                 self.computed += 1

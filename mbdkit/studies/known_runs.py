@@ -9,8 +9,11 @@ from importlib.metadata import version
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE
 from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
 from mbdkit.errors import ResourceError, SpecError
+from mbdkit.run_integrals import integrands_of
 from mbdkit.spec import RunSpec
+from mbdkit.spec.study_measures import expressions_of
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
 from mbdkit.studies.study_folder import StudyFolder
@@ -34,6 +37,7 @@ class KnownRuns:
 
     def __init__(self, spec: StudySpec, folder: StudyFolder, runs: Mapping[str, RunSpec]):
         self.folder, self.runs = folder, runs
+        self._measures = expressions_of(spec.defined_measures())
         self._outcomes: dict[str, Outcome] = {}
         self._hashes: dict[str, str] = {}
         rows: tuple[Row, ...] = ()
@@ -137,5 +141,10 @@ class KnownRuns:
                 sound = data_sha256(run.file) == run.data_sha256
             except DAMAGE:
                 sound = False
-            ended = run.status in ("complete", "failed")
+            ended = run.status in ("complete", "failed") and self._has_integrals(run)
             return Outcome(run.status, run.status_reason) if sound and ended else MISSING
+
+    def _has_integrals(self, run: Run) -> bool:
+        """Return whether a run has the time integrals that the measures of the study need."""
+        needed = {one.text for one in integrands_of(self.runs[run.run_id], self._measures)}
+        return needed <= run.integrals.keys()

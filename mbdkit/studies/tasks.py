@@ -28,6 +28,8 @@ class Task:
         If not empty, no archive is written, and these measures are taken from a second run in memory.
     tried
         Whether the first process that tried it died.
+    measures
+        Expressions of the measures of the study, see `mbdkit.simulation.simulate`.
     """
 
     spec: RunSpec
@@ -35,6 +37,7 @@ class Task:
     repeats: int = 0
     second: tuple[str, ...] = ()
     tried: bool = False
+    measures: tuple[str, ...] = ()
 
     @property
     def writes(self) -> bool:
@@ -44,7 +47,13 @@ class Task:
     def message(self) -> dict[str, Any]:
         """Return what a worker needs to carry out the task."""
         spec = json.loads(self.spec.canonical_json())
-        return {"spec": spec, "path": str(self.path.absolute()), "repeats": self.repeats, "second": self.second}
+        return {
+            "spec": spec,
+            "path": str(self.path.absolute()),
+            "repeats": self.repeats,
+            "second": self.second,
+            "measures": self.measures,
+        }
 
     def after_death(self, how: str) -> Task | None:
         """Return the task to try after a process died of this one, as `how` says; None if it is given up."""

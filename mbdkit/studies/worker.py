@@ -114,7 +114,8 @@ def _work(task: dict[str, Any], notify: Any) -> dict[str, Any]:
         told = {name: value if math.isfinite(value) else None for name, value in values.items()}
         return {"status": "complete", "reason": note, "values": told}
     if task["repeats"] == 0:
-        with simulate(spec, path=Path(task["path"]), overwrite=True, notify=notify) as run:
+        path, measures = Path(task["path"]), task["measures"]
+        with simulate(spec, path=path, overwrite=True, notify=notify, measures=measures) as run:
             return {"status": run.status, "reason": run.status_reason}
     seconds = []
     for _ in range(task["repeats"] + 1):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.run_writer import ArchiveNames
+from mbdkit.archive.run_writer import ArchiveNames, Ending
 from mbdkit.archive.writer import ArchiveWriter
 
 SPEC = {
@@ -124,4 +124,4 @@ def make(
     named = named or names()
     into = writer(path, named, **options)
     fill(into, count, named, piece, getattr(into, after) if after else None)
-    return into.finish(status, reason, STATS, largest(count, named))
+    return into.finish(Ending(status, reason, STATS, largest(count, named)))

@@ -12,6 +12,7 @@ import pytest
 from mbdkit.archive.compare import Comparison, compare
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
+from mbdkit.archive.run_writer import Ending
 
 from .making import PROVENANCE, SPEC, STATS, largest, make, names, rows, steps, writer
 
@@ -22,7 +23,7 @@ def changed(path: str, change: object, **options: object) -> Run:
     made = rows(11, names())
     into.append({**made, path: change(made[path])})  # type: ignore[operator]
     into.append_steps(steps(10))
-    return Run(into.finish("complete", "", STATS, largest(11, names())))
+    return Run(into.finish(Ending("complete", "", STATS, largest(11, names()))))
 
 
 def compared(other: Run) -> Comparison:

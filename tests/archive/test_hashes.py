@@ -16,6 +16,7 @@ import pytest
 
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.archive.layout import LAYOUT, TEXT, is_timing
+from mbdkit.archive.run_writer import Ending
 
 from .making import fill, largest, make, names, rows, steps, writer
 from .test_layout import DOCUMENT
@@ -68,7 +69,7 @@ def test_elapsed_time_statistics_and_provenance_are_not_covered(tmp_path: Path) 
     into = writer(tmp_path / "two.h5", provenance={"mbdkit": "other"}, run_id="other")
     into.append({**rows(11, names()), "trajectory/elapsed_s": np.arange(11.0)})
     into.append_steps(steps(10))
-    into.finish("complete", "", {"wall_s": 11.0}, largest(11, names()))
+    into.finish(Ending("complete", "", {"wall_s": 11.0}, largest(11, names())))
     with h5py.File(tmp_path / "one.h5") as one, h5py.File(tmp_path / "two.h5") as two:
         assert one.attrs["data_sha256"] == two.attrs["data_sha256"]
 
@@ -97,7 +98,7 @@ def test_pieces_are_not_covered(tmp_path: Path) -> None:
     for piece in (1, 3, 11):
         into = writer(tmp_path / f"{piece}.h5")
         fill(into, 11, piece=piece)
-        into.finish("complete", "", {}, largest(11, names()))
+        into.finish(Ending("complete", "", {}, largest(11, names())))
         with h5py.File(tmp_path / f"{piece}.h5") as file:
             hashes.add(file.attrs["data_sha256"])
     assert len(hashes) == 1

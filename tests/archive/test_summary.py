@@ -13,6 +13,7 @@ from mbdkit.archive.layout import CORRECTIONS
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import plus_minus
+from mbdkit.archive.run_writer import Ending
 from mbdkit.errors import MbdkitError
 
 from .making import PROVENANCE, SPEC, STATS, largest, make, names, rows, steps, writer
@@ -62,7 +63,7 @@ def test_summary_tells_of_stabilization_and_of_its_corrections() -> None:
     into = writer(None, spec=SPEC | {"stabilization": chosen}, extra_datasets=CORRECTIONS["projection"])
     into.append(rows(11, names()))
     into.append_steps({**steps(10), **{name: np.array(values) for name, values in corrected.items()}})
-    with Run(into.finish("complete", "", STATS, largest(11, names()))) as run:
+    with Run(into.finish(Ending("complete", "", STATS, largest(11, names())))) as run:
         told = "stabilization projection, every 2; 10 projections, moved by at most 9e-09 m and 2e-08 m/s"
         assert told in run.summary()
         np.testing.assert_array_equal(run.steps.position_correction, corrected["position_correction"])
@@ -88,7 +89,7 @@ def test_summary_says_how_near_a_run_came_to_a_singular_position() -> None:
         into = writer(None, extra_datasets=[path])
         into.append(rows(11, names()) | {path: distance})
         into.append_steps(steps(10))
-        with Run(into.finish("complete", "", STATS, np.full(2, 1.0))) as run:
+        with Run(into.finish(Ending("complete", "", STATS, np.full(2, 1.0)))) as run:
             np.testing.assert_array_equal(run.singularity_distance, distance)
             assert ("singularity   distance 0.002 at 0.04 s, maximum 0.4" in run.summary()) is told
             assert ("singularity" in run.summary()) is told

@@ -16,6 +16,7 @@ from mbdkit.archive.archive_check import check
 from mbdkit.archive.disk_space import check_room
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
+from mbdkit.archive.run_writer import Ending
 from mbdkit.errors import MbdkitError, ResourceError, SpecError
 
 from .making import STATS, fill, largest, make, names, writer
@@ -102,7 +103,7 @@ def test_overwriting_replaces_only_at_the_end(tmp_path: Path) -> None:
     into = writer(path, overwrite=True)
     fill(into, 11)
     assert path.read_text() == "precious"
-    into.finish("complete", "", STATS, largest(11, names()))
+    into.finish(Ending("complete", "", STATS, largest(11, names())))
     assert check(path) == []
     assert os.listdir(tmp_path) == ["run.h5"]
 
@@ -123,7 +124,7 @@ def test_file_that_appears_meanwhile_is_left_alone(tmp_path: Path) -> None:
     fill(into, 11)
     path.write_text("precious")
     with pytest.raises(MbdkitError, match=r"was created during the run.*run\.h5\.part"):
-        into.finish("complete", "", STATS, largest(11, names()))
+        into.finish(Ending("complete", "", STATS, largest(11, names())))
     assert path.read_text() == "precious"
     assert check(tmp_path / "run.h5.part") == []
 
@@ -139,7 +140,7 @@ def test_file_systems_without_hard_links_will_do(tmp_path: Path, monkeypatch: py
     into = writer(tmp_path / "next.h5")
     (tmp_path / "next.h5").write_text("precious")
     with pytest.raises(MbdkitError, match="was created during the run"):
-        into.finish("complete", "", STATS, largest(0, names()))
+        into.finish(Ending("complete", "", STATS, largest(0, names())))
     assert (tmp_path / "next.h5").read_text() == "precious"
 
 
@@ -161,7 +162,7 @@ def test_part_of_a_live_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ResourceError, match="in use by another run"):
         writer(tmp_path / "run.h5")
     fill(into, 11)
-    into.finish("complete", "", STATS, largest(11, names()))
+    into.finish(Ending("complete", "", STATS, largest(11, names())))
     assert check(tmp_path / "run.h5") == []
 
 
@@ -173,7 +174,7 @@ def test_part_of_another_live_process_is_refused(tmp_path: Path, locking: str) -
         if "second" not in os.environ:
             done = subprocess.run([sys.executable, *sys.orig_argv[1:]], env={**os.environ, "second": "yes"})
             making.fill(into, 11)
-            into.finish("complete", "", making.STATS, making.largest(11, making.names()))
+            into.finish(making.Ending("complete", "", making.STATS, making.largest(11, making.names())))
             sys.exit(0 if done.returncode == 1 else 3)
     """
     done = run_python(script, tmp_path, HDF5_USE_FILE_LOCKING=locking)
@@ -219,7 +220,7 @@ FULL_DISK = """
     try:
         into = making.writer(Path("run.h5"), overwrite=True)
         making.fill(into, 2000, piece=100, after=into.flush_if_due)
-        into.finish("complete", "", making.STATS, making.largest(2000, making.names()))
+        into.finish(making.Ending("complete", "", making.STATS, making.largest(2000, making.names())))
     except MbdkitError as error:
         print(error)
         into.abandon()

@@ -21,6 +21,7 @@ from mbdkit.archive import growing_array
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.layout import LAYOUT
 from mbdkit.archive.reader import load
+from mbdkit.archive.run_writer import Ending
 
 from .making import SPEC, STATS, fill, largest, make, names, rows, steps, writer
 
@@ -76,7 +77,7 @@ def test_appended_arrays_are_copied(tmp_path: Path) -> None:
     into.append_steps(with_steps)
     for values in (*with_rows.values(), *with_steps.values()):
         values[...] = -1
-    into.finish("complete", "", STATS, largest(3, named))
+    into.finish(Ending("complete", "", STATS, largest(3, named)))
     assert_holds(tmp_path / "run.h5", 3)
 
 
@@ -176,7 +177,7 @@ def test_run_killed_while_it_ends_is_running_or_valid(tmp_path: Path, monkeypatc
 
     monkeypatch.setattr(owner, moment, killed)
     with contextlib.suppress(KeyboardInterrupt):
-        into.finish("complete", "", STATS, largest(30, names()))
+        into.finish(Ending("complete", "", STATS, largest(30, names())))
     with load(left) as run:
         assert len(run.time) == len(run.energy.total) == 30
         assert run.status == ("complete" if moment == "sync" else "running")
@@ -219,7 +220,7 @@ def test_finish_adds_its_own_time_and_keeps_integers_integers(tmp_path: Path) ->
 def test_finish_needs_an_end(tmp_path: Path) -> None:
     into = writer(tmp_path / "run.h5")
     with pytest.raises(ValueError, match="complete, failed or interrupted"):
-        into.finish("running", "", STATS, np.zeros(2))
+        into.finish(Ending("running", "", STATS, np.zeros(2)))
     into.abandon()
 
 
@@ -267,7 +268,7 @@ def test_refused_rows_leave_no_trace(tmp_path: Path) -> None:
     fill(into, 5)
     with pytest.raises(ValueError, match="has shape"):
         into.append({**rows(2, names(), 5), "energy/work": np.zeros(3)})
-    into.finish("complete", "", STATS, largest(5, names()))
+    into.finish(Ending("complete", "", STATS, largest(5, names())))
     assert_holds(tmp_path / "run.h5", 5)
 
 
@@ -291,7 +292,7 @@ def test_interrupted_write_is_taken_up_again(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(growing_array.Series, "extend", extend)
     into.append(rows(2, names(), 23))
     into.append_steps(steps(2, 22))
-    into.finish("interrupted", "", STATS, largest(25, names()))
+    into.finish(Ending("interrupted", "", STATS, largest(25, names())))
     assert_holds(tmp_path / "run.h5", 25)
     assert check(tmp_path / "run.h5") == []
 

@@ -30,7 +30,7 @@ def test_the_best_torsion_spring_is_the_regression_of_the_moment(optimizer: str,
 
 
 def test_a_design_of_inverse_dynamics_has_no_estimate_of_its_error() -> None:
-    # expected: <(k phi - 2)^2> of the brace is least at k = 2 <phi> / <phi^2>, with the weights of the table's rows
+    # expected: <(k phi - 2)^2> of the brace is least at k = 2 <phi> / <phi^2>, but for the rule on rows
     m = shank()
     data = {"time": T.tolist(), "angle": (0.2 + 0.5 * np.sin(3 * T)).tolist()}
     motion = {"data": data, "columns": {"knee.angle": "angle"}, "smooth": "quintic"}
@@ -61,7 +61,7 @@ def test_scenarios_are_summed_by_their_weights() -> None:
 @pytest.mark.parametrize("optimizer", ["slsqp", "trust-constr", "differential-evolution"])
 def test_a_limit_that_is_active_holds_at_the_best_point(optimizer: str) -> None:
     # expected: the brace may exert 3 N m at most, at the largest angle
-    spec, most = swing(), float(np.max(np.abs(moments()[0])))
+    spec, most = swing(), float(np.max(np.abs(moments(at=T)[0])))
     limits = {"torque": {"value": "max(abs(forces.brace.value))", "max": 3.0}}
     options: dict[str, Any] = {"name": optimizer, "tolerance": 1e-9}
     if optimizer == "differential-evolution":
