@@ -1,14 +1,21 @@
-"""Compiles all kernels once per installation, in one process while others wait."""
+"""Compiles all kernels once per installation, while other processes wait.
+
+The step of the collocation methods takes a third of the time. If the computer has several cores, a process of its own
+compiles it into the cache meanwhile.
+"""
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
-from mbdkit.engine.jit.cache import FOLDER, compiling, is_warm
+from mbdkit.engine.jit.bundle import JIT_DISABLED
+from mbdkit.engine.jit.cache import FOLDER, compiling, is_shared, is_warm
 from mbdkit.interrupts import interrupts_noted
 
 
@@ -31,8 +38,8 @@ def ensure_compiled(notify: Callable[[str], None] = to_stderr) -> None:
     begin = time.perf_counter()
     with compiling() as cold:
         if cold:
-            with _interrupts_kept() as check:
-                _run_everything(check)
+            with _interrupts_kept() as check, _collocation_compiled_apart() as is_done:
+                _run_everything(check, is_done)
             notify(f"... compiled in {time.perf_counter() - begin:.0f} s; the cache is {FOLDER}")
 
 
@@ -50,10 +57,44 @@ def _interrupts_kept() -> Iterator[Callable[[], None]]:
         check()
 
 
-def _run_everything(check: Callable[[], None]) -> None:
+@contextmanager
+def _collocation_compiled_apart() -> Iterator[Callable[[], bool]]:
+    """Compile the step of the collocation methods in another process; yields whether that has ended, as a function.
+
+    If that process fails, for whatever reason, the step is not in the cache, and this process compiles it.
+    """
+    process: subprocess.Popen[bytes] | None = None
+    if sys.executable and (os.cpu_count() or 1) > 1 and is_shared() and not JIT_DISABLED:
+        code = "from mbdkit.stepping.collocation_index1 import FORMULATION; FORMULATION.attempt.address"
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        none = subprocess.DEVNULL
+        with suppress(OSError):
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-c", code], stdin=none, stdout=none, stderr=none, env=environment,
+                start_new_session=True,
+            )  # fmt: skip
+    if process is None:
+        yield lambda: True
+        return
+    running = process
+    try:
+        yield lambda: running.poll() is not None
+    finally:
+        running.kill()
+        running.wait()
+
+
+def _run_everything(check: Callable[[], None], is_done: Callable[[], bool]) -> None:
     """Run a small mechanism through the kernels; the argument types of a kernel are the same for all mechanisms.
 
     The methods for index 2, index 3 and GGL are left out; they are compiled in the first run that uses them.
+
+    Parameters
+    ----------
+    check
+        Raises KeyboardInterrupt if Ctrl-C was pressed.
+    is_done
+        Whether the step of the collocation methods has been compiled by another process.
     """
     from mbdkit.engine.consistent_start import workspace_at_start
     from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
@@ -74,12 +115,17 @@ def _run_everything(check: Callable[[], None]) -> None:
     table = Timetable(0.0, 0.2, step=0.1, steps=2, single=True)
     methods: tuple[Method, ...] = (
         ExplicitRungeKutta(rk4.tableau()),
-        ImplicitRungeKutta(gauss.tableau(3)),
         SciPySolver("Radau", 1e-3, 1e-3, needs_jacobian=True),
+        ImplicitRungeKutta(gauss.tableau(3)),
     )
     call_everything(EquationsOfMotion(replace(at_start)), check)
     for method in methods:
         check()
+        if isinstance(method, ImplicitRungeKutta):
+            nearest_singularity(at_start, 0.0, at_start.q0)
+            while not is_done():
+                check()
+                time.sleep(0.05)
         workspace = replace(at_start)  # with arrays and a solver of its own
         baumgarte_at(workspace.engine, 0.0, workspace.q0, workspace.v0)
         stepper = start_method(method, workspace, table)
@@ -90,4 +136,3 @@ def _run_everything(check: Callable[[], None]) -> None:
         observed = observer.arrays(len(stretch.time))
         observer.observe(stretch.time, stretch.q, stretch.v, observed)
         observe_joints(workspace.engine, stretch.time, stretch.q, observed)
-    nearest_singularity(at_start, 0.0, at_start.q0)

@@ -7,7 +7,7 @@ import json
 import mbdkit
 from mbdkit.stepping import warm_up
 
-def acceleration(check=None):
+def acceleration(*_):
     m = mbdkit.Mechanism()
     rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.5, 0.0), velocity=(0.0, 1.0), angular_velocity=2.0)
     m.revolute("A", m.ground, rod, points=((0.0, 0.0), (-0.5, 0.0)))

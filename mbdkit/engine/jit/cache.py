@@ -45,6 +45,8 @@ log = logging.getLogger("mbdkit")
 
 _PACKAGE = Path(__file__).resolve().parents[2]
 _DIGEST = hashlib.sha256().digest_size  # bytes
+_TEMPORARY = "mbdkit-"
+"""Begin of the name of a cache folder that only this process knows."""
 
 
 def kernel_sources() -> list[Path]:
@@ -87,7 +89,7 @@ def _open_cache() -> Path:
             error,
         )
         try:
-            folder = Path(tempfile.mkdtemp(prefix="mbdkit-"))
+            folder = Path(tempfile.mkdtemp(prefix=_TEMPORARY))
         except OSError:
             return Path(os.devnull) / "mbdkit"  # nothing can be stored
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
@@ -190,6 +192,11 @@ def cached_cfunc(signature: Any, **options: Any) -> Callable[[Callable[..., Any]
 _MARKER = FOLDER / "compiled"
 _compiled_here = False
 """Whether this process has compiled all kernels, which a folder that cannot be written does not remember."""
+
+
+def is_shared() -> bool:
+    """Return whether other processes of this user use the same cache folder, and files can be written there."""
+    return os.access(FOLDER, os.W_OK) and not FOLDER.name.startswith(_TEMPORARY)
 
 
 def exists(path: Path) -> bool:
