@@ -14,6 +14,7 @@ from mbdkit.engine.jit.law_compiler import CompiledLaw, bind_law
 from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
 from mbdkit.engine.kernels.applied_forces import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQUE
 from mbdkit.engine.kernels.constraints import KINDS
+from mbdkit.engine.kernels.cross_sections import NODES, PARAMETERS
 from mbdkit.engine.kernels.motions import OPCODES
 from mbdkit.engine.kernels.system import Topology
 from mbdkit.errors import SpecError
@@ -26,6 +27,7 @@ from mbdkit.mechanism.program_derivative import derivative_of
 from mbdkit.mechanism.time_expression import Expression, Program
 from mbdkit.mechanism.time_jets import curve_of
 from mbdkit.mechanism.values import Motion, Table
+from mbdkit.plain_data import plain
 
 Numbers = tuple[float, ...]
 
@@ -127,6 +129,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
     motions = _Motions()
     pairs = _pairs(mechanism, number, motions)
     forces = _Forces(mechanism, number, motions)
+    beams = _Beams(mechanism, number)
     centered = _add_centers(pairs, motions)
     order, below = minimum_degree(neighbours([pair.bodies for pair in pairs], ground))
     place = {pair: k for k, pair in enumerate(order)}
@@ -173,6 +176,8 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         law_parameters=np.array(forces.law_parameters, dtype=float),
         loads=np.array(forces.loads, dtype=np.int64).reshape(-1, 5),
         load_points=np.array(forces.load_points, dtype=float).reshape(-1, 2),
+        sections=np.array(beams.sections, dtype=np.int64).reshape(-1, 2 + NODES),
+        section_parameters=np.array(beams.parameters, dtype=float).reshape(-1, PARAMETERS),
         force_place=np.array(forces.spring_places + forces.load_places, dtype=np.int64),
         pair_joint=np.array([pairs[k].joint for k in order], dtype=np.int64),
         joints=np.array(
@@ -197,6 +202,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         joint_pairs=tuple(tuple(members) for members in joint_pairs),
         joint_units=tuple(joint.coordinate_unit for _, joint in joints),
         forces=tuple(forces.elements),
+        beams=tuple((name, beam.elements) for name, beam in mechanism.beams.items()),
         markers=tuple((name, marker.body) for name, marker in mechanism.markers.items()),
         drivers=frozenset(name for name, joint in joints if joint.is_driver),
         coordinates=sum(2 if body.inertia is None else 3 for body in mechanism.bodies.values()),
@@ -226,8 +232,11 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
         for name, one in kind.items()
     ]
     fixed = mechanism.assembly.fix
+    beams = [(name, plain(beam)) for name, beam in mechanism.beams.items()]
     try:
-        return marshal.dumps((bodies, elements, len(mechanism.joints), tuple(mechanism.gravity), tuple(fixed)), 2)
+        return marshal.dumps(
+            (bodies, beams, elements, len(mechanism.joints), tuple(mechanism.gravity), tuple(fixed)), 2
+        )
     except ValueError:  # a table of a motion, or the options of a force law
         return None
 
@@ -332,17 +341,36 @@ class _Forces:
         self.load_points.append(load.point)
 
 
+class _Beams:
+    """Collects the cross-sections of all beams: their elements and nodes, and their parameters."""
+
+    def __init__(self, mechanism: Mechanism, number: dict[str, int]):
+        self.sections: list[Numbers] = []
+        self.parameters: list[Numbers] = []
+        elements = 0
+        for name, beam in mechanism.beams.items():
+            stiffness = beam.section_stiffness
+            damping = tuple(beam.damping * one for one in stiffness)
+            for section in beam.sections(name):
+                nodes = [number[node] for node in section.nodes]
+                spare = NODES - len(nodes)
+                self.sections.append((elements + section.element, len(nodes), *nodes, *nodes[-1:] * spare))
+                shapes = (*section.shape, *[0.0] * spare, *section.slope, *[0.0] * spare)
+                self.parameters.append((*shapes, section.length, *stiffness, *section.reference, *damping))
+            elements += beam.elements
+
+
 def _length(mechanism: Mechanism) -> float:
     """Return the largest distance [m] between two joint points, or a joint point and the centre of mass, of one body.
 
-    The result is 1 if all distances are 0.
+    The length of a beam counts as well. The result is 1 if all distances are 0.
     """
     points: dict[str, set[tuple[float, float]]] = {name: {(0.0, 0.0)} for name in mechanism.bodies}
     for joint in mechanism.joints.values():
         for _, name, point in joint.attachments():
             if name in points:
                 points[name].add(point)
-    longest = 0.0
+    longest = max((beam.length for beam in mechanism.beams.values()), default=0.0)
     for held in points.values():
         if len(held) > 1:
             x, y = np.array(sorted(held)).T

@@ -96,6 +96,8 @@ class CompiledMechanism:
         (J,) unit of the coordinate of each joint, m for a travel and rad for an angle.
     forces
         Force elements and loads, in the order of the mechanism.
+    beams
+        Name and number of elements of each beam.
     markers
         Name and body of each marker.
     drivers
@@ -103,8 +105,8 @@ class CompiledMechanism:
     coordinates
         Number of coordinates: 3 for each body, 2 for each point mass, whose angle is not counted.
     length
-        Characteristic length: the largest distance [m] between two joint points, or a joint point and the centre of
-        mass, of one body; 1 if all distances are 0.
+        Characteristic length [m]: the largest distance between two joint points, or a joint point and the centre of
+        mass, of one body, or the largest length of a beam; 1 if there is none.
     motions
         Each motion as given in the model: a number, an expression or a table.
     laws
@@ -126,6 +128,7 @@ class CompiledMechanism:
     joint_pairs: tuple[tuple[int, ...], ...]
     joint_units: tuple[str, ...]
     forces: tuple[ForceElement, ...]
+    beams: tuple[tuple[str, int], ...]
     markers: tuple[tuple[str, str], ...]
     drivers: frozenset[str]
     coordinates: int
@@ -159,13 +162,23 @@ class CompiledMechanism:
     @property
     def names(self) -> tuple[object, ...]:
         """Everything by which the elements are called in an archive."""
-        return self.bodies, self.joints, self.joint_bodies, self.rows, self.joint_units, self.forces, self.markers
+        return (
+            self.bodies,
+            self.joints,
+            self.joint_bodies,
+            self.rows,
+            self.joint_units,
+            self.forces,
+            self.beams,
+            self.markers,
+        )
 
     @property
     def has_power(self) -> bool:
         """Whether loads, drivers, dampers or force laws are present, so that work and dissipated energy can change."""
         top = self.topology
-        return bool(len(top.loads) or len(self.drives) or np.any(top.linear[:, 1]) or len(top.laws))
+        damped = np.any(top.linear[:, 1]) or np.any(top.section_parameters[:, -3:])
+        return bool(len(top.loads) or len(self.drives) or damped or len(top.laws))
 
     @property
     def drives(self) -> np.ndarray:

@@ -19,6 +19,7 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels import element_kernels as e
 from mbdkit.engine.kernels.applied_forces import BODY_FORCE, COUPLED, PATHWAYS, POINT_FORCE
 from mbdkit.engine.kernels.constraints import KINDS
+from mbdkit.engine.kernels.cross_sections import NODES
 
 CONSTANT, RATE, MINUS_RATE, RATE_SQUARED = range(4)
 """Classes of factors: 1, h mu, -h mu and (h mu)^2."""
@@ -69,7 +70,7 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
         Whether Baumgarte's terms are part of gamma, whose derivatives then have at least the pattern of the Jacobian.
     """
     top = mechanism.topology
-    tables = (top.pairs, top.rows, top.spare, top.springs, top.couplings, top.loads, mechanism.row_index)
+    tables = (top.pairs, top.rows, top.spare, top.springs, top.couplings, top.loads, top.sections, mechanism.row_index)
     return _terms(len(mechanism.bodies), tuple(map(_Table.of, tables)), tuple(offsets.items()), stabilized)
 
 
@@ -94,7 +95,7 @@ def _terms(
     count: int, tables: tuple[_Table, ...], places: tuple[tuple[str, int], ...], stabilized: bool
 ) -> MatrixTerms:
     """Return the terms of all mechanisms with these integers: the runs of a study usually have the same."""
-    of_pairs, of_rows, spare, springs, couplings, loads, row_index = (table.array for table in tables)
+    of_pairs, of_rows, spare, springs, couplings, loads, sections, row_index = (table.array for table in tables)
     offsets = dict(places)
     n3 = 3 * count
     parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, int]] = []
@@ -175,6 +176,14 @@ def _terms(
         first = 3 * loads[members, 1]
         for entry in entries:
             add(offsets["load_stiff"] + 3 * members + entry, first + entry, first + 2, RATE_SQUARED)
+    for count in range(2, NODES + 1):
+        members = np.flatnonzero(sections[:, 1] == count)
+        nodes = sections[members, 2:]
+        for i in range(3 * count):
+            for j in range(3 * count):
+                row, column, place = coordinate(nodes, i), coordinate(nodes, j), 81 * members + 9 * i + j
+                add(offsets["beam_stiff"] + place, row, column, RATE_SQUARED)
+                add(offsets["beam_damp"] + place, row, column, RATE)
 
     source, row, column = (np.concatenate([part[i] for part in parts]).astype(np.int64) for i in range(3))
     factors = np.concatenate([np.full(len(part[0]), part[3], dtype=np.int64) for part in parts])

@@ -21,6 +21,7 @@ from mbdkit.engine.elimination_order import (
 )
 from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.bundle_types import example_of
+from mbdkit.engine.kernels.cross_sections import STATE
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.motions import MAX_DEPTH, OF_CENTER
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, Engine, Scatter, Scratch, Solver, Topology
@@ -285,11 +286,12 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     """Return working arrays, and the index in ``source`` at which each array of terms begins."""
     top = mechanism.topology
     n3, p, s, loads = 3 * len(mechanism.bodies), len(top.pairs), len(top.springs), len(top.loads)
-    couplings = len(top.couplings)
+    couplings, sections = len(top.couplings), len(top.sections)
     shapes = {
         "jac": (p, 12), "stiff": (p, 36), "gamma_v": (p, 12), "res_q": (p, 12),
         "spring_stiff": (s, 36), "spring_damp": (s, 36),
         "coupled_stiff": (couplings, 36), "coupled_damp": (couplings, 36), "load_stiff": (loads, 3),
+        "beam_stiff": (sections, 81), "beam_damp": (sections, 81),
     }  # fmt: skip
     offsets, total = {"mass": 0}, n3
     for name, (rows, columns) in shapes.items():
@@ -316,6 +318,12 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
         grad=np.zeros((s, 6)),
         hess=np.zeros((s, 36)),
         tension=np.zeros((s + 1, 4)),
+        section=np.zeros((sections, STATE)),
+        section_force=np.zeros((sections, 4)),
+        section_stress=np.zeros((sections, 3)),
+        section_energy=np.zeros((sections, 2)),
+        section_stiff=np.zeros((sections, 16)),
+        section_damp=np.zeros((sections, 16)),
         faulty=np.array([-1]),
         source=source,
         loose=np.zeros((len(top.spare), 6)),

@@ -16,7 +16,7 @@ from mbdkit.engine.kernels.projection import STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.errors import StepError
 from mbdkit.html_view import HtmlView
-from mbdkit.mechanics.reduced import DENSE, State, at_rest, least_stiffness, reduce, stiffness_scale
+from mbdkit.mechanics.reduced import DENSE, State, at_rest, least_stiffness, softest_motion, stiffness_scale
 from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.plain_data import plain
@@ -180,7 +180,7 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         p, compiled = prepared.equations, prepared.workspace.mechanism
         stiffness, stability = _stability(prepared, at_rest(prepared, found.q, found.lam))
         rows = p.recorded_multipliers(p.t0, found.q, found.lam)
-        force, torque = _reactions(prepared, found.q, rows)
+        force, torque = joint_reactions(prepared, p.t0, found.q, rows)
         residual = float(np.max(np.abs(p.constraints(p.t0, found.q)), initial=0.0))
     return Equilibrium(
         time=p.t0,
@@ -242,12 +242,8 @@ def _descent(prepared: PreparedMechanism, found: Rest) -> np.ndarray | None:
     if not 0 < prepared.freedoms <= prepared.equations.n <= DENSE:
         return None
     at = at_rest(prepared, found.q, found.lam)
-    small = reduce(prepared, at)
-    values, vectors = np.linalg.eigh(0.5 * (small.stiffness + small.stiffness.T))
-    if values[0] >= -SADDLE * stiffness_scale(prepared, at):
-        return None
-    way: np.ndarray = small.basis @ vectors[:, 0]
-    return way
+    value, way = softest_motion(prepared, at)
+    return way if value < -SADDLE * stiffness_scale(prepared, at) else None
 
 
 class _Search:
@@ -401,11 +397,13 @@ class _Search:
         return total
 
 
-def _reactions(prepared: PreparedMechanism, q: np.ndarray, multiplier: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def joint_reactions(
+    prepared: PreparedMechanism, t: float, q: np.ndarray, multiplier: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return force (J, 2) [N] and torque (J,) [N m] of each joint on its second body, at that body's joint point."""
     compiled, w = prepared.workspace.mechanism, prepared.workspace.scratch
     top, padded = compiled.topology, with_ground(q)
-    constraints_at(top, w, prepared.equations.t0, padded, np.zeros_like(padded))
+    constraints_at(top, w, t, padded, np.zeros_like(padded))
     lam = np.zeros((len(top.pairs), 2))
     for row, value in zip(compiled.rows, multiplier, strict=True):
         lam[row.pair, row.place] = value
@@ -421,12 +419,17 @@ def _reactions(prepared: PreparedMechanism, q: np.ndarray, multiplier: np.ndarra
 def spec_at(prepared: PreparedMechanism, found: Equilibrium) -> dict[str, Any]:
     """Return the spec as a plain mapping in which the mechanism is written out at rest in the equilibrium."""
     spec = prepared.spec
-    model = spec.mechanism().to_spec()
-    for name, (x, y, angle) in zip(found.bodies, found.position.tolist(), strict=True):
-        body = model["bodies"][name]
+    mechanism = spec.mechanism()
+    model = mechanism.to_spec()
+    places = dict(zip(found.bodies, found.position.tolist(), strict=True))
+    for name, body in model["bodies"].items():
+        x, y, angle = places[name]
         body |= {"position": [x, y], "angle": angle}
+    for name, beam in model.get("beams", {}).items():
+        beam["start"] = [places[node] for node in mechanism.beams[name].node_names(name)]
+    for element in (*model["bodies"].values(), *model.get("beams", {}).values()):
         for rate in ("velocity", "angular_velocity"):
-            body.pop(rate, None)
+            element.pop(rate, None)
     sections = {name: plain(getattr(spec, name)) for name in type(spec).model_fields if name != "model"}
     for section in sections.values():
         if isinstance(section, dict):

@@ -89,6 +89,16 @@ def least_stiffness(prepared: PreparedMechanism, at: State) -> float:
     return float(np.min(np.linalg.eigvals(reduce(prepared, at).stiffness).real))
 
 
+def softest_motion(prepared: PreparedMechanism, at: State) -> tuple[float, np.ndarray]:
+    """Return the lowest stiffness at rest, for unit mass [1/s^2], and the motion (n,) along which it acts.
+
+    For mechanisms of up to `DENSE` coordinates.
+    """
+    small = reduce(prepared, at)
+    values, vectors = np.linalg.eigh(0.5 * (small.stiffness + small.stiffness.T))
+    return float(values[0]), small.basis @ vectors[:, 0]
+
+
 def stiffness_scale(prepared: PreparedMechanism, at: State) -> float:
     """Return the largest stiffness of a single coordinate, for unit mass [1/s^2]."""
     p = prepared.equations

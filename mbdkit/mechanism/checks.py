@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Container, Iterable, Mapping
 
 from mbdkit.errors import SpecError
+from mbdkit.mechanism.beams import Beam, parts_of
 from mbdkit.mechanism.bodies import GROUND, Body
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
 from mbdkit.mechanism.joints import Joint, Revolute
@@ -26,13 +27,15 @@ COINCIDENT = 1e-12
 
 def check_mechanism(
     bodies: Mapping[str, Body],
+    beams: Mapping[str, Beam],
     joints: Mapping[str, Joint],
     forces: Mapping[str, Force],
     markers: Mapping[str, Marker],
     assembly: Assembly,
 ) -> None:
     """Raise a SpecError with the key path of the first error."""
-    check_names(bodies, joints, forces, markers)
+    parts = parts_of(beams)
+    check_names([x for x in bodies if x not in parts], beams, joints, [x for x in forces if x not in parts], markers)
     points = {name for name, body in bodies.items() if body.inertia is None}
     for name, joint in joints.items():
         _check_element(f"model.joints.{name}", joint, bodies, points)
@@ -52,11 +55,18 @@ def check_mechanism(
         check_known(name, bodies, f"model.assembly.fix[{index}]")
 
 
-def check_names(bodies: Iterable[str], joints: Iterable[str], forces: Iterable[str], markers: Iterable[str]) -> None:
-    """Raise a SpecError if there are no bodies, or for the first name that is not valid."""
-    if not bodies:
+def check_names(
+    bodies: Iterable[str],
+    beams: Iterable[str],
+    joints: Iterable[str],
+    forces: Iterable[str],
+    markers: Iterable[str],
+) -> None:
+    """Raise a SpecError if there are neither bodies nor beams, or for the first name that is not valid."""
+    if not (bodies or beams):
         raise SpecError("a mechanism needs at least one body", key="model.bodies")
-    for kind, names in (("bodies", bodies), ("joints", joints), ("forces", forces), ("markers", markers)):
+    named = {"bodies": bodies, "beams": beams, "joints": joints, "forces": forces, "markers": markers}
+    for kind, names in named.items():
         for name in names:
             check_name(name, f"model.{kind}.{name}")
 
@@ -144,6 +154,9 @@ def check_known(name: object, bodies: Iterable[str], key: str) -> None:
         raise SpecError(f"should be text, not {found(name)}", key=key)
     if name != GROUND and name not in bodies:
         known = [GROUND, *bodies]
+        nodes = [other for other in known if other.rpartition(".")[0] == name]
+        if nodes:
+            raise SpecError(f"'{name}' is a beam; name one of its nodes, '{nodes[0]}' to '{nodes[-1]}'", key=key)
         hint = did_you_mean(name, known) or f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}"
         raise SpecError(f"there is no body '{name}'{hint}", key=key)
 

@@ -1,4 +1,4 @@
-"""The mechanism: named bodies, joints, forces and markers, with a builder, checks, and conversion from and to specs."""
+"""The mechanism: named bodies, beams, joints, forces and markers, with a builder, checks, and conversion to specs."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from mbdkit.errors import SpecError
 from mbdkit.html_view import HtmlView
 from mbdkit.mechanism import higher_layers
 from mbdkit.mechanism.angle_function import Center
+from mbdkit.mechanism.beams import Beam, parts_of
 from mbdkit.mechanism.bodies import GROUND, Body, Element
 from mbdkit.mechanism.checks import check_centers, check_known, check_mechanism, check_name, check_names, check_tables
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
@@ -56,6 +57,8 @@ class Mechanism(HtmlView):
     ----------
     bodies, joints, forces, markers : dict
         The elements by name, in the order in which they were added.
+    beams : dict
+        The beams by name. Their nodes are among the bodies, and the parts of their loads among the forces.
     assembly : Assembly
         Settings for making the initial state consistent.
     coordinates : dict
@@ -77,6 +80,7 @@ class Mechanism(HtmlView):
         self.name = name
         self.gravity = _point(gravity, "model.gravity")
         self.bodies: dict[str, Body] = {}
+        self.beams: dict[str, Beam] = {}
         self.joints: dict[str, Joint] = {}
         self.forces: dict[str, Force] = {}
         self.markers: dict[str, Marker] = {}
@@ -133,6 +137,57 @@ class Mechanism(HtmlView):
             angular_velocity=angular_velocity,
         )
         return name
+
+    def beam(
+        self,
+        name: str,
+        *,
+        a: Pair | None = None,
+        b: Pair | None = None,
+        points: Sequence[Pair] | None = None,
+        elements: int = 16,
+        nodes: Literal[2, 3] = 2,
+        stiffness: Mapping[str, float | str] | None = None,
+        **properties: Any,
+    ) -> tuple[str, ...]:
+        """Add a flexible beam and return the names of its nodes, which are bodies.
+
+        Connect its ends, or any other node, with joints: a weld clamps it, a revolute joint pins it.
+
+        Parameters
+        ----------
+        name
+            Name of the beam; its nodes are ``name.0``, ``name.1``, ...
+        a, b
+            Ends of a straight beam (x, y) [m] in the global frame.
+        points
+            Alternative to `a` and `b`: three or more points (x, y) [m] of a curved beam.
+        elements
+            Number of elements.
+        nodes
+            Nodes of an element, 2 or 3; the errors are of order 2 or 4 in the length of an element.
+        stiffness
+            Stiffnesses that are given directly, ``{"axial": N, "shear": N or "none", "bending": N m^2}``.
+        **properties
+            ``E`` and ``G`` [Pa] or ``nu``, ``A`` [m^2], ``I`` [m^4], ``shear_factor``, ``density`` [kg/m^3];
+            ``mass_per_length`` [kg/m], ``rotary_inertia`` [kg m], ``damping`` [s]; ``velocity`` (x, y) [m/s],
+            ``angular_velocity`` [rad/s]; ``load`` (x, y) [N/m], ``load_frame``; ``start``. See ``Beam``.
+
+        Examples
+        --------
+        A cantilever of steel, 2 m long:
+
+        >>> m = Mechanism()
+        >>> steel = {"E": 2.1e11, "nu": 0.3, "density": 7850.0}
+        >>> nodes = m.beam("arm", a=(0, 0), b=(2, 0), elements=8, A=1e-4, I=8.3e-10, **steel)
+        >>> nodes[0], nodes[-1]
+        ('arm.0', 'arm.8')
+        >>> m.weld("clamp", m.ground, nodes[0], at=(0, 0))
+        """
+        key = self._new(name, self.beams, "beams")
+        shape = {"a": a, "b": b, "points": points, "elements": elements, "nodes": nodes, "stiffness": stiffness}
+        self._add_beam(name, _make(Beam, key, **shape, **properties))
+        return self.beams[name].node_names(name)
 
     def revolute(
         self,
@@ -616,8 +671,9 @@ class Mechanism(HtmlView):
         drivers = sum(joint.is_driver for joint in self.joints.values())
         rows = sum(len(joint.rows) for joint in self.joints.values())
         markers = f", {counted(len(self.markers), 'marker')}" if self.markers else ""
+        beams = f"{counted(len(self.beams), 'beam')}, " if self.beams else ""
         return (
-            f"{counted(len(self.bodies), 'body', 'bodies')}, {counted(len(self.joints) - drivers, 'joint')}, "
+            f"{counted(len(self.bodies), 'body', 'bodies')}, {beams}{counted(len(self.joints) - drivers, 'joint')}, "
             f"{counted(drivers, 'driver')}, {counted(len(self.forces), 'force')}{markers}; "
             f"{counted(rows, 'constraint row')}"
         )
@@ -630,7 +686,7 @@ class Mechanism(HtmlView):
         SpecError
             With the key path of the first error.
         """
-        check_mechanism(self.bodies, self.joints, self.forces, self.markers, self.assembly)
+        check_mechanism(self.bodies, self.beams, self.joints, self.forces, self.markers, self.assembly)
         check_centers(self.joints, self.bodies.__getitem__)
         for name in self.coordinates:
             check_name(name, f"model.coordinates.{name}")
@@ -661,8 +717,12 @@ class Mechanism(HtmlView):
         spec: dict[str, Any] = {"name": "mechanism"}
         if self.gravity != MechanismData.model_fields["gravity"].default:
             spec["gravity"] = list(self.gravity)
-        spec["bodies"] = {name: _plain(body) for name, body in self.bodies.items()}
-        for kind, elements in (("joints", self.joints), ("forces", self.forces)):
+        parts = parts_of(self.beams)
+        spec["bodies"] = {name: _plain(body) for name, body in self.bodies.items() if name not in parts}
+        if self.beams:
+            spec["beams"] = {name: _plain(beam) for name, beam in self.beams.items()}
+        forces = {name: force for name, force in self.forces.items() if name not in parts}
+        for kind, elements in (("joints", self.joints), ("forces", forces)):
             if elements:
                 spec[kind] = {name: {"type": one.type, **_plain(one)} for name, one in elements.items()}
         if self.markers:
@@ -683,8 +743,8 @@ class Mechanism(HtmlView):
         Parameters
         ----------
         spec
-            Mapping with the keys ``gravity``, ``bodies``, ``joints``, ``forces``, ``markers``, ``coordinates`` and
-            ``assembly``; ``name`` is optional and must be ``mechanism``.
+            Mapping with the keys ``gravity``, ``bodies``, ``beams``, ``joints``, ``forces``, ``markers``,
+            ``coordinates`` and ``assembly``; ``name`` is optional and must be ``mechanism``.
         parameters
             Named numbers, or expressions of each other, which the numbers in `spec` may be expressions of.
 
@@ -713,12 +773,14 @@ class Mechanism(HtmlView):
     def from_data(cls, data: MechanismData, *, name: str = "mechanism") -> Mechanism:
         """Return the mechanism described by validated `data`, after checks across its elements."""
         mechanism = cls(data.gravity, name=name)
-        check_names(data.bodies, data.joints, data.forces, data.markers)
+        check_names(data.bodies, data.beams, data.joints, data.forces, data.markers)
         mechanism.bodies = dict(data.bodies)
+        for name, beam in data.beams.items():
+            mechanism._add_beam(name, beam)
         mechanism.joints = {
             name: mechanism._with_points(joint, f"model.joints.{name}") for name, joint in data.joints.items()
         }
-        mechanism.forces = {
+        mechanism.forces |= {
             name: mechanism._with_points(force, f"model.forces.{name}") for name, force in data.forces.items()
         }
         mechanism.markers = {
@@ -756,6 +818,12 @@ class Mechanism(HtmlView):
         if name in taken:
             raise SpecError(f"the name '{name}' is already in use", key=key)
         return key
+
+    def _add_beam(self, name: str, beam: Beam) -> None:
+        """Add a beam with its nodes and the parts of its load."""
+        self.beams[name] = beam
+        self.bodies |= beam.bodies(name)
+        self.forces |= beam.loads(name)
 
     def _known(self, name: str, key: str) -> None:
         check_known(name, self.bodies, key)

@@ -1,4 +1,4 @@
-"""Data of the free-form model ``mechanism`` in a spec: gravity, bodies, joints, forces, markers and assembly."""
+"""Data of the free-form model ``mechanism`` in a spec: gravity, bodies, beams, joints, forces, markers, assembly."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import BeforeValidator, Field
 
+from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
@@ -25,14 +26,16 @@ class Assembly(StrictModel):
 
 
 class MechanismData(StrictModel):
-    """Data of the model `mechanism`: gravity, named bodies, joints, forces and markers, and assembly."""
+    """Data of the model `mechanism`: gravity, named bodies, beams, joints, forces and markers, and assembly."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("markers", "coordinates")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("beams", "markers", "coordinates")
 
     gravity: Point = (0.0, -9.81)
     """Gravitational acceleration (x, y) [m/s^2]."""
-    bodies: dict[str, Body]
+    bodies: dict[str, Body] = Field(default_factory=dict)
     """Bodies by name; `ground` is predefined."""
+    beams: dict[str, Beam] = Field(default_factory=dict)
+    """Flexible beams by name; the nodes of a beam `link` are the bodies `link.0`, `link.1`, ..."""
     joints: dict[str, Joint] = Field(default_factory=dict)
     """Joints and drivers by name."""
     forces: dict[str, Force] = Field(default_factory=dict)

@@ -12,6 +12,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from mbdkit.mechanism.angle_function import AngleTable
+from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Joint
@@ -59,9 +60,10 @@ def page(installed: Registry) -> str:
         "## Run spec",
         "\n".join([_version("mbdkit", run), *first, _keys(plain)]),
         "## The model `mechanism`",
-        "Bodies, joints, forces and markers have names, under which the archive records their results.",
+        "Bodies, beams, joints, forces and markers have names, under which the archive records their results.",
         _keys(MechanismData.model_json_schema(), 0),
         *_model("### `bodies`", Body),
+        *_model("### `beams`", Beam),
         "### `joints`",
         "`type` selects the type of the joint. `bodies` are the first body a and the second body b.",
         *_types(get_args(get_args(Joint)[0])),

@@ -35,7 +35,7 @@ import numpy as np
 
 from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
 from mbdkit.engine.jit.decorators import entry, inlined, subkernel
-from mbdkit.engine.kernels.applied_forces import applied_forces
+from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, STIFFNESS
 from mbdkit.engine.kernels.projection import STAGNANT, position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
@@ -90,7 +90,7 @@ def evaluate_residual(c, m, t, h):
     """Evaluate the residual of the equations of motion and of the constraints of every stage into ``m.residual``."""
     top, w = c.top, c.w
     n3 = len(c.q) - 3
-    has_forces = len(top.springs) + len(top.loads) > 0
+    has_forces = any_forces(top)
     for i in range(len(m.rk.c)):
         q, v, lack = m.q_stage[i], m.v_stage[i], m.residual[i]
         position_rows(top, w, t + m.rk.c[i] * h, q)

@@ -18,6 +18,7 @@ import numpy as np
 
 from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.jit.lane_types import any_of, where
+from mbdkit.engine.kernels.cross_sections import beam_levels
 from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS
 
 if TYPE_CHECKING:
@@ -333,6 +334,9 @@ def accelerations_are_round_off(c, m, h, patient):
                     level_t = max(level_t, level)
                 else:
                     level_r = max(level_r, level)
+    if len(top.sections) > 0:
+        beam_t, beam_r = beam_levels(top, w)
+        level_t, level_r = max(level_t, beam_t), max(level_r, beam_r)
     level_r = max(level_r, level_t * inverse_arm)  # a body pinned at a point turns when the point is accelerated
     small_t = small_t | (change_t <= NEGLIGIBLE_CHANGE * level_t)
     small_r = small_r | (change_r <= NEGLIGIBLE_CHANGE * level_r)

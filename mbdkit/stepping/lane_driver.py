@@ -16,6 +16,7 @@ from mbdkit.engine.jit.lane_types import number_in, where
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.kernels.acting import force_values, joint_values, marker_values
 from mbdkit.engine.kernels.applied_forces import potential_energy
+from mbdkit.engine.kernels.cross_sections import beam_values
 from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.observe import kinetic_energy, reactions_of, residuals_of
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
@@ -88,6 +89,7 @@ def observe_row(c, r):
     solve_accelerations(top, w, c.solver, q, v, acc, lam, True)
     force_values(top, w, q, v, out.forces[r])
     marker_values(top, w, q, v, out.markers[r])
+    beam_values(top, w, out.beams[r])
     out.singularity_distance[r] = singularity_distance(top, w, c.solver, c.near)
     residuals_of(top, w, q, v, out.phi[r], out.phi_rate[r])
     reactions_of(top, w, lam, out.reactions[r])

@@ -24,7 +24,7 @@ import numpy as np
 
 from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.jit.decorators import entry, subkernel
-from mbdkit.engine.kernels.applied_forces import applied_forces
+from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
     DIVERGED,
@@ -178,7 +178,7 @@ def _iterate(c, m, t, h):
     top, w = c.top, c.w
     s = len(m.rk.c)
     bodies = len(top.mass) - 1
-    has_forces = len(top.springs) + len(top.loads) > 0
+    has_forces = any_forces(top)
     _predict(m, t, h)
     n = idle = 0
     before = earlier = np.inf
@@ -247,7 +247,7 @@ def _finish(c, m, t, h):
     """Solve for the last stage, whose multiplier makes the velocities satisfy their constraints; return a status."""
     top, w = c.top, c.w
     s = len(m.rk.c)
-    has_forces = len(top.springs) + len(top.loads) > 0
+    has_forces = any_forces(top)
     m.acc[s - 1, :] = 0.0
     stage_states(c, m, h)
     end, known = m.q_stage[s - 1], m.spread[0]

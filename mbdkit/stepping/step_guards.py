@@ -25,6 +25,7 @@ import numpy as np
 from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.jit.lane_types import where
 from mbdkit.engine.kernels.applied_forces import evaluate_tension, path_rate, pathway_lengths, potential_energy
+from mbdkit.engine.kernels.cross_sections import evaluate_sections
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.system import OK, prepare
 from mbdkit.engine.kernels.vectors import copy
@@ -171,6 +172,8 @@ def energies(top, w, q, v):
         pathway_lengths(top, w, q)
         for k in range(len(top.springs)):
             evaluate_tension(top, w, k, path_rate(k, top.springs, v, w.grad))
+    if len(top.sections) > 0:
+        evaluate_sections(top, w, q, v)
     potential, level = potential_energy(top, w, q)
     return kinetic, potential, kinetic + level
 

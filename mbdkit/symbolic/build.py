@@ -19,6 +19,7 @@ from sympy.core.function import UndefinedFunction
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.angle_function import Center, expression_of
+from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.force_law import ExpressionLaw
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
@@ -88,6 +89,8 @@ class _Builder:
         mass = self.masses_and_gravity()
         for name, force in self.mechanism.forces.items():
             self.add_force(name, force)
+        for name, beam in self.mechanism.beams.items():
+            self.add_beam(name, beam)
         constraints, jacobian, gamma, multipliers = self.constraints()
         matrices = {
             "mass_matrix": sp.ImmutableMatrix(sp.diag(*mass)),
@@ -300,6 +303,31 @@ class _Builder:
         here = self.values(first, second, parameters)
         self.spread([_shortest(x).xreplace(here) for x in terms], first, second, self.forces)
 
+    def add_beam(self, name: str, beam: Beam) -> None:
+        """Add the forces of a beam on its nodes: the force conjugate to the state of a cross-section, by its nodes."""
+        held = dict(zip(d.SECTION_STIFFNESS, self.section_parameters(name, beam.section_stiffness), strict=True))
+        retardation = self.parameter(beam.damping, "tau", name, tex=r"\tau")
+        held |= {c: retardation * held[k] for c, k in zip(d.SECTION_DAMPING, d.SECTION_STIFFNESS, strict=True)}
+        force = _section_terms()
+        for section in beam.sections(name):
+            nodes = [self.bodies.index(node) for node in section.nodes]
+            shapes = [[_number(x) for x in values] for values in (section.shape, section.slope)]
+            here = held | {d.SECTION_LENGTH: _number(section.length)}
+            here |= zip(d.SECTION_REFERENCE, map(_number, section.reference), strict=True)
+            for symbols, whole in ((d.SECTION, self.q), (d.SECTION_RATES, self.v)):
+                here |= zip(symbols, _section_state(whole, nodes, *shapes), strict=True)
+            angle = here[d.SECTION[2]]
+            here |= {d.c: sp.cos(angle), d.s: sp.sin(angle)}
+            here |= {symbol: d.INTERMEDIATES[symbol].xreplace(here) for symbol in (d.along, d.across)}
+            x, y, turn, bend = (one.xreplace(here) for one in force)
+            for node, shape, slope in zip(nodes, *shapes, strict=True):
+                for axis, one in enumerate((slope * x, slope * y, shape * turn + slope * bend)):
+                    self.forces[3 * node + axis] -= one
+
+    def section_parameters(self, name: str, stiffness: Sequence[float]) -> list[sp.Expr]:
+        """Return axial, shear and bending stiffness of a beam as parameters."""
+        return [self.parameter(k, letter, name) for k, letter in zip(stiffness, ("EA", "GA", "EI"), strict=True)]
+
     # ---- symbols of the definitions replaced by those of the mechanism ---------------------------------------------
 
     def values(
@@ -351,6 +379,23 @@ def _pathway_terms(kind: str) -> tuple[sp.Expr, sp.Matrix]:
     """Return the length and its gradient (1, 6) of a pathway in the symbols of the definitions."""
     derived = d.derive_pathway(next(one for one in d.PATHWAYS if one.name == kind))
     return derived["length"][0], derived["gradient"]
+
+
+@cache
+def _section_terms() -> sp.Matrix:
+    """Return the force (4, 1) conjugate to the state of a cross-section, in the symbols of the definitions."""
+    return d.derive_section()["force"]
+
+
+def _section_state(
+    whole: Sequence[sp.Expr], nodes: Sequence[int], shape: Sequence[sp.Expr], slope: Sequence[sp.Expr]
+) -> tuple[sp.Expr, ...]:
+    """Return the state of a cross-section by the coordinates `whole` of all bodies, or its rates by the velocities."""
+    x, y, angle = ([whole[3 * node + axis] for node in nodes] for axis in range(3))
+    return tuple(
+        sum((w * value for w, value in zip(weights, values, strict=True)), sp.Integer(0))
+        for weights, values in ((slope, x), (slope, y), (shape, angle), (slope, angle))
+    )
 
 
 def _shortest(expr: sp.Expr) -> sp.Expr:

@@ -34,6 +34,23 @@ angle ``theta_b - theta_a``."""
 _TURNED = (sp.symbols("hx0:4", real=True), sp.symbols("hy0:4", real=True))
 """Global components of these vectors."""
 
+SECTION = sp.symbols("dx dy th dth", real=True)
+"""State of a cross-section of a beam: derivatives by the arc length of its position (x, y), its angle, and the
+derivative of the angle. The angle is interpolated between the nodes, as the position is."""
+SECTION_RATES = sp.symbols("dvx dvy w dw", real=True)
+c, s = sp.symbols("c s", real=True)
+"""Cosine and sine of the angle of the cross-section."""
+SECTION_LENGTH = sp.Symbol("h", real=True)
+"""Length of the beam that an integration point stands for [m]."""
+SECTION_STIFFNESS = sp.symbols("ea ga ei", real=True)
+SECTION_DAMPING = sp.symbols("da ds db", real=True)
+"""Stiffness and damping by axial strain, shear strain and curvature."""
+SECTION_REFERENCE = sp.symbols("e0 g0 k0", real=True)
+"""Axial strain plus 1, shear strain and curvature without stress."""
+along, across = sp.symbols("along across", real=True)
+"""Components of the derivative of the position along the normal of the cross-section, and across it."""
+_dx, _dy, _th, _dth = SECTION
+
 INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
     ax: ca * PARAMETERS[0] - sa * PARAMETERS[1],
     ay: sa * PARAMETERS[0] + ca * PARAMETERS[1],
@@ -44,6 +61,8 @@ INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
     gx: xb + bx - xa - ax,
     gy: yb + by - ya - ay,
     length: sp.sqrt(gx**2 + gy**2),
+    along: c * _dx + s * _dy,
+    across: c * _dy - s * _dx,
     **{hx: ca * cx - sa * cy for hx, cx, cy in zip(_TURNED[0], *CENTER, strict=True)},
     **{hy: sa * cx + ca * cy for hy, cx, cy in zip(_TURNED[1], *CENTER, strict=True)},
 }
@@ -64,6 +83,10 @@ _DERIVATIVES: dict[sp.Symbol, dict[sp.Symbol, sp.Expr]] = {
     ny: {tha: nx},
     gx: {xb: sp.Integer(1), xa: sp.Integer(-1), tha: ay, thb: -by},
     gy: {yb: sp.Integer(1), ya: sp.Integer(-1), tha: -ax, thb: bx},
+    c: {_th: -s},
+    s: {_th: c},
+    along: {_dx: c, _dy: s, _th: across},
+    across: {_dx: -s, _dy: c, _th: -along},
 }
 _DERIVATIVES[length] = {
     q: (gx * _DERIVATIVES[gx].get(q, 0) + gy * _DERIVATIVES[gy].get(q, 0)) / length for q in BODY_COORDINATES
@@ -152,6 +175,43 @@ PATHWAYS = (
         (("r", "r"), ("L", "L")),
     ),
 )
+
+
+SECTION_STRAINS = tuple(
+    strain - reference for strain, reference in zip((along, across, _dth), SECTION_REFERENCE, strict=True)
+)
+"""Axial strain, shear strain and curvature of a planar beam (E. Reissner, J. Appl. Math. Phys. 23, 1972; J. C. Simo and
+L. Vu-Quoc, J. Appl. Mech. 53, 1986)."""
+
+
+def derive_section() -> dict[str, sp.Matrix]:
+    """Derive the forces of a cross-section of a beam from its strain energy and its dissipation.
+
+    The strain energy is ``h/2 (EA axial^2 + GA shear^2 + EI curvature^2)``. The stress of a Kelvin-Voigt material has a
+    part proportional to the rates of the strains, which follows from a dissipation function of the same form.
+
+    Returns
+    -------
+    dict
+        ``force`` (4, 1) conjugate to `SECTION`, its derivatives ``stiffness`` and ``damping`` (4, 4) by `SECTION` and
+        `SECTION_RATES`, ``stress`` (3, 1): axial force, shear force and bending moment, and ``energy`` (2, 1): strain
+        energy and dissipated power.
+    """
+    rates = jacobian(SECTION_STRAINS, SECTION) * sp.Matrix(SECTION_RATES)
+    energy = sum(k * e**2 for k, e in zip(SECTION_STIFFNESS, SECTION_STRAINS, strict=True)) * SECTION_LENGTH / 2
+    dissipation = sum(d * e**2 for d, e in zip(SECTION_DAMPING, rates, strict=True)) * SECTION_LENGTH / 2
+    force = jacobian([energy], SECTION).T + sp.Matrix([dissipation]).jacobian(SECTION_RATES).T
+    stress = [
+        k * e + d * rate
+        for k, d, e, rate in zip(SECTION_STIFFNESS, SECTION_DAMPING, SECTION_STRAINS, rates, strict=True)
+    ]
+    return {
+        "force": force,
+        "stiffness": jacobian(list(force), SECTION),
+        "damping": force.jacobian(SECTION_RATES),
+        "stress": sp.Matrix(stress),
+        "energy": sp.Matrix([energy, 2 * dissipation]),
+    }
 
 
 def derive_constraint(kind: ConstraintKind) -> dict[str, sp.Matrix]:

@@ -2,7 +2,7 @@
 
 The generated module contains one kernel for each element kind and level (position, acceleration, tangent), with common
 subexpressions eliminated, and for each level a loop that calls the kernel of the right kind for every pair of
-constraint rows.
+constraint rows. Cross-sections of beams have a kernel for their forces and one for the tangents.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ cs : (B + 1, 2) cosine and sine of every theta
 p : (K, 6) parameters, points in body frames first
 u : (motions, 3) value, first and second derivative of each motion by time, and of each other function by the angle
 lam : (K, 2) multipliers
+z, p : of a cross-section of a beam, (G, 10) state, its rates, cosine and sine, and (G, 16) parameters, of which the
+    first six are values and derivatives of the shape functions, which these kernels do not read
 
 The columns of a Jacobian are (x_a, y_a, theta_a, x_b, y_b, theta_b). A Jacobian of two rows is stored row by row in 12
 columns, a tangent (6, 6) row by row in 36. Entries that are identically zero are never written: the output arrays must
@@ -77,6 +79,11 @@ _READS = {
     "cy3": "u[m + 3, 2]",
     **{f"p{i}": f"p[k, {i}]" for i in range(6)},
     **{f"lam{i}": f"lam[k, {i}]" for i in range(2)},
+    **{str(symbol): f"z[k, {i}]" for i, symbol in enumerate((*d.SECTION, *d.SECTION_RATES, d.c, d.s))},
+    **{
+        str(symbol): f"p[k, {6 + i}]"
+        for i, symbol in enumerate((d.SECTION_LENGTH, *d.SECTION_STIFFNESS, *d.SECTION_REFERENCE, *d.SECTION_DAMPING))
+    },
 }
 """Array element from which a kernel reads each symbol."""
 
@@ -183,6 +190,7 @@ def source() -> str:
     parts += [_loop_over_pairs(level, tuple(constraints)) for level in _LEVELS]
     for name, (path, terms) in pathways.items():
         parts += _pathway_kernels(name, path.note, terms)
+    parts += _section_kernels(d.derive_section())
     return "\n\n\n".join(parts) + "\n"
 
 
@@ -238,3 +246,14 @@ def _pathway_kernels(name: str, note: str, terms: dict[str, sp.Matrix]) -> list[
             _kernel(f"{name}_hessian", "k, a, b, q, cs, p, hess", f"Second derivatives of the length {note}.", bend)
         )
     return kernels
+
+
+def _section_kernels(terms: dict[str, sp.Matrix]) -> list[str]:
+    """Return the kernels of a cross-section of a beam: forces with stress and energy, and tangents."""
+    forces = [(name, terms[name]) for name in ("force", "stress", "energy")]
+    tangents = [(name, terms[name]) for name in ("stiffness", "damping")]
+    note = "Force conjugate to the state of a cross-section, its stress, its strain energy and its dissipated power."
+    return [
+        _kernel("section_forces", "k, z, p, force, stress, energy", note, forces),
+        _kernel("section_tangents", "k, z, p, stiffness, damping", "Derivatives of the force.", tangents),
+    ]

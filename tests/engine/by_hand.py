@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline, PPoly, make_interp_spline
 
+from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Distance, Driver, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
@@ -119,6 +120,29 @@ def cross(u: Any, v: Any) -> Any:
     return u[0] * v[1] - u[1] * v[0]
 
 
+class Polynomials:
+    """Lagrange's polynomials of some nodes from -1 to 1; `scale` is the derivative of the place by the arc length."""
+
+    def __init__(self, nodes: np.ndarray, scale: float):
+        self.nodes, self.scale = nodes, scale
+
+    def _one(self, i: int) -> np.polynomial.Polynomial:
+        others = np.delete(self.nodes, i)
+        return np.polynomial.Polynomial.fromroots(others) / np.prod(self.nodes[i] - others)
+
+    def value(self, i: int, x: float) -> float:
+        return float(self._one(i)(x))
+
+    def slope(self, i: int, x: float) -> float:
+        return float(self._one(i).deriv()(x)) * self.scale
+
+    def state(self, x: float, values: list[Any]) -> tuple[Any, Any]:
+        """Return the derivatives of x, y and angle by the arc length, and the angle, for `values` at the nodes."""
+        slopes = sum(self.slope(i, x) * np.asarray(value) for i, value in enumerate(values))
+        angle = sum(self.value(i, x) * value[2] for i, value in enumerate(values))
+        return slopes, angle
+
+
 class ByHand:
     """The equations of one mechanism."""
 
@@ -215,7 +239,46 @@ class ByHand:
                 found[i] += push[0]
                 found[i + 1] += push[1]
                 found[i + 2] += cross(turned(self.angle(q, name), at), push) + torque
+        for name, beam in self.mechanism.beams.items():
+            self.bend(name, beam, q, v, found)
         return found[: self.n]
+
+    def bend(self, name: str, beam: Beam, q: Any, v: Any, found: np.ndarray) -> None:
+        """Add the forces of a beam on its nodes, element by element, by virtual work at the points of Gauss."""
+        points, weights = np.polynomial.legendre.leggauss(beam.nodes - 1)
+        rest = Polynomials(np.linspace(-1.0, 1.0, beam.nodes), 2.0 / beam.element_length)
+        for element in range(beam.elements):
+            nodes = [f"{name}.{element * (beam.nodes - 1) + i}" for i in range(beam.nodes)]
+            places = [beam.places[int(node.rpartition(".")[2])] for node in nodes]
+            for x, weight in zip(points, weights * beam.element_length / 2, strict=True):
+                (dx, dy, turn), angle = rest.state(x, [np.array(place) for place in places])
+                unbent = self.strain(dx, dy, angle, turn)
+                at, rate = ([self.whole(u, node) for node in nodes] for u in (q, v))
+                (dx, dy, turn), angle = rest.state(x, at)
+                (vx, vy, bending), spin = rest.state(x, rate)
+                strain = self.strain(dx, dy, angle, turn)
+                c, s = np.cos(angle), np.sin(angle)
+                change = (c * vx + s * vy + strain[1] * spin, c * vy - s * vx - strain[0] * spin, bending)
+                normal, shear, moment = (
+                    k * (e - free + beam.damping * e_t)
+                    for k, e, free, e_t in zip(beam.section_stiffness, strain, unbent, change, strict=True)
+                )
+                for i, node in enumerate(nodes):
+                    shape, slope, place = rest.value(i, x), rest.slope(i, x), 3 * self.number[node]
+                    found[place] -= weight * slope * (c * normal - s * shear)
+                    found[place + 1] -= weight * slope * (s * normal + c * shear)
+                    couple = normal * strain[1] - shear * strain[0]
+                    found[place + 2] -= weight * (shape * couple + slope * moment)
+
+    def whole(self, q: Any, body: str) -> Any:
+        """Return x, y and angle of a body."""
+        i = 3 * self.number[body]
+        return q[i : i + 3]
+
+    def strain(self, dx: Any, dy: Any, angle: Any, turn: Any) -> tuple[Any, Any, Any]:
+        """Return the derivatives of the position along the tangent and across it, and the curvature."""
+        c, s = np.cos(angle), np.sin(angle)
+        return c * dx + s * dy, c * dy - s * dx, turn
 
     def actions(self, force: Any, q: Any, v: Any, t: Any) -> list[tuple[str, Any, tuple[float, float], Any]]:
         """Return what a force element does to bodies: (body, global force, point in the body's frame, torque).

@@ -105,6 +105,27 @@ def slides(rng: np.random.Generator) -> Mechanism:
     return m
 
 
+def flexible(rng: np.random.Generator, elements: int = 2) -> Mechanism:
+    """Return a rod between a straight beam from the ground and a curved one, both damped, bent and in motion."""
+    m = Mechanism()
+    stiffness = {"axial": 90.0, "shear": 40.0, "bending": 5.0}
+    common = {"elements": elements, "stiffness": stiffness, "mass_per_length": 0.8, "damping": 0.05}
+    arm = m.beam("arm", a=(0.0, 0.0), b=(1.0, 0.3), nodes=2, **common)
+    rod_end = add_rod(m, rng, "rod", np.array([1.0, 0.3]), rng.uniform(-3, 3))
+    points = [rod_end, rod_end + rng.uniform(0.3, 0.6, 2), rod_end + np.array([1.0, 0.1])]
+    hook = m.beam("hook", points=points, nodes=3, load=(0.5, "sin(t)"), load_frame="body", **common)
+    m.weld("clamp", m.ground, arm[0], at=(0.0, 0.0))
+    m.revolute("pin", arm[-1], "rod", at=(1.0, 0.3))
+    m.weld("bolts", "rod", hook[0], at=rod_end)
+    for name, body in m.bodies.items():  # bent by more than joints would, and turned several times
+        if name in hook[1:]:
+            x, y = np.array(body.position) + rng.normal(0.0, 0.1, 2)
+            m.bodies[name] = body.model_copy(
+                update={"position": (x, y), "angle": body.angle + 4 * math.pi + rng.normal(0.0, 0.3)}
+            )
+    return m
+
+
 KINDS: dict[str, Callable[[np.random.Generator], Mechanism]] = {
     "chain": chain,
     "tree": tree,

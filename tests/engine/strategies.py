@@ -14,6 +14,7 @@ from typing import Any, get_args
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn
 
+from mbdkit.mechanism.beams import parts_of
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Distance, Driver, Joint
@@ -165,6 +166,29 @@ def between(m: Mechanism, a: str, b: str) -> Vector:
     """Return a point between two bodies; the ground is everywhere."""
     here, there = (centre(m, name) for name in (a, b))
     return there if a == GROUND else here if b == GROUND else middle(here, there)
+
+
+def add_beam(draw: DrawFn, m: Mechanism, name: str, holder: str) -> tuple[str, ...]:
+    """Add a soft beam near a body, straight or curved, bent at the start, welded or pinned there; return its nodes."""
+    elements, nodes = draw(st.integers(1, 2)), draw(st.sampled_from([2, 3]))
+    first, along = moved(centre(m, holder), vector(draw, 0.3)), vector(draw, 0.5)
+    last = moved(first, (along[0] + 1.0, along[1]))
+    shape: dict[str, Any] = {"a": first, "b": last}
+    if draw(st.booleans()):
+        shape = {"points": [first, moved(middle(first, last), (0.0, 0.2)), last]}
+    names = m.beam(
+        name, **shape, elements=elements, nodes=nodes, mass_per_length=number(draw, 0.5, 2),
+        stiffness={"axial": number(draw, 10, 40), "shear": number(draw, 10, 40), "bending": number(draw, 0.2, 2)},
+        rotary_inertia=number(draw, 0.05, 0.2), damping=draw(st.sampled_from([0.0, 0.02])), velocity=vector(draw, 0.5),
+        angular_velocity=number(draw, -1, 1),
+    )  # fmt: skip
+    if is_point_mass(m, holder) or draw(st.booleans()):
+        return names
+    if draw(st.booleans()):
+        m.weld(f"{name} root", holder, names[0], at=first)
+    else:
+        m.revolute(f"{name} root", holder, names[0], at=first)
+    return names
 
 
 # ---- joints ------------------------------------------------------------------------------------------------------
@@ -362,7 +386,10 @@ def disturb(draw: DrawFn, m: Mechanism) -> None:
         if not isinstance(joint, Distance | Driver) and getattr(joint, "angle", 0.0) is None
         for name in joint.bodies
     }
+    nodes = parts_of(m.beams)
     for name, body in m.bodies.items():
+        if name in nodes:  # which are where their beam says
+            continue
         change: dict[str, Any] = {"position": moved(body.position, vector(draw, 0.03))}
         if body.inertia is not None and name not in taken:
             change["angle"] = body.angle + number(draw, -0.03, 0.03)
@@ -394,6 +421,8 @@ def mechanisms(draw: DrawFn, most_bodies: int = 6, most_loops: int = 3, most_for
         placed.append(name)
     for _ in range(loops):
         add_joint(draw, m, next(joints), *two(draw, placed), start)
+    if draw(st.integers(0, 3)) == 0:
+        placed += add_beam(draw, m, f"{bodies[0]} beam", draw(st.sampled_from(placed)))
     for name in names(draw, draw(st.integers(0, most_forces))):
         draw(st.sampled_from(FORCES))(draw, m, name, *two(draw, placed), start)
     if draw(st.booleans()):
@@ -408,6 +437,7 @@ def reordered(draw: DrawFn, m: Mechanism) -> Mechanism:
     for kind in ("bodies", "joints", "forces"):
         elements = getattr(m, kind)
         setattr(other, kind, {name: elements[name] for name in draw(st.permutations(list(elements)))})
+    other.beams = m.beams
     return other
 
 

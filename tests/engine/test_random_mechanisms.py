@@ -24,6 +24,7 @@ from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.workspace import Workspace
+from mbdkit.mechanism.beams import parts_of
 from mbdkit.mechanism.joints import Revolute, Weld
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
@@ -201,6 +202,12 @@ def test_reactions_and_forces_balance_every_body(drawn: Drawn) -> None:
         for force in drawn.mechanism.forces.values():
             for body, vector, point, torque in hand.actions(force, q, v, result.time[row]):
                 push(body, vector, hand.point(q, body, point), torque)
+        bent = np.zeros_like(q)
+        for name, beam in drawn.mechanism.beams.items():
+            hand.bend(name, beam, q, v, bent)
+        for name in parts_of(drawn.mechanism.beams):
+            i = 3 * hand.number[name]
+            push(name, bent[i : i + 2], hand.centre(q, name), bent[i + 2])
         for name, joint in drawn.mechanism.joints.items():
             recorded = result.joints[name]
             assert recorded.bodies == joint.bodies

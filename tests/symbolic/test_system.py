@@ -23,6 +23,7 @@ from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.symbolic_system import SymbolicSystem
 from mbdkit.spec import load_spec
+from tests.engine.random_mechanisms import flexible
 
 T = 0.7
 STATES = range(5)
@@ -111,7 +112,7 @@ def engine(m: Mechanism, t: float, q: np.ndarray, v: np.ndarray) -> dict[str, np
         "constraints": np.array([w.phi[row] for row in rows]),
         "constraint_jacobian": jacobian[:, :n],
         "gamma": np.array([w.gamma[row] for row in rows]),
-        "forces": w.force[:n] * bool(m.forces) + mass * np.tile([*m.gravity, 0.0], len(m.bodies)),
+        "forces": w.force[:n] * bool(m.forces or m.beams) + mass * np.tile([*m.gravity, 0.0], len(m.bodies)),
         "accelerations": acc[0, :n],
         "multipliers": np.array([lam[0][row] for row in rows]),
     }
@@ -131,6 +132,14 @@ def assert_same_numbers(m: Mechanism, numbers: bool, seed: int) -> None:
     for array, value in expected.items():
         scale = np.max(np.abs(value))
         np.testing.assert_allclose(found[array], value, rtol=0, atol=1e-13 * scale, err_msg=array)
+
+
+@forms
+def test_beams_are_those_of_the_compiled_engine(numbers: bool) -> None:
+    m = flexible(np.random.default_rng(5), elements=1)
+    assert_same_numbers(m, numbers, seed=1)
+    if not numbers:
+        check_latex(m.to_sympy(numbers=numbers).latex())
 
 
 @forms
@@ -318,7 +327,7 @@ def test_every_force_element_has_a_symbolic_form_and_no_key_of_one_is_left_out()
 
 COMMANDS = re.compile(
     "begin|end|left|right|hline|text|(text(backslash|asciitilde|asciicircum))|operatorname|sin|cos|tan|tanh|atan"
-    "|max|min|frac|sqrt|wedge|cdot|pi|lambda|theta|d?dot|xi|eta|ell|varphi|geq|leq|quad"
+    "|max|min|frac|sqrt|wedge|cdot|pi|lambda|tau|theta|d?dot|xi|eta|ell|varphi|geq|leq|quad"
 )
 
 

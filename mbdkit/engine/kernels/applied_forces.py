@@ -1,4 +1,4 @@
-"""Applied forces: force elements (a law on a pathway), torques and point forces; tangents, powers and potentials.
+"""Applied forces: force elements (a law on a pathway), beams, torques and point forces; tangents, powers, potentials.
 
 A force element pulls its two bodies together with the tension ``F(s, s', t)`` along a pathway of length ``s``. Its
 generalized force is ``Q = -F s_q``. Gravity is not part of these forces: it is a constant acceleration, and the solvers
@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.decorators import inlined, subkernel
 from mbdkit.engine.jit.lane_types import any_of, is_refused, renewed, where
 from mbdkit.engine.jit.law_calls import HAS_POTENTIAL, PASSIVE, call_law
 from mbdkit.engine.kernels import element_kernels as e
+from mbdkit.engine.kernels.cross_sections import add_beam_forces, beam_tangents
 from mbdkit.engine.kernels.vectors import fill
 
 PATHWAYS = {name: code for code, name in enumerate(e.PATHWAY_KINDS)}
@@ -27,6 +28,12 @@ coordinate_x_gradient, coordinate_y_gradient = e.coordinate_x_gradient, e.coordi
 pulley_gradient = e.pulley_gradient
 two_points_hessian = e.two_points_hessian
 coordinate_x_hessian, coordinate_y_hessian = e.coordinate_x_hessian, e.coordinate_y_hessian
+
+
+@inlined
+def any_forces(top):
+    """Return whether `applied_forces` are not always zero: whether there are force elements, loads or beams."""
+    return len(top.springs) + len(top.loads) + len(top.sections) > 0
 
 
 @subkernel
@@ -124,6 +131,8 @@ def applied_forces(top, w, q, v):
             force[3 * body] += fx
             force[3 * body + 1] += fy
             force[3 * body + 2] += px * fy - py * fx
+    if len(top.sections) > 0:
+        add_beam_forces(top, w, q, v)
 
 
 @subkernel
@@ -151,6 +160,7 @@ def force_tangents(top, w, q, v):
     ``w.coupled_stiff`` and ``w.coupled_damp`` (X, 36) the products of two segments, whose s_qq are zero (`COUPLED`).
     ``w.load_stiff`` (L, 3) receives the terms of the point forces: entries x-theta and y-theta of forces that turn with
     their body, entry theta-theta of forces with a fixed direction. A torque depends on time only and has no tangent.
+    For beams see `mbdkit.engine.kernels.cross_sections.beam_tangents`.
     """
     springs, loads, points, cs = top.springs, top.loads, top.spring_points, w.cs
     grad, hess, stiff, damp, load_stiff = w.grad, w.hess, w.spring_stiff, w.spring_damp, w.load_stiff
@@ -201,6 +211,8 @@ def force_tangents(top, w, q, v):
             load_stiff[k, 1] = -fx
         else:
             load_stiff[k, 2] = px * fx + py * fy
+    if len(top.sections) > 0:
+        beam_tangents(top, w, q, v)
 
 
 @subkernel
@@ -240,6 +252,8 @@ def powers(top, w, v, lam):
             fx, fy, px, py = point_force(top, w, k)
             spin = v[3 * body + 2]
             work += fx * (v[3 * body] - spin * py) + fy * (v[3 * body + 1] + spin * px)
+    for k in range(len(top.sections)):
+        lost += w.section_energy[k, 1]
     for k in range(len(pairs)):
         if pairs[k, 3] >= 0:
             work += lam[k, 0] * w.phi_t[k, 0] + lam[k, 1] * w.phi_t[k, 1]
@@ -248,7 +262,7 @@ def powers(top, w, v, lam):
 
 @subkernel
 def potential_energy(top, w, q):
-    """Return the potential energy of gravity and of the force elements, and the level of its rounding errors [J].
+    """Return the potential energy of gravity, force elements and beams, and the level of its rounding errors [J].
 
     The level is the sum of the absolute values from which the energy is computed; its rounding error is some eps times
     the level. The potential of gravity is zero at the global origin, that of a linear spring at its free length; other
@@ -265,4 +279,9 @@ def potential_energy(top, w, q):
         if springs[k, 5] > 0 and (law < 0 or laws[law, 2] & HAS_POTENTIAL != 0):
             energy += tension[k, 3]
             level += abs(tension[k, 3]) + abs(tension[k, 0] * w.s[k, 0])
+    for k in range(len(top.sections)):
+        energy += w.section_energy[k, 0]
+        level += w.section_energy[k, 0]
+        for i in range(4):
+            level += abs(w.section_force[k, i] * w.section[k, i])
     return energy, level

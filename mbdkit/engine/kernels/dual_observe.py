@@ -12,6 +12,7 @@ from mbdkit.engine.jit.dual_arrays import new_duals
 from mbdkit.engine.kernels.acting import force_values, joint_values, marker_values
 from mbdkit.engine.kernels.applied_forces import potential_energy
 from mbdkit.engine.kernels.bundle_types import example_of
+from mbdkit.engine.kernels.cross_sections import beam_values
 from mbdkit.engine.kernels.dual_system import DualSolver, new_dual_solver
 from mbdkit.engine.kernels.observe import Observed, kinetic_energy, reactions_of, residuals_of
 from mbdkit.engine.kernels.system import OK, Engine, Scratch, Topology, prepare, solve_accelerations
@@ -62,6 +63,7 @@ def observe_duals(address):
             return status, r
         force_values(top, w, q, v, out.forces[r])
         marker_values(top, w, q, v, out.markers[r])
+        beam_values(top, w, out.beams[r])
         residuals_of(top, w, q, v, out.phi[r], out.phi_rate[r])
         reactions_of(top, w, lam, out.reactions[r])
         joint_values(top, w, q, lam, out.reactions[r], out.joints[r])

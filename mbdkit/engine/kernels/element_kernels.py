@@ -11,6 +11,8 @@ cs : (B + 1, 2) cosine and sine of every theta
 p : (K, 6) parameters, points in body frames first
 u : (motions, 3) value, first and second derivative of each motion by time, and of each other function by the angle
 lam : (K, 2) multipliers
+z, p : of a cross-section of a beam, (G, 10) state, its rates, cosine and sine, and (G, 16) parameters, of which the
+    first six are values and derivatives of the shape functions, which these kernels do not read
 
 The columns of a Jacobian are (x_a, y_a, theta_a, x_b, y_b, theta_b). A Jacobian of two rows is stored row by row in 12
 columns, a tangent (6, 6) row by row in 36. Entries that are identically zero are never written: the output arrays must
@@ -1424,3 +1426,119 @@ def pulley_gradient(k, a, b, q, cs, p, s, grad):
     s[k, 0] = p4*(tha - thb) + p5
     grad[k, 2] = p4
     grad[k, 5] = -p4
+
+
+@subkernel
+def section_forces(k, z, p, force, stress, energy):
+    """Force conjugate to the state of a cross-section, its stress, its strain energy and its dissipated power."""
+    dx = z[k, 0]
+    dy = z[k, 1]
+    dth = z[k, 3]
+    dvx = z[k, 4]
+    dvy = z[k, 5]
+    w = z[k, 6]
+    dw = z[k, 7]
+    c = z[k, 8]
+    s = z[k, 9]
+    h = p[k, 6]
+    ea = p[k, 7]
+    ga = p[k, 8]
+    ei = p[k, 9]
+    e0 = p[k, 10]
+    g0 = p[k, 11]
+    k0 = p[k, 12]
+    da = p[k, 13]
+    ds = p[k, 14]
+    db = p[k, 15]
+    along = c*dx + dy*s
+    across = c*dy - dx*s
+    t0 = along - e0
+    t1 = ea*t0
+    t2 = across - g0
+    t3 = ga*t2
+    t4 = across*w + c*dvx + dvy*s
+    t5 = da*t4
+    t6 = along*w - c*dvy + dvx*s
+    t7 = ds*t6
+    t8 = dth - k0
+    t9 = db*dw + ei*t8
+    force[k, 0] = h*(c*t1 + c*t5 - s*t3 + s*t7)
+    force[k, 1] = h*(c*t3 - c*t7 + s*t1 + s*t5)
+    force[k, 2] = h*(across*t1 + across*t5 - along*t3 + along*t7)
+    force[k, 3] = h*t9
+    stress[k, 0] = t1 + t5
+    stress[k, 1] = ga*t2 - t7
+    stress[k, 2] = t9
+    energy[k, 0] = ((1.0/2.0))*h*(ea*(t0*t0) + ei*(t8*t8) + ga*(t2*t2))
+    energy[k, 1] = h*(da*(t4*t4) + db*(dw*dw) + ds*(t6*t6))
+
+
+@subkernel
+def section_tangents(k, z, p, stiffness, damping):
+    """Derivatives of the force."""
+    dx = z[k, 0]
+    dy = z[k, 1]
+    dvx = z[k, 4]
+    dvy = z[k, 5]
+    w = z[k, 6]
+    c = z[k, 8]
+    s = z[k, 9]
+    h = p[k, 6]
+    ea = p[k, 7]
+    ga = p[k, 8]
+    ei = p[k, 9]
+    e0 = p[k, 10]
+    g0 = p[k, 11]
+    da = p[k, 13]
+    ds = p[k, 14]
+    db = p[k, 15]
+    along = c*dx + dy*s
+    across = c*dy - dx*s
+    t0 = ds*w
+    t1 = c*ea + s*t0
+    t2 = da*w
+    t3 = c*t2 - ga*s
+    t4 = c*dvx
+    t5 = dvy*s
+    t6 = ea*(along - e0)
+    t7 = across*w
+    t8 = t4 + t5
+    t9 = da*(t7 + t8) + t6
+    t10 = c*dvy
+    t11 = dvx*s
+    t12 = ga*(across - g0)
+    t13 = -t12
+    t14 = along*w
+    t15 = -t10 + t11
+    t16 = t14 + t15
+    t17 = c*ga + s*t2
+    t18 = c*t0 - ea*s
+    t19 = across*ea + ds*(2*t14 + t15) + t13
+    t20 = -along*ga + da*(2*t7 + t8) + t6
+    t21 = across*da
+    t22 = along*ds
+    t23 = (c*c)
+    t24 = (s*s)
+    t25 = c*h*s*(da - ds)
+    t26 = h*(c*t21 + s*t22)
+    t27 = h*(-c*t22 + s*t21)
+    stiffness[k, 0] = h*(c*t1 - s*t3)
+    stiffness[k, 1] = h*(c*t3 + s*t1)
+    stiffness[k, 2] = h*(across*t1 - along*t3 - c*(-da*t10 - ds*t11 - ds*t16 - t13) - s*(da*t4 - ds*t5 + t9))
+    stiffness[k, 4] = -h*(c*t18 + s*t17)
+    stiffness[k, 5] = h*(c*t17 - s*t18)
+    stiffness[k, 6] = h*(-across*t18 - along*t17 + c*(da*t5 - ds*t4 + t9) - s*(da*t11 + ds*t10 - ds*t16 + t12))
+    stiffness[k, 8] = h*(c*t19 - s*t20)
+    stiffness[k, 9] = h*(c*t20 + s*t19)
+    stiffness[k, 10] = h*(across*t19 - along*t20 + c*(dvx*t22 + dvy*t21) - s*(dvx*t21 - dvy*t22))
+    stiffness[k, 15] = ei*h
+    damping[k, 0] = h*(da*t23 + ds*t24)
+    damping[k, 1] = t25
+    damping[k, 2] = t26
+    damping[k, 4] = t25
+    damping[k, 5] = h*(da*t24 + ds*t23)
+    damping[k, 6] = t27
+    damping[k, 8] = t26
+    damping[k, 9] = t27
+    damping[k, 10] = h*((across*across)*da + (along*along)*ds)
+    damping[k, 15] = db*h

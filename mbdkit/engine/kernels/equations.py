@@ -13,7 +13,7 @@ import numpy as np
 
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import inlined, kernel
-from mbdkit.engine.kernels.applied_forces import applied_forces
+from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
 from mbdkit.engine.kernels.bundle_types import IntMatrix, NumberVector, RealMatrix, RealVector, example_of
 from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, solve_refined
 from mbdkit.engine.kernels.misalignment import raise_misalignments
@@ -146,7 +146,7 @@ def solution_of(address, t, q, v, given, force, rows, x, mu):
     eq = load_equations(address)
     top, w = eq.top, eq.w
     _evaluate_rows(eq, t, q, v)
-    has_forces = given or len(top.springs) + len(top.loads) > 0
+    has_forces = given or any_forces(top)
     top.gravity[0] = 0.0 if given else eq.gravity[0]
     top.gravity[1] = 0.0 if given else eq.gravity[1]
     if given:
@@ -176,7 +176,7 @@ def residual_of(address, t, q, v, a, lam, with_forces, out):
     for d in range(len(eq.q)):
         eq.a[d] = 0.0
     if with_forces:
-        if len(top.springs) + len(top.loads) > 0:
+        if any_forces(top):
             applied_forces(top, w, eq.q, eq.v)
             for d in range(len(q)):
                 eq.a[d] -= w.force[d]

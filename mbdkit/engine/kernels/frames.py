@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.jit.decorators import kernel
-from mbdkit.engine.kernels.applied_forces import applied_forces
+from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
 from mbdkit.engine.kernels.equations import load_equations
 from mbdkit.engine.kernels.observe import reactions_of
 from mbdkit.engine.kernels.system import (
@@ -98,7 +98,7 @@ def evaluate_frames(address, times, q, v, with_forces, out):
         if with_forces:
             for d in range(n):
                 out.force[f, d] = 0.0
-            if len(top.springs) + len(top.loads) > 0:
+            if any_forces(top):
                 applied_forces(top, w, eq.q, eq.v)
                 for d in range(n):
                     out.force[f, d] = w.force[d]

@@ -10,6 +10,7 @@ from mbdkit.engine.jit.decorators import kernel, subkernel
 from mbdkit.engine.kernels.acting import force_values, joint_values, marker_values
 from mbdkit.engine.kernels.applied_forces import potential_energy
 from mbdkit.engine.kernels.constraints import constraint_positions, constraint_tangents
+from mbdkit.engine.kernels.cross_sections import beam_values
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.system import (
     OK,
@@ -91,6 +92,8 @@ class Observed(NamedTuple):
     """(T, J, 6) coordinate, power of the driver, and reaction force (x, y) in the frames of both bodies."""
     markers: np.ndarray
     """(T, K, 4) position (x, y) and velocity (x, y) of each marker."""
+    beams: np.ndarray
+    """(T, E, 4) axial force, shear force and bending moment in the middle of each element, and its strain energy."""
 
     @staticmethod
     def zeros(states: int, top: Topology) -> Observed:
@@ -108,6 +111,7 @@ class Observed(NamedTuple):
             forces=np.zeros((states, len(top.loads) + np.count_nonzero(top.springs[:, 5]), 5)),
             joints=np.zeros((states, len(top.joints), 6)),
             markers=np.zeros((states, len(top.markers), 4)),
+            beams=np.zeros((states, int(top.sections[-1, 0]) + 1 if len(top.sections) else 0, 4)),
         )
 
     def rows(self, part: slice) -> Observed:
@@ -169,6 +173,7 @@ def observe(engine, times, q, v, out, stress, near):
             return status, r
         force_values(top, w, q[r], v[r], out.forces[r])
         marker_values(top, w, q[r], v[r], out.markers[r])
+        beam_values(top, w, out.beams[r])
         # The order matters: the next two calculations use the factors and the Jacobian of this solution.
         out.singularity_distance[r] = singularity_distance(top, w, solver, near)
         # Self-stress: a unit multiplier of the redundant direction minus the equivalent multipliers of all other rows.

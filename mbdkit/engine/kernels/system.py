@@ -23,7 +23,7 @@ from numba.extending import overload
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import inlined, subkernel
 from mbdkit.engine.jit.lane_types import any_of, renewed
-from mbdkit.engine.kernels.applied_forces import applied_forces, force_tangents, powers
+from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, force_tangents, powers
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix, RealVector, example_of
 from mbdkit.engine.kernels.constraints import (
     constraint_accelerations,
@@ -49,7 +49,8 @@ class Topology(NamedTuple):
     """A compiled mechanism: all data that do not change during a run.
 
     B is the number of bodies without ground, P of pairs of constraint rows, S of segments of springs, X of pairs of
-    segments of the same spring, L of loads, J of joints, K of markers. All force elements on a pathway are called
+    segments of the same spring, L of loads, G of cross-sections of beams, E of their elements, J of joints, K of
+    markers. All force elements on a pathway are called
     springs, whatever their law. Most have one segment; the length of one with several is the sum over its segments.
     """
 
@@ -92,6 +93,11 @@ class Topology(NamedTuple):
     """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
     load_points: RealMatrix
     """Point of application of each load in the frame of its body [m]."""
+    sections: IntMatrix
+    """(G, 5) cross-sections at which the elements of beams are integrated: element, number of its nodes, the nodes."""
+    section_parameters: RealMatrix
+    """(G, 16) values and derivatives by the arc length of the shape functions of three nodes, then the parameters of
+    the cross-section; see `mbdkit.symbolic.definitions.derive_section`."""
     force_place: IntVector
     """(S + L,) place of each segment and of each load among the force elements of the mechanism."""
     pair_joint: IntVector
@@ -151,6 +157,18 @@ class Scratch(NamedTuple):
     tension: RealMatrix
     """(S + 1, 4) force, derivatives by length and rate, potential of the spring of each segment; the last row is a
     temporary."""
+    section: RealMatrix
+    """(G, 10) state of each cross-section of a beam, its rates, cosine and sine of its angle."""
+    section_force: RealMatrix
+    """(G, 4) forces conjugate to these states."""
+    section_stress: RealMatrix
+    """(G, 3) axial force, shear force and bending moment."""
+    section_energy: RealMatrix
+    """(G, 2) strain energy and dissipated power of the part of the beam that the cross-section stands for."""
+    section_stiff: RealMatrix
+    """(G, 16) derivatives of the forces by the states."""
+    section_damp: RealMatrix
+    """(G, 16) derivatives of the forces by the rates."""
     faulty: IntVector
     """(1,) row of the last law whose force or required derivatives were not finite; -1 for none."""
     source: RealVector
@@ -173,6 +191,10 @@ class Scratch(NamedTuple):
     """(X, 36) -dQ/dv likewise."""
     load_stiff: RealMatrix
     """(L, 3) -dQ/dq of the loads; see `mbdkit.engine.kernels.applied_forces.force_tangents`."""
+    beam_stiff: RealMatrix
+    """(G, 81) -dQ/dq of the cross-sections of beams, for three nodes."""
+    beam_damp: RealMatrix
+    """(G, 81) -dQ/dv likewise."""
     loose: RealMatrix
     """(D, 6) Jacobian of the redundant directions."""
     push: RealVector
@@ -500,7 +522,7 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
     With `refine`, one step of iterative refinement reduces the residual of ``Phi_q a = gamma`` to rounding errors; in
     lanes, `refine` may be a mask.
     """
-    has_forces = len(top.springs) + len(top.loads) > 0
+    has_forces = any_forces(top)
     if has_forces:
         applied_forces(top, w, q, v)
     solved_rows(top, w, q, v)

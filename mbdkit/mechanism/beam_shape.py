@@ -1,0 +1,95 @@
+"""Shapes of beams without stress: places on a curve at given arc lengths, and the shape functions of elements."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+QUADRATURE = 16
+"""Points of the Gauss quadrature of the arc length between two given points."""
+
+NEWTON_STEPS = 8
+"""Newton steps for the place of a node on a curve; the first guess is off by a small part of a piece."""
+
+
+class Place(NamedTuple):
+    """A place on a curve: position (x, y) [m] and angle of the tangent from the +x axis [rad], which is not wrapped."""
+
+    x: float
+    y: float
+    angle: float
+
+
+class IntegrationPoint(NamedTuple):
+    """Values and derivatives of the shape functions of an element's nodes at an integration point, and its weight.
+
+    Derivatives are by the coordinate from 0 to 1 along the element, and the weights of an element add up to 1.
+    """
+
+    shape: tuple[float, ...]
+    slope: tuple[float, ...]
+    weight: float
+
+
+def _quadratic(x: float) -> IntegrationPoint:
+    """Return the integration point of a quadratic element at `x`, from -1 to 1."""
+    return IntegrationPoint(
+        (x * (x - 1.0) / 2.0, 1.0 - x * x, x * (x + 1.0) / 2.0), (2.0 * x - 1.0, -4.0 * x, 2.0 * x + 1.0), 0.5
+    )
+
+
+INTEGRATION = {
+    2: (IntegrationPoint((0.5, 0.5), (-1.0, 1.0), 1.0),),
+    3: (_quadratic(-1.0 / math.sqrt(3.0)), _quadratic(1.0 / math.sqrt(3.0))),
+}
+"""Integration points of elements by their number of nodes. Their number is one less than would be exact for the energy
+of shear, which keeps slender elements from being too stiff in bending (shear locking)."""
+
+NODE_SHARES = {2: (0.5, 0.5), 3: (1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0)}
+"""Share of an element's mass and load at each of its nodes, by their number: trapezoidal rule, Simpson's rule."""
+
+
+def straight(a: Sequence[float], b: Sequence[float], count: int) -> list[Place]:
+    """Return `count` equidistant places on the line from `a` to `b`, both (x, y) [m]."""
+    angle = math.atan2(b[1] - a[1], b[0] - a[0])
+    parts = [i / (count - 1) for i in range(count)]
+    return [Place((1.0 - t) * a[0] + t * b[0], (1.0 - t) * a[1] + t * b[1], angle) for t in parts]
+
+
+def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], float]:
+    """Return `count` places at equal arc lengths on the curve through points, and the length of the curve [m].
+
+    The curve is a cubic spline over the length of the polygon through the points, with the condition "not-a-knot" at
+    its ends; a parabola through three points.
+
+    Parameters
+    ----------
+    points
+        Three or more points (x, y) [m], neighbours at different places.
+    """
+    from scipy.interpolate import CubicSpline
+
+    corners = np.array(points, dtype=float)
+    knots = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
+    curve = CubicSpline(knots, corners)
+    rate = curve.derivative()
+    nodes, weights = np.polynomial.legendre.leggauss(QUADRATURE)
+
+    def lengths(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """Return the arc lengths between parameters of the curve within one piece."""
+        half = 0.5 * (end - begin)
+        at = (begin + half)[:, None] + half[:, None] * nodes
+        return np.asarray(np.hypot(*np.moveaxis(rate(at), -1, 0)) @ weights * half)
+
+    whole = np.concatenate([[0.0], np.cumsum(lengths(knots[:-1], knots[1:]))])
+    wanted = np.linspace(0.0, whole[-1], count)
+    piece = np.clip(np.searchsorted(whole, wanted, side="right") - 1, 0, len(knots) - 2)
+    at = np.interp(wanted, whole, knots)
+    for _ in range(NEWTON_STEPS):
+        at -= (whole[piece] + lengths(knots[piece], at) - wanted) / np.hypot(*rate(at).T)
+    dx, dy = rate(at).T
+    angles = np.unwrap(np.arctan2(dy, dx))
+    return [Place(*place) for place in np.column_stack([curve(at), angles]).tolist()], float(whole[-1])

@@ -1,0 +1,320 @@
+"""Flexible beams: nodes that are bodies, and the elements between them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.beam_shape import INTEGRATION, NODE_SHARES, Place, curved, straight
+from mbdkit.mechanism.bodies import Body
+from mbdkit.mechanism.forces import PointForce
+from mbdkit.mechanism.values import Motion, MotionPair, NotNegative, Number, Point, Positive, Table, sequence
+from mbdkit.strict_model import StrictModel
+
+SHEAR_SHARE = 1e-6
+"""Share of the deflection of a cantilever with a force at its end that shear causes in a beam with ``shear: none``."""
+
+MOST_ELEMENTS = 20_000
+"""Largest number of elements of a beam."""
+
+
+Start = Annotated[tuple[Number, Number, Number], BeforeValidator(sequence)]
+
+
+class BeamStiffness(StrictModel):
+    """Stiffnesses of the cross-section of a beam; what is left out follows from `E`, `G`, `A` and `I`."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("axial", "shear", "bending")
+
+    axial: Positive | None = None
+    """Axial stiffness [N], ``E A`` by default."""
+    shear: Positive | Literal["none"] | None = None
+    """Shear stiffness [N], ``shear_factor G A`` by default; or `none` for a beam that hardly shears: a stiffness with
+    which shear causes 1e-6 of the deflection of a cantilever with a force at its end, ``3e6 bending / length^2``."""
+    bending: Positive | None = None
+    """Bending stiffness [N m^2], ``E I`` by default."""
+
+
+class SectionStiffness(NamedTuple):
+    """Axial and shear stiffness [N], and bending stiffness [N m^2]."""
+
+    axial: float
+    shear: float
+    bending: float
+
+
+class BeamSection(NamedTuple):
+    """A cross-section at which an element is integrated.
+
+    Attributes
+    ----------
+    element
+        Number of the element in its beam.
+    nodes
+        Names of the nodes of the element.
+    shape, slope
+        Values of the shape functions of the nodes, and their derivatives by the arc length [1/m].
+    length
+        Length of beam that the cross-section stands for [m].
+    reference
+        Axial strain plus 1, shear strain and curvature [1/m] without stress.
+    """
+
+    element: int
+    nodes: tuple[str, ...]
+    shape: tuple[float, ...]
+    slope: tuple[float, ...]
+    length: float
+    reference: tuple[float, float, float]
+
+
+class Beam(StrictModel):
+    """A flexible beam: a geometrically exact (Reissner) beam with axial, shear and bending strain.
+
+    Its nodes are bodies, ``NAME.0``, ``NAME.1``, ... from one end to the other, which joints and forces refer to like
+    to any other body. The angle of a node is that of the tangent, from a to b.
+    """
+
+    # not `nu`, which may be 0: an empty value counts as absent
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        "type", "a", "b", "points", "E", "G", "A", "I", "density", "stiffness", "mass_per_length", "rotary_inertia",
+        "load", "load_frame", "start",
+    )  # fmt: skip
+
+    type: Literal["beam"] = "beam"
+    a: Point | None = None
+    """First end (x, y) [m] of a straight beam, global frame."""
+    b: Point | None = None
+    """Second end (x, y) [m]."""
+    points: Annotated[tuple[Point, ...], BeforeValidator(sequence), Field(min_length=3)] | None = None
+    """Instead of `a` and `b`: three or more points (x, y) [m] of a curved beam. A cubic spline through them is its
+    shape without stress."""
+    elements: Annotated[int, Field(ge=1, le=MOST_ELEMENTS)] = 16
+    """Number of elements."""
+    nodes: Literal[2, 3] = 2
+    """Nodes of an element: 2 (n + 1 nodes, errors of order 2 in the length of an element), or 3 (2 n + 1 nodes,
+    order 4)."""
+    E: Positive | None = None
+    """Young's modulus [Pa]."""
+    G: Positive | None = None
+    """Shear modulus [Pa]; or give `nu`."""
+    nu: Annotated[float, Field(gt=-1.0, lt=0.5, allow_inf_nan=False)] | None = None
+    """Poisson's ratio, from which ``G = E / (2 (1 + nu))``."""
+    A: Positive | None = None
+    """Area of the cross-section [m^2]."""
+    I: Positive | None = None  # noqa: E741
+    """Second moment of area of the cross-section [m^4]."""
+    shear_factor: Positive = 5.0 / 6.0
+    """Shear correction factor of the cross-section; 5/6 is that of a rectangle."""
+    density: Positive | None = None
+    """Mass density [kg/m^3]."""
+    stiffness: BeamStiffness | None = None
+    """Stiffnesses that are given directly."""
+    mass_per_length: Positive | None = None
+    """Mass per length [kg/m]; ``density A`` by default."""
+    rotary_inertia: Positive | None = None
+    """Moment of inertia per length [kg m]; ``density I`` by default, or else mass_per_length bending / axial."""
+    damping: NotNegative = 0.0
+    """Retardation time [s] of the material (Kelvin-Voigt): a strain e causes the stress of the strain
+    e + damping de/dt."""
+    velocity: Point = (0.0, 0.0)
+    """Initial velocity (x, y) [m/s] of the first node."""
+    angular_velocity: Number = 0.0
+    """Initial angular velocity [rad/s] about the first node, with which the beam moves as a rigid body."""
+    load: MotionPair | None = None
+    """Distributed load (x, y) [N/m] besides gravity: numbers, expressions of t, or tables."""
+    load_frame: Literal["global", "body"] = "global"
+    """Frame of the components of `load`: `global`, or `body`, in which case the load turns with the beam."""
+    start: Annotated[tuple[Start, ...], BeforeValidator(sequence)] | None = None
+    """Initial x, y [m] and angle [rad] of every node, if the beam starts under stress; by default, its shape without
+    stress."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Beam:
+        self._check_shape()
+        self._check_material()
+        if self.start is not None and len(self.start) != self.node_count:
+            raise SpecError(
+                f"should have x, y and angle of each of the {self.node_count} nodes, not {len(self.start)} rows",
+                key="start",
+            )
+        return self
+
+    def _check_shape(self) -> None:
+        ends = {"a": self.a, "b": self.b}
+        if self.points is not None:
+            for key, end in ends.items():
+                if end is not None:
+                    raise SpecError("give the shape either by `a` and `b` or by `points`, not both", key=key)
+            for i, (one, other) in enumerate(zip(self.points, self.points[1:], strict=False)):
+                if one == other:
+                    raise SpecError("is the same point as the one before", key=f"points[{i + 1}]")
+            return
+        for key, end in ends.items():
+            if end is None:
+                raise SpecError(
+                    "is missing: a beam needs its ends `a` and `b` (x, y) [m], or `points` of its curve", key=key
+                )
+        if self.a == self.b:
+            raise SpecError("is the same point as `a`: a beam needs a length", key="b")
+
+    def _check_material(self) -> None:
+        given = self.stiffness or BeamStiffness()
+        needed = []
+        if given.axial is None:
+            needed += [("E", "stiffness.axial"), ("A", "stiffness.axial")]
+        if given.bending is None:
+            needed += [("E", "stiffness.bending"), ("I", "stiffness.bending")]
+        if self.mass_per_length is None:
+            needed += [("density", "mass_per_length"), ("A", "mass_per_length")]
+        for key, instead in needed:
+            if getattr(self, key) is None:
+                raise SpecError(f"is missing; or give `{instead}`", key=key)
+        if self.G is not None and self.nu is not None:
+            raise SpecError("give the shear modulus either as `G` or by `nu`, not both", key="nu")
+        if given.shear is None:
+            if self.G is None and (self.nu is None or self.E is None):
+                raise SpecError(
+                    "is missing: Poisson's ratio, or `G`, or `stiffness: {shear: none}` for a slender beam", key="nu"
+                )
+            if self.A is None:
+                raise SpecError("is missing; or give `stiffness.shear`", key="A")
+
+    # ---- cross-section -------------------------------------------------------------------------------------------
+
+    @property
+    def section_stiffness(self) -> SectionStiffness:
+        """Stiffness of the cross-section."""
+        given = self.stiffness or BeamStiffness()
+        axial = given.axial or (self.E or 0.0) * (self.A or 0.0)
+        bending = given.bending or (self.E or 0.0) * (self.I or 0.0)
+        if given.shear == "none":
+            return SectionStiffness(axial, 3.0 * bending / (SHEAR_SHARE * self.length**2), bending)
+        modulus = self.G or (self.E or 0.0) / (2.0 * (1.0 + (self.nu or 0.0)))
+        return SectionStiffness(axial, given.shear or self.shear_factor * modulus * (self.A or 0.0), bending)
+
+    @property
+    def inertia_per_length(self) -> tuple[float, float]:
+        """Mass per length [kg/m] and moment of inertia per length [kg m]."""
+        mass = self.mass_per_length or (self.density or 0.0) * (self.A or 0.0)
+        if self.rotary_inertia is not None:
+            return mass, self.rotary_inertia
+        if self.density is not None and self.I is not None:
+            return mass, self.density * self.I
+        stiffness = self.section_stiffness
+        return mass, mass * stiffness.bending / stiffness.axial
+
+    # ---- shape ---------------------------------------------------------------------------------------------------
+
+    @property
+    def node_count(self) -> int:
+        """Number of nodes."""
+        return self.elements * (self.nodes - 1) + 1
+
+    @cached_property
+    def _shape(self) -> tuple[list[Place], float]:
+        if self.points is not None:
+            return curved(self.points, self.node_count)
+        assert self.a is not None
+        assert self.b is not None
+        return straight(self.a, self.b, self.node_count), math.dist(self.a, self.b)
+
+    @property
+    def places(self) -> list[Place]:
+        """Place of every node without stress."""
+        return self._shape[0]
+
+    @property
+    def length(self) -> float:
+        """Arc length without stress [m]."""
+        return self._shape[1]
+
+    @property
+    def element_length(self) -> float:
+        """Arc length of an element without stress [m]."""
+        return self.length / self.elements
+
+    def node_names(self, name: str) -> tuple[str, ...]:
+        """Return the names of the nodes of the beam `name`."""
+        return tuple(f"{name}.{i}" for i in range(self.node_count))
+
+    @property
+    def node_lengths(self) -> list[float]:
+        """Length of beam whose mass and load each node has [m]."""
+        lengths = [0.0] * self.node_count
+        for element in range(self.elements):
+            for i, share in enumerate(NODE_SHARES[self.nodes]):
+                lengths[element * (self.nodes - 1) + i] += share * self.element_length
+        return lengths
+
+    # ---- parts ---------------------------------------------------------------------------------------------------
+
+    def bodies(self, name: str) -> dict[str, Body]:
+        """Return the nodes of the beam `name`."""
+        mass, inertia = self.inertia_per_length
+        first, omega = self.places[0], self.angular_velocity
+        starts = self.places if self.start is None else [Place(*one) for one in self.start]
+        if self.start is not None:
+            first = starts[0]
+        return {
+            node: Body(
+                mass=mass * length,
+                inertia=inertia * length,
+                position=(at.x, at.y),
+                angle=at.angle,
+                velocity=(self.velocity[0] - omega * (at.y - first.y), self.velocity[1] + omega * (at.x - first.x)),
+                angular_velocity=omega,
+            )
+            for node, length, at in zip(self.node_names(name), self.node_lengths, starts, strict=True)
+        }
+
+    def loads(self, name: str) -> dict[str, PointForce]:
+        """Return the forces on the nodes that replace the distributed load of the beam `name`, by their names."""
+        if self.load is None:
+            return {}
+        return {
+            f"{node}.load": PointForce(
+                body=node, value=(_times(self.load[0], length), _times(self.load[1], length)), frame=self.load_frame
+            )
+            for node, length in zip(self.node_names(name), self.node_lengths, strict=True)
+        }
+
+    def sections(self, name: str) -> Iterator[BeamSection]:
+        """Yield the cross-sections at which the elements of the beam `name` are integrated."""
+        names, places, length = self.node_names(name), self.places, self.element_length
+        is_straight = self.points is None
+        for element in range(self.elements):
+            first = element * (self.nodes - 1)
+            some = slice(first, first + self.nodes)
+            for point in INTEGRATION[self.nodes]:
+                slope = tuple(x / length for x in point.slope)
+                reference = (1.0, 0.0, 0.0) if is_straight else _strains(places[some], point.shape, slope)
+                yield BeamSection(element, names[some], point.shape, slope, point.weight * length, reference)
+
+
+def parts_of(beams: Mapping[str, Beam]) -> frozenset[str]:
+    """Return the names of all nodes and loads that belong to beams."""
+    return frozenset(part for name, beam in beams.items() for part in (*beam.node_names(name), *beam.loads(name)))
+
+
+def _strains(places: list[Place], shape: tuple[float, ...], slope: tuple[float, ...]) -> tuple[float, float, float]:
+    """Return axial strain plus 1, shear strain and curvature [1/m] of a cross-section with its nodes at `places`."""
+    dx, dy, turn = (sum(s * x for s, x in zip(slope, values, strict=True)) for values in zip(*places, strict=True))
+    angle = sum(n * place.angle for n, place in zip(shape, places, strict=True))
+    c, s = math.cos(angle), math.sin(angle)
+    return c * dx + s * dy, c * dy - s * dx, turn
+
+
+def _times(motion: Motion, factor: float) -> Motion:
+    """Return a function of time multiplied by a number."""
+    if isinstance(motion, str):
+        return f"({motion})*{factor!r}"
+    if isinstance(motion, Table):
+        at, values = motion.table
+        return motion.model_copy(update={"table": (at, tuple(factor * x for x in values))})
+    return factor * motion

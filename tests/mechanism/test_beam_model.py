@@ -1,0 +1,156 @@
+"""Beams as they are written down: nodes, masses, cross-sections, shapes, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mbdkit.errors import SpecError
+from mbdkit.mechanism.mechanism import Mechanism
+
+STEEL = {"E": 2.0e11, "nu": 0.25, "density": 8000.0}
+STRIP = {"A": 2.0e-4, "I": 4.0e-10}
+DIRECT = {"stiffness": {"axial": 100.0, "shear": 50.0, "bending": 2.0}, "mass_per_length": 3.0}
+
+
+def positions(m: Mechanism, nodes: tuple[str, ...]) -> np.ndarray:
+    """Return x, y and angle of some bodies."""
+    return np.array([(*m.bodies[node].position, m.bodies[node].angle) for node in nodes])
+
+
+@pytest.mark.parametrize(("nodes", "shares"), [(2, [1, 2, 2, 1]), (3, [1, 4, 2, 4, 2, 4, 1])])
+def test_nodes_have_the_mass_of_the_beam_by_the_trapezoidal_rule_and_by_simpsons(nodes: int, shares: list[int]) -> None:
+    m = Mechanism()
+    names = m.beam("link", a=(1.0, 1.0), b=(1.0, 4.0), elements=3, nodes=nodes, **STEEL, **STRIP)
+    assert names == tuple(m.bodies) == tuple(f"link.{i}" for i in range(len(shares)))
+    mass = np.array([m.bodies[name].mass for name in names])
+    inertia = np.array([m.bodies[name].inertia for name in names])
+    np.testing.assert_allclose(mass, 8000.0 * 2.0e-4 * 3.0 * np.array(shares) / sum(shares), rtol=1e-14)
+    np.testing.assert_allclose(inertia, mass * 4.0e-10 / 2.0e-4, rtol=1e-14)
+    expected = np.column_stack([np.ones(len(names)), np.linspace(1.0, 4.0, len(names)), np.full(len(names), np.pi / 2)])
+    np.testing.assert_allclose(positions(m, names), expected, rtol=0, atol=1e-15)
+
+
+def test_stiffnesses_follow_from_the_material_unless_they_are_given() -> None:
+    # expected: EA, k G A with G = E / (2 (1 + nu)), EI
+    ends = {"a": (0.0, 0.0), "b": (2.0, 0.0)}
+    m = Mechanism()
+    m.beam("steel", **ends, **STEEL, **STRIP)
+    m.beam("stiff", **ends, **STEEL, **STRIP, stiffness={"axial": 7.0})
+    m.beam("slender", **ends, **STRIP, E=2.0e11, density=8000.0, stiffness={"shear": "none"})
+    m.beam("direct", **ends, **DIRECT)
+    assert m.beams["steel"].section_stiffness == pytest.approx((4.0e7, 5 / 6 * 8.0e10 * 2.0e-4, 80.0))
+    assert m.beams["stiff"].section_stiffness == pytest.approx((7.0, 5 / 6 * 8.0e10 * 2.0e-4, 80.0))
+    assert m.beams["direct"].section_stiffness == (100.0, 50.0, 2.0)
+    assert m.beams["direct"].inertia_per_length == (3.0, 3.0 * 2.0 / 100.0)
+    bending, shear = 80.0, m.beams["slender"].section_stiffness.shear
+    # a force P deflects a cantilever by P L^3 / 3 EI in bending and by P L / GA in shear
+    assert (2.0 / shear) / (2.0**3 / (3 * bending)) == pytest.approx(1e-6)
+
+
+def test_a_curved_beam_lies_on_its_points_with_its_nodes_at_equal_lengths() -> None:
+    # expected: one and a half turns of a circle of radius 2; angles are not wrapped
+    turn = np.linspace(0.0, 3 * np.pi, 301)
+    m = Mechanism()
+    nodes = m.beam("ring", points=np.column_stack([2 * np.cos(turn), 2 * np.sin(turn)]), elements=12, **DIRECT)
+    at = np.linspace(0.0, 3 * np.pi, 13)
+    expected = np.column_stack([2 * np.cos(at), 2 * np.sin(at), at + np.pi / 2])
+    np.testing.assert_allclose(positions(m, nodes), expected, rtol=0, atol=1e-5)
+    assert m.beams["ring"].length == pytest.approx(6 * np.pi, rel=1e-7)
+
+
+def test_a_parabola_through_three_points_has_its_arc_length() -> None:
+    # expected: the length of y = x^2 from -1 to 1, sqrt(5) + asinh(2)/2
+    m = Mechanism()
+    nodes = m.beam("bow", points=[(-1.0, 1.0), (0.0, 0.0), (1.0, 1.0)], elements=4, nodes=3, **DIRECT)
+    assert m.beams["bow"].length == pytest.approx(math.sqrt(5) + math.asinh(2) / 2, rel=1e-9)
+    x, y, angle = positions(m, nodes).T
+    np.testing.assert_allclose(y, x**2, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(np.tan(angle), 2 * x, rtol=0, atol=1e-13)
+    lengths = x * np.sqrt(1 + 4 * x**2) / 2 + np.arcsinh(2 * x) / 4
+    np.testing.assert_allclose(np.diff(lengths), m.beams["bow"].length / 8, rtol=1e-9)
+
+
+def test_a_beam_moves_as_a_rigid_body_at_the_start() -> None:
+    m = Mechanism()
+    m.beam("rotor", a=(1.0, 0.0), b=(3.0, 0.0), elements=2, velocity=(0.5, 0.0), angular_velocity=4.0, **DIRECT)
+    assert [body.velocity for body in m.bodies.values()] == [(0.5, 0.0), (0.5, 4.0), (0.5, 8.0)]
+    assert {body.angular_velocity for body in m.bodies.values()} == {4.0}
+
+
+def test_a_distributed_load_becomes_forces_on_the_nodes() -> None:
+    m = Mechanism()
+    table = {"table": [[0.0, 1.0], [0.0, 8.0]]}
+    m.beam("wing", a=(0, 0), b=(4, 0), elements=2, load=("3*t", table), load_frame="body", **DIRECT)
+    assert list(m.forces) == ["wing.0.load", "wing.1.load", "wing.2.load"]
+    middle = m.forces["wing.1.load"]
+    assert (middle.body, middle.frame, middle.value[0]) == ("wing.1", "body", "(3*t)*2.0")
+    assert middle.value[1].table[1] == (0.0, 16.0)
+
+
+def test_a_beam_survives_the_way_through_a_spec() -> None:
+    m = Mechanism()
+    m.body("hub", mass=1.0, inertia=1.0)
+    m.beam("spoke", a=(0, 0), b=(1, 0), elements=3, nu=0.0, E=1e9, **STRIP, density=1.0, load=(0.0, -2.0))
+    m.weld("root", "hub", "spoke.0", at=(0, 0))
+    spec = m.to_spec()
+    assert list(spec["bodies"]) == ["hub"]
+    assert "forces" not in spec
+    again = Mechanism.from_spec(spec)
+    assert again.to_spec() == spec
+    assert (again.bodies, again.forces, again.beams) == (m.bodies, m.forces, m.beams)
+    assert m.description() == "5 bodies, 1 beam, 1 joint, 0 drivers, 4 forces; 3 constraint rows"
+
+
+def test_a_mechanism_may_be_a_beam_alone() -> None:
+    spec = {"beams": {"bar": {"type": "beam", "a": [0, 0], "b": [1, 0], "elements": 1, **DIRECT}}}
+    assert list(Mechanism.from_spec(spec).bodies) == ["bar.0", "bar.1"]
+
+
+ENDS = {"a": [0, 0], "b": [1, 0]}
+REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
+    "no end": ({"a": [0, 0], **DIRECT}, "b", "a beam needs its ends `a` and `b`"),
+    "no length": ({"a": [1, 0], "b": [1, 0], **DIRECT}, "b", "needs a length"),
+    "two shapes": ({**ENDS, "points": [[0, 0], [1, 1], [2, 0]], **DIRECT}, "a", "not both"),
+    "a point twice": ({"points": [[0, 0], [1, 1], [1, 1]], **DIRECT}, "points[2]", "the same point"),
+    "two points": ({"points": [[0, 0], [1, 1]], **DIRECT}, "points", "3"),
+    "no stiffness": ({**ENDS, "mass_per_length": 1.0}, "E", "is missing; or give `stiffness.axial`"),
+    "no area": ({**ENDS, **STEEL, "I": 1.0}, "A", "is missing"),
+    "no mass": ({**ENDS, "stiffness": DIRECT["stiffness"]}, "density", "is missing; or give `mass_per_length`"),
+    "no shear": ({**ENDS, **STRIP, "E": 1.0, "density": 1.0}, "nu", "`stiffness: {shear: none}`"),
+    "two shear moduli": ({**ENDS, **STRIP, **STEEL, "G": 1.0}, "nu", "either as `G` or by `nu`"),
+    "a misspelt key": ({**ENDS, **DIRECT, "element": 3}, "element", "did you mean 'elements'"),
+    "four nodes": ({**ENDS, **DIRECT, "nodes": 4}, "nodes", "2 or 3"),
+    "text for shear": ({**ENDS, "stiffness": {"shear": "soft"}, "mass_per_length": 1.0}, "stiffness.shear", "none"),
+    "a short start": ({**ENDS, **DIRECT, "elements": 2, "start": [[0, 0, 0]]}, "start", "each of the 3 nodes"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_wrong_with_a_beam_is_said_where_it_is(name: str) -> None:
+    beam, key, words = REFUSED[name]
+    with pytest.raises(SpecError) as caught:
+        Mechanism.from_spec({"bodies": {}, "beams": {"link": beam}})
+    assert caught.value.key == f"model.beams.link.{key}"
+    assert words in str(caught.value)
+
+
+def test_a_joint_to_a_whole_beam_is_told_the_names_of_its_nodes() -> None:
+    m = Mechanism()
+    m.beam("link", a=(0, 0), b=(1, 0), elements=4, **DIRECT)
+    with pytest.raises(SpecError, match=r"'link' is a beam; name one of its nodes, 'link.0' to 'link.4'"):
+        m.revolute("pin", m.ground, "link", at=(0, 0))
+
+
+def test_a_beam_needs_a_name_without_dots() -> None:
+    with pytest.raises(SpecError, match=r"without '/', '\.'"):
+        Mechanism().beam("a.b", a=(0, 0), b=(1, 0), **DIRECT)
+
+
+def test_numbers_of_a_beam_may_be_expressions_of_parameters() -> None:
+    spec = {"beams": {"bar": {"a": [0, 0], "b": ["2*half", 0], "elements": 2, **DIRECT, "damping": "half/10"}}}
+    m = Mechanism.from_spec(spec, {"half": 0.5})
+    assert (m.beams["bar"].b, m.beams["bar"].damping) == ((1.0, 0.0), 0.05)
