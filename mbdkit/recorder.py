@@ -43,7 +43,7 @@ NO_GUARDS = Guards()
 
 @lru_cache(maxsize=16)
 def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
-    """Return the names of bodies, joints, constraint rows, force elements and markers, with units and bodies."""
+    """Return the names of bodies, joints, constraint rows, force elements, markers and elements of beams."""
     return ArchiveNames(
         bodies=tuple(mechanism.bodies),
         joints=tuple(mechanism.joints),
@@ -56,6 +56,8 @@ def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
         force_units=tuple(force.unit for force in mechanism.forces),
         markers=tuple(name for name, _ in mechanism.markers),
         marker_bodies=tuple(body for _, body in mechanism.markers),
+        elements=tuple(f"{beam}[{i}]" for beam, count in mechanism.beams for i in range(count)),
+        element_beams=tuple(beam for beam, count in mechanism.beams for _ in range(count)),
     )
 
 

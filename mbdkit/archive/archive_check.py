@@ -291,7 +291,7 @@ class _Checker:
         time = self.file["trajectory/time"][:]
         if np.any(np.diff(time) <= 0):
             self.say("trajectory/time does not increase from row to row")
-        for group in ("joints", "forces", "markers", "constraints", "energy", "accuracy", *layout.INVERSE_GROUPS):
+        for group in (*sorted(layout.QUANTITIES), "accuracy", *layout.INVERSE_GROUPS):
             if f"{group}/time" in self.file and not np.array_equal(self.file[f"{group}/time"][:], time):
                 self.say(f"{group}/time differs from trajectory/time")
         elapsed = self.file.get("trajectory/elapsed_s")
@@ -348,7 +348,14 @@ class _Checker:
         for path, wanted in fixed:
             if path in self.file and tuple(self.file[path].asstr()[:]) != wanted:
                 self.say(f"{path} is not {', '.join(wanted)}")
-        for path in ("trajectory/body", "joints/joint", "forces/force", "markers/marker", "constraints/constraint"):
+        for path in (
+            "trajectory/body",
+            "joints/joint",
+            "forces/force",
+            "markers/marker",
+            "beams/element",
+            "constraints/constraint",
+        ):
             if path in self.file:
                 names = list(self.file[path].asstr()[:])
                 if len(set(names)) < len(names):

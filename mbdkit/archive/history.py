@@ -198,6 +198,64 @@ class MarkerHistory(View):
         self.body = body
 
 
+class BeamHistory:
+    """Shape, internal forces and strain energy of one beam.
+
+    Internal forces are those in the middle of each element, in the frame of the cross-section, whose x axis is the
+    tangent: what the part towards the end b exerts on the part towards the end a.
+
+    Parameters
+    ----------
+    source
+        The run.
+    name
+        Name of the beam.
+    elements
+        Its elements along the axis ``element``.
+    bodies
+        Names of all bodies of the run.
+    """
+
+    def __init__(self, source: Source, name: str, elements: slice, bodies: Sequence[str]):
+        self.source, self.name = source, name
+        self._elements = elements
+        #: Names of the nodes, which are bodies.
+        self.nodes: tuple[str, ...] = tuple(body for body in bodies if body.rpartition(".")[0] == name)
+        first = list(bodies).index(self.nodes[0])
+        self._bodies = slice(first, first + len(self.nodes))
+
+    @property
+    def position(self) -> np.ndarray:
+        """Position (x, y) and angle of every node, (T, nodes, 3), m and rad."""
+        return self.source.array("trajectory/position")[:, self._bodies]
+
+    @property
+    def axial(self) -> np.ndarray:
+        """Axial force in every element, (T, elements), N; positive in tension."""
+        return self._of_elements("axial")
+
+    @property
+    def shear(self) -> np.ndarray:
+        """Shear force in every element, (T, elements), N."""
+        return self._of_elements("shear")
+
+    @property
+    def moment(self) -> np.ndarray:
+        """Bending moment in every element, (T, elements), N m; positive where it increases the angle along the beam."""
+        return self._of_elements("moment")
+
+    @property
+    def strain_energy(self) -> np.ndarray:
+        """Strain energy of the beam, (T,), J."""
+        return np.asarray(self._of_elements("strain_energy").sum(axis=1))
+
+    def _of_elements(self, quantity: str) -> np.ndarray:
+        return self.source.array(f"beams/{quantity}")[:, self._elements]
+
+    def __repr__(self) -> str:
+        return f"<beam {self.name}: {len(self.nodes)} nodes>"
+
+
 class ObservedHistory(View):
     """One observed quantity of a measured motion: as measured, and as the fitted mechanism has it."""
 
@@ -362,7 +420,7 @@ class Events(Sequence[Event]):
         return f"<{len(self)} crossings of {', '.join(self._watched) or 'no event'}>"
 
 
-V = TypeVar("V", bound=View)
+V = TypeVar("V", bound=View | BeamHistory)
 
 
 class Histories(ReadOnlyDict[str, V]):
@@ -409,6 +467,12 @@ class MarkerHistories(Histories[MarkerHistory]):
     """The markers of a run by name."""
 
     what = "marker"
+
+
+class BeamHistories(Histories[BeamHistory]):
+    """The beams of a run by name."""
+
+    what = "beam"
 
 
 class ConstraintHistories(Histories[ConstraintHistory]):

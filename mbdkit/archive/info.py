@@ -30,8 +30,8 @@ def describe(path: str | Path) -> dict[str, Any]:
     -------
     dict
         Identity and status of the run; title, model, integrator, formulation and stabilization of its spec; names of
-        bodies, joints, force elements, markers and events; statistics, provenance and hashes; dimensions, shape, type
-        and units of each array.
+        bodies, joints, force elements, markers and events; number of elements of each beam; statistics, provenance and
+        hashes; dimensions, shape, type and units of each array.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def describe(path: str | Path) -> dict[str, Any]:
     """
     path = Path(path)
     with blaming_damage(path), load(path) as run, reading("its contents", path):
-        time = run.time
+        time, beams = run.time, _elements(run, "beams/beam")
         return {
             "path": str(path),
             "bytes": path.stat().st_size,
@@ -70,6 +70,7 @@ def describe(path: str | Path) -> dict[str, Any]:
             },
             "forces": {name: " - ".join(run.forces[name].bodies) for name in _elements(run, "forces/force")},
             "markers": {name: run.markers[name].body for name in _elements(run, "markers/marker")},
+            "beams": {name: beams.count(name) for name in dict.fromkeys(beams)},
             "redundancy": run.redundancy,
             "events": [f"{event.name} at {event.time:.10g} s" for event in run.events],
             "stats": {name: run.stats[name] for name in (*COUNTERS, *TIMINGS) if name in run.stats},

@@ -35,7 +35,7 @@ REASONS = (
     "event",
     "plugin-error",
 )
-QUANTITIES = frozenset({"joints", "constraints", "energy", "forces", "markers"})
+QUANTITIES = frozenset({"joints", "constraints", "energy", "forces", "markers", "beams"})
 
 ROOT_ATTRIBUTES = (
     "format",
@@ -171,6 +171,10 @@ def _forces(name: str, units: str, what: str, row_units: str = "") -> Array:
     return Array(f"forces/{name}", ("time", "force"), units, what, row_units=row_units, since="1.1")
 
 
+def _beams(name: str, units: str, what: str) -> Array:
+    return Array(f"beams/{name}", ("time", "element"), units, what, since="1.1")
+
+
 def _texts(path: str, dim: str, what: str) -> Array:
     return Array(path, (dim,), "1", what, TEXT, since="1.1")
 
@@ -289,6 +293,13 @@ LAYOUT: tuple[Array, ...] = (
     _texts("markers/body", "marker", "body of the marker"),
     Array("markers/position", ("time", "marker", "axis"), "m", "position of the marker, global frame", since="1.1"),
     Array("markers/velocity", ("time", "marker", "axis"), "m/s", "velocity of the marker, global frame", since="1.1"),
+    Array("beams/time", _T, "s", "time of the recorded row", since="1.1"),
+    _texts("beams/element", "element", "name of the element of a beam: beam[number]"),
+    _texts("beams/beam", "element", "beam of the element"),
+    _beams("axial", "N", "axial force in the middle of the element, positive in tension"),
+    _beams("shear", "N", "shear force in the middle of the element"),
+    _beams("moment", "N m", "bending moment in the middle of the element"),
+    _beams("strain_energy", "J", "strain energy of the element"),
     _time("constraints"),
     _names("constraints/constraint", "joint and row of the constraint: joint.row"),
     _row_units("constraints/row_units", "constraint", "position_residual"),
@@ -483,6 +494,7 @@ GROUPS = (
     "joints",
     "forces",
     "markers",
+    "beams",
     "constraints",
     "energy",
     "steps",
@@ -492,7 +504,7 @@ GROUPS = (
 )
 
 #: Groups that exist only if the mechanism has such elements.
-ELEMENTS = frozenset({"forces", "markers", "actuators", "loads"})
+ELEMENTS = frozenset({"forces", "markers", "beams", "actuators", "loads"})
 
 
 def is_timing(path: str) -> bool:

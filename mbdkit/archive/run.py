@@ -19,6 +19,8 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.history import (
     ActuatorHistories,
     ActuatorHistory,
+    BeamHistories,
+    BeamHistory,
     BodyHistories,
     BodyHistory,
     ConstraintHistories,
@@ -102,6 +104,7 @@ class Run(HtmlView):
                         "forces/value_row_units",
                         "markers/marker",
                         "markers/body",
+                        "beams/beam",
                         "constraints/constraint",
                         "constraints/row_units",
                         "motion/observed",
@@ -414,6 +417,24 @@ class Run(HtmlView):
             names,
             lambda name, index: MarkerHistory(self, name, index, bodies[index]),
         )
+
+    @cached_property
+    def beams(self) -> BeamHistories:
+        """Shapes, internal forces and strain energies of the beams by name.
+
+        Raises
+        ------
+        MbdkitError
+            If the run did not record them.
+        """
+        elements = list(self._elements("beams", "beam"))
+        bodies = self._names["trajectory/body"]
+
+        def history(name: str, index: int) -> BeamHistory:
+            first = elements.index(name)
+            return BeamHistory(self, name, slice(first, first + elements.count(name)), bodies)
+
+        return BeamHistories(list(dict.fromkeys(elements)), history)
 
     @cached_property
     def motion(self) -> ObservedHistories:

@@ -86,6 +86,8 @@ class ArchiveNames:
         Unit of the length of every force element, ``m`` or ``rad``.
     markers, marker_bodies
         Names of the markers, and the body of each.
+    elements, element_beams
+        Names of the elements of beams, and the beam of each.
     observed, observed_units
         Names of the observed quantities of a measured motion, and the unit of each, ``m`` or ``rad``.
     actuators, actuator_units
@@ -105,6 +107,8 @@ class ArchiveNames:
     force_units: Sequence[str] = ()
     markers: Sequence[str] = ()
     marker_bodies: Sequence[str] = ()
+    elements: Sequence[str] = ()
+    element_beams: Sequence[str] = ()
     observed: Sequence[str] = ()
     observed_units: Sequence[str] = ()
     actuators: Sequence[str] = ()
@@ -123,6 +127,7 @@ class ArchiveNames:
             "constraint": len(self.constraints),
             "force": len(self.forces),
             "marker": len(self.markers),
+            "element": len(self.elements),
             "observed": len(self.observed),
             "actuator": len(self.actuators),
             "load": len(self.loads),
@@ -130,7 +135,7 @@ class ArchiveNames:
 
     def present(self, quantities: frozenset[str]) -> frozenset[str]:
         """Return the `quantities` without the groups of elements that the mechanism does not have."""
-        there = {"forces": self.forces, "markers": self.markers}
+        there = {"forces": self.forces, "markers": self.markers, "beams": self.elements}
         return frozenset(group for group in quantities if group not in layout.ELEMENTS or there[group])
 
 
@@ -311,6 +316,8 @@ def name_texts(names: ArchiveNames) -> dict[str, Sequence[str]]:
         "forces/value_row_units": [layout.MULTIPLIER_UNITS[unit] for unit in names.force_units],
         "markers/marker": names.markers,
         "markers/body": names.marker_bodies,
+        "beams/element": names.elements,
+        "beams/beam": names.element_beams,
         "motion/observed": names.observed,
         "motion/row_units": names.observed_units,
         "actuators/actuator": names.actuators,

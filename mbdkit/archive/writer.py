@@ -122,7 +122,8 @@ class ArchiveWriter(RunWriter):
         self._checkpoints = 0
         try:
             counted = len(names.bodies) + 2 * len(names.joints) + 4 * len(names.constraints)
-            text = len(spec_json) + 64 * (counted + 6 * len(names.forces) + 2 * len(names.markers))
+            counted += 6 * len(names.forces) + 2 * len(names.markers) + 2 * len(names.elements)
+            text = len(spec_json) + 64 * counted
             with self._storing(), self._room(more=False, also=_ATTRIBUTE_BYTES + text):
                 self._write_head(spec_json, spec_sha256, run_id, provenance)
                 self._write_names()

@@ -12,7 +12,7 @@ from mbdkit.errors import SpecError
 from mbdkit.mechanism.checks import check_name
 from mbdkit.strict_model import StrictModel
 
-QUANTITIES = ("constraints", "energy", "forces", "joints", "markers")
+QUANTITIES = ("beams", "constraints", "energy", "forces", "joints", "markers")
 
 
 def whole(value: Any) -> Any:
@@ -87,7 +87,9 @@ class Output(Section):
     """Number of steps between records; 1 unless `interval` is given."""
     interval: Positive | None = None
     """Time between records [s], instead of `every`; requires a method with dense output."""
-    quantities: Literal["all"] | tuple[Literal["constraints", "energy", "forces", "joints", "markers"], ...] = "all"
+    quantities: (
+        Literal["all"] | tuple[Literal["beams", "constraints", "energy", "forces", "joints", "markers"], ...]
+    ) = "all"
     """Groups of quantities recorded in addition to trajectory, steps and stats."""
 
     @model_validator(mode="before")

@@ -35,7 +35,7 @@ PROVENANCE = {"mbdkit": "0.1.0", "numpy": "2.4.6", "command": "mbdkit run double
 def names(bodies: int = 2, joints: int = 2, constraints: int | None = None, forces: int = 2) -> ArchiveNames:
     """Return the names of a chain; the last constraint row, if there are an odd number, is an angle.
 
-    The last of several force elements is a torsion spring. There is one marker if there are force elements.
+    The last of several force elements is a torsion spring. There are a marker and a beam if there are force elements.
     """
     count = 2 * joints if constraints is None else constraints
     return ArchiveNames(
@@ -49,6 +49,8 @@ def names(bodies: int = 2, joints: int = 2, constraints: int | None = None, forc
         force_units=["m", "rad", "rad"][:forces],
         markers=["tip"][:forces],
         marker_bodies=["rod1"][:forces],
+        elements=["leaf[0]", "leaf[1]", "leaf[2]"] if forces else [],
+        element_beams=["leaf"] * 3 if forces else [],
     )
 
 

@@ -59,6 +59,12 @@ PROMISED = {
         "position": "TK2",
         "velocity": "TK2",
     },
+    "beams": {
+        "time": "T",
+        "element": "L",
+        "beam": "L",
+        **dict.fromkeys(("axial", "shear", "moment", "strain_energy"), "TL"),
+    },
     "constraints": {
         "time": "T",
         "constraint": "m",
@@ -89,6 +95,7 @@ AXES = {
     "F": "force",
     "K": "marker",
     "2": "axis",
+    "L": "element",
     "m": "constraint",
     "N": "interval",
     "E": "event",
@@ -113,7 +120,7 @@ def test_an_earlier_version_lacks_what_came_later() -> None:
     first = {array.path for array in recorded(QUANTITIES, version="1.0")}
     now = {array.path for array in recorded(QUANTITIES)}
     assert now - first == later(now, "1.0")
-    assert {path.partition("/")[0] for path in now - first} == {"joints", "forces", "markers"}
+    assert {path.partition("/")[0] for path in now - first} == {"joints", "forces", "markers", "beams"}
     assert later(now, FORMAT_VERSION) == later(now, "1.9") == frozenset()
 
 

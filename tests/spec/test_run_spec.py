@@ -20,7 +20,7 @@ def test_defaults_are_those_of_the_contract(small):
     assert (spec.formulation, spec.stabilization, spec.title) == ("index-1", "none", "")
     assert (spec.time.start, spec.output.every, spec.output.interval, spec.output.quantities) == (0.0, 1, None, "all")
     assert (spec.limits.wall_time, spec.limits.max_steps) == (None, 10_000_000)
-    assert spec.output.recorded == {"joints", "constraints", "energy", "forces", "markers"}
+    assert spec.output.recorded == {"joints", "constraints", "energy", "forces", "markers", "beams"}
 
 
 def test_a_spec_is_frozen_all_the_way_down(small):
@@ -68,7 +68,7 @@ def test_quantities_are_a_set(small):
     some = load_spec(small, output={"quantities": ["energy", "joints", "energy"]})
     assert some.output.quantities == ("energy", "joints")
     assert load_spec(small, output={"quantities": []}).output.recorded == set()
-    whole = load_spec(small, output={"quantities": ["energy", "joints", "forces", "markers", "constraints"]})
+    whole = load_spec(small, output={"quantities": ["energy", "joints", "forces", "markers", "constraints", "beams"]})
     assert whole.sha256() == load_spec(small).sha256()
 
 

@@ -1,0 +1,50 @@
+"""Cantilevers by Reissner's equations as a boundary value problem, solved by SciPy.
+
+The cantilever lies on the x axis, is clamped at the origin and carries a constant force (F_x, F_y) and a moment at its
+tip. With the arc length s of the unloaded beam, the angle theta and the bending moment M,
+
+    N = F_x cos(theta) + F_y sin(theta),        Q = F_y cos(theta) - F_x sin(theta),
+    x' = (1 + N/EA) cos(theta) - Q/GA sin(theta),   y' = (1 + N/EA) sin(theta) + Q/GA cos(theta),
+    theta' = M/EI,                              M' = -(x' F_y - y' F_x).
+
+E. Reissner, On one-dimensional finite-strain beam theory: the plane problem, J. Appl. Math. Phys. 23 (1972).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_bvp
+
+
+@dataclass(frozen=True)
+class Cantilever:
+    """A cantilever along the x axis; `shear` may be infinite. SI units."""
+
+    length: float
+    axial: float
+    shear: float
+    bending: float
+
+    def under(self, force: tuple[float, float], moment: float = 0.0, *, tolerance: float = 1e-11) -> np.ndarray:
+        """Return displacement (x, y) and rotation of the tip under a force and a moment there."""
+        unit = self.bending / self.length  # of moments
+        s = np.linspace(0.0, self.length, 101)
+        guess = np.vstack([s, 0 * s, 0 * s, 0 * s])
+        for share in (0.25, 0.5, 0.75, 1.0):  # load steps
+
+            def slopes(_: np.ndarray, y: np.ndarray, share: float = share) -> np.ndarray:
+                fx, fy = share * force[0], share * force[1]
+                c, sn = np.cos(y[2]), np.sin(y[2])
+                stretch, slide = 1 + (fx * c + fy * sn) / self.axial, (fy * c - fx * sn) / self.shear
+                dx, dy = stretch * c - slide * sn, stretch * sn + slide * c
+                return np.vstack([dx, dy, y[3] * unit / self.bending, -(dx * fy - dy * fx) / unit])
+
+            def ends(a: np.ndarray, b: np.ndarray, share: float = share) -> np.ndarray:
+                return np.array([a[0], a[1], a[2], b[3] - share * moment / unit])
+
+            solved = solve_bvp(slopes, ends, s, guess, tol=tolerance, max_nodes=200_000)
+            assert solved.success, solved.message
+            s, guess = solved.x, solved.y
+        return solved.y[:3, -1] - (self.length, 0.0, 0.0)

@@ -1,0 +1,137 @@
+"""Cantilevers in large deflection, by `equilibrium`, against Reissner's equations solved by SciPy, and closed forms.
+
+The first case is that of J. Gerstmayr's ANCF examples: length 2 m, a square section of 0.1 m, E = 2.07e11 Pa, and the
+force 3 EI / L^2 at the tip, across the unloaded beam.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+
+from .reissner import Cantilever
+
+LENGTH = 2.0
+AXIAL, BENDING = 2.07e11 * 0.01, 2.07e11 * 0.1**4 / 12
+SHEAR = 5 / 6 * 7.9615e10 * 0.01
+FORCE = (0.0, -3 * BENDING / LENGTH**2)
+
+#: Tip displacement without shear: extensible elastica, as published with Exudyn's `ANCFcantileverTest`, in 12 digits.
+WITHOUT_SHEAR = (-0.508537304326, -1.207239854550)
+
+
+def cantilever(elements: int, nodes: int, *, shear: float = SHEAR, **more: Any) -> mbdkit.Mechanism:
+    """Return the cantilever without load."""
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    stiffness = {"axial": AXIAL, "shear": shear, "bending": BENDING}
+    m.beam(
+        "link",
+        a=(0, 0),
+        b=(LENGTH, 0),
+        elements=elements,
+        nodes=nodes,
+        stiffness=stiffness,
+        mass_per_length=78.0,
+        **more,
+    )
+    m.weld("clamp", m.ground, "link.0", at=(0, 0))
+    return m
+
+
+def tip(m: mbdkit.Mechanism) -> np.ndarray:
+    """Return displacement and rotation of the last node in equilibrium."""
+    found = mbdkit.equilibrium(m)
+    return found.position[-1] - (LENGTH, 0.0, 0.0)
+
+
+@cache
+def deflection(elements: int, nodes: int, shear: float = SHEAR) -> tuple[float, float, float]:
+    """Return the deflection of the tip under the force."""
+    m = cantilever(elements, nodes, shear=shear)
+    m.force("load", f"link.{elements * (nodes - 1)}", value=FORCE)
+    x, y, angle = tip(m).tolist()
+    return x, y, angle
+
+
+def extrapolated(nodes: int, sizes: tuple[int, ...], shear: float = SHEAR) -> np.ndarray:
+    """Return the limit of the deflection on finer and finer meshes, by Richardson's extrapolation of even orders."""
+    values = [np.array(deflection(n, nodes, shear)) for n in sizes]
+    order = 2 * (nodes - 1)
+    while len(values) > 1:
+        values = [fine + (fine - coarse) / (2**order - 1) for coarse, fine in pairwise(values)]
+        order += 2
+    return values[0]
+
+
+@pytest.mark.parametrize(("nodes", "sizes", "order"), [(2, (8, 16, 32, 64), 2), (3, (4, 8, 16), 4)])
+def test_the_deflection_converges_to_reissners_beam_with_the_order_of_the_element(
+    nodes: int, sizes: tuple[int, ...], order: int
+) -> None:
+    # expected: Reissner's equations as a boundary value problem
+    exact = Cantilever(LENGTH, AXIAL, SHEAR, BENDING).under(FORCE)
+    errors = [np.linalg.norm(np.array(deflection(n, nodes)) - exact) for n in sizes]
+    np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), order, rtol=0, atol=0.1)
+    np.testing.assert_allclose(extrapolated(nodes, sizes), exact, rtol=0, atol=2e-9)
+
+
+def test_without_shear_it_converges_to_the_extensible_elastica() -> None:
+    # expected: published digits; the effect of shear is proportional to 1/GA, and a second one beyond 1e-9
+    soft, stiff = (extrapolated(3, (4, 8, 16), factor * AXIAL) for factor in (100.0, 200.0))
+    np.testing.assert_allclose((2 * stiff - soft)[:2], WITHOUT_SHEAR, rtol=0, atol=2e-9)
+
+
+def test_shear_none_is_a_stiffness_that_hardly_matters() -> None:
+    # expected: 1e-6 of the deflection, as the reference of `shear` states
+    m = cantilever(16, 3, shear="none")
+    m.force("load", "link.32", value=FORCE)
+    np.testing.assert_allclose(tip(m)[:2], WITHOUT_SHEAR, rtol=3e-6, atol=0)
+
+
+@pytest.mark.parametrize("nodes", [2, 3])
+def test_a_moment_bends_a_beam_into_a_closed_circle(nodes: int) -> None:
+    # expected: a constant curvature, so that the angles of the nodes are even and their polygon is closed
+    m = cantilever(8, nodes)
+    m.torque("moment", list(m.bodies)[-1], value=2 * np.pi * BENDING / LENGTH)
+    found = mbdkit.equilibrium(m)
+    even = np.linspace(0, 2 * np.pi, len(found.bodies))
+    np.testing.assert_allclose(found.position[:, 2], even, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.position[-1, :2], 0.0, rtol=0, atol=1e-10)
+
+
+def test_a_regular_polygon_is_the_exact_circle_of_straight_elements() -> None:
+    # expected: with angles of its nodes halfway between those of its sides, no strain but the curvature 2 pi / L
+    sides = 8
+    ends = np.linspace(0, 2 * np.pi, sides + 1)
+    steps = LENGTH / sides * np.column_stack([np.cos(ends[:-1] + np.pi / sides), np.sin(ends[:-1] + np.pi / sides)])
+    corners = np.concatenate([[(0.0, 0.0)], np.cumsum(steps, axis=0)])
+    m = cantilever(sides, 2, start=np.column_stack([corners, ends]).tolist())
+    m.torque("moment", f"link.{sides}", value=2 * np.pi * BENDING / LENGTH)
+    run = mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 1e-9, "step": 1e-9})
+    bent = run.beams["link"]
+    np.testing.assert_allclose(bent.moment[0], 2 * np.pi * BENDING / LENGTH, rtol=1e-14)
+    np.testing.assert_allclose(bent.axial[0], 0.0, rtol=0, atol=1e-14 * AXIAL)
+    np.testing.assert_allclose(bent.shear[0], 0.0, rtol=0, atol=1e-14 * SHEAR)
+    assert bent.strain_energy[0] == pytest.approx(BENDING / 2 * (2 * np.pi / LENGTH) ** 2 * LENGTH, rel=1e-14)
+    assert run.joints["clamp"].reaction_torque[0] == pytest.approx(-2 * np.pi * BENDING / LENGTH, rel=1e-9)
+
+
+def test_force_and_moment_on_a_deep_beam() -> None:
+    # expected: the boundary value problem again, which gives Exudyn's published deflection on its mesh within 1e-3
+    axial, shear, bending = 2.07e11 * 0.05, 10 * 1.3 / (12 + 11 * 0.3) * 7.9615e10 * 0.05, 2.07e11 * 0.1 * 0.5**3 / 12
+    diagonal = np.sqrt(0.5)
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    end = (2 * diagonal, 2 * diagonal)
+    stiffness = {"axial": axial, "shear": shear, "bending": bending}
+    m.beam("link", a=(0, 0), b=end, elements=16, stiffness=stiffness, mass_per_length=390.0)
+    m.weld("clamp", m.ground, "link.0", at=(0, 0))
+    force = 5e8 * 0.5**3 * diagonal
+    m.force("load", "link.16", value=(force, -force))
+    m.torque("moment", "link.16", value=-5e8)
+    found = mbdkit.equilibrium(m)
+    assert found["link.16"][1] - end[1] == pytest.approx(-2.211502835379855, abs=1e-9)  # published, 16 elements
