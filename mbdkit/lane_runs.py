@@ -90,15 +90,30 @@ class _Started:
     start: MechanismAtStart
 
 
-def _method_for_lanes(spec: RunSpec) -> LaneMethod | None:
-    """Return the method of a run; None if its method or other settings do not suit lanes."""
-    plain = spec.formulation == "index-1" and spec.stabilized.kind == "none" and not spec.events
-    if not plain or spec.is_to_be_chosen or spec.estimates_errors or spec.limits.wall_time is not None:
-        return None
+def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
+    """Return why runs with such settings are not advanced in lanes, as a clause; empty if they may be.
+
+    Parameters
+    ----------
+    measures
+        See `LaneRuns`.
+    """
+    reasons = (
+        (spec.formulation != "index-1", f"their formulation is {spec.formulation}"),
+        (spec.stabilized.kind != "none", f"their stabilization is {spec.stabilized.kind}"),
+        (bool(spec.events), "they have events"),
+        (spec.is_to_be_chosen, "their method or step is chosen for each"),
+        (spec.estimates_errors, "their errors are estimated"),
+        (spec.limits.wall_time is not None, "their wall time is limited"),
+    )
+    if found := next((clause for holds, clause in reasons if holds), ""):
+        return found
+    if integrands_of(spec, measures):
+        return "their measures contain integrals over time"
     method = make_method(spec)
     if not isinstance(method, LaneMethod) or spec.claims.adaptive != is_controlled(method):
-        return None
-    return method
+        return f"{spec.integrator_item.id} does not suit lanes with these options"
+    return ""
 
 
 def _sizes(started: Sequence[_Started | None]) -> list[float]:
@@ -181,7 +196,8 @@ class LaneRuns:
             spec.integrator, spec.measures,
         )  # fmt: skip
         if self._settings is None or any(a is not b for a, b in zip(settings, self._settings[0], strict=True)):
-            self._settings = settings, None if integrands_of(spec, self._measures) else _method_for_lanes(spec)
+            method = None if why_alone(spec, self._measures) else make_method(spec)
+            self._settings = settings, method if isinstance(method, LaneMethod) else None
         return self._settings[1]
 
     def _member(self, started: _Started, size: float) -> LaneMember | None:

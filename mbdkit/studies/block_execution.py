@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 
+from mbdkit.errors import SpecError
 from mbdkit.interrupts import interrupts_delayed
+from mbdkit.lane_runs import why_alone
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import block_index
 from mbdkit.studies.block_index import BlockIndex
@@ -80,11 +83,21 @@ class BlockExecution:
                 for block in range(self.plan.blocks.count)
                 if (self.shard is None or self.shard.has(block)) and not self.known.is_whole(block)
             ]
+            if tasks and (reason := self.why_alone()):
+                self.notify(f"the runs are advanced one after another, not in lanes, because {reason}")
             try:
                 self.compute(tasks, engine)
             finally:
                 with interrupts_delayed(), self.folder.indexing():
                     self.index()
+
+    def why_alone(self) -> str:
+        """Return why some runs of the study, and so probably all, are not advanced in lanes; empty if one is."""
+        reasons = []
+        for point in self.plan.samples:
+            with suppress(SpecError):
+                reasons.append("" if point.lacking else why_alone(point.spec, self.plan.expressions))
+        return reasons[0] if reasons and all(reasons) else ""
 
     def compute(self, tasks: list[BlockTask], engine: Engine) -> None:
         """Compute blocks in parallel."""
