@@ -35,25 +35,27 @@ class Trust:
     gain
         Decrease of each goal from the start to the best point, by name.
     is_gain
-        Whether the gain of each goal exceeds the estimated errors of both points, by name. True also where there is no
-        estimate.
+        Whether the gain of each goal exceeds the estimated errors of both points, by name; None where there is no
+        estimate, so that nobody knows.
     verdict
         Worst verdict of the runs at the best point.
     """
 
     errors: dict[str, float]
     gain: dict[str, float]
-    is_gain: dict[str, bool]
+    is_gain: dict[str, bool | None]
     verdict: str
 
     def sentences(self) -> list[str]:
-        """Return what a user should know, one sentence for each goal without a gain and for a verdict below good."""
-        told = [
-            f"The gain of {name}, {self.gain[name]:.3g}, is within the estimated errors: it counts as none."
-            for name, real in self.is_gain.items()
-            if not real
-        ]
-        unknown = [name for name, error in self.errors.items() if np.isnan(error)]
+        """Return what a user should know: goals without a gain, or of unknown error, and a verdict below good."""
+        told = []
+        for name, real in self.is_gain.items():
+            gain = f"The gain of {name}, {self.gain[name]:.3g},"
+            if real is None:
+                told.append(f"{gain} may be an error of the runs: there is no estimate of their errors.")
+            elif not real:
+                told.append(f"{gain} is within the estimated errors: it counts as none.")
+        unknown = [name for name, error in self.errors.items() if np.isnan(error) and name not in self.is_gain]
         if unknown:
             told.append(f"There is no estimate of the error of {', '.join(unknown)}.")
         if self.verdict in ("failed", "bad", "doubtful"):
@@ -67,12 +69,12 @@ def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trus
     errors = {x.tobytes(): _errors(evaluator, x) for x in (start, best)}
     at_start, at_best = (evaluator.totals(x) for x in (start, best))
     gain = {name: float(at_start[k] - at_best[k]) for k, name in enumerate(goals)}
-    both = np.nan_to_num(errors[start.tobytes()]) + np.nan_to_num(errors[best.tobytes()])
+    both = errors[start.tobytes()] + errors[best.tobytes()]
     outcomes = evaluator.outcomes(best[None])[0]
     return Trust(
         errors=dict(zip([*goals, *evaluator.spec.subject_to], errors[best.tobytes()].tolist(), strict=True)),
         gain=gain,
-        is_gain={name: bool(gain[name] > both[k]) for k, name in enumerate(goals)},
+        is_gain={name: None if np.isnan(both[k]) else bool(gain[name] > both[k]) for k, name in enumerate(goals)},
         verdict=min((one.verdict for one in outcomes), key=WORST.index),
     )
 

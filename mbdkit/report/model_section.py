@@ -16,6 +16,7 @@ from mbdkit.plot.downsampling import take
 from mbdkit.plot.quantity_text import count
 from mbdkit.report.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown
 from mbdkit.report.section import Drawing, Section
+from mbdkit.spec.key_words import described_unit
 from mbdkit.text import listed
 
 if TYPE_CHECKING:
@@ -213,18 +214,9 @@ def _options(force: Any) -> list[str]:
             continue
         words = [name.replace("_", " "), _motion(value)]
         if isinstance(value, float):
-            words.append(_described_unit(field.description or "", force.pathway.length_unit))
+            words.append(described_unit(field.description or "", force.pathway.length_unit))
         told.append(" ".join(filter(None, words)))
     return told
-
-
-def _described_unit(description: str, along: str) -> str:
-    """Return the unit in a description, such as ``[N/m]``; of two, ``[N/m or N m/rad]``, that of the length."""
-    found = re.search(r"\[([^\]]+)\]", description)
-    if found is None:
-        return ""
-    units = re.split(r",? or ", found[1])
-    return units[-1] if along == "rad" else units[0]
 
 
 def _motion(value: Any) -> str:

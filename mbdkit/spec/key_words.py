@@ -33,6 +33,8 @@ def key_words(key: str | Path) -> str:
     path = [str(part) for part in _parts(key)]
     if ".".join(path) in _WORDS:
         return _WORDS[".".join(path)]
+    if len(path) > 3 and path[-3:-1] == ["pathway", "angles"]:
+        return f"radius of {path[-4]} at {path[-1]}"
     shown = [part.replace("_", " ") for part in path if part not in _KINDS]
     if len(shown) > 1 and path[0] in _SECTIONS:
         shown = shown[1:]
@@ -56,27 +58,52 @@ def key_unit(key: str | Path, specs: Iterable[BaseModel]) -> str:
     """
     for spec in specs:
         try:
-            found = _description(spec, _parts(key))
+            found = _unit(spec, _parts(key))
         except (MbdkitError, LookupError, TypeError, AttributeError):  # the option is computed, or not installed
             continue
-        match = re.search(r"\[([^\]\s][^\]]*)\]", found)
-        return match[1].replace("^2", "²") if match and "," not in match[1] else ""
+        return found
     return ""
+
+
+def described_unit(description: str, along: str = "") -> str:
+    """Return the unit in a description, such as ``[N/m]``; empty if there is none.
+
+    Parameters
+    ----------
+    along
+        Unit of the length of the pathway, ``m`` or ``rad``, which selects one of ``[N/m or N m/rad]``; empty if it is
+        not known, which leaves both.
+    """
+    match = re.search(r"\[([^\]\s][^\]]*)\]", description)
+    if match is None:
+        return ""
+    units = re.split(r",? or ", match[1])
+    if along:
+        return units[-1] if along == "rad" else units[0]
+    return "" if "," in match[1] else match[1].replace("^2", "²")
 
 
 def _parts(key: str | Path) -> Path:
     return parse_key(key) if isinstance(key, str) else key
 
 
-def _description(holder: Any, path: Path) -> str:
-    """Return the description of the last field of pydantic models on a path."""
-    described = ""
+def _unit(holder: Any, path: Path) -> str:
+    """Return the unit in the description of the last field of pydantic models on a path."""
+    described = along = ""
     for part in path:
         if isinstance(holder, BaseModel):
-            described = type(holder).model_fields[str(part)].description or ""
-            holder = getattr(holder, str(part))
+            along = getattr(getattr(holder, "pathway", None), "length_unit", along)
+            name, described = _field(holder, str(part))
+            holder = getattr(holder, name)
         elif isinstance(holder, Mapping):
             holder = holder[part]
         else:
             holder = holder[int(part)]
-    return described
+    return described_unit(described, along)
+
+
+def _field(holder: BaseModel, key: str) -> tuple[str, str]:
+    """Return the name of the field that a key sets, and its description."""
+    fields = type(holder).model_fields
+    name = {one.alias: name for name, one in fields.items()}.get(key, key)
+    return name, fields[name].description or ""
