@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from importlib import import_module
 from importlib.metadata import version
 
-from mbdkit.studies import worker
 from mbdkit.studies.pool import Pool
 from mbdkit.studies.tasks import Outcome, Work
 
@@ -17,7 +17,7 @@ class PoolInThisProcess(Pool[Work]):
     def work(self, tasks: Sequence[Work]) -> Iterator[tuple[Work, Outcome]]:
         for task in tasks:
             message = json.loads(json.dumps(task.message()))
-            (answer,) = worker.compute([message], version("mbdkit"))
+            (answer,) = import_module(self.program).compute([message], version("mbdkit"))
             for note in answer.pop("notes"):
                 self.say(note)
             yield task, Outcome.of(json.loads(json.dumps(answer)))

@@ -8,6 +8,7 @@ import queue
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -15,8 +16,7 @@ from typing import Any, Generic
 
 from mbdkit.errors import SpecError
 from mbdkit.plain_data import found
-from mbdkit.studies import worker
-from mbdkit.studies.pool import Pool
+from mbdkit.studies.pool import PROGRAM, Pool
 from mbdkit.studies.submitit_executor import SubmititExecutor
 from mbdkit.studies.tasks import Outcome, Work, died
 from mbdkit.text import one_line
@@ -32,10 +32,13 @@ class Engine:
         Number of worker processes of this machine.
     executor
         Computes the tasks instead of them. Only if it breaks do they compute what is left.
+    program
+        Module that carries out the tasks, with the functions `main` and `compute` of `mbdkit.studies.worker`.
     """
 
     workers: int = 1
     executor: Executor | None = None
+    program: str = PROGRAM
 
     def pool(self, notify: Callable[[str], None]) -> Pool[Any] | ExecutorPool[Any]:
         """Return the pool that computes tasks, for use in a `with` block.
@@ -45,7 +48,7 @@ class Engine:
         notify
             Called once with each distinct message of the workers.
         """
-        local: Pool[Any] = Pool(self.workers, notify)
+        local: Pool[Any] = Pool(self.workers, notify, self.program)
         return local if self.executor is None else ExecutorPool(self.executor, local)
 
 
@@ -79,6 +82,7 @@ class ExecutorPool(Generic[Work]):
     def __init__(self, executor: Executor, local: Pool[Work]):
         self.executor = executor
         self.local: Pool[Work] = local
+        self._compute: Callable[..., Any] = import_module(local.program).compute
         self._begun: dict[Future[list[dict[str, Any]]], _Batch[Work]] = {}
         self._ended: queue.SimpleQueue[Future[list[dict[str, Any]]]] = queue.SimpleQueue()
 
@@ -129,9 +133,9 @@ class ExecutorPool(Generic[Work]):
         futures: Iterator[Future[list[dict[str, Any]]]]
         try:
             if isinstance(self.executor, SubmititExecutor):
-                futures = iter(self.executor.submit_all(worker.compute, messages, version("mbdkit")))
+                futures = iter(self.executor.submit_all(self._compute, messages, version("mbdkit")))
             else:
-                futures = (self.executor.submit(worker.compute, part, version("mbdkit")) for part in messages)
+                futures = (self.executor.submit(self._compute, part, version("mbdkit")) for part in messages)
             for batch, future in zip(batches, futures, strict=True):
                 self._begun[future] = _Batch(batch)
                 submitted += 1

@@ -102,8 +102,8 @@ def _started(pid: int) -> str:
 
 
 @contextlib.contextmanager
-def locked(folder: Path, mutex: Path, shard: Shard = WHOLE) -> Iterator[None]:
-    """Hold the lock on a part of a study, and release it at the end of the block.
+def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "study") -> Iterator[None]:
+    """Hold the lock on a part of a study, or on the folder of a design, and release it at the end of the block.
 
     The lock of a process of this machine that has died is removed.
 
@@ -111,6 +111,8 @@ def locked(folder: Path, mutex: Path, shard: Shard = WHOLE) -> Iterator[None]:
     ----------
     mutex
         An existing file, which is locked while the locks of others are looked at.
+    command
+        The command that is said to use the folder.
 
     Raises
     ------
@@ -126,7 +128,7 @@ def locked(folder: Path, mutex: Path, shard: Shard = WHOLE) -> Iterator[None]:
                 if name is None:  # of a call that was killed in this block
                     path.unlink(missing_ok=True)
                 elif shard.overlaps(Shard(int(name[1]), int(name[2]))):
-                    _remove_stale(path)
+                    _remove_stale(path, command)
             _write(lock, owner)
         yield
     finally:
@@ -145,25 +147,25 @@ def _write(lock: Path, owner: Owner) -> None:
         begun.unlink(missing_ok=True)
 
 
-def _remove_stale(lock: Path) -> None:
+def _remove_stale(lock: Path, command: str) -> None:
     """Remove a lock whose owner is dead; raise ResourceError if it may be alive."""
     owner = Owner.of(lock)
     folder = lock.parent
     if owner is None and not lock.exists():
         return
     if owner is None:
-        message = f"another `mbdkit study` may be running in this folder; if none is, remove {shown(lock)}"
+        message = f"another `mbdkit {command}` may be running in this folder; if none is, remove {shown(lock)}"
         raise ResourceError(message, file=folder)
     if owner.is_dead:
         lock.unlink(missing_ok=True)
         return
     who = f"process {owner.pid} on {shown(owner.host)}, since {shown(owner.since)}"
     if owner.is_here:
-        message = f"another `mbdkit study` is running in this folder ({who}); wait until it ends"
+        message = f"another `mbdkit {command}` is running in this folder ({who}); wait until it ends"
     else:
         message = (
-            f"another `mbdkit study` is running in this folder, or was killed ({who}); wait until it ends, or remove "
-            f"{shown(lock)} if it no longer runs"
+            f"another `mbdkit {command}` is running in this folder, or was killed ({who}); wait until it ends, or "
+            f"remove {shown(lock)} if it no longer runs"
         )
     raise ResourceError(message, file=folder)
 

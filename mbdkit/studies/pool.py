@@ -19,6 +19,9 @@ from typing import Any, Generic
 from mbdkit.errors import ResourceError
 from mbdkit.studies.tasks import Outcome, Work, died
 
+PROGRAM = "mbdkit.studies.worker"
+"""Module that carries out the tasks of studies."""
+
 #: Thread counts of the linear algebra libraries: several threads do not pay for small matrices, and the workers would
 #: compete for the cores.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
@@ -33,16 +36,22 @@ class Pool(Generic[Work]):
         Maximum number of processes.
     notify
         Called once with each distinct message of the workers.
+    program
+        Module whose `main` carries out the tasks.
     """
 
-    def __init__(self, size: int, notify: Callable[[str], None]):
+    def __init__(self, size: int, notify: Callable[[str], None], program: str = PROGRAM):
         self.size = size
         self.notify = notify
+        self.program = program
         self._workers: list[_Worker[Work]] = []
+        self._lines: queue.SimpleQueue[tuple[_Worker[Work], str]] = queue.SimpleQueue()
         self._said: set[str] = set()
 
     def work(self, tasks: Sequence[Work]) -> Iterator[tuple[Work, Outcome]]:
         """Start the tasks in order, and yield each with its outcome when it is finished.
+
+        Processes that earlier tasks have left are used again.
 
         Raises
         ------
@@ -50,11 +59,12 @@ class Pool(Generic[Work]):
             If the system refuses all processes.
         """
         waiting = deque(tasks)
-        lines: queue.SimpleQueue[tuple[_Worker[Work], str]] = queue.SimpleQueue()
-        while waiting and len(self._workers) < min(self.size, len(tasks)) and (added := self._started(lines)):
+        for worker in self._workers[: len(waiting)]:
+            worker.give(waiting.popleft())
+        while waiting and len(self._workers) < min(self.size, len(tasks)) and (added := self._started()):
             added.give(waiting.popleft())
         while any(worker.task for worker in self._workers):
-            worker, line = lines.get()
+            worker, line = self._lines.get()
             task = worker.task
             if task is None:  # it died while it was idle
                 self._workers.remove(worker)
@@ -74,7 +84,7 @@ class Pool(Generic[Work]):
                 following = task.after_death(how)
                 if following is not None:
                     waiting.appendleft(following)
-                if waiting and (added := self._started(lines)):
+                if waiting and (added := self._started()):
                     added.give(waiting.popleft())
                 if following is not None:
                     continue
@@ -83,12 +93,12 @@ class Pool(Generic[Work]):
                 worker.give(waiting.popleft())
             yield task, outcome
 
-    def _started(self, lines: queue.SimpleQueue[tuple[_Worker[Work], str]]) -> _Worker[Work] | None:
+    def _started(self) -> _Worker[Work] | None:
         """Start another process; return None if the system refuses it, but others are running."""
         try:
-            worker: _Worker[Work] = _Worker(lines)
+            worker: _Worker[Work] = _Worker(self._lines, self.program)
         except OSError as error:
-            message = f"a process of the study cannot be started: {error.strerror or error}"
+            message = f"a worker process cannot be started: {error.strerror or error}"
             if not self._workers:
                 raise ResourceError(message) from error
             self.say(message)
@@ -115,7 +125,7 @@ class Pool(Generic[Work]):
 class _Worker(Generic[Work]):
     """One process, its task, and a thread that forwards its output."""
 
-    def __init__(self, lines: queue.SimpleQueue[tuple[_Worker[Work], str]]):
+    def __init__(self, lines: queue.SimpleQueue[tuple[_Worker[Work], str]], program: str):
         self.task: Work | None = None
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115
         environment = os.environ | dict.fromkeys(ONE_THREAD, "1")
@@ -123,7 +133,7 @@ class _Worker(Generic[Work]):
         # In a session of its own, so that Ctrl-C interrupts only the parent process, which then ends its workers.
         try:
             self.process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "mbdkit.studies.worker"],
+                [sys.executable, "-P", "-m", program],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self.errors,

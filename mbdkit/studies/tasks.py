@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 from mbdkit.spec import RunSpec
 from mbdkit.studies.study_folder import StudyFolder
@@ -102,18 +102,23 @@ class BlockTask:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a task: status of the run, its reason, wall times of repeats [s], and measures of a second run."""
+    """Result of a task: status of the run, its reason, wall times of repeats [s], and measures of a second run.
+
+    `results` are plain data of tasks of other kinds, such as the points of a design.
+    """
 
     status: str
     reason: str
     seconds: tuple[float, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
+    results: tuple[Any, ...] = ()
 
     @classmethod
     def of(cls, answer: Mapping[str, Any]) -> Outcome:
         """Return the outcome that the answer of a worker tells."""
         values = {name: math.nan if found is None else found for name, found in answer.get("values", {}).items()}
-        return cls(answer["status"], answer["reason"], tuple(answer.get("seconds", ())), values)
+        results = tuple(answer.get("results", ()))
+        return cls(answer["status"], answer["reason"], tuple(answer.get("seconds", ())), values, results)
 
     @property
     def is_passing(self) -> bool:
@@ -121,7 +126,25 @@ class Outcome:
         return self.reason.startswith(PASSING)
 
 
-Work = TypeVar("Work", Task, BlockTask)
+class AnyTask(Protocol):
+    """What a pool needs of a task."""
+
+    @property
+    def path(self) -> Path:
+        """File that it writes, or a file in the folder that it belongs to."""
+
+    @property
+    def writes(self) -> bool:
+        """Whether it writes this file."""
+
+    def message(self) -> dict[str, Any]:
+        """Return what a worker needs to carry it out."""
+
+    def after_death(self, how: str) -> Self | None:
+        """Return the task to try after a process died of this one, as `how` says; None if it is given up."""
+
+
+Work = TypeVar("Work", bound=AnyTask)
 
 MOST_DEATHS = 20
 """Processes that may die in one block before it is given up."""

@@ -13,7 +13,7 @@ import queue
 import socket
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -24,9 +24,13 @@ from mbdkit.errors import SpecError
 from mbdkit.one_thread import one_thread_of_linear_algebra
 from mbdkit.text import shown
 
+Carry = Callable[[dict[str, Any], Callable[[str], None]], dict[str, Any]]
+"""Carries out the task of a message, with a function that notes a text, and returns its answer."""
 
-def main() -> None:
-    """Process tasks until standard input is closed."""
+
+def main(carry: Carry | None = None) -> None:
+    """Process tasks, by default those of studies, until standard input is closed."""
+    carry = carry or _work
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # keep the output of plugins apart from the results
     tasks: queue.SimpleQueue[str] = queue.SimpleQueue()
@@ -40,7 +44,7 @@ def main() -> None:
         answer({"note": text})
 
     while True:
-        answer(_outcome(json.loads(tasks.get()), notify))
+        answer(_outcome(json.loads(tasks.get()), notify, carry))
 
 
 def _read(source: IO[str], tasks: queue.SimpleQueue[str]) -> None:
@@ -53,7 +57,7 @@ _ONE_AT_A_TIME = threading.Lock()
 """Held while tasks are computed: threads of one process would compete for the interpreter, and share its state."""
 
 
-def compute(tasks: Sequence[dict[str, Any]], of_version: str) -> list[dict[str, Any]]:
+def compute(tasks: Sequence[dict[str, Any]], of_version: str, carry: Carry | None = None) -> list[dict[str, Any]]:
     """Carry out tasks in a process that an executor has started, possibly on another machine.
 
     Parameters
@@ -62,6 +66,8 @@ def compute(tasks: Sequence[dict[str, Any]], of_version: str) -> list[dict[str, 
         Messages of the tasks, see `mbdkit.studies.tasks`.
     of_version
         The version of mbdkit that the study is computed with.
+    carry
+        Carries out a task; by default, one of a study.
 
     Returns
     -------
@@ -69,10 +75,10 @@ def compute(tasks: Sequence[dict[str, Any]], of_version: str) -> list[dict[str, 
         Answers as those of the worker process, each with the notes and the name of this machine.
     """
     with _ONE_AT_A_TIME, one_thread_of_linear_algebra():
-        return [_answered(task, of_version) for task in tasks]
+        return [_answered(task, of_version, carry or _work) for task in tasks]
 
 
-def _answered(task: dict[str, Any], of_version: str) -> dict[str, Any]:
+def _answered(task: dict[str, Any], of_version: str, carry: Carry) -> dict[str, Any]:
     notes: list[str] = []
     host = socket.gethostname()
     if version("mbdkit") != of_version:
@@ -81,13 +87,13 @@ def _answered(task: dict[str, Any], of_version: str) -> dict[str, Any]:
         folder = shown(Path(task["path"]).parent)
         why = f"{host} does not see the folder {folder}; it must be on a file system that all workers share."
     else:
-        return _outcome(task, notes.append) | {"notes": notes, "host": host}
+        return _outcome(task, notes.append, carry) | {"notes": notes, "host": host}
     return {"status": "missing", "reason": f"no-resources: {why}", "notes": notes, "host": host}
 
 
-def _outcome(task: dict[str, Any], notify: Any) -> dict[str, Any]:
+def _outcome(task: dict[str, Any], notify: Callable[[str], None], carry: Carry) -> dict[str, Any]:
     try:
-        return _work(task, notify)
+        return carry(task, notify)
     except SpecError as error:
         if error.file == task["path"]:  # the folder of the study was changed, and the spec is not to blame
             return {"status": "missing", "reason": f"no-resources: {error}"}
@@ -96,7 +102,7 @@ def _outcome(task: dict[str, Any], notify: Any) -> dict[str, Any]:
         return asdict(refusal(error))
 
 
-def _work(task: dict[str, Any], notify: Any) -> dict[str, Any]:
+def _work(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any]:
     from mbdkit.simulation import simulate
     from mbdkit.spec import RunSpec
 

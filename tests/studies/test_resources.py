@@ -116,10 +116,10 @@ def test_a_study_whose_processes_are_refused_says_so_and_keeps_its_index(small, 
 def test_one_process_is_enough_if_more_are_refused(finished, small, tmp_path, monkeypatch):
     real, started = pool._Worker, []
 
-    def only_one(lines: Any) -> Any:
+    def only_one(*given: Any) -> Any:
         if started:
             raise OSError(11, os.strerror(11))
-        started.append(real(lines))
+        started.append(real(*given))
         return started[0]
 
     monkeypatch.setattr(pool, "_Worker", only_one)
