@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from mbdkit.analysis.workload import Workload, workload
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
-    from mbdkit.designs.design import Design, design
+    from mbdkit.designs.design import Design
+    from mbdkit.designs.solve_design import design, load_design
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.errors import MbdkitError, PluginError, ResourceError, RunError, SpecError, StepError
     from mbdkit.gradients.gradient import Gradient, gradient
@@ -84,6 +85,7 @@ __all__ = [
     "kinematics",
     "linearize",
     "load",
+    "load_design",
     "load_study",
     "modes",
     "plot",
@@ -98,7 +100,8 @@ _HOME = {
     "Claims": "mbdkit.registry.items",
     "Design": "mbdkit.designs.design",
     "DesignSpec": "mbdkit.spec",
-    "design": "mbdkit.designs.design",
+    "design": "mbdkit.designs.solve_design",
+    "load_design": "mbdkit.designs.solve_design",
     "Equilibrium": "mbdkit.mechanics.equilibrium",
     "ExplicitRungeKutta": "mbdkit.methods.kinds",
     "ExpressionLaw": "mbdkit.mechanism.force_law",

@@ -1,4 +1,4 @@
-"""Progress bars of runs and studies, on a terminal and in Jupyter notebooks."""
+"""Progress bars of runs, studies and designs, on a terminal and in Jupyter notebooks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
-from mbdkit.text import shown
+from mbdkit.text import counted, shown
 
 PATIENCE = 0.5
 """Time before the bar of a run appears [s]."""
@@ -19,7 +19,7 @@ _PAUSE = 0.1
 
 
 class _Bar(Protocol):
-    def draw(self, share: float, note: str) -> None: ...
+    def draw(self, share: float | None, note: str) -> None: ...
 
     def close(self) -> None: ...
 
@@ -77,6 +77,23 @@ def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, in
         bar.close()
 
 
+@contextmanager
+def tally_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int], None] | None]:
+    """Yield a function of (runs done, failed runs) that draws a bar of work whose end is not known.
+
+    Yields None if `quiet` is set, or if this is no notebook and stderr is not a terminal.
+    """
+    make = None if quiet else _kind_of_bar()
+    if make is None:
+        yield None
+        return
+    bar = make(shown(what))
+    try:
+        yield lambda done, failed: bar.draw(None, f"{counted(done, 'run')}{f', {failed} failed' if failed else ''}")
+    finally:
+        bar.close()
+
+
 def in_notebook() -> bool:
     """Return whether this process is the kernel of a notebook; IPython is not imported to find out."""
     get_shell = getattr(sys.modules.get("IPython"), "get_ipython", None)
@@ -108,9 +125,10 @@ class _TerminalBar:
         with suppress(OSError):
             self._bar.start()
 
-    def draw(self, share: float, note: str) -> None:
+    def draw(self, share: float | None, note: str) -> None:
+        total = None if share is None else 1.0
         with suppress(OSError):  # the terminal has been closed; the run goes on, or ends by SIGHUP
-            self._bar.update(self._task, completed=share, total=1.0, note=note)
+            self._bar.update(self._task, completed=share, total=total, note=note)
 
     def close(self) -> None:
         with suppress(OSError):
@@ -131,7 +149,7 @@ class _NotebookBar:
         bar = f'<progress{value} max="1" style="width: 20em; vertical-align: middle"></progress>'
         return {"text/html": f"<div>{bar} {html.escape(text)}</div>", "text/plain": text}
 
-    def draw(self, share: float, note: str) -> None:
+    def draw(self, share: float | None, note: str) -> None:
         if time.perf_counter() - self._drawn >= _PAUSE:
             self._drawn = time.perf_counter()
             self._handle.update(self._content(share, note), raw=True)

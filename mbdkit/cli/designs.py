@@ -7,8 +7,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Quiet, Set
+from mbdkit.cli.common_options import (
+    AsJson,
+    Debug,
+    ExecutorName,
+    Quiet,
+    Scheduler,
+    Set,
+    Slurm,
+    Workers,
+    cores,
+)
 from mbdkit.cli.output_paths import stem
+from mbdkit.progress_bars import tally_bar
 from mbdkit.terminal import STOPPED_EARLY, say, show, show_json, silence
 
 if TYPE_CHECKING:
@@ -24,40 +35,65 @@ def design(
     ],
     *,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="The folder; by default ./SPEC.")
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="The design's folder; by default ./SPEC.")
     ] = None,
+    workers: Workers = None,
+    executor: ExecutorName = "local",
+    scheduler: Scheduler = None,
+    slurm: Slurm = None,
     assignments: Set = None,
     with_report: Annotated[
-        bool, typer.Option("--report", help="Also write report.html, with the device, its loads and what is around it.")
+        bool,
+        typer.Option(
+            "--report", help="Also write report.html, with the device, its loads, and what is around the best point."
+        ),
     ] = False,
-    overwrite: Overwrite = False,
+    overwrite: Annotated[
+        bool,
+        typer.Option(
+            "--overwrite",
+            help="Start the folder anew: remove the points, results and report of its design; other files are kept.",
+        ),
+    ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
     """Choose numbers of a spec so that measures become small.
 
-    Writes design.json, and archives of the start and of the best point. See
-    `mbdkit guide design`. Exit status 3 if no point satisfies all limits.
+    Writes design.json, archives of the start and of the best point, and points.jsonl
+    with all points that are evaluated. If a call is interrupted, the same one goes on
+    from these points. See `mbdkit guide design`.
+
+    Exit status 3 if no point satisfies all limits, or a resource is lacking.
     """
-    from mbdkit.designs.design import solve
-    from mbdkit.designs.store import check_folder_of, write
-    from mbdkit.spec import load_design_spec
+    from mbdkit.designs.solve_design import design as carry_out
+    from mbdkit.studies.executors import Asked, opened
 
-    checked = load_design_spec(spec, assignments or ())
     folder = output if output is not None else Path(stem(spec))
-    check_folder_of(checked, folder, overwrite=overwrite, with_report=with_report)
-    result = solve(checked, silence if quiet or as_json else say)
-    files = write(result, folder, overwrite=overwrite)
+    notify = silence if quiet or as_json else say
+    asked = Asked(executor, scheduler, tuple(slurm or ()), workers)
+    with opened(asked, folder, notify) as cluster, tally_bar(folder.name, quiet) as progress:
+        result = carry_out(
+            spec,
+            out=folder,
+            workers=workers or cores(),
+            executor=cluster,
+            progress=progress,
+            notify=notify,
+            assignments=assignments or (),
+            overwrite=overwrite,
+        )
+    page = None
     if with_report:
-        from mbdkit.report.design_report import write_design_report
+        from mbdkit.report.report import write_report
 
-        files.append(write_design_report(result, folder, overwrite=overwrite))
+        page, _ = write_report(folder, overwrite=True, workers=workers or cores())
     if as_json:
-        show_json({"path": str(folder), **result.to_dict()})
+        show_json({"path": str(folder), **result.to_dict()} | ({} if page is None else {"report": str(page)}))
     elif not quiet:
         show(result.summary())
-        show(f"files: {', '.join(map(str, files))}")
+        show(f"folder: {folder}{'' if page is None else f', report: {page}'}")
     if not result.is_feasible:
         raise typer.Exit(STOPPED_EARLY)
 
@@ -65,9 +101,11 @@ def design(
 def validate_design(source: Document, name: str, assignments: list[str]) -> None:
     """Check a design spec, the specs of its scenarios and its expressions, and tell what it would search."""
     from mbdkit.designs.evaluation import Evaluator
+    from mbdkit.designs.search import check_installed
     from mbdkit.spec import load_design_spec
 
     spec = load_design_spec(source, assignments)
+    check_installed(spec)
     Evaluator(spec)
     show(f"{name}: this design is valid")
     show(f"variables    {', '.join(spec.variables)}")
@@ -76,4 +114,6 @@ def validate_design(source: Document, name: str, assignments: list[str]) -> None
         show(f"limits       {', '.join(spec.subject_to)}")
     if spec.scenarios:
         show(f"scenarios    {', '.join(spec.scenarios)}")
+    if spec.compare:
+        show(f"compared     {', '.join(spec.compare)}")
     show(f"optimizer    {spec.optimizer.name}")

@@ -117,14 +117,14 @@ def animate(
 
 
 def report(
-    path: Annotated[Path, typer.Argument(metavar="PATH", help="A run archive, or the folder of a study.")],
+    path: Annotated[Path, typer.Argument(metavar="PATH", help="A run archive, or the folder of a study or design.")],
     output: Annotated[
         Path | None,
         typer.Option(
             "-o",
             "--output",
             metavar="FILE.html",
-            help="The page; by default NAME-report.html, or report.html in a study's folder. "
+            help="The page; by default NAME-report.html, or report.html in the folder. "
             "FILE.md: verdict and tables as Markdown.",
         ),
     ] = None,
@@ -140,7 +140,7 @@ def report(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Write a report on a run or study as an HTML page.
+    """Write a report on a run, study or design as an HTML page.
 
     The page works offline. It has a verdict, interactive figures, an animation
     that magnifies the gaps in the joints, tables, methods and the spec.

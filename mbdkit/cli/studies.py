@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 from typer.core import TyperCommand
 
-from mbdkit.cli.common_options import AsJson, BaseSet, Debug, Quiet, StudyName
+from mbdkit.cli.common_options import (
+    AsJson,
+    BaseSet,
+    Debug,
+    ExecutorName,
+    Quiet,
+    Scheduler,
+    Slurm,
+    StudyName,
+    Workers,
+    cores,
+)
 from mbdkit.cli.output_paths import stem
 from mbdkit.progress_bars import count_bar
 from mbdkit.terminal import STOPPED_EARLY, say, show, show_json, silence
@@ -33,40 +42,14 @@ def study(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="The study's folder; by default ./SPEC.")
     ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            "--workers",
-            min=1,
-            metavar="N",
-            help="Number of processes, by default one per core; with submitit, of jobs, by default up to 100.",
-        ),
-    ] = None,
+    workers: Workers = None,
     shard: Annotated[
         str | None,
         typer.Option("--shard", metavar="i/N", help="Compute only part i of N of the runs, or of the blocks."),
     ] = None,
-    executor: Annotated[
-        Literal["local", "dask", "submitit"],
-        typer.Option(
-            "--executor", help="What computes: processes of this machine, a Dask cluster, or jobs of Slurm (submitit)."
-        ),
-    ] = "local",
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            "--scheduler",
-            metavar="ADDRESS",
-            help="With dask: the address of the scheduler, or its scheduler file. With submitit: slurm (default), or "
-            "local to try jobs on this machine.",
-        ),
-    ] = None,
-    slurm: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--slurm", metavar="K=V", help="With submitit: an option of sbatch, such as time=60. Can be repeated."
-        ),
-    ] = None,
+    executor: ExecutorName = "local",
+    scheduler: Scheduler = None,
+    slurm: Slurm = None,
     store: Annotated[
         Literal["files", "all", "histories", "summary", "hashes"] | None,
         typer.Option(
@@ -123,7 +106,7 @@ def study(
         result = carry_out(
             spec,
             out=path,
-            workers=workers or _cores(),
+            workers=workers or cores(),
             executor=cluster,
             shard=part,
             progress=progress,
@@ -152,8 +135,3 @@ def study(
         if as_json or quiet:
             say(f"unfinished: {result.unfinished[0]}")
         raise typer.Exit(STOPPED_EARLY)
-
-
-def _cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,10 @@ import numpy as np
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.stored_run import Heading, StoredRun
 from mbdkit.batch import simulate_batch
-from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.inverse_dynamics.inverse_run import compute_run
 from mbdkit.measures.take import describe, take
+from mbdkit.one_thread import one_thread_of_linear_algebra
 from mbdkit.plain_data import Path, copied, path_text, plain
 from mbdkit.spec import DesignSpec, InverseSpec, RunSpec
 from mbdkit.spec.design_spec import variable_path
@@ -41,6 +43,36 @@ class Outcome:
     values: tuple[float, ...]
     verdict: str
     reason: str = ""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A scenario to run with values of some of its keys.
+
+    Parameters
+    ----------
+    scenario
+        Name of the scenario.
+    settings
+        Key paths and values.
+    """
+
+    scenario: str
+    settings: Settings
+
+    @cached_property
+    def values(self) -> dict[str, Any]:
+        """The values by key."""
+        return {path_text(path): value for path, value in self.settings}
+
+    @cached_property
+    def key(self) -> str:
+        """Text that identifies the job."""
+        return json.dumps([self.scenario, self.values])
+
+
+Source = Callable[[Sequence[Job]], list[Outcome]]
+"""Returns the outcome of each job, from wherever it comes."""
 
 
 class ScenarioRuns:
@@ -87,13 +119,17 @@ class ScenarioRuns:
                 if isinstance(spec, RunSpec):
                     runs[place] = spec
                 else:
-                    with compute_run(spec) as run:
+                    with one_thread_of_linear_algebra(), compute_run(spec) as run:
                         values = tuple(run.measures[one.name] for one in self._measures)
                         found[place] = Outcome(values, run.verdict)
+            except ResourceError:
+                raise
             except MbdkitError as error:
                 found[place] = self._failed(str(error))
         for (place, spec), result in zip(runs.items(), simulate_batch(runs.values()), strict=True):
             if not isinstance(result, FinishedRun) or result.status != "complete":
+                if result.status == "missing":
+                    raise ResourceError(result.reason)
                 found[place] = self._failed(result.reason)
                 continue
             stored = StoredRun(result, Heading(spec, ""))
@@ -114,6 +150,19 @@ class ScenarioRuns:
         return Outcome((np.nan,) * len(self._measures), "failed", reason)
 
 
+def in_this_process(scenarios: Mapping[str, ScenarioRuns]) -> Source:
+    """Return a source that computes each job in this process."""
+
+    def source(jobs: Sequence[Job]) -> list[Outcome]:
+        found: dict[str, Outcome] = {}
+        for name, runs in scenarios.items():
+            own = [job for job in jobs if job.scenario == name]
+            found |= zip((job.key for job in own), runs.outcomes([job.settings for job in own]), strict=True)
+        return [found[job.key] for job in jobs]
+
+    return source
+
+
 class Evaluator:
     """Evaluates a design at points of its variables, each coordinate of which is a share of the bounds, from 0 to 1.
 
@@ -121,6 +170,10 @@ class Evaluator:
     ----------
     spec
         The design.
+    source
+        Where outcomes come from; by default, they are computed in this process.
+    changes
+        Values that are set in every scenario, beside the variables.
 
     Attributes
     ----------
@@ -137,10 +190,12 @@ class Evaluator:
         If an expression of a goal or limit is not valid for one of the scenarios.
     """
 
-    def __init__(self, spec: DesignSpec):
-        self.spec, self.runs = spec, 0
+    def __init__(self, spec: DesignSpec, source: Source | None = None, changes: Settings = ()):
+        self.spec, self.runs, self.changes = spec, 0, changes
         self.names = tuple(one.name for one in spec.defined_measures())
         self.scenarios = tuple(ScenarioRuns(one) for one in spec.specs.values())
+        here = dict(zip(spec.specs, self.scenarios, strict=True))
+        self.source = in_this_process(here) if source is None else source
         self._known: dict[bytes, tuple[Outcome, ...]] = {}
         for name, one in spec.specs.items():
             for measure in spec.defined_measures():
@@ -168,18 +223,23 @@ class Evaluator:
         }
 
     def settings(self, x: np.ndarray) -> Settings:
-        """Return the key paths of the variables and their values at a point."""
-        return [(variable_path(name), value) for name, value in self.variables(x).items()]
+        """Return the key paths and values that are set at a point: those of the variables, and `changes`."""
+        return [*((variable_path(name), value) for name, value in self.variables(x).items()), *self.changes]
 
     def outcomes(self, points: np.ndarray) -> list[tuple[Outcome, ...]]:
         """Return what every scenario yields at points (N, n); those that were evaluated before are not run again."""
         keys = [np.ascontiguousarray(x).tobytes() for x in points]
         new = {key: self.settings(x) for key, x in zip(keys, points, strict=True) if key not in self._known}
         if new:
-            each = [scenario.outcomes(list(new.values())) for scenario in self.scenarios]
-            self._known |= dict(zip(new, zip(*each, strict=True), strict=True))
-            self.runs += len(new) * len(each)
+            found = iter(self.run(Job(name, settings) for settings in new.values() for name in self.spec.specs))
+            self._known |= {key: tuple(islice(found, len(self.scenarios))) for key in new}
         return [self._known[key] for key in keys]
+
+    def run(self, jobs: Iterable[Job]) -> list[Outcome]:
+        """Return the outcome of jobs, and count them."""
+        jobs = list(jobs)
+        self.runs += len(jobs)
+        return self.source(jobs)
 
     def values(self, points: np.ndarray) -> np.ndarray:
         """Return goals and limits (N, S, K) of S scenarios at points (N, n); nan where a run failed."""

@@ -1,4 +1,4 @@
-"""The goals of a design around its best point: cuts along each variable, and combinations that nothing determines."""
+"""The goals of a design around its best point: cuts along each variable, and what small changes of variables do."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.designs.evaluation import Evaluator
+from mbdkit.designs.problem import differences
 
 REACH = 0.1
 """Half width of a cut, as a share of the bounds."""
@@ -45,3 +46,34 @@ def cuts(evaluator: Evaluator, best: np.ndarray) -> list[Cut]:
         values = np.array([evaluator.variables(x)[name] for x in points])
         found.append(Cut(name, values, np.array([evaluator.totals(x) for x in points])))
     return found
+
+
+SHARE = 0.01
+"""Change of a variable whose effect is told, as a share of its bounds."""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """What small changes of the variables do to a goal or limit at the best point.
+
+    Attributes
+    ----------
+    scenario, measure
+        Names of the scenario and of the goal or limit.
+    changes
+        Change of the measure, to first order, by the variable that grows by `SHARE` of its bounds.
+    """
+
+    scenario: str
+    measure: str
+    changes: dict[str, float]
+
+
+def sensitivities(evaluator: Evaluator, best: np.ndarray) -> list[Sensitivity]:
+    """Return the sensitivities of all goals and limits at the best point (n,); nan where a run fails."""
+    slopes = SHARE * differences(evaluator, best)
+    return [
+        Sensitivity(scenario, measure, dict(zip(evaluator.spec.variables, slopes[row, column].tolist(), strict=True)))
+        for row, scenario in enumerate(evaluator.spec.situations)
+        for column, measure in enumerate(evaluator.names)
+    ]

@@ -1,78 +1,212 @@
-"""The folder of a design: its result as JSON, and archives of the start and of the best point."""
+"""The folder of a design: its spec, the points it has evaluated, its result, and archives of the start and best point.
+
+design.yaml     the spec, with its bases written out
+points.jsonl    a line for each evaluated scenario and point, from which the next call goes on
+design.json     the result
+start.h5        archives of the start and of the best point; with the name of the scenario if there are several
+best.h5
+report.html     the page of `mbdkit design --report`
+"""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from mbdkit.designs.design import Design, DesignPoint
+from mbdkit.designs.design import Design
 from mbdkit.designs.evaluation import ScenarioRuns
-from mbdkit.errors import SpecError
-from mbdkit.files import check_folder, check_output, replacing
+from mbdkit.designs.point import DesignPoint
+from mbdkit.designs.trust import check_of
+from mbdkit.errors import SpecError, file_error
+from mbdkit.files import check_folder, check_writable, replacing
 from mbdkit.inverse_dynamics.inverse_run import compute_run
+from mbdkit.plain_data import canonical_text
 from mbdkit.simulation import simulate
-from mbdkit.spec import DesignSpec, RunSpec
-from mbdkit.spec.design_spec import variable_path
+from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, load_design_spec
+from mbdkit.spec.design_spec import FILE, variable_path
+from mbdkit.spec.reading import read_file
+from mbdkit.spec.yaml_reader import write_yaml
+from mbdkit.studies import folder_lock
+from mbdkit.studies.folder_lock import LOCK
+from mbdkit.studies.study_folder import JOBS
 
-RESULT = "design.json"
-PAGE = "report.html"
-
-
-def check_folder_of(spec: DesignSpec, folder: Path, *, overwrite: bool, with_report: bool = False) -> None:
-    """Raise SpecError or ResourceError unless the results of a design can be written into a folder.
-
-    Parameters
-    ----------
-    overwrite
-        Whether files of an earlier design may be replaced.
-    with_report
-        Whether a report is written too.
-    """
-    if not os.path.lexists(folder):
-        check_folder(folder.parent, folder)
-        return
-    if not os.path.isdir(folder):
-        raise SpecError("this is not a folder; name another one with -o", file=folder)
-    names = [
-        RESULT,
-        *([PAGE] if with_report else []),
-        *(archive_name(which, name) for which in ("start", "best") for name in spec.situations),
-    ]
-    for name in names:
-        check_output(folder / name, overwrite=overwrite)
+WHICH = ("start", "best")
+"""Points of which there are archives."""
 
 
-def write(design: Design, folder: Path, *, overwrite: bool) -> list[Path]:
-    """Write a design into its folder, which is created, and return the files.
+class DesignFolder:
+    """Paths in the folder of a design, and its lock."""
 
-    ``design.json`` is the result. ``start.h5`` and ``best.h5`` are the runs at the start and at the best point; their
-    names contain that of the scenario if the design has scenarios.
-    """
-    folder.mkdir(exist_ok=True)
-    files = [path for which in ("start", "best") for path in _archives(design, which, folder, overwrite)]
-    result = folder / RESULT
-    with replacing(result, overwrite=overwrite) as temporary:
-        temporary.write_text(json.dumps(design.to_dict(), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    return [result, *files]
+    def __init__(self, path: Path):
+        self.path = path
+        self.spec = path / FILE
+        self.points = path / "points.jsonl"
+        self.result = path / "design.json"
+        self.page = path / "report.html"
+
+    def archive(self, which: str, scenario: str) -> Path:
+        """Return the path of the archive of a point, ``start`` or ``best``, in a scenario."""
+        return self.path / (f"{which}-{scenario}.h5" if scenario else f"{which}.h5")
+
+    def check(self, spec: DesignSpec, *, overwrite: bool) -> None:
+        """Check that the folder can be used for this design, without changing anything.
+
+        Parameters
+        ----------
+        overwrite
+            Whether the folder may contain another design, which `clear` then removes.
+
+        Raises
+        ------
+        SpecError
+            If the folder belongs to another design, contains other files but no design, or cannot be created.
+        ResourceError
+            If writing into it is not permitted.
+        """
+        path = self.path
+        if not os.path.lexists(path):
+            check_folder(path.parent, path)
+            check_writable(path.parent, path)
+            return
+        if not os.path.isdir(path):
+            raise SpecError("this is not a folder; name a folder for the design with -o", file=path)
+        check_writable(path, path)
+        if self.spec.is_file():
+            if overwrite:
+                self._check_design()
+            else:
+                self._check_same(spec)
+        elif not all(entry.name.startswith((LOCK, JOBS)) for entry in path.iterdir()):
+            raise SpecError(
+                "this folder contains other files and no design.yaml; choose another folder with -o", file=path
+            )
+
+    def _check_same(self, spec: DesignSpec) -> None:
+        if canonical_text(written_out(load_design_spec(self.spec))) != canonical_text(written_out(spec)):
+            raise SpecError(
+                "this folder belongs to another design, or to an earlier version of this one: its design.yaml "
+                "differs; choose another folder with -o, or start it anew with --overwrite",
+                file=self.path,
+            )
+
+    def _check_design(self) -> None:
+        """Raise SpecError if design.yaml is not that of a design, so that nothing in the folder may be removed."""
+        if "mbdkit_design" not in read_file(self.spec).data:
+            raise SpecError("this is not the spec of a design, so its folder is not overwritten", file=self.spec)
+
+    def clear(self) -> None:
+        """Remove what a design writes into the folder; all other files are kept.
+
+        Raises
+        ------
+        ResourceError
+            If another call uses the folder, or the system refuses to remove a file.
+        """
+        if not self.spec.is_file():
+            return
+        self._check_design()
+        archives = [path for which in WHICH for path in self.path.glob(f"{which}*.h5") if path.is_file()]
+        with self.locked():
+            try:
+                for path in (self.result, self.points, self.page, *archives, self.spec):
+                    path.unlink(missing_ok=True)
+            except OSError as error:
+                raise file_error(error.errno, f"cannot be removed: {error.strerror or error}", file=path) from error
+
+    def prepare(self, spec: DesignSpec) -> None:
+        """Create the folder and design.yaml, unless they exist."""
+        try:
+            self.path.mkdir(exist_ok=True)
+        except OSError as error:
+            raise file_error(error.errno, f"cannot be created: {error.strerror or error}", file=self.path) from error
+        if self.spec.is_file():
+            self._check_same(spec)  # it may have appeared since `check`
+            return
+        with replacing(self.spec, overwrite=False) as temporary:
+            temporary.write_text(write_yaml(written_out(spec)), encoding="utf-8")
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[None]:
+        """Lock the folder against other calls; raise ResourceError if another one holds the lock."""
+        if sys.platform == "win32":
+            yield
+            return
+        with folder_lock.locked(self.path, self.spec, command="design"):
+            yield
+
+    def read(self) -> Design:
+        """Return the design and its result.
+
+        Raises
+        ------
+        SpecError
+            If the folder contains no design, or one without a result.
+        """
+        if not self.spec.is_file():
+            raise SpecError("this folder contains no design (no design.yaml)", file=self.path)
+        spec = load_design_spec(self.spec)
+        if not self.result.is_file():
+            message = (
+                "this design has no result yet; `mbdkit design` with the same spec and this folder goes on with it"
+            )
+            raise SpecError(message, file=self.path)
+        try:
+            return Design.from_dict(spec, json.loads(self.result.read_text(encoding="utf-8")))
+        except (ValueError, KeyError, TypeError, AttributeError):
+            raise SpecError("this is not the result of the design.yaml beside it", file=self.result) from None
+
+    def write(self, design: Design) -> list[Path]:
+        """Write archives of the start and of the best point and then the result, and return these files."""
+        archives = [path for which in WHICH for path in self._archives(design, which)]
+        with replacing(self.result) as temporary:
+            temporary.write_text(json.dumps(design.to_dict(), indent=2) + "\n", encoding="utf-8")
+        return [self.result, *archives]
+
+    def _archives(self, design: Design, which: str) -> Iterator[Path]:
+        """Write the archives of a point, with the estimated errors of their runs, and yield their names."""
+        point: DesignPoint = getattr(design, which)
+        settings = [(variable_path(name), value) for name, value in point.variables.items()]
+        for name, scenario in design.spec.specs.items():
+            spec = ScenarioRuns(scenario).at([*settings, *check_of(scenario)])
+            path = self.archive(which, name)
+            run = (
+                simulate(spec, path=path, overwrite=True)
+                if isinstance(spec, RunSpec)
+                else compute_run(spec, path=path, overwrite=True)
+            )
+            run.close()
+            yield path
 
 
-def _archives(design: Design, which: str, folder: Path, overwrite: bool) -> Iterator[Path]:
-    """Write the archives of a point, and yield their names."""
-    point: DesignPoint = getattr(design, which)
-    settings = [(variable_path(name), value) for name, value in point.variables.items()]
-    for name, scenario in design.spec.specs.items():
-        spec, path = ScenarioRuns(scenario).at(settings), folder / archive_name(which, name)
-        run = (
-            simulate(spec, path=path, overwrite=overwrite)
-            if isinstance(spec, RunSpec)
-            else compute_run(spec, path=path, overwrite=overwrite)
-        )
-        run.close()
-        yield path
+def written_out(spec: DesignSpec) -> dict[str, Any]:
+    """Return a design as plain data that refer to no other spec: each scenario has its base, with all overrides."""
+    data: dict[str, Any] = spec.model_dump(mode="json", exclude_unset=True)
+    data.pop("overrides", None)
+    bases = {name: _base(one) for name, one in spec.specs.items()}
+    if not spec.scenarios:
+        return data | {"base": bases[""]}
+    data.pop("base", None)
+    data["scenarios"] = {name: {"base": bases[name], "weight": one.weight} for name, one in spec.scenarios.items()}
+    return data
 
 
-def archive_name(which: str, scenario: str) -> str:
-    """Return the name of the archive of a point, ``start`` or ``best``, in a scenario."""
-    return f"{which}-{scenario}.h5" if scenario else f"{which}.h5"
+def _base(spec: RunSpec | InverseSpec) -> dict[str, Any]:
+    """Return the spec of a scenario as plain data, without its measures, which are those of the design."""
+    assert spec._document is not None
+    data = {key: value for key, value in spec._document.data.items() if key != "measures"}
+    if isinstance(spec, InverseSpec):
+        data["motion"] = _with_absolute_file(data["motion"], spec.folder)
+        if data.get("loads"):
+            data["loads"] = {name: _with_absolute_file(load, spec.folder) for name, load in data["loads"].items()}
+    return data
+
+
+def _with_absolute_file(section: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return a section whose file does not depend on the folder of the spec."""
+    file = section.get("file")
+    return section if file is None else section | {"file": os.path.abspath(folder / file)}

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.designs.evaluation import Evaluator, Settings
+from mbdkit.designs.evaluation import Evaluator, Job, Outcome, Settings
 from mbdkit.errors import MbdkitError
 from mbdkit.plain_data import Path
-from mbdkit.spec import RunSpec
+from mbdkit.spec import InverseSpec, RunSpec
 
 FINER = 2.0
 """Factor by which the steps of the finer run are shorter."""
@@ -38,7 +38,7 @@ class Trust:
         Whether the gain of each goal exceeds the estimated errors of both points, by name; None where there is no
         estimate, so that nobody knows.
     verdict
-        Worst verdict of the runs at the best point.
+        Worst verdict of the runs at the best point, which estimate their errors (``check: true``).
     """
 
     errors: dict[str, float]
@@ -70,25 +70,39 @@ def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trus
     at_start, at_best = (evaluator.totals(x) for x in (start, best))
     gain = {name: float(at_start[k] - at_best[k]) for k, name in enumerate(goals)}
     both = errors[start.tobytes()] + errors[best.tobytes()]
-    outcomes = evaluator.outcomes(best[None])[0]
     return Trust(
         errors=dict(zip([*goals, *evaluator.spec.subject_to], errors[best.tobytes()].tolist(), strict=True)),
         gain=gain,
         is_gain={name: None if np.isnan(both[k]) else bool(gain[name] > both[k]) for k, name in enumerate(goals)},
-        verdict=min((one.verdict for one in outcomes), key=WORST.index),
+        verdict=min((one.verdict for one in _checked(evaluator, best)), key=WORST.index),
     )
+
+
+def _checked(evaluator: Evaluator, x: np.ndarray) -> list[Outcome]:
+    """Return the outcomes at a point (n,) of runs that estimate their errors."""
+    settings = evaluator.settings(x)
+    jobs = [Job(name, [*settings, *check_of(spec)]) for name, spec in evaluator.spec.specs.items()]
+    return evaluator.run(jobs)
+
+
+def check_of(spec: RunSpec | InverseSpec) -> Settings:
+    """Return what makes a run estimate its errors; inverse dynamics does without being asked."""
+    return [(("check",), True)] if isinstance(spec, RunSpec) and not spec.estimates_errors else []
 
 
 def _errors(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
     """Return the estimated error (K,) of goals, summed over the scenarios, and of limits, their largest."""
     settings, differences = evaluator.settings(x), []
-    for runs, found in zip(evaluator.scenarios, evaluator.outcomes(x[None])[0], strict=True):
-        others = [runs.outcomes([[*settings, *change]])[0].values for change in _changes(runs.at(settings))]
-        differences.append(
-            np.max([np.abs(np.subtract(one, found.values)) for one in others], axis=0)
-            if others
-            else np.full(len(found.values), np.nan)
-        )
+    changes = [_changes(runs.at(settings)) for runs in evaluator.scenarios]
+    jobs = [
+        Job(name, [*settings, *change])
+        for name, each in zip(evaluator.spec.specs, changes, strict=True)
+        for change in each
+    ]
+    outcomes = iter(evaluator.run(jobs))
+    for found, each in zip(evaluator.outcomes(x[None])[0], changes, strict=True):
+        others = [np.abs(np.subtract(next(outcomes).values, found.values)) for _ in each]
+        differences.append(np.max(others, axis=0) if others else np.full(len(found.values), np.nan))
     weights, count = evaluator.root_weights**2, len(evaluator.spec.goals)
     table = np.array(differences)
     of_goals = table[:, :count]

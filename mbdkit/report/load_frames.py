@@ -32,6 +32,13 @@ KEY = 0.15
 KINDS = (("joint", "force in a joint"), ("load", "measured load"), ("spring", "force element"))
 """Class of the arrows in `templates/drawing.css`, and what they show."""
 
+_PLACES = {
+    "joint": "in joints, on the second body",
+    "load": "measured loads, from their point of application",
+    "spring": "force elements, at both ends",
+}
+"""Where the arrows of each kind stand."""
+
 Arrow = tuple[str, Array, Array]
 
 
@@ -41,10 +48,10 @@ def load_drawing(run: Run, mechanism: Mechanism | None) -> Drawing | None:
         return None
     assert mechanism is not None
     when = "of time" if _cycle(run) is None else "of a cycle, which begins with the contact"
-    text = (
-        f"Forces to one scale, at equal intervals {when}: in joints, on the second body; measured loads, from their "
-        "point of application; force elements, at both ends."
-    )
+    first = NamedPose.of(mechanism, list(run.bodies), run.array("trajectory/position")[0], np.asarray(run.time))
+    kinds = {kind for kind, *_ in _arrows(run, first, 0)}
+    told = "; ".join(words for kind, words in _PLACES.items() if kind in kinds)
+    text = f"Forces to one scale, at equal intervals {when}: {told}." if told else f"At equal intervals {when}."
     wide, narrow = (_svg(run, mechanism, *size) for size in ((FRAMES, WIDE), (FRAMES_NARROW, NARROW)))
     return Drawing(wide, narrow, "The mechanism at several times with arrows of its forces", text)
 

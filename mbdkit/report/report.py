@@ -1,4 +1,4 @@
-"""`report`: a run archive or study folder as a self-contained page, and its charts as images."""
+"""`report`: a run archive, or the folder of a study or design, as a self-contained page, and its charts as images."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from mbdkit.plot.chart_images import image_files, write_chart_images
 from mbdkit.report.report_page import ReportPage
 from mbdkit.report.run_report import run_report
 from mbdkit.report.verdict_text import markdown_text
+from mbdkit.spec.design_spec import FILE as DESIGN
 
 SUFFIXES = (".html", ".htm", ".md")
 
@@ -26,7 +27,7 @@ def report(
     figures: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Write the report of a run or study and return its file; see `write_report`."""
+    """Write the report of a run, study or design and return its file; see `write_report`."""
     return write_report(path, output, figures=figures, overwrite=overwrite)[0]
 
 
@@ -36,21 +37,24 @@ def write_report(
     *,
     figures: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
+    workers: int = 1,
 ) -> tuple[Path, Verdict]:
-    """Write the report of a run or of a study, and return its path and the verdict.
+    """Write the report of a run, of a study or of a design, and return its path and the verdict.
 
     Parameters
     ----------
     path
-        A run archive or a study folder.
+        A run archive, or the folder of a study or of a design.
     output
         The page, ending in .html; by default ``NAME-report.html`` beside the archive or ``report.html`` in the folder.
         If it ends in .md, verdict, claims and tables are written as Markdown.
     figures
-        Folder for the charts as PNG and SVG. By default charts of a run are not written, and charts of a study are
-        written to ``figures`` in its folder, unless `output` is given.
+        Folder for the charts as PNG and SVG. By default charts of a run or design are not written, and charts of a
+        study are written to ``figures`` in its folder, unless `output` is given.
     overwrite
         Whether existing files may be replaced.
+    workers
+        Number of processes that evaluate what is around the best point of a design.
 
     Raises
     ------
@@ -58,19 +62,20 @@ def write_report(
         `path` does not exist, or the page or a chart cannot be written. Files are checked before any is written.
     """
     source = Path(path)
-    is_study = os.path.isdir(source)
+    is_folder = os.path.isdir(source)
+    is_study = is_folder and not (source / DESIGN).is_file()
     if output is None:
-        target = source / "report.html" if is_study else source.with_name(f"{source.stem}-report.html")
+        target = source / "report.html" if is_folder else source.with_name(f"{source.stem}-report.html")
         figures = source / "figures" if is_study and figures is None else figures
     else:
         target = Path(output)
     folder = None if figures is None else Path(figures)
     if not os.path.exists(source):
-        raise SpecError("there is no run archive or study folder of this name", file=source)
+        raise SpecError("there is no run archive, and no folder of a study or design, of this name", file=source)
     check_suffix(target, SUFFIXES, "a report")
     check_output(target, overwrite=overwrite, source=source)
     _check_figures(folder, overwrite)
-    with _document(source, is_study) as document:
+    with _document(source, workers) as document:
         page = markdown_text(document) if target.suffix == ".md" else document.html()
         stands = os.path.isfile(target) and target.read_bytes() == page.encode()
         with replacing(target, overwrite=overwrite, source=source) as temporary:
@@ -82,15 +87,20 @@ def write_report(
 
 
 @contextmanager
-def _document(source: Path, is_study: bool) -> Iterator[ReportPage]:
-    if is_study:
+def _document(source: Path, workers: int) -> Iterator[ReportPage]:
+    if not os.path.isdir(source):
+        with load(source) as run:
+            yield run_report(run)
+    elif (source / DESIGN).is_file():
+        from mbdkit.report.design_report import design_report
+
+        with design_report(source, workers) as page:
+            yield page
+    else:
         from mbdkit.report.study_report import study_report
         from mbdkit.studies.carry_out import load_study
 
         yield study_report(load_study(source))
-    else:
-        with load(source) as run:
-            yield run_report(run)
 
 
 def _check_figures(folder: Path | None, overwrite: bool) -> None:

@@ -55,6 +55,12 @@ def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: A
         spec = DesignSpec(**document.data)
         spec._document = document
         spec._specs = {name: _scenario_spec(spec, name, one, folder) for name, one in spec.situations.items()}
+        for compared, settings in spec.compare.items():
+            changes = {
+                path_text(("compare", compared, key)): (parse_key(key), value) for key, value in settings.items()
+            }
+            for name, one in spec.situations.items():
+                _scenario_spec(spec, name, one, folder, changes)
     except SpecError as error:
         raise document.place(error) from None
     return spec
@@ -87,8 +93,20 @@ def _document(source: Any) -> tuple[Document, FilePath]:
     return by_text(read_file(path)), path.parent
 
 
-def _scenario_spec(design: DesignSpec, name: str, scenario: Scenario, folder: FilePath) -> RunSpec | InverseSpec:
-    """Return the spec of a scenario, with goals and limits as its measures and the variables at their start."""
+Given = dict[str, tuple[Path, Any]]
+"""Key paths and values, by the key of the design that says so."""
+
+
+def _scenario_spec(
+    design: DesignSpec, name: str, scenario: Scenario, folder: FilePath, changes: Given | None = None
+) -> RunSpec | InverseSpec:
+    """Return the spec of a scenario, with goals and limits as its measures and the variables at their start.
+
+    Parameters
+    ----------
+    changes
+        What is set after everything else.
+    """
     own = scenario.base is not None
     base, place = (scenario.base, ("scenarios", name, "base")) if own else (design.base, ("base",))
     assert base is not None
@@ -97,14 +115,15 @@ def _scenario_spec(design: DesignSpec, name: str, scenario: Scenario, folder: Fi
     else:
         document = Document(copied(base))
     data = copied(document.data)
-    given = {path_text(("overrides", key)): (parse_key(key), value) for key, value in design.overrides.items()}
+    given: Given = {path_text(("overrides", key)): (parse_key(key), value) for key, value in design.overrides.items()}
     for key, value in scenario.overrides.items():
         given[path_text(("scenarios", name, "overrides", key))] = (parse_key(key), value)
     _put_all(data, given)
-    chosen: dict[str, tuple[Path, Any]] = {}
+    chosen: Given = {}
     for key, variable in design.variables.items():
         _check_variable(key, data)
         chosen[path_text(("variables", key))] = (variable_path(key), variable.first)
+    chosen |= changes or {}
     _put_all(data, chosen)
     given |= chosen
     data["measures"] = {one.name: {"value": one.expression} for one in design.defined_measures()}
@@ -119,7 +138,7 @@ def _scenario_spec(design: DesignSpec, name: str, scenario: Scenario, folder: Fi
     return spec
 
 
-def _put_all(data: dict[str, Any], given: Mapping[str, tuple[Path, Any]]) -> None:
+def _put_all(data: dict[str, Any], given: Given) -> None:
     """Set key paths of a base, by the key of the design that says so."""
     for where, (path, value) in given.items():
         try:
@@ -142,10 +161,11 @@ def _check_variable(name: str, data: Mapping[str, Any]) -> None:
         known = [str(key) for key in place]
         hint = did_you_mean(str(part), known) or (f"; there are {listed(known)}" if known else "")
         what = f"parameter '{part}'" if path[0] == "parameters" else f"'{path_text(path[: depth + 1])}'"
-        raise SpecError(f"the base has no {what}{hint}", key=path_text(("variables", name)))
+        inner = "" if depth == len(path) - 1 or hint.startswith(" (") else "; if it has a default, set it in the base"
+        raise SpecError(f"the base has no {what}{hint}{inner}", key=path_text(("variables", name)))
 
 
-def _located(error: SpecError, given: Mapping[str, tuple[Path, Any]], document: Document, place: str) -> SpecError:
+def _located(error: SpecError, given: Given, document: Document, place: str) -> SpecError:
     """Return an error in the spec of a scenario, placed at the key of the design, or at the line of its base."""
     path = parse_path(error.key)
     for where, (key, _) in given.items():

@@ -21,6 +21,8 @@ from mbdkit.spec.strict_spec import StrictSpec
 from mbdkit.spec.study_measures import DefinedMeasure, defined
 from mbdkit.spec.study_spec import Base, Overrides
 
+FILE = "design.yaml"
+"""Name of the spec in the folder of a design."""
 GOAL = "goal"
 """Name of the only goal if `minimize` is an expression."""
 
@@ -37,7 +39,8 @@ class Variable(Section):
     def _start_in_bounds(self) -> Variable:
         low, high = self.bounds
         if low >= high:
-            raise SpecError(f"the lower bound {low:g} should be less than the upper bound {high:g}", key="bounds")
+            hint = "; to fix it, set its key under `overrides`" if low == high else ""
+            raise SpecError(f"the lower bound {low:g} should be less than the upper bound {high:g}{hint}", key="bounds")
         if self.start is not None and not low <= self.start <= high:
             raise SpecError(f"should be within the bounds {low:g} and {high:g}, not {self.start:g}", key="start")
         return self
@@ -107,12 +110,37 @@ class GlobalOptimizer(Section):
     """Largest number of generations."""
 
 
+class EvolutionStrategy(Section):
+    """CMA-ES, which needs no gradients, for two variables or more; by the package `cma`."""
+
+    name: Literal["cma-es"]
+    population: Annotated[int, Field(ge=3)] | None = None
+    """Number of members of a generation; by default 4 + 3 log(n) for n variables."""
+    spread: Annotated[float, Field(gt=0, le=1)] = 0.25
+    """Standard deviation of the first generation around the start, as a share of the bounds."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of its random numbers."""
+    tolerance: Positive = 1e-9
+    """Relative change of the goal, and of variables as a share of their bounds, at which the search ends."""
+    max_iterations: Count = 500
+    """Largest number of generations."""
+
+
+Optimizer = LocalOptimizer | GlobalOptimizer | EvolutionStrategy
+
+
 def _check_goals(given: Any) -> Any:
     if not isinstance(given, str | Mapping):
         raise SpecError(f"should be an expression, or a mapping of names and expressions, not {found(given)}")
     if isinstance(given, Mapping) and not given:
         raise SpecError("needs at least one goal, such as `torque: rms(joints.motor.torque)`")
     return given
+
+
+def _check_comparison(settings: dict[str, Any]) -> dict[str, Any]:
+    if not settings:
+        raise SpecError("needs dotted keys of the base and their values, such as {time.step: 0.1}")
+    return settings
 
 
 def _check_variables(variables: dict[str, Variable]) -> dict[str, Variable]:
@@ -154,11 +182,15 @@ class DesignSpec(StrictSpec):
     """What to minimise: an expression of a run, as that of a measure; or several by name, which give a Pareto front."""
     subject_to: dict[str, Limit] = Field(default_factory=dict)
     """Measures that are kept within limits, by name."""
-    optimizer: Annotated[LocalOptimizer | GlobalOptimizer, Field(discriminator="name")] = LocalOptimizer(name="slsqp")
-    """The method: `slsqp`, `trust-constr`, `least-squares` or `differential-evolution` of SciPy, and its options;
-    `least-squares` minimises the sum of the squares of all expressions of `minimize`."""
+    optimizer: Annotated[Optimizer, Field(discriminator="name")] = LocalOptimizer(name="slsqp")
+    """The method: `slsqp`, `trust-constr`, `least-squares` or `differential-evolution` of SciPy, or `cma-es`, and its
+    options; `least-squares` minimises the sum of the squares of all expressions of `minimize`."""
     front: Annotated[int, Field(ge=3, le=1000)] = 9
-    """Number of points of a Pareto front, both ends included."""
+    """Number of points of a Pareto front of two goals, both ends included; of three goals, number of limits of the
+    second goal and of the third one, with all combinations of which the first one is minimised."""
+    compare: dict[str, Annotated[Overrides, AfterValidator(_check_comparison)]] = Field(default_factory=dict)
+    """Other settings of the runs by any name, with which the best point is searched again, such as another integrator
+    or step: `{coarse: {time.step: 0.1}}`. The result says how good their best points really are."""
 
     _specs: dict[str, RunSpec | InverseSpec] = PrivateAttr(default_factory=dict)
     _documents: dict[Path, Document] = PrivateAttr(default_factory=dict)
@@ -176,16 +208,30 @@ class DesignSpec(StrictSpec):
                 )
         if self.sums_squares and self.subject_to:
             raise SpecError("keeps no limits (`subject_to`); use slsqp or trust-constr", key="optimizer.name")
-        if len(self.totals) > 2:
+        if len(self.totals) > 3:
             raise SpecError(
-                f"has {len(self.goals)} goals; a Pareto front has two. Combine some of them in one expression",
+                f"has {len(self.goals)} goals; a Pareto front has two or three. Combine some of them in one expression",
                 key="minimize",
             )
+        if self.optimizer.name == "cma-es" and len(self.variables) == 1:
+            raise SpecError(
+                "needs two variables or more; use slsqp or differential-evolution for one", key="optimizer.name"
+            )
+        self._check_comparisons()
         for name in self.subject_to:
             if name in self.goals:
                 raise SpecError("is the name of a goal too; choose another one", key=path_text(("subject_to", name)))
         tuple(self.defined_measures())
         return self
+
+    def _check_comparisons(self) -> None:
+        if self.compare and len(self.totals) > 1:
+            raise SpecError("compares the best point of a single goal, not Pareto fronts; omit it", key="compare")
+        for name, settings in self.compare.items():
+            for key in settings:
+                if parse_key(key) in map(variable_path, self.variables):
+                    where = path_text(("compare", name, key))
+                    raise SpecError("is a variable of the design, which the optimizer chooses", key=where)
 
     @property
     def goals(self) -> dict[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 import mbdkit
@@ -22,17 +23,22 @@ def strapped() -> dict[str, Any]:
 
 
 def test_least_squares_finds_the_spring_of_given_moments() -> None:
-    # expected: k (phi_0 - phi) of the brace is 3 - 8 phi at two times, hence k = 8 and k phi_0 = 3
+    # expected: k phi_0 - k phi of the brace is linear in k phi_0 and k, for which NumPy solves the least squares
     angle, _ = moments()
+    places = range(10, 200, 10)
+    given = np.array([3.0 - 8.0 * angle[k] + 0.3 * np.cos(5 * T[k]) for k in places])
+    matrix = np.array([[1.0, -angle[k]] for k in places])
+    (preload, stiffness), rest, *_ = np.linalg.lstsq(matrix, given)
     terms = {
-        f"at_{place}": f"at(forces.brace.value, {T[place]:.2f}) - ({3.0 - 8.0 * angle[place]:.17g})"
-        for place in (30, 170)
+        f"at_{k}": f"at(forces.brace.value, {T[k]:.2f}) - ({moment:.17g})"
+        for k, moment in zip(places, given, strict=True)
     }
     options = {"name": "least-squares", "tolerance": 1e-15}
     found = mbdkit.design(design_of(swing(), minimize=terms, optimizer=options))
-    assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(8.0, rel=1e-9)
-    assert found.best.variables[f"{BRACE}.free_angle"] == pytest.approx(0.375, rel=1e-9)
+    assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(stiffness, rel=1e-10)
+    assert found.best.variables[f"{BRACE}.free_angle"] == pytest.approx(preload / stiffness, rel=1e-10)
     assert list(found.best.goals) == ["goal"]
+    assert found.best.goals["goal"] == pytest.approx(rest[0], rel=1e-10)
     assert found.start.goals["goal"] == pytest.approx(sum(value**2 for value in found.start.measures[""].values()))
     assert not found.undetermined
 

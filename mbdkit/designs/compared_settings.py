@@ -1,0 +1,84 @@
+"""What other settings of the runs, such as a coarse step, would have made of a design."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mbdkit.designs.evaluation import Evaluator
+from mbdkit.designs.point import DesignPoint, Notify, point_of
+from mbdkit.designs.problem import Problem
+from mbdkit.designs.search import searches
+from mbdkit.errors import RunError
+from mbdkit.spec import DesignSpec
+from mbdkit.spec.reading import parse_key
+from mbdkit.text import counted, table
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The best point that a search with other settings of the runs finds.
+
+    Attributes
+    ----------
+    name
+        Name of the settings in `compare` of the design spec.
+    believed
+        The point, with the goals and measures that runs with these settings yield; None if there is none.
+    actual
+        The same point, with those of the design's own settings.
+    is_feasible
+        Whether it satisfies all limits, by the design's own settings.
+    reason
+        Why there is no point; empty otherwise.
+    """
+
+    name: str
+    believed: DesignPoint | None
+    actual: DesignPoint | None
+    is_feasible: bool
+    reason: str = ""
+
+    @classmethod
+    def from_dict(cls, spec: DesignSpec, data: Mapping[str, Any]) -> Comparison:
+        """Return the comparison that plain data tell."""
+        believed, actual = (
+            None if data[key] is None else DesignPoint.from_dict(spec, data[key]) for key in ("believed", "actual")
+        )
+        return cls(str(data["name"]), believed, actual, bool(data["is_feasible"]), str(data["reason"]))
+
+
+def compared_with(evaluator: Evaluator, name: str) -> Evaluator:
+    """Return what evaluates a design with the other settings of this name."""
+    settings = evaluator.spec.compare[name]
+    return Evaluator(evaluator.spec, evaluator.run, [(parse_key(key), value) for key, value in settings.items()])
+
+
+def compare(evaluator: Evaluator, name: str, notify: Notify) -> Comparison:
+    """Search the best point of a design with the other settings of this name."""
+    other = compared_with(evaluator, name)
+    try:
+        end = searches(Problem(other), evaluator.spec.optimizer, evaluator.first)[0].end
+    except RunError as error:
+        notify(f"{name}: {error}")
+        return Comparison(name, None, None, False, f"There is no best point with {name}: {error}.")
+    notify(f"{counted(evaluator.runs, 'run')}: with {name}, the least {evaluator.spec.totals[0]} seems to be "
+           f"{other.totals(end)[0]:.6g}")  # fmt: skip
+    is_feasible = Problem(evaluator).is_feasible(end)
+    return Comparison(name, point_of(other, end), point_of(evaluator, end), is_feasible)
+
+
+def comparison_table(best: DesignPoint, compared: Sequence[Comparison]) -> str:
+    """Return a table of the best points with several settings as text for a terminal."""
+    (goal,) = best.goals
+    rows = [("BEST POINT WITH", *best.variables, f"{goal.upper()} IT HAS THERE", "IN FACT", "")]
+    rows.append(
+        ("this design", *(f"{value:.6g}" for value in best.variables.values()), f"{best.goals[goal]:.6g}", "", "")
+    )
+    for one in compared:
+        if one.believed is not None and one.actual is not None:
+            values = (f"{value:.6g}" for value in one.believed.variables.values())
+            found = f"{one.believed.goals[goal]:.6g}", f"{one.actual.goals[goal]:.6g}"
+            rows.append((one.name, *values, *found, "" if one.is_feasible else "violates limits"))
+    return table(rows)

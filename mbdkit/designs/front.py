@@ -1,0 +1,60 @@
+"""Pareto fronts: the least first goal for many upper limits of the others."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from mbdkit.designs.evaluation import Evaluator
+from mbdkit.designs.point import Notify
+from mbdkit.designs.problem import Problem
+from mbdkit.designs.search import Search, searches
+from mbdkit.text import counted
+
+SLACK = 1e-6
+"""Difference of goals that counts as none, as a share of their range on the front."""
+
+
+def pareto_front(evaluator: Evaluator, first_end: Search, notify: Notify) -> list[Search]:
+    """Return points of the Pareto front, from the least first goal.
+
+    Each further goal is limited by values from its largest to its least one among the points where a single goal is
+    least, and the first goal is minimised with all combinations of these limits (epsilon-constraint method). Points
+    that are worse than another one, or violate limits of the design, are left out; if all do, the first one remains.
+
+    Parameters
+    ----------
+    first_end
+        The search for the least first goal.
+    """
+    spec = evaluator.spec
+    others = range(1, len(spec.totals))
+    ends = {k: searches(Problem(evaluator, goal=k), spec.optimizer, first_end.end)[0] for k in others}
+    goals = np.array([evaluator.totals(one.end) for one in (first_end, *ends.values())])
+    caps = {k: np.linspace(np.max(goals[:, k]), goals[k, k], spec.front) for k in others}
+    places = list(product(range(spec.front), repeat=len(others)))
+    found = {places[0]: first_end}  # limits that no point exceeds
+    for number, place in enumerate(places[1:], start=2):
+        limits = {k: float(caps[k][step]) for k, step in zip(others, place, strict=True)}
+        strictest = next((k for k, step in zip(others, place, strict=True) if step == spec.front - 1), None)
+        start = _before(found, place) if strictest is None else ends[strictest]
+        found[place] = searches(Problem(evaluator, caps=limits), spec.optimizer, start.end)[0]
+        notify(f"{counted(evaluator.runs, 'run')}: point {number} of {len(places)} of the front")
+    return _efficient(evaluator, [one for one in found.values() if one.feasible]) or [first_end]
+
+
+def _before(found: dict[tuple[int, ...], Search], place: tuple[int, ...]) -> Search:
+    """Return the point whose limits are looser by one step of the last goal that is limited."""
+    last = max(k for k, step in enumerate(place) if step > 0)
+    return found[(*place[:last], place[last] - 1, *place[last + 1 :])]
+
+
+def _efficient(evaluator: Evaluator, points: list[Search]) -> list[Search]:
+    """Return the points than which no other one is better in one goal and as good in all."""
+    if not points:
+        return []
+    goals = np.array([evaluator.totals(one.end) for one in points])
+    slack = SLACK * np.ptp(goals, axis=0)
+    worse = [bool(np.any(np.all(goals <= one + slack, axis=1) & np.any(goals < one - slack, axis=1))) for one in goals]
+    return [one for one, is_worse in zip(points, worse, strict=True) if not is_worse]

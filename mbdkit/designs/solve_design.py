@@ -1,0 +1,158 @@
+"""The functions `design` and `load_design`: they carry out designs and open their folders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from mbdkit.designs.computing import Computer
+from mbdkit.designs.design import Design, solve
+from mbdkit.designs.evaluation import Evaluator
+from mbdkit.designs.known_points import KnownPoints, PointFile
+from mbdkit.designs.point import Notify
+from mbdkit.designs.search import check_installed
+from mbdkit.designs.store import DesignFolder
+from mbdkit.spec import DesignSpec, load_design_spec
+from mbdkit.studies.executor_pool import Engine, checked_executor
+from mbdkit.text import counted
+
+WORKER = "mbdkit.designs.job_worker"
+"""Module that carries out the tasks of worker processes."""
+
+Progress = Callable[[int, int], None]
+"""Called with the number of runs so far, and of those that failed."""
+
+
+def design(
+    source: Any,
+    *,
+    out: str | Path | None = None,
+    workers: int = 1,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+    notify: Notify | None = None,
+    assignments: Sequence[str] = (),
+    overwrite: bool = False,
+    **sections: Any,
+) -> Design:
+    """Choose numbers of a spec so that measures of its runs become small.
+
+    Parameters
+    ----------
+    source
+        A design spec: a file, the name of a packaged design, a mapping, or a DesignSpec.
+    out
+        Folder for the result, for archives of the start and the best point, and for all points that are evaluated. If a
+        call was interrupted, the same one goes on from these points, and has the same result as one without the
+        interruption; that of a completed design is read. By default nothing is written.
+    workers
+        Number of processes that compute in parallel, once the design has taken some seconds.
+    executor
+        A `concurrent.futures.Executor` that computes instead of these processes, as for `mbdkit.study`.
+    progress
+        Called with the number of runs so far, and of those that failed, when runs are complete.
+    notify
+        Called with a sentence when a search ends.
+    assignments
+        Assignments to keys of the design spec, such as ``"optimizer.starts=8"``.
+    overwrite
+        Whether to start the folder anew: what an earlier design has written is removed first. Other files are kept.
+    **sections
+        Sections of the spec, such as ``optimizer={"name": "slsqp", "starts": 8}``; they replace those of `source`.
+
+    Returns
+    -------
+    Design
+        The result: ``.best``, ``.front`` and ``.trust``.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, or the folder belongs to another design. Nothing is written in this case.
+    RunError
+        If a run fails at the start of the variables.
+    ResourceError
+        If the folder cannot be written to or is in use by another call, or a resource is lacking; the points so far are
+        kept.
+
+    Examples
+    --------
+    The stiffness with which a mass swings by as little as possible:
+
+    >>> import mbdkit
+    >>> m = mbdkit.Mechanism()
+    >>> mass = m.body("mass", mass=1.0, inertia=1.0)
+    >>> m.revolute("pin", m.ground, mass, at=(0, 0))
+    >>> m.torsion_spring("spring", m.ground, mass, stiffness=1.0)
+    >>> m.torque("load", mass, value=1.0)
+    >>> base = {"mbdkit": 1, "model": m.to_spec(), "integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.01}}
+    >>> stiffness = {"model.forces.spring.stiffness": {"bounds": [1.0, 4.0]}}
+    >>> found = mbdkit.design(
+    ...     {"mbdkit_design": 1, "base": base, "variables": stiffness, "minimize": "rms(mass.angle)"}
+    ... )
+    >>> round(found.best.variables["model.forces.spring.stiffness"], 6)
+    4.0
+    """
+    spec = load_design_spec(source, assignments, **sections)
+    check_installed(spec)
+    engine = Engine(workers, checked_executor(executor), WORKER)
+    notify = notify or _silent
+    folder = None if out is None else DesignFolder(Path(out))
+    if folder is None:
+        with evaluating(spec, None, engine, notify, progress) as evaluator:
+            return solve(evaluator, notify)
+    folder.check(spec, overwrite=overwrite)
+    Evaluator(spec)  # expressions are checked before anything is written
+    if overwrite:
+        folder.clear()
+    folder.prepare(spec)
+    with folder.locked():
+        if folder.result.is_file():
+            return folder.read()
+        with evaluating(spec, folder, engine, notify, progress) as evaluator:
+            found = solve(evaluator, notify)
+        folder.write(found)
+    return found
+
+
+def load_design(folder: str | Path) -> Design:
+    """Open the folder of a design without computing anything.
+
+    Parameters
+    ----------
+    folder
+        Folder that was written by `design` or ``mbdkit design``.
+
+    Raises
+    ------
+    SpecError
+        If the folder contains no design with a result.
+    """
+    return DesignFolder(Path(folder)).read()
+
+
+@contextmanager
+def evaluating(
+    spec: DesignSpec, folder: DesignFolder | None, engine: Engine, notify: Notify, progress: Progress | None = None
+) -> Iterator[Evaluator]:
+    """Yield what evaluates a design; points are kept in its folder, if there is one, which is prepared and locked.
+
+    If Ctrl-C ends the block, `notify` is called with a sentence that says how to go on.
+    """
+    place = Path("points.jsonl") if folder is None else folder.points
+    with Computer(spec, engine, notify, place) as computer:
+        names = [one.name for one in spec.defined_measures()]
+        known = KnownPoints(computer, None if folder is None else PointFile(place, names), progress)
+        try:
+            yield Evaluator(spec, known)
+        except KeyboardInterrupt:
+            if folder is not None:
+                notify(f"{counted(known.count, 'run')} are kept in {folder.points}; the same call goes on from there")
+            raise
+
+
+def _silent(text: str) -> None:
+    """Ignore a message."""

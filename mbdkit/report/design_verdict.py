@@ -1,0 +1,190 @@
+"""The verdict on a design: what it gains, how far that can be trusted, and the tables of its points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.analysis.verdict import Answer, Cell, Claim, Column, Table, Verdict
+from mbdkit.measures.take import describe
+from mbdkit.report.design_charts import goal_words, variable_unit
+from mbdkit.spec.key_words import key_words
+from mbdkit.spec.yaml_reader import write_yaml
+from mbdkit.text import counted
+
+if TYPE_CHECKING:
+    from mbdkit.designs.compared_settings import Comparison
+    from mbdkit.designs.design import Design
+
+SAME = 1e-3
+"""Relative difference of two optima that counts as none, of their goals and of variables as a share of the bounds."""
+
+
+def design_verdict(design: Design) -> Verdict:
+    """Return the verdict on a design, without charts."""
+    claims = [
+        *_gains(design),
+        _certified(design),
+        *_limits(design),
+        *(_compared(design, one) for one in design.compared),
+    ]
+    at_best, every = design.searches
+    note = f"{at_best} of {every} searches ended at this point to 0.1 % of the goal."
+    alone = " A single search finds a local minimum; `optimizer.starts` makes several." if every == 1 else ""
+    return Verdict(
+        name="design",
+        title="Verdict",
+        sentence=" ".join([*(claim.sentence for claim in claims if claim.sentence), *design.warnings]),
+        claims=tuple(claims),
+        tables=tuple(_tables(design)),
+        notes=(note + alone,),
+    )
+
+
+def measure_units(design: Design) -> dict[tuple[str, str], str]:
+    """Return the units of goals and limits by scenario and name."""
+    return {
+        (scenario, one.name): describe(one, spec).units
+        for scenario, spec in design.spec.specs.items()
+        for one in design.spec.defined_measures()
+    }
+
+
+def goal_units(design: Design) -> dict[str, str]:
+    """Return the units of what is minimised by name; empty for a sum of squares, or if scenarios differ."""
+    if design.spec.sums_squares:
+        return dict.fromkeys(design.spec.totals, "")
+    units = measure_units(design)
+    found = {name: {units[scenario, name] for scenario in design.spec.specs} for name in design.spec.totals}
+    return {name: one.pop() if len(one) == 1 else "" for name, one in found.items()}
+
+
+def _gains(design: Design) -> Iterator[Claim]:
+    """Yield a claim for each goal: that it gains more than the estimated errors."""
+    units = goal_units(design)
+    for name, best in design.best.goals.items():
+        before, error, is_gain = design.start.goals[name], design.trust.errors[name], design.trust.is_gain[name]
+        share = f" ({100 * (best - before) / abs(before):+.3g} %)" if before else ""
+        unit = f" {units[name]}" if units[name] else ""
+        sentence = f"The {goal_words(name)} changes from {before:.6g} to {best:.6g}{unit}{share}."
+        known = "of unknown error" if np.isnan(error) else f"with an estimated error of {error:.1g}{unit}"
+        answer = Answer.OPEN if is_gain is None else Answer.YES if is_gain else Answer.NO
+        statement = f"The gain of the {goal_words(name)} exceeds the errors of both points."
+        yield Claim(f"gain-{name}", statement, "", f"{before:.6g} to {best:.6g}{unit}, {known}", answer, sentence)
+
+
+def _certified(design: Design) -> Claim:
+    level = design.trust.verdict
+    answer = {"good": Answer.YES, "unknown": Answer.OPEN, "doubtful": Answer.PARTLY}.get(level, Answer.NO)
+    return Claim("runs", "The runs at the best point can be trusted.", "", f"worst verdict: {level}", answer, "")
+
+
+def _limits(design: Design) -> Iterator[Claim]:
+    if design.spec.subject_to:
+        answer = Answer.YES if design.is_feasible else Answer.NO
+        told = f"{counted(len(design.spec.subject_to), 'limit')} in {counted(len(design.spec.specs), 'scenario')}"
+        yield Claim("limits", "The best point satisfies all limits.", "", told, answer, "")
+
+
+def _compared(design: Design, one: Comparison) -> Claim:
+    """Return the claim that other settings of the runs find the same best point."""
+    name = f"compared-{[*design.spec.compare].index(one.name) + 1}"
+    statement = f"With {one.name}, the best point is the same."
+    if one.believed is None or one.actual is None:
+        return Claim(name, statement, "", one.reason, Answer.NO, one.reason)
+    (goal,) = design.best.goals
+    unit = f" {units}" if (units := goal_units(design)[goal]) else ""
+    believed, actual, best = (point.goals[goal] for point in (one.believed, one.actual, design.best))
+    moved = max(
+        abs(one.believed.variables[key] - design.best.variables[key]) / (high - low)
+        for key, (low, high) in ((key, variable.bounds) for key, variable in design.spec.variables.items())
+    )
+    same = moved <= SAME and abs(believed - best) <= SAME * abs(best) and one.is_feasible
+    told = f"goal there {believed:.6g}{unit}, in fact {actual:.6g}{unit}; best {best:.6g}{unit}"
+    if same:
+        return Claim(name, statement, "", told, Answer.YES, "")
+    beyond = "" if one.is_feasible else ", and limits are violated there"
+    sentence = (
+        f"With {one.name}, a designer would believe in a {goal_words(goal)} of {believed:.6g}{unit}; "
+        f"in fact it is {actual:.6g}{unit}{beyond}."
+    )
+    return Claim(name, statement, "", told, Answer.NO, sentence)
+
+
+def _tables(design: Design) -> Iterator[Table]:
+    """Yield the tables of variables, of goals and limits in each scenario, of comparisons, and of a Pareto front."""
+    rows: list[tuple[Cell, ...]] = [
+        (key_words(name), one.bounds[0], design.start.variables[name], design.best.variables[name], one.bounds[1],
+         variable_unit(design, name), _at_bound(design, name))
+        for name, one in design.spec.variables.items()
+    ]  # fmt: skip
+    names = ("variable", "lower bound", "start", "best", "upper bound", "unit", "at a bound")
+    yield Table("variables", "Variables", tuple(map(Column, names)), tuple(rows))
+    yield _goal_table(design)
+    if design.compared:
+        yield _comparison_table(design)
+    if len(design.front) > 1:
+        yield _front_table(design)
+
+
+def _goal_table(design: Design) -> Table:
+    units = measure_units(design)
+    rows: list[tuple[Cell, ...]] = []
+    for scenario, measures in design.best.measures.items():
+        for name, value in measures.items():
+            limit = design.spec.subject_to.get(name)
+            rows.append(
+                (scenario, name, units[scenario, name], design.start.measures[scenario][name], value,
+                 None if limit is None else limit.min, None if limit is None else limit.max)
+            )  # fmt: skip
+    names = ["scenario", "goal or limit", "unit", "start", "best", "smallest", "largest"]
+    if not design.spec.scenarios:
+        names, rows = names[1:], [row[1:] for row in rows]
+    told = "; ".join(f"{one.name}: {one.expression}" for one in design.spec.defined_measures())
+    return Table("goals", "Goals and limits", tuple(map(Column, names)), tuple(rows), told)
+
+
+def _comparison_table(design: Design) -> Table:
+    """Return the table of the best points that searches with other settings of the runs find."""
+    (goal,) = design.best.goals
+    best = design.best
+    rows: list[tuple[Cell, ...]] = [("this design", *best.variables.values(), best.goals[goal], best.goals[goal],
+                                     "yes" if design.is_feasible else "no")]  # fmt: skip
+    for one in design.compared:
+        if one.believed is None or one.actual is None:
+            rows.append((one.name, *(None for _ in best.variables), None, None, "no best point"))
+        else:
+            found = one.believed.goals[goal], one.actual.goals[goal]
+            rows.append((one.name, *one.believed.variables.values(), *found, "yes" if one.is_feasible else "no"))
+    unit = goal_units(design)[goal]
+    columns = (
+        Column("best point with"),
+        *(Column(key_words(name), variable_unit(design, name)) for name in best.variables),
+        Column("goal with it", unit),
+        Column("goal in fact", unit),
+        Column("satisfies limits"),
+    )
+    told = "; ".join(
+        f"{name}: {write_yaml(settings).strip().replace(chr(10), ', ')}"
+        for name, settings in design.spec.compare.items()
+    )
+    note = f"The goal in fact, and whether limits are satisfied, are computed with the settings of the design. {told}."
+    return Table("compared", "What other settings would have made of it", columns, tuple(rows), note)
+
+
+def _front_table(design: Design) -> Table:
+    units = goal_units(design)
+    columns = (
+        *(Column(name, units[name]) for name in design.best.goals),
+        *(Column(key_words(name), variable_unit(design, name)) for name in design.best.variables),
+    )
+    rows = tuple((*one.goals.values(), *one.variables.values()) for one in design.front)
+    return Table("front-points", "Points of the Pareto front", columns, rows)
+
+
+def _at_bound(design: Design, name: str) -> str:
+    low, high = design.spec.variables[name].bounds
+    best, slack = design.best.variables[name], 1e-6 * (high - low)
+    return "lower" if best <= low + slack else "upper" if best >= high - slack else ""

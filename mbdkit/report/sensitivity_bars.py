@@ -1,0 +1,89 @@
+"""Bars of the sensitivities of goals and limits at the best point of a design, with their signs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from markupsafe import Markup
+
+from mbdkit.analysis.verdict import Cell, Column, Table
+from mbdkit.designs.landscape import SHARE, Sensitivity
+from mbdkit.report.mechanism_drawing import NARROW, WIDE, short_name
+from mbdkit.report.section import Drawing, Section
+
+_STEP = 22.0
+_TEXT = '<text x="{:.0f}" y="{:.0f}"{}>{}</text>'
+
+
+def sensitivity_section(
+    found: Sequence[Sensitivity], words: Mapping[str, str], units: Mapping[tuple[str, str], str]
+) -> Section:
+    """Return the section with the bars and their table.
+
+    Parameters
+    ----------
+    words
+        Words for the variables by name.
+    units
+        Units of goals and limits by scenario and name.
+    """
+    sentence = (
+        f"Change of each goal and limit if one variable grows by {100 * SHARE:g} % of its bounds from its best value, "
+        "to first order. Where neither bounds nor limits are active, the changes of a single goal add up to zero over "
+        "the scenarios, weighted."
+    )
+    wide, narrow = (_svg(found, words, units, width) for width in (WIDE, NARROW))
+    text = "Changes to the right are increases. Each goal or limit has its own scale."
+    return Section("sensitivities", "Sensitivities", (sentence,), Drawing(wide, narrow, text, text),
+                   (_table(found, words, units),))  # fmt: skip
+
+
+def _name(one: Sensitivity) -> str:
+    return f"{one.measure} ({one.scenario})" if one.scenario else one.measure
+
+
+def _table(found: Sequence[Sensitivity], words: Mapping[str, str], units: Mapping[tuple[str, str], str]) -> Table:
+    rows: list[tuple[Cell, ...]] = [
+        (_name(one), units[one.scenario, one.measure], *one.changes.values()) for one in found
+    ]
+    columns = [Column("goal or limit"), Column("unit"), *(Column(words[name]) for name in found[0].changes)]
+    return Table("sensitivities-table", "Changes in numbers", tuple(columns), tuple(rows))
+
+
+def _svg(
+    found: Sequence[Sensitivity], words: Mapping[str, str], units: Mapping[tuple[str, str], str], width: float
+) -> Markup:
+    parts: list[Markup] = []
+    y = 8.0
+    for one in found:
+        unit = units[one.scenario, one.measure]
+        title = Markup('<text class="body" x="10" y="{:.0f}">{}</text>')
+        parts.append(title.format(y + 12, _name(one) + (f" [{unit}]" if unit else "")))
+        y += _STEP
+        parts += _bars(one, words, width, y)
+        y += _STEP * len(one.changes) + 10.0
+    return Markup('<svg viewBox="0 0 {:.0f} {:.0f}" aria-hidden="true">{}</svg>').format(
+        width, y, Markup("").join(parts)
+    )
+
+
+def _bars(one: Sensitivity, words: Mapping[str, str], width: float, y: float) -> Iterator[Markup]:
+    """Yield a bar to the left or to the right for each variable, with its name and value, below `y` [px]."""
+    is_wide = width > NARROW
+    left, side = (300.0, 80.0) if is_wide else (130.0, 62.0)  # room for names, and for numbers on each side
+    middle, half = (left + width) / 2, (width - left) / 2 - side
+    most = max((abs(value) for value in one.changes.values() if np.isfinite(value)), default=0.0) or 1.0
+    for name, value in one.changes.items():
+        yield Markup(_TEXT).format(
+            left - 8, y + 12, Markup(' text-anchor="end"'), short_name(words[name], 44 if is_wide else 19)
+        )
+        size = half * abs(value) / most if np.isfinite(value) else 0.0
+        begin = middle - size if value < 0 else middle
+        yield Markup('<rect class="bar" x="{:.1f}" y="{:.1f}" width="{:.1f}" height="14"/>').format(begin, y, size)
+        told = f"{value:+.3g}" if np.isfinite(value) else "unknown"
+        anchor = Markup(' text-anchor="end"' if value < 0 else "")
+        yield Markup(_TEXT).format(middle + (-size - 6 if value < 0 else size + 6), y + 12, anchor, told)
+        y += _STEP
+    top = y - _STEP * len(one.changes)
+    yield Markup('<path class="faint" d="M{0:.1f} {1:.1f}L{0:.1f} {2:.1f}"/>').format(middle, top - 3, y - 3)

@@ -1,0 +1,209 @@
+"""The folder of a design: going on after an interruption, processes, locks, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+import mbdkit
+from mbdkit import ResourceError, SpecError
+from mbdkit.cli import app
+from mbdkit.designs import computing
+from mbdkit.designs.computing import Computer
+from mbdkit.designs.evaluation import Job
+from mbdkit.designs.known_points import KnownPoints, PointFile
+from mbdkit.designs.solve_design import WORKER
+from mbdkit.designs.store import DesignFolder
+from mbdkit.spec import load_design_spec
+from mbdkit.studies import pool
+from mbdkit.studies.executor_pool import Engine
+from tests.designs.oscillator import tuned
+
+
+def command(*arguments: str) -> Result:
+    return CliRunner().invoke(app, list(arguments), prog_name="mbdkit")
+
+
+def lines(folder: Path) -> list[str]:
+    return (folder / "points.jsonl").read_text("utf-8").splitlines()
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A design that nothing disturbed."""
+    folder = tmp_path_factory.mktemp("designs") / "whole"
+    mbdkit.design(tuned(), out=folder)
+    return folder
+
+
+def test_the_result_of_a_folder_is_that_of_the_design(whole: Path) -> None:
+    found = mbdkit.load_design(whole)
+    assert found.to_dict() == mbdkit.design(tuned()).to_dict() == json.loads((whole / "design.json").read_text("utf-8"))
+    assert sorted(path.name for path in whole.iterdir()) == [
+        "best.h5", "design.json", "design.yaml", "points.jsonl", "start.h5"]  # fmt: skip
+    with mbdkit.load(whole / "best.h5") as run:
+        assert run.measures["goal"] == found.best.goals["goal"]
+        assert run.verdict == found.trust.verdict
+        assert run.accuracy is not None
+
+
+def test_a_killed_design_goes_on_from_its_points(whole: Path, tmp_path: Path) -> None:
+    # as kill -9 leaves it: some points, the last one half written, and the lock of a process that is gone
+    folder, points = tmp_path / "killed", lines(whole)
+    folder.mkdir()
+    shutil.copy(whole / "design.yaml", folder)
+    half = len(points) // 2
+    (folder / "points.jsonl").write_text("\n".join(points[:half]) + "\n" + points[half][:40], encoding="utf-8")
+    mbdkit.design(tuned(), out=folder)
+    assert lines(folder) == points
+    for name in ("design.json", "design.yaml"):
+        assert (folder / name).read_bytes() == (whole / name).read_bytes()
+
+
+def test_ctrl_c_keeps_the_points_and_says_how_to_go_on(whole: Path, tmp_path: Path) -> None:
+    folder, told = tmp_path / "interrupted", []  # type: Path, list[str]
+
+    def interrupt(done: int, failed: int) -> None:
+        if done == 8:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        mbdkit.design(tuned(), out=folder, progress=interrupt, notify=told.append)
+    assert told[-1] == f"8 runs are kept in {folder / 'points.jsonl'}; the same call goes on from there"
+    assert lines(folder) == lines(whole)[:9]
+    with pytest.raises(
+        SpecError, match="has no result yet; `mbdkit design` with the same spec and this folder goes on"
+    ):
+        mbdkit.load_design(folder)
+    seen: list[int] = []
+    mbdkit.design(tuned(), out=folder, progress=lambda done, failed: seen.append(done))
+    assert seen[0] == 9
+    assert (folder / "design.json").read_bytes() == (whole / "design.json").read_bytes()
+
+
+def test_a_complete_design_is_read_and_not_computed_again(whole: Path) -> None:
+    seen: list[int] = []
+    found = mbdkit.design(tuned(), out=whole, progress=lambda done, failed: seen.append(done))
+    assert not seen
+    assert found.to_dict() == mbdkit.load_design(whole).to_dict()
+
+
+@pytest.mark.usefixtures("processes")
+def test_processes_compute_the_same_points(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(computing, "PATIENCE", 0.0)
+    started: list[Any] = []
+    real = pool._Worker
+    monkeypatch.setattr(pool, "_Worker", lambda *given: started.append(real(*given)) or started[-1])
+    mbdkit.design(tuned(), out=tmp_path / "out", workers=2)
+    assert len(started) == 2  # for all searches together
+    assert sorted(lines(tmp_path / "out")) == sorted(lines(whole))
+    assert (tmp_path / "out" / "design.json").read_bytes() == (whole / "design.json").read_bytes()
+
+
+def test_an_executor_computes_the_same_points(whole: Path, tmp_path: Path) -> None:
+    with ThreadPoolExecutor(1) as executor:
+        mbdkit.design(tuned(), out=tmp_path / "out", executor=executor)
+    assert lines(tmp_path / "out") == lines(whole)
+    assert (tmp_path / "out" / "design.json").read_bytes() == (whole / "design.json").read_bytes()
+
+
+@pytest.mark.usefixtures("processes")
+def test_a_point_that_kills_its_process_twice_fails_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    give: Callable[[Any, Any], None] = pool._Worker.give
+    path = ("model", "forces", "spring", "stiffness")
+
+    def deadly(worker: Any, task: Any) -> None:
+        if any(dict(job.settings)[path] == 3.0 for job in task.jobs):
+            worker.process.kill()
+            worker.process.wait()
+        give(worker, task)
+
+    monkeypatch.setattr(pool._Worker, "give", deadly)
+    spec, jobs = load_design_spec(tuned()), [Job("", [(path, stiffness)]) for stiffness in (2.0, 3.0)]
+    engine = Engine(1, None, WORKER)
+    with Computer(spec, engine, print, tmp_path / "points.jsonl") as computer:
+        monkeypatch.setattr(Computer, "_uses_workers", True)
+        known = KnownPoints(computer, PointFile(tmp_path / "points.jsonl", ["goal"]))
+        good, bad = known(jobs)
+    assert good.values == pytest.approx([np.cos(np.sqrt(2.0)) ** 2], rel=1e-8)
+    assert bad.verdict == "failed"
+    assert bad.reason.startswith("worker-died: two processes that computed it died")
+    assert [json.loads(line)["settings"] for line in lines(tmp_path)[1:]] == [
+        jobs[0].values
+    ]  # the next call tries again
+
+
+def test_a_folder_is_used_by_one_call_at_a_time(whole: Path) -> None:
+    with (
+        DesignFolder(whole).locked(),
+        pytest.raises(ResourceError, match=f"another `mbdkit design` is running in this folder.*{os.getpid()}"),
+    ):
+        mbdkit.design(tuned(), out=whole)
+    assert not list(whole.glob(".lock*"))
+
+
+def test_the_folder_of_another_design_is_refused_and_started_anew_on_demand(whole: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(whole, folder)
+    (folder / "notes.txt").write_text("mine")
+    with pytest.raises(SpecError, match="belongs to another design"):
+        mbdkit.design(tuned(minimize="final(wheel.angle)**2 + 1"), out=folder)
+    assert (folder / "design.json").read_bytes() == (whole / "design.json").read_bytes()
+    other = mbdkit.design(tuned(minimize="final(wheel.angle)**2 + 1"), out=folder, overwrite=True)
+    assert mbdkit.load_design(folder).to_dict() == other.to_dict() != mbdkit.load_design(whole).to_dict()
+    assert (folder / "notes.txt").read_text() == "mine"
+
+
+def test_a_folder_with_other_files_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(SpecError, match=r"contains other files and no design\.yaml"):
+        mbdkit.design(tuned(), out=tmp_path)
+    with pytest.raises(SpecError, match=r"contains no design \(no design\.yaml\)"):
+        mbdkit.load_design(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_wrong_design_writes_nothing(tmp_path: Path) -> None:
+    with pytest.raises(SpecError, match="nowhere"):
+        mbdkit.design(tuned(minimize="final(nowhere.angle)"), out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("text", ["[]\n", '{"mbdkit_points": 1}\n{"scenario": ""}\n', "points\n"])
+def test_points_that_are_none_are_told(whole: Path, tmp_path: Path, text: str) -> None:
+    folder = tmp_path / "copy"
+    folder.mkdir()
+    shutil.copy(whole / "design.yaml", folder)
+    (folder / "points.jsonl").write_text(text)
+    with pytest.raises(SpecError, match=r"points\.jsonl: this is not a list of evaluated points of this design"):
+        mbdkit.design(tuned(), out=folder)
+    assert (folder / "points.jsonl").read_text() == text
+
+
+def test_the_report_of_a_folder_needs_no_spec_and_no_new_runs_the_second_time(whole: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(whole, folder)
+    done = command("report", str(folder))
+    assert done.exit_code == 0, done.stderr
+    page, points = (folder / "report.html").read_text("utf-8"), lines(folder)
+    assert len(points) > len(lines(whole))
+    assert "stiffness of spring" in page.lower()
+    assert command("report", str(folder)).exit_code == 2
+    assert command("report", str(folder), "--overwrite").exit_code == 0
+    assert lines(folder) == points
+
+
+def test_the_report_of_a_design_without_a_result_says_how_to_get_one(whole: Path, tmp_path: Path) -> None:
+    shutil.copy(whole / "design.yaml", tmp_path)
+    done = command("report", str(tmp_path))
+    assert done.exit_code == 2
+    assert "has no result yet" in done.stderr
