@@ -104,8 +104,12 @@ def si_unit(exponents: Exponents) -> Unit:
     """Return the SI unit with these exponents."""
     text = _NAMED.get(exponents)
     if text is None:
-        above = [_power(name, e) for name, e in zip(_BASE, exponents, strict=True) if e > 0]
-        below = [_power(name, -e) for name, e in zip(_BASE, exponents, strict=True) if e < 0]
+        length, mass, time = exponents
+        parts = list(zip(_BASE, exponents, strict=True))
+        if mass > 0 and time == -2 * mass:  # a power of forces, such as N^2 m^2
+            parts = [("N", mass), ("m", length - mass)]
+        above = [_power(name, e) for name, e in parts if e > 0]
+        below = [_power(name, -e) for name, e in parts if e < 0]
         text = "/".join([" ".join(above) or "1", *below])
     return Unit(text, exponents)
 

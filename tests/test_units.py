@@ -39,7 +39,9 @@ def test_what_is_no_unit_is_refused(text: str) -> None:
         read_unit(text)
 
 
-@pytest.mark.parametrize("text", ["N", "J", "W", "m/s^2", "kg/s", "1", "N/m", "N s", "m^2", "1/s", "m kg^2/s^5"])
+@pytest.mark.parametrize(
+    "text", ["N", "J", "W", "m/s^2", "kg/s", "1", "N/m", "N s", "m^2", "1/s", "m kg^2/s^5", "N^2 m^2"]
+)
 def test_the_name_of_a_unit_is_read_back(text: str) -> None:
     unit = read_unit(text)
     assert si_unit(unit.exponents).is_like(read_unit(si_unit(unit.exponents).text))

@@ -13,6 +13,7 @@ from typing import Any
 
 from mbdkit.batch import CHUNK
 from mbdkit.designs.evaluation import Job, Outcome, ScenarioRuns, in_this_process
+from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.errors import ResourceError, RunError
 from mbdkit.spec import DesignSpec, InverseSpec
 from mbdkit.studies.executor_pool import Engine
@@ -101,10 +102,13 @@ class Computer:
         return engine.executor is not None or (engine.workers > 1 and self._spent >= PATIENCE)
 
     def _pieces(self, scenario: str, jobs: Sequence[Job]) -> list[tuple[Job, ...]]:
-        """Return jobs of a scenario in pieces whose outcomes become known together."""
+        """Return jobs of a scenario in pieces, whose runs advance side by side and become known together."""
         own = [job for job in jobs if job.scenario == scenario]
-        size = 1  # of inverse dynamics; runs advance side by side in one process
-        if not isinstance(self._spec.specs[scenario], InverseSpec):
+        if isinstance(self._spec.specs[scenario], InverseSpec):
+            size = 1
+        elif self._engine.executor is not None:  # of an unknown number of processes
+            size = WIDTH
+        else:
             size = min(CHUNK, math.ceil(len(own) * len(self._spec.specs) / self._engine.workers))
         return [tuple(own[first : first + size]) for first in range(0, len(own), max(1, size))]
 

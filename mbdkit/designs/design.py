@@ -89,7 +89,13 @@ class Design:
             start=DesignPoint.from_dict(spec, data["start"]),
             best=DesignPoint.from_dict(spec, data["best"]),
             front=tuple(DesignPoint.from_dict(spec, one) for one in data["front"]),
-            trust=Trust(numbers(trust["errors"]), numbers(trust["gain"]), dict(trust["is_gain"]), trust["verdict"]),
+            trust=Trust(
+                numbers(trust["errors"]),
+                numbers(trust["gain"]),
+                dict(trust["is_gain"]),
+                str(trust["verdict"]),
+                str(trust["reason"]),
+            ),
             is_feasible=bool(data["is_feasible"]),
             runs=int(data["runs"]),
             searches=(int(data["searches"]["at_best"]), int(data["searches"]["all"])),
@@ -118,7 +124,15 @@ class Design:
     @property
     def warnings(self) -> list[str]:
         """What a user should know of the best point, in sentences."""
-        return [*map(sentence, self.undetermined), *self.trust.sentences()]
+        sides = {name: self.side(name) for name in self.best.variables}
+        at_bounds = [f"{name} is at its {side} bound." for name, side in sides.items() if side]
+        return [*at_bounds, *map(sentence, self.undetermined), *self.trust.sentences()]
+
+    def side(self, variable: str) -> str:
+        """Return ``lower`` or ``upper`` if the best value of a variable is at this bound; otherwise an empty text."""
+        (low, high), best = self.spec.variables[variable].bounds, self.best.variables[variable]
+        slack = 1e-6 * (high - low)
+        return "lower" if best <= low + slack else "upper" if best >= high - slack else ""
 
 
 def solve(evaluator: Evaluator, notify: Notify) -> Design:

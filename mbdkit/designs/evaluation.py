@@ -23,6 +23,7 @@ from mbdkit.spec import DesignSpec, InverseSpec, RunSpec
 from mbdkit.spec.design_spec import variable_path
 from mbdkit.spec.reading import put
 from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit.stepping.warm_up import to_stderr
 
 Settings = Sequence[tuple[Path, Any]]
 """Key paths and their values."""
@@ -37,7 +38,7 @@ class Outcome:
     values
         Goals and limits in their order; nan if the run failed.
     verdict, reason
-        Verdict on the run, or ``failed``, and why it has no values.
+        Verdict on the run, or ``failed``; and why it failed, or is doubtful or bad.
     """
 
     values: tuple[float, ...]
@@ -121,12 +122,13 @@ class ScenarioRuns:
                 else:
                     with one_thread_of_linear_algebra(), compute_run(spec) as run:
                         values = tuple(run.measures[one.name] for one in self._measures)
-                        found[place] = Outcome(values, run.verdict)
+                        found[place] = _judged(values, run.verdict, run.verdict_reasons)
             except ResourceError:
                 raise
             except MbdkitError as error:
                 found[place] = self._failed(str(error))
-        for (place, spec), result in zip(runs.items(), simulate_batch(runs.values()), strict=True):
+        results = simulate_batch(runs.values(), notify=_notify)
+        for (place, spec), result in zip(runs.items(), results, strict=True):
             if not isinstance(result, FinishedRun) or result.status != "complete":
                 if result.status == "missing":
                     raise ResourceError(result.reason)
@@ -134,7 +136,7 @@ class ScenarioRuns:
                 continue
             stored = StoredRun(result, Heading(spec, ""))
             values = tuple(take(one, stored, spec) for one in self._measures)
-            found[place] = Outcome(values, result.judgement.level)
+            found[place] = _judged(values, result.judgement.level, result.judgement.reasons)
         return [one for one in found if one is not None]
 
     @property
@@ -148,6 +150,17 @@ class ScenarioRuns:
 
     def _failed(self, reason: str) -> Outcome:
         return Outcome((np.nan,) * len(self._measures), "failed", reason)
+
+
+def _judged(values: tuple[float, ...], verdict: str, reasons: Sequence[str]) -> Outcome:
+    """Return the outcome of a complete run, with the first of the reasons why it is doubtful or bad."""
+    return Outcome(values, verdict, reasons[0] if reasons and verdict in ("doubtful", "bad") else "")
+
+
+def _notify(text: str) -> None:
+    """Print a message, unless it is a warning, which would be repeated for each run; verdicts tell these."""
+    if not text.startswith("warning: "):
+        to_stderr(text)
 
 
 def in_this_process(scenarios: Mapping[str, ScenarioRuns]) -> Source:

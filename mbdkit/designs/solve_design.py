@@ -114,7 +114,7 @@ def design(
             return folder.read()
         with evaluating(spec, folder, engine, notify, progress) as evaluator:
             found = solve(evaluator, notify)
-        folder.write(found)
+            folder.write(found)
     return found
 
 

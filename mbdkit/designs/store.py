@@ -179,7 +179,11 @@ class DesignFolder:
                 if isinstance(spec, RunSpec)
                 else compute_run(spec, path=path, overwrite=True)
             )
-            run.close()
+            with run:
+                interrupted = run.status == "interrupted"
+            if interrupted:
+                path.unlink()
+                raise KeyboardInterrupt
             yield path
 
 

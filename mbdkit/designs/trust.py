@@ -39,12 +39,15 @@ class Trust:
         estimate, so that nobody knows.
     verdict
         Worst verdict of the runs at the best point, which estimate their errors (``check: true``).
+    reason
+        Why this is doubtful or bad; empty otherwise.
     """
 
     errors: dict[str, float]
     gain: dict[str, float]
     is_gain: dict[str, bool | None]
     verdict: str
+    reason: str = ""
 
     def sentences(self) -> list[str]:
         """Return what a user should know: goals without a gain, or of unknown error, and a verdict below good."""
@@ -59,7 +62,7 @@ class Trust:
         if unknown:
             told.append(f"There is no estimate of the error of {', '.join(unknown)}.")
         if self.verdict in ("failed", "bad", "doubtful"):
-            told.append(f"The worst verdict on a run at the best point is {self.verdict}.")
+            told.append(f"The worst verdict on a run at the best point is {self.verdict}: {self.reason}.")
         return told
 
 
@@ -70,11 +73,13 @@ def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trus
     at_start, at_best = (evaluator.totals(x) for x in (start, best))
     gain = {name: float(at_start[k] - at_best[k]) for k, name in enumerate(goals)}
     both = errors[start.tobytes()] + errors[best.tobytes()]
+    worst = min(_checked(evaluator, best), key=lambda one: WORST.index(one.verdict))
     return Trust(
         errors=dict(zip([*goals, *evaluator.spec.subject_to], errors[best.tobytes()].tolist(), strict=True)),
         gain=gain,
         is_gain={name: None if np.isnan(both[k]) else bool(gain[name] > both[k]) for k, name in enumerate(goals)},
-        verdict=min((one.verdict for one in _checked(evaluator, best)), key=WORST.index),
+        verdict=worst.verdict,
+        reason=worst.reason,
     )
 
 

@@ -21,9 +21,8 @@ from mbdkit.report.load_frames import load_drawing
 from mbdkit.report.mechanism_drawing import NamedPose
 from mbdkit.report.methods_used import methods
 from mbdkit.report.model_section import drawing
-from mbdkit.report.player_data import film_data
 from mbdkit.report.report_page import ReportPage
-from mbdkit.report.run_report import environment, mechanism_of
+from mbdkit.report.run_report import environment, film_of, mechanism_of
 from mbdkit.report.section import Section
 from mbdkit.report.sensitivity_bars import sensitivity_section
 from mbdkit.spec.key_words import key_words
@@ -122,4 +121,4 @@ def _films(pairs: Mapping[str, Pair]) -> Iterator[dict[str, Any]]:
     """Yield the motions at the best point and at the start."""
     for scenario, pair in pairs.items():
         for which in reversed(WHICH):
-            yield film_data(pair[which], _NUMBERS, f"{scenario}, {which}" if scenario else which)
+            yield film_of(pair[which], _NUMBERS, f"{scenario}, {which}" if scenario else which)

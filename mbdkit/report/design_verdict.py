@@ -78,7 +78,8 @@ def _gains(design: Design) -> Iterator[Claim]:
 def _certified(design: Design) -> Claim:
     level = design.trust.verdict
     answer = {"good": Answer.YES, "unknown": Answer.OPEN, "doubtful": Answer.PARTLY}.get(level, Answer.NO)
-    return Claim("runs", "The runs at the best point can be trusted.", "", f"worst verdict: {level}", answer, "")
+    told = f"worst verdict: {level}{f', {design.trust.reason}' if design.trust.reason else ''}"
+    return Claim("runs", "The runs at the best point can be trusted.", "", told, answer, "")
 
 
 def _limits(design: Design) -> Iterator[Claim]:
@@ -117,7 +118,7 @@ def _tables(design: Design) -> Iterator[Table]:
     """Yield the tables of variables, of goals and limits in each scenario, of comparisons, and of a Pareto front."""
     rows: list[tuple[Cell, ...]] = [
         (key_words(name), one.bounds[0], design.start.variables[name], design.best.variables[name], one.bounds[1],
-         variable_unit(design, name), _at_bound(design, name))
+         variable_unit(design, name), design.side(name))
         for name, one in design.spec.variables.items()
     ]  # fmt: skip
     names = ("variable", "lower bound", "start", "best", "upper bound", "unit", "at a bound")
@@ -182,9 +183,3 @@ def _front_table(design: Design) -> Table:
     )
     rows = tuple((*one.goals.values(), *one.variables.values()) for one in design.front)
     return Table("front-points", "Points of the Pareto front", columns, rows)
-
-
-def _at_bound(design: Design, name: str) -> str:
-    low, high = design.spec.variables[name].bounds
-    best, slack = design.best.variables[name], 1e-6 * (high - low)
-    return "lower" if best <= low + slack else "upper" if best >= high - slack else ""

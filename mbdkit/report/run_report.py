@@ -40,13 +40,12 @@ def run_report(run: Run) -> ReportPage:
     mechanism = mechanism_of(run)
     answer = answer_section(run)
     command = "inverse" if run.kind == "inverse" else "run"
-    film = film_data(run, _NUMBERS)
     return ReportPage(
         title=head.title,
         settings=head.settings,
         alarm=_alarm(run, head.alarm),
         verdict=run_verdict(run),
-        films=(with_arrows(run, mechanism, film) if run.kind == "inverse" else film,),
+        films=(film_of(run, _NUMBERS),),
         methods=methods([run.spec]),
         environment=environment(run.provenance, {"run": run.run_id, "created (UTC)": run.created_utc}),
         reproduce="Save the spec below as run.yaml. With the same versions on the same machine the arrays are "
@@ -57,6 +56,12 @@ def run_report(run: Run) -> ReportPage:
         sections=(model_section(run, mechanism), *inverse_sections(run, mechanism), *([answer] if answer else [])),
         beside_verdict=("misalignment", "errors", *DRIFT),
     )
+
+
+def film_of(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
+    """Return the data of the player, with arrows of forces for inverse dynamics; see `film_data` for the arguments."""
+    film = film_data(run, numbers, label)
+    return with_arrows(run, mechanism_of(run), film) if run.kind == "inverse" else film
 
 
 def mechanism_of(run: Run) -> Mechanism | None:

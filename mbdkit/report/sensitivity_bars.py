@@ -62,7 +62,7 @@ def _svg(
         parts.append(title.format(y + 12, _name(one) + (f" [{unit}]" if unit else "")))
         y += _STEP
         parts += _bars(one, words, width, y)
-        y += _STEP * len(one.changes) + 10.0
+        y += _STEP * len(one.changes) * (1 if width > NARROW else 2) + 10.0
     return Markup('<svg viewBox="0 0 {:.0f} {:.0f}" aria-hidden="true">{}</svg>').format(
         width, y, Markup("").join(parts)
     )
@@ -71,13 +71,16 @@ def _svg(
 def _bars(one: Sensitivity, words: Mapping[str, str], width: float, y: float) -> Iterator[Markup]:
     """Yield a bar to the left or to the right for each variable, with its name and value, below `y` [px]."""
     is_wide = width > NARROW
-    left, side = (300.0, 80.0) if is_wide else (130.0, 62.0)  # room for names, and for numbers on each side
+    left, side = (300.0, 80.0) if is_wide else (0.0, 70.0)  # room for names, and for numbers on each side
     middle, half = (left + width) / 2, (width - left) / 2 - side
+    top = y
     most = max((abs(value) for value in one.changes.values() if np.isfinite(value)), default=0.0) or 1.0
     for name, value in one.changes.items():
-        yield Markup(_TEXT).format(
-            left - 8, y + 12, Markup(' text-anchor="end"'), short_name(words[name], 44 if is_wide else 19)
-        )
+        if is_wide:
+            yield Markup(_TEXT).format(left - 8, y + 12, Markup(' text-anchor="end"'), short_name(words[name], 44))
+        else:
+            yield Markup(_TEXT).format(10, y + 12, "", short_name(words[name], 46))
+            y += _STEP
         size = half * abs(value) / most if np.isfinite(value) else 0.0
         begin = middle - size if value < 0 else middle
         yield Markup('<rect class="bar" x="{:.1f}" y="{:.1f}" width="{:.1f}" height="14"/>').format(begin, y, size)
@@ -85,5 +88,6 @@ def _bars(one: Sensitivity, words: Mapping[str, str], width: float, y: float) ->
         anchor = Markup(' text-anchor="end"' if value < 0 else "")
         yield Markup(_TEXT).format(middle + (-size - 6 if value < 0 else size + 6), y + 12, anchor, told)
         y += _STEP
-    top = y - _STEP * len(one.changes)
-    yield Markup('<path class="faint" d="M{0:.1f} {1:.1f}L{0:.1f} {2:.1f}"/>').format(middle, top - 3, y - 3)
+    yield Markup('<path class="faint" d="M{0:.1f} {1:.1f}L{0:.1f} {2:.1f}"/>').format(
+        middle, top - 3 if is_wide else top + _STEP - 3, y - 3
+    )

@@ -172,8 +172,20 @@ def test_a_terminal_sees_how_many_are_done_and_how_many_failed(monkeypatch, caps
     assert "2 failed" in captured.err
 
 
-def test_without_a_terminal_there_is_no_bar():
-    with progress_bars.count_bar("study") as advance:
+def test_a_terminal_sees_how_many_runs_a_design_has_made(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with progress_bars.tally_bar("design") as advance:
+        advance(3, 0)
+        advance(12, 2)
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "12 runs, 2 failed" in captured.err
+
+
+@pytest.mark.parametrize("bar", [progress_bars.count_bar, progress_bars.tally_bar])
+def test_without_a_terminal_there_is_no_bar(bar):
+    with bar("study") as advance:
         assert advance is None
 
 

@@ -11,6 +11,8 @@ import mbdkit
 
 BRACE = "model.forces.brace"
 MASS, INERTIA, ARM = 4.0, 0.1, 0.25
+ANGLE = 0.2
+"""Angle about which the motor swings the limb [rad]."""
 T = np.linspace(0.0, 2.0, 201)
 """Recorded times."""
 NODES, WEIGHTS = leggauss(40)
@@ -22,7 +24,8 @@ ONE = {f"{BRACE}.stiffness": {"bounds": [0.0, 200.0]}}
 def shank() -> mbdkit.Mechanism:
     """Return a limb that stands on its joint at the ground, with a brace there."""
     m = mbdkit.Mechanism()
-    m.body("shank", mass=MASS, inertia=INERTIA, position=(0.0, ARM), angle=0.0)
+    position = (-ARM * np.sin(ANGLE), ARM * np.cos(ANGLE))
+    m.body("shank", mass=MASS, inertia=INERTIA, position=position, angle=ANGLE)
     m.revolute("knee", m.ground, "shank", at=(0, 0))
     m.torsion_spring("brace", m.ground, "shank", stiffness=1.0, free_angle=0.0)
     return m
@@ -31,14 +34,14 @@ def shank() -> mbdkit.Mechanism:
 def swing(amplitude: float = 0.5, mechanism: mbdkit.Mechanism | None = None) -> dict[str, Any]:
     """Return the spec of a run in which a motor swings the shank."""
     m = mechanism or shank()
-    m.driver("motor", m.ground, "shank", coordinate="angle", motion=f"0.2 + {amplitude}*sin(3*t)")
+    m.driver("motor", m.ground, "shank", coordinate="angle", motion=f"{ANGLE} + {amplitude}*sin(3*t)")
     method = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": T[-1], "step": T[1]}}
     return {"mbdkit": 1, "model": m.to_spec(), **method}
 
 
 def moments(amplitude: float = 0.5, at: np.ndarray = 1.0 + NODES) -> tuple[np.ndarray, np.ndarray]:
     """Return angle and torque of the motor without the brace at some times, in closed form."""
-    angle, acceleration = 0.2 + amplitude * np.sin(3 * at), -9 * amplitude * np.sin(3 * at)
+    angle, acceleration = ANGLE + amplitude * np.sin(3 * at), -9 * amplitude * np.sin(3 * at)
     return angle, (INERTIA + MASS * ARM**2) * acceleration - MASS * 9.81 * ARM * np.sin(angle)
 
 

@@ -17,7 +17,7 @@ from typer.testing import CliRunner, Result
 import mbdkit
 from mbdkit import ResourceError, SpecError
 from mbdkit.cli import app
-from mbdkit.designs import computing
+from mbdkit.designs import computing, store
 from mbdkit.designs.computing import Computer
 from mbdkit.designs.evaluation import Job
 from mbdkit.designs.known_points import KnownPoints, PointFile
@@ -87,6 +87,26 @@ def test_ctrl_c_keeps_the_points_and_says_how_to_go_on(whole: Path, tmp_path: Pa
     seen: list[int] = []
     mbdkit.design(tuned(), out=folder, progress=lambda done, failed: seen.append(done))
     assert seen[0] == 9
+    assert (folder / "design.json").read_bytes() == (whole / "design.json").read_bytes()
+
+
+def test_ctrl_c_while_archives_are_written_leaves_no_result(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(time: float, end: float) -> None:
+        raise KeyboardInterrupt
+
+    def simulate(spec: Any, *, path: Path, overwrite: bool) -> mbdkit.Run:
+        long = {"time": {"end": 1000.0, "step": 0.001}}
+        return mbdkit.run("double-pendulum", archive=path, overwrite=overwrite, progress=interrupt, **long)
+
+    monkeypatch.setattr(store, "simulate", simulate)
+    folder = tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        mbdkit.design(tuned(), out=folder)
+    assert sorted(path.name for path in folder.iterdir()) == ["design.yaml", "points.jsonl"]
+    monkeypatch.undo()
+    mbdkit.design(tuned(), out=folder)
     assert (folder / "design.json").read_bytes() == (whole / "design.json").read_bytes()
 
 

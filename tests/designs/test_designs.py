@@ -122,6 +122,23 @@ def test_a_gain_within_the_error_of_the_method_counts_as_none() -> None:
     assert "counts as none" in found.summary()
 
 
+def test_a_doubtful_best_point_says_why_and_runs_do_not_repeat_their_warning(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    m = shank()
+    m.driver("motor", m.ground, "shank", coordinate="angle", motion="0.9")  # the limb is drawn at 0.2 rad
+    base = {"integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}}
+    found = mbdkit.design(design_of({"mbdkit": 1, "model": m.to_spec(), **base}, variables=ONE))
+    assert found.trust.verdict == "doubtful"
+    assert "at the best point is doubtful: assembly moves a point of shank" in found.summary()
+    assert "warning" not in capsys.readouterr().err
+
+
+def test_a_best_point_at_a_bound_is_told() -> None:
+    given = pendulum(**{"model.angle": {"bounds": [-1.0, 0.5]}})
+    assert "model.angle is at its upper bound." in mbdkit.design(given | {"minimize": "-final(rod1.y)"}).summary()
+
+
 def test_several_starts_leave_a_local_minimum() -> None:
     # the angle at the start is free: y after 1 s has several minima, and the one from the only start is not the least
     angle = {"model.angle": {"bounds": [-1.5, 9.0], "start": 4.5}}
