@@ -12,7 +12,6 @@ from mbdkit.designs.problem import Problem
 from mbdkit.designs.search import searches
 from mbdkit.errors import RunError
 from mbdkit.spec import DesignSpec
-from mbdkit.spec.reading import parse_key
 from mbdkit.text import counted, table
 
 
@@ -51,8 +50,7 @@ class Comparison:
 
 def compared_with(evaluator: Evaluator, name: str) -> Evaluator:
     """Return what evaluates a design with the other settings of this name."""
-    settings = evaluator.spec.compare[name]
-    return Evaluator(evaluator.spec, evaluator.run, [(parse_key(key), value) for key, value in settings.items()])
+    return Evaluator(evaluator.spec, evaluator.run, compared=name)
 
 
 def compare(evaluator: Evaluator, name: str, notify: Notify) -> Comparison:

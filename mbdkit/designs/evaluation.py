@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
@@ -21,7 +21,7 @@ from mbdkit.one_thread import one_thread_of_linear_algebra
 from mbdkit.plain_data import Path, copied, path_text, plain
 from mbdkit.spec import DesignSpec, InverseSpec, RunSpec
 from mbdkit.spec.design_spec import variable_path
-from mbdkit.spec.reading import put
+from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.stepping.warm_up import to_stderr
 
@@ -185,8 +185,8 @@ class Evaluator:
         The design.
     source
         Where outcomes come from; by default, they are computed in this process.
-    changes
-        Values that are set in every scenario, beside the variables.
+    compared
+        Name of the other settings in `compare` of the design; by default, its own ones.
 
     Attributes
     ----------
@@ -203,10 +203,13 @@ class Evaluator:
         If an expression of a goal or limit is not valid for one of the scenarios.
     """
 
-    def __init__(self, spec: DesignSpec, source: Source | None = None, changes: Settings = ()):
-        self.spec, self.runs, self.changes = spec, 0, changes
+    def __init__(self, spec: DesignSpec, source: Source | None = None, compared: str = ""):
+        self.spec, self.runs = spec, 0
         self.names = tuple(one.name for one in spec.defined_measures())
-        self.scenarios = tuple(ScenarioRuns(one) for one in spec.specs.values())
+        specs = spec.compared_specs[compared] if compared else spec.specs
+        self.scenarios = tuple(ScenarioRuns(one) for one in specs.values())
+        changes = spec.compare[compared] if compared else {}
+        self._changes = [(parse_key(key), value) for key, value in changes.items()]
         here = dict(zip(spec.specs, self.scenarios, strict=True))
         self.source = in_this_process(here) if source is None else source
         self._known: dict[bytes, tuple[Outcome, ...]] = {}
@@ -236,21 +239,21 @@ class Evaluator:
         }
 
     def settings(self, x: np.ndarray) -> Settings:
-        """Return the key paths and values that are set at a point: those of the variables, and `changes`."""
-        return [*((variable_path(name), value) for name, value in self.variables(x).items()), *self.changes]
+        """Return the key paths of the variables and their values at a point."""
+        return [(variable_path(name), value) for name, value in self.variables(x).items()]
 
     def outcomes(self, points: np.ndarray) -> list[tuple[Outcome, ...]]:
         """Return what every scenario yields at points (N, n); those that were evaluated before are not run again."""
         keys = [np.ascontiguousarray(x).tobytes() for x in points]
         new = {key: self.settings(x) for key, x in zip(keys, points, strict=True) if key not in self._known}
         if new:
-            found = iter(self.run(Job(name, settings) for settings in new.values() for name in self.spec.specs))
+            jobs = [Job(name, [*one, *self._changes]) for one in new.values() for name in self.spec.specs]
+            found = iter(self.run(jobs))
             self._known |= {key: tuple(islice(found, len(self.scenarios))) for key in new}
         return [self._known[key] for key in keys]
 
-    def run(self, jobs: Iterable[Job]) -> list[Outcome]:
+    def run(self, jobs: Sequence[Job]) -> list[Outcome]:
         """Return the outcome of jobs, and count them."""
-        jobs = list(jobs)
         self.runs += len(jobs)
         return self.source(jobs)
 

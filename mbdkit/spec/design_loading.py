@@ -59,8 +59,9 @@ def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: A
             changes = {
                 path_text(("compare", compared, key)): (parse_key(key), value) for key, value in settings.items()
             }
-            for name, one in spec.situations.items():
-                _scenario_spec(spec, name, one, folder, changes)
+            spec._compared_specs[compared] = {
+                name: _scenario_spec(spec, name, one, folder, changes) for name, one in spec.situations.items()
+            }
     except SpecError as error:
         raise document.place(error) from None
     return spec

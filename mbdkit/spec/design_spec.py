@@ -16,7 +16,6 @@ from mbdkit.spec.inverse_spec import InverseSpec
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.sections import Count, Section
-from mbdkit.spec.source_document import Document
 from mbdkit.spec.strict_spec import StrictSpec
 from mbdkit.spec.study_measures import DefinedMeasure, defined
 from mbdkit.spec.study_spec import Base, Overrides
@@ -193,7 +192,7 @@ class DesignSpec(StrictSpec):
     or step: `{coarse: {time.step: 0.1}}`. The result says how good their best points really are."""
 
     _specs: dict[str, RunSpec | InverseSpec] = PrivateAttr(default_factory=dict)
-    _documents: dict[Path, Document] = PrivateAttr(default_factory=dict)
+    _compared_specs: dict[str, dict[str, RunSpec | InverseSpec]] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="after")
     def _consistent(self) -> DesignSpec:
@@ -257,6 +256,11 @@ class DesignSpec(StrictSpec):
     def specs(self) -> Mapping[str, RunSpec | InverseSpec]:
         """The validated specs of the scenarios by name, with the variables at their start."""
         return self._specs
+
+    @property
+    def compared_specs(self) -> Mapping[str, Mapping[str, RunSpec | InverseSpec]]:
+        """The validated specs of the scenarios with each of the other settings in `compare`, by their name."""
+        return self._compared_specs
 
     def defined_measures(self) -> Iterator[DefinedMeasure]:
         """Yield goals and limits as measures, with their places in this spec."""
