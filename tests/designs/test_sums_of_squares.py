@@ -24,7 +24,7 @@ def strapped() -> dict[str, Any]:
 
 def test_least_squares_finds_the_spring_of_given_moments() -> None:
     # expected: k phi_0 - k phi of the brace is linear in k phi_0 and k, for which NumPy solves the least squares
-    angle, _ = moments()
+    angle, _ = moments(at=T)
     places = range(10, 200, 10)
     given = np.array([3.0 - 8.0 * angle[k] + 0.3 * np.cos(5 * T[k]) for k in places])
     matrix = np.array([[1.0, -angle[k]] for k in places])
@@ -49,6 +49,7 @@ def test_of_two_springs_in_parallel_only_the_sum_is_determined(optimizer: str) -
     total = -mean(moment * angle) / mean(angle**2)
     goal: Any = {"slsqp": "mean(joints.motor.torque**2)"}.get(optimizer)
     if goal is None:  # torques that a spring of 30 N m/rad exerts
+        angle, moment = moments(at=T)
         total, goal = 30.0, {f"at_{k}": f"at(joints.motor.torque, {T[k]:.2f}) - ({moment[k] + 30 * angle[k]:.17g})"
                              for k in (30, 80, 170)}  # fmt: skip
     found = mbdkit.design(design_of(strapped(), variables=BOTH, minimize=goal, optimizer={"name": optimizer}))

@@ -12,7 +12,7 @@ from mbdkit.analysis.verdict import Answer
 from mbdkit.report.design_report import design_report
 from mbdkit.report.report_page import ReportPage
 from tests.designs.oscillator import COARSE, distance, moved, stiffness_of_runge_kutta, tuned, tuned_stiffness
-from tests.designs.swinging_shank import BRACE, T, design_of, moments, swing
+from tests.designs.swinging_shank import BRACE, T, design_of, mean, moments, swing
 
 
 def page_of(given: dict[str, object], folder: Path) -> ReportPage:
@@ -29,7 +29,7 @@ def brace(tmp_path_factory: pytest.TempPathFactory) -> ReportPage:
 
 def test_loads_before_and_after_lie_in_their_bands(brace: ReportPage) -> None:
     # expected: torque of the motor = moment - k (phi_0 - phi), at the start with k = 20 N m/rad and phi_0 = 0
-    angle, moment = moments()
+    angle, moment = moments(at=T)
     figure = brace.verdict.figure("load-1-1")
     assert (figure.title, figure.y.label, figure.y.unit) == ("Torque of motor", "torque", "N m")
     before, after = figure.lines
@@ -61,7 +61,7 @@ def test_the_landscape_is_the_parabola_around_the_regression(brace: ReportPage) 
     (line,), (mark,) = figure.lines, figure.marks
     second, first, _ = np.polyfit(line.x - mark.x, line.y, 2)
     free_angle = best_of(brace, "free angle of brace")
-    assert 2 * second == pytest.approx(2 * np.trapezoid((moments()[0] - free_angle) ** 2, T) / T[-1], rel=1e-5)
+    assert 2 * second == pytest.approx(2 * mean((moments()[0] - free_angle) ** 2), rel=1e-5)
     assert abs(first) < 1e-3 * second
 
 
