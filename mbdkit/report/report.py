@@ -96,6 +96,8 @@ def _document(source: Path, workers: int) -> Iterator[ReportPage]:
 
         with design_report(source, workers) as page:
             yield page
+    elif not (source / "study.yaml").is_file():
+        raise SpecError("this folder contains no study and no design: no study.yaml, no design.yaml", file=source)
     else:
         from mbdkit.report.study_report import study_report
         from mbdkit.studies.carry_out import load_study

@@ -204,7 +204,7 @@ def test_an_archive_is_not_replaced_by_its_own_report(archive):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["missing.h5"], "missing.h5: there is no run archive or study folder of this name"),
+        (["missing.h5"], "missing.h5: there is no run archive, and no folder of a study or design, of this name"),
         (["text.h5"], "text.h5: this is not an HDF5 file"),
         (["cut.h5"], "cut.h5: this archive is truncated"),
         (["swing.h5", "-o", "page.pdf"], "its name must end in .html, .htm or .md"),

@@ -122,7 +122,7 @@ def test_a_study_writes_its_report_when_asked(study_folder, tmp_path, mbdkit_com
 def test_a_folder_that_is_no_study_is_refused_in_a_sentence(tmp_path, mbdkit_command):
     result = mbdkit_command("report", str(tmp_path))
     assert result.exit_code == 2
-    assert "this folder contains no study: there is no study.yaml" in result.stderr
+    assert "this folder contains no study and no design: no study.yaml, no design.yaml" in result.stderr
     assert list(tmp_path.iterdir()) == []
 
 
