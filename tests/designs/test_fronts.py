@@ -58,6 +58,13 @@ def test_a_front_within_limits_and_a_bound_that_fixes_a_variable() -> None:
     assert np.all(np.diff(points[:, 0]) > 0)
 
 
+def test_a_point_that_is_worse_in_one_goal_and_better_in_none_is_not_on_the_front() -> None:
+    # the first goal is 0.2 for all x up to 0.2, and the second one is least at x = -1: this is the whole front
+    goals = {"flat": "max(final(point.x), 0.2)", "other": "(final(point.x) + 1)**2 + final(point.y)**2"}
+    found = mbdkit.design(moved(goals, front=3))
+    np.testing.assert_allclose(places(found.front), [[-1.0, 0.0]] * len(found.front), atol=1e-3)
+
+
 def test_a_front_without_a_point_that_satisfies_the_limits_says_so() -> None:
     limits = {"far": {"value": "final(point.x)", "min": 5.0}}
     found = mbdkit.design(moved(goals_of(CORNERS[:2]), subject_to=limits, front=3))

@@ -22,12 +22,17 @@ def page_of(given: dict[str, object], folder: Path) -> ReportPage:
 
 
 @pytest.fixture(scope="module")
-def brace(tmp_path_factory: pytest.TempPathFactory) -> ReportPage:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("designs") / "brace"
+
+
+@pytest.fixture(scope="module")
+def brace(folder: Path) -> ReportPage:
     start = {f"{BRACE}.stiffness": {"bounds": [0.0, 200.0], "start": 20.0}, f"{BRACE}.free_angle": {"bounds": [-2, 2]}}
-    return page_of(design_of(swing(), variables=start), tmp_path_factory.mktemp("designs") / "brace")
+    return page_of(design_of(swing(), variables=start), folder)
 
 
-def test_loads_before_and_after_lie_in_their_bands(brace: ReportPage) -> None:
+def test_loads_before_and_after_lie_in_their_bands(brace: ReportPage, folder: Path) -> None:
     # expected: torque of the motor = moment - k (phi_0 - phi), at the start with k = 20 N m/rad and phi_0 = 0
     angle, moment = moments(at=T)
     figure = brace.verdict.figure("load-1-1")
@@ -37,12 +42,14 @@ def test_loads_before_and_after_lie_in_their_bands(brace: ReportPage) -> None:
     np.testing.assert_allclose(before.x, T, atol=1e-12)
     np.testing.assert_allclose(before.y, moment + 20.0 * angle, atol=1e-5)
     assert np.sqrt(np.mean(after.y**2)) < np.sqrt(np.mean(before.y**2))
-    for line in figure.lines:
+    for line, which in zip(figure.lines, ("start", "best"), strict=True):
+        with mbdkit.load(folder / f"{which}.h5") as run:
+            assert run.accuracy is not None
+            error = run.accuracy.torque_error[:, run.joint_names.index("motor")]
         assert line.band is not None
         low, high = np.split(line.band[:, 1], 2)
-        assert np.all(low <= line.y)
-        assert np.all(high[::-1] >= line.y)
-        assert np.max(high[::-1] - low) < 1e-3
+        np.testing.assert_allclose(high[::-1] - line.y, error, atol=1e-14)
+        np.testing.assert_allclose(line.y - low, error, atol=1e-14)
 
 
 def test_variables_and_goals_have_units(brace: ReportPage) -> None:
