@@ -15,6 +15,7 @@ from mbdkit.designs.known_points import KnownPoints, PointFile
 from mbdkit.designs.point import Notify
 from mbdkit.designs.search import check_installed
 from mbdkit.designs.store import DesignFolder
+from mbdkit.one_thread import one_thread_of_linear_algebra
 from mbdkit.spec import DesignSpec, load_design_spec
 from mbdkit.studies.executor_pool import Engine, checked_executor
 from mbdkit.text import counted
@@ -143,7 +144,7 @@ def evaluating(
     If Ctrl-C ends the block, `notify` is called with a sentence that says how to go on.
     """
     place = Path("points.jsonl") if folder is None else folder.points
-    with Computer(spec, engine, notify, place) as computer:
+    with one_thread_of_linear_algebra(), Computer(spec, engine, notify, place) as computer:  # searches use it, too
         names = [one.name for one in spec.defined_measures()]
         known = KnownPoints(computer, None if folder is None else PointFile(place, names), progress)
         try:
