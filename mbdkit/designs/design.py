@@ -30,9 +30,9 @@ class Design:
         Its spec.
     start, best
         The start of the variables and the best point. Of a Pareto front, the best point is the one that is nearest to
-        the least values of both goals, each relative to its range on the front.
+        the least values of all goals, each relative to its range on the front.
     front
-        Points of the Pareto front from the least first goal to the least second one; only `best` for a single goal.
+        Points of the Pareto front, that with the least first goal first; only `best` for a single goal.
     trust
         How far the best point can be trusted.
     is_feasible

@@ -154,7 +154,8 @@ class ScenarioRuns:
 
 def _judged(values: tuple[float, ...], verdict: str, reasons: Sequence[str]) -> Outcome:
     """Return the outcome of a complete run, with the first of the reasons why it is doubtful or bad."""
-    return Outcome(values, verdict, reasons[0] if reasons and verdict in ("doubtful", "bad") else "")
+    finite = tuple(value if np.isfinite(value) else np.nan for value in values)
+    return Outcome(finite, verdict, reasons[0] if reasons and verdict in ("doubtful", "bad") else "")
 
 
 def _notify(text: str) -> None:

@@ -67,6 +67,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "nothing": ({"compare": {"a": {}}}, "compare.a: needs dotted keys"),
     "a method that is not there": (
         {"compare": {"a": {"integrator.name": "rk5"}}}, r"compare\.a\.integrator\.name.*'rk5'"),
+    "no name": ({"compare": {" ": {"time.step": 0.1}}}, "compare: needs a name"),
     "a variable": ({"compare": {"a": {STIFFNESS: 2.0}}}, "is a variable of the design"),
 }  # fmt: skip
 
