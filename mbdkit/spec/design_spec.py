@@ -227,8 +227,8 @@ class DesignSpec(StrictSpec):
         if self.compare and len(self.totals) > 1:
             raise SpecError("compares the best point of a single goal, not Pareto fronts; omit it", key="compare")
         for name, settings in self.compare.items():
-            if not name.strip():
-                raise SpecError("needs a name for each of the settings, such as `coarse`", key="compare")
+            if not name.strip() or not name.isprintable():
+                raise SpecError(f"needs printable text as the name of settings, not {name!r}", key="compare")
             for key in settings:
                 if parse_key(key) in map(variable_path, self.variables):
                     where = path_text(("compare", name, key))
