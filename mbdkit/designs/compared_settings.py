@@ -60,7 +60,7 @@ def compare(evaluator: Evaluator, name: str, notify: Notify) -> Comparison:
         end = searches(Problem(other), evaluator.spec.optimizer, evaluator.first)[0].end
     except RunError as error:
         notify(f"{name}: {error}")
-        return Comparison(name, None, None, False, f"There is no best point with {name}: {error}.")
+        return Comparison(name, None, None, False, f"There is no best point with {name}: {str(error).rstrip('.')}.")
     notify(f"{counted(evaluator.runs, 'run')}: with {name}, the least {evaluator.spec.totals[0]} seems to be "
            f"{other.totals(end)[0]:.6g}")  # fmt: skip
     is_feasible = Problem(evaluator).is_feasible(end)

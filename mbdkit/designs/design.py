@@ -10,7 +10,7 @@ import numpy as np
 
 from mbdkit.designs.compared_settings import Comparison, compare, comparison_table
 from mbdkit.designs.evaluation import Evaluator
-from mbdkit.designs.front import pareto_front
+from mbdkit.designs.front import front_table, pareto_front
 from mbdkit.designs.identifiability import sentence, undetermined
 from mbdkit.designs.point import DesignPoint, Notify, numbers, point_of
 from mbdkit.designs.problem import Problem
@@ -117,6 +117,8 @@ class Design:
         lines = [table(rows), f"{counted(self.runs, 'run')}, {at_best} of {every} searches ended here: {self.message}"]
         if not self.is_feasible:
             lines.append("No point that satisfies all limits was found; this one violates them least.")
+        if len(self.front) > 1:
+            lines.append(front_table(self.front, self.best))
         if self.compared:
             lines += [comparison_table(self.best, self.compared), *(one.reason for one in self.compared if one.reason)]
         return "\n".join([*lines, *self.warnings])

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
 
 from mbdkit.designs.evaluation import Evaluator
-from mbdkit.designs.point import Notify
+from mbdkit.designs.point import DesignPoint, Notify
 from mbdkit.designs.problem import Problem
 from mbdkit.designs.search import Search, searches
-from mbdkit.text import counted
+from mbdkit.text import counted, table
 
+ROWS = 20
+"""Largest number of points in the table of a front."""
 SLACK = 1e-6
 """Difference of goals that counts as none, as a share of their range on the front."""
 
@@ -58,3 +61,13 @@ def _efficient(evaluator: Evaluator, points: list[Search]) -> list[Search]:
     slack = SLACK * np.ptp(goals, axis=0)
     worse = [bool(np.any(np.all(goals <= one + slack, axis=1) & np.any(goals < one - slack, axis=1))) for one in goals]
     return [one for one, is_worse in zip(points, worse, strict=True) if not is_worse]
+
+
+def front_table(front: Sequence[DesignPoint], best: DesignPoint) -> str:
+    """Return a table of the points of a front as text for a terminal."""
+    rows = [("POINT OF THE FRONT", *best.goals, *best.variables)]
+    for number, one in enumerate(front[:ROWS], start=1):
+        name = f"{number} (best)" if one == best else f"{number}"
+        rows.append((name, *(f"{value:.6g}" for value in (*one.goals.values(), *one.variables.values()))))
+    more = f"\n{len(front) - ROWS} more points are in design.json." if len(front) > ROWS else ""
+    return table(rows) + more

@@ -56,13 +56,16 @@ class Trust:
             gain = f"The gain of {name}, {self.gain[name]:.3g},"
             if real is None:
                 told.append(f"{gain} may be an error of the runs: there is no estimate of their errors.")
+            elif not real and self.gain[name] < 0:
+                told.append(f"There is no gain of {name}, which grows by {-self.gain[name]:.3g}.")
             elif not real:
                 told.append(f"{gain} is within the estimated errors: it counts as none.")
         unknown = [name for name, error in self.errors.items() if np.isnan(error) and name not in self.is_gain]
         if unknown:
             told.append(f"There is no estimate of the error of {', '.join(unknown)}.")
         if self.verdict in ("failed", "bad", "doubtful"):
-            told.append(f"The worst verdict on a run at the best point is {self.verdict}: {self.reason}.")
+            why = self.reason.rstrip(".")
+            told.append(f"The worst verdict on a run at the best point is {self.verdict}: {why}.")
         return told
 
 

@@ -44,12 +44,13 @@ def design_verdict(design: Design) -> Verdict:
 
 
 def measure_units(design: Design) -> dict[tuple[str, str], str]:
-    """Return the units of goals and limits by scenario and name."""
-    return {
+    """Return the units of goals and limits by scenario and name; empty for numbers without one."""
+    found = {
         (scenario, one.name): describe(one, spec).units
         for scenario, spec in design.spec.specs.items()
         for one in design.spec.defined_measures()
     }
+    return {place: "" if unit == "1" else unit for place, unit in found.items()}
 
 
 def goal_units(design: Design) -> dict[str, str]:

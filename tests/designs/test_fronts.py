@@ -31,6 +31,10 @@ def test_the_front_of_two_distances_is_the_segment_between_the_places() -> None:
     np.testing.assert_allclose(points[:, 1], 0.0, atol=1e-3)
     # expected: (1 - x)^2 falls evenly from 1 to 0
     np.testing.assert_allclose((1 - points[:, 0]) ** 2, np.linspace(1, 0, 6), atol=1e-4)
+    lines = found.summary().splitlines()
+    place = next(k for k, line in enumerate(lines) if line.startswith("POINT OF THE FRONT"))
+    assert [line.split()[0] for line in lines[place + 1 : place + 7]] == list("123456")
+    assert sum("(best)" in line for line in lines) == 1
 
 
 def test_the_front_of_three_distances_is_the_triangle() -> None:
@@ -69,6 +73,7 @@ def test_a_front_without_a_point_that_satisfies_the_limits_says_so() -> None:
     limits = {"far": {"value": "final(point.x)", "min": 5.0}}
     found = mbdkit.design(moved(goals_of(CORNERS[:2]), subject_to=limits, front=3))
     assert not found.is_feasible
+    assert "There is no gain of from_0, which grows by 3.02" in found.summary()  # from 0.98 to 2^2 at the bound
     assert "No point that satisfies all limits was found" in found.summary()
 
 
