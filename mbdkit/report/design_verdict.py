@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mbdkit.designs.design import Design
 
 SAME = 1e-3
-"""Relative difference of two optima that counts as none, of their goals and of variables as a share of the bounds."""
+"""Difference of two optima that counts as none: of goals relative to the start, of variables relative to the bounds."""
 
 
 def design_verdict(design: Design) -> Verdict:
@@ -103,7 +103,8 @@ def _compared(design: Design, one: Comparison) -> Claim:
         abs(one.believed.variables[key] - design.best.variables[key]) / (high - low)
         for key, (low, high) in ((key, variable.bounds) for key, variable in design.spec.variables.items())
     )
-    same = moved <= SAME and abs(believed - best) <= SAME * abs(best) and one.is_feasible
+    size = max(abs(best), abs(design.start.goals[goal]))
+    same = moved <= SAME and abs(believed - best) <= SAME * size and one.is_feasible
     told = f"goal there {believed:.6g}{unit}, in fact {actual:.6g}{unit}; best {best:.6g}{unit}"
     if same:
         return Claim(name, statement, "", told, Answer.YES, "")
