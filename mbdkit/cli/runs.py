@@ -160,11 +160,15 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
         return
     checked = load_spec(document, assignments or ())
     from mbdkit.run_corners import check_jumps
-    from mbdkit.run_preparation import build, caution
+    from mbdkit.run_preparation import build, caution, make_method
     from mbdkit.run_warnings import start_warnings
 
     mechanism = checked.mechanism()
     check_jumps(checked)
+    if checked.gradients:
+        from mbdkit.gradients.gradient import check_gradients
+
+        check_gradients(checked, make_method(checked))
     problem, start = build(checked)
     for warning in (*caution(checked), *start_warnings(checked, start)):
         say(f"warning: {warning}")

@@ -21,6 +21,11 @@ class Value:
         return Value(value, np.zeros((count, *value.shape)))
 
     @staticmethod
+    def number(value: float, slope: np.ndarray) -> Value:
+        """Return a number (1,) with its derivatives (K,)."""
+        return Value(np.array([value]), slope[:, None])
+
+    @staticmethod
     def joined(x: np.ndarray) -> Value:
         """Return values and derivatives from one array (..., 1 + K)."""
         return Value(x[..., 0], np.moveaxis(x[..., 1:], -1, 0))

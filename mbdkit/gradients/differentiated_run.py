@@ -16,10 +16,11 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.errors import RunError, SpecError, StepError
+from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.watch import Found, Watch, Watched
+from mbdkit.gradients.differentiated_expressions import of_event, slopes_of
 from mbdkit.gradients.differentiated_states import States, series_of
 from mbdkit.gradients.prepared_derivatives import CENTRAL, weights
-from mbdkit.measures.measure_expression import SeriesExpression
 from mbdkit.methods.kinds import Method
 from mbdkit.run_preparation import build, guards, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
@@ -35,7 +36,7 @@ class Event:
 
     name: str
     time: float
-    expression: SeriesExpression
+    expression: RunExpression
     stops: bool
 
 
@@ -247,13 +248,14 @@ class _Pass:
     def _crossing(self, event: Event, q: np.ndarray, v: np.ndarray) -> Crossing:
         """Return the time of an event and its derivatives, ``-g_p / g_t`` for the expression g that crosses zero."""
         here = self.evaluated(np.array([event.time]), None, q[None], v[None], None)
-        value = series_of(event.expression, here)
+        slopes = slopes_of(event.expression.program, self.seeds, of_event(event.name), self.width - 1)
+        value = series_of(event.expression, here, slopes)
         acc = here.observed.acc[0, :, 0]
         unit = self.spec.time.step or 1e-3
         offsets = unit * np.array(CENTRAL) / 32.0
         moved_q, moved_v = (constants(x[:, 0] + offsets[:, None] * rate) for x, rate in ((q, v[:, 0]), (v, acc)))
         around = self.evaluated(event.time + offsets, None, moved_q, moved_v, None)
-        differences = series_of(event.expression, around).value - value.value[0]
+        differences = series_of(event.expression, around, slopes).value - value.value[0]
         rate = float(np.dot(weights(CENTRAL), differences)) / (unit / 32.0)
         with np.errstate(all="ignore"):
             return Crossing(event.name, event.time, -value.slope[:, 0] / rate)
@@ -311,7 +313,7 @@ def events_of(spec: RunSpec) -> list[Event]:
         crossings += watch.taken()
     if watch.failure:
         raise RunError(f"a run that stops early has no gradient: {watch.failure.code}: {watch.failure.sentence}")
-    expressions = {name: SeriesExpression.parse(event.when, spec) for name, event in spec.events.items()}
+    expressions = spec.watched()
     stops = [one is crossings[-1] and watch.stopped is not None for one in crossings]
     return [Event(one.name, one.time, expressions[one.name], end) for one, end in zip(crossings, stops, strict=True)]
 

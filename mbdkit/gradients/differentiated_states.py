@@ -12,9 +12,8 @@ from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import SpecError
-from mbdkit.events.event_expression import Quantity
+from mbdkit.events.event_expression import Quantity, RunExpression
 from mbdkit.gradients.derived_values import IS_BINARY, Value, of_one, of_two
-from mbdkit.measures.measure_expression import SeriesExpression
 from mbdkit.measures.measured_quantities import component_of
 
 
@@ -65,17 +64,29 @@ def quantity_of(states: States, quantity: Quantity) -> Value:
     SpecError
         If it has no derivative.
     """
+    require_derivative(quantity)
     column, component, is_vector = component_of(quantity)
     found = _columns(states, quantity)
     if column not in found:
-        redundant = quantity.kind == "joints" and states.workspace.mechanism.redundancy.rows
-        why = ", because redundant joints share their reactions" if redundant else ""
-        what = ".".join(filter(None, (quantity.kind, quantity.name, quantity.attribute)))
-        raise SpecError(f"{what} has no derivative by parameters{why}", key="measures")
+        raise _refused(quantity, ", because redundant joints share their reactions")
     x = found[column]()
     if is_vector:
         return Value.joined(np.moveaxis(x[:, :2], 1, 0))
     return Value.joined(x if component is None else x[:, component])
+
+
+def require_derivative(quantity: Quantity) -> None:
+    """Raise SpecError if a quantity of runs has no derivative, whatever the mechanism."""
+    if quantity.kind != "events" and component_of(quantity)[0] in _MISALIGNMENTS:
+        raise _refused(quantity, ": a misalignment is an error of the method, and almost zero")
+
+
+_MISALIGNMENTS = ("misalignment", "velocity_misalignment", "angle_misalignment")
+
+
+def _refused(quantity: Quantity, why: str) -> SpecError:
+    what = ".".join(filter(None, (quantity.kind, quantity.name, quantity.attribute)))
+    return SpecError(f"{what} has no derivative by parameters{why}", key="measures")
 
 
 def _columns(states: States, quantity: Quantity) -> Mapping[str, Callable[[], np.ndarray]]:
@@ -146,18 +157,25 @@ def _energies(states: States) -> Mapping[str, Callable[[], np.ndarray]]:
     return found
 
 
-def series_of(expression: SeriesExpression, states: States) -> Value:
-    """Return an expression in each of T states, (T,)."""
+def series_of(expression: RunExpression, states: States, constants: np.ndarray) -> Value:
+    """Return the expression of an event in each of T states, (T,).
+
+    Parameters
+    ----------
+    constants
+        (I, K) derivatives of the numbers of its I instructions.
+    """
     count = states.q.shape[-1] - 1
     stack: list[Value] = []
     with np.errstate(all="ignore"):
-        for operation, number in expression.program:
+        for (operation, number), slope in zip(expression.program, constants, strict=True):
             if operation == "const":
-                stack.append(Value.constant(np.array([number]), count))
+                stack.append(Value.number(number, slope))
             elif operation == "t":
                 stack.append(Value.constant(states.time, count))
             elif operation == "get":
-                stack.append(quantity_of(states, expression.quantities[int(number)]))
+                found = quantity_of(states, expression.quantities[int(number)])
+                stack.append(of_one("norm", 0.0, found) if found.value.ndim > 1 else found)  # events have no vectors
             elif operation in IS_BINARY:
                 right, left = stack.pop(), stack.pop()
                 stack.append(of_two(operation, left, right))

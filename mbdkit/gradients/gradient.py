@@ -4,26 +4,33 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from mbdkit.errors import RunError, SpecError
+from mbdkit.gradients.differentiated_expressions import (
+    Definitions,
+    Measures,
+    definitions_of,
+    expressions_of,
+    of_measure,
+    slopes_of,
+)
 from mbdkit.gradients.differentiated_run import differentiated_run, plain_run, refuse
-from mbdkit.gradients.gradient_check import GradientCheck, check_gradient
+from mbdkit.gradients.differentiated_states import require_derivative
+from mbdkit.gradients.gradient_check import Direction, GradientCheck, check_gradient
 from mbdkit.gradients.gradient_parameters import Parameter, resolved
 from mbdkit.gradients.measured_derivatives import MeasureOfRun, uses_nodes
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.methods.kinds import Method
 from mbdkit.one_thread import one_thread_of_linear_algebra
+from mbdkit.plain_data import path_text
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.run_source import RunSource
-
-Measures = str | Sequence[str] | Mapping[str, str | Mapping[str, str]]
-"""One expression, several, or expressions by name, as in the section `measures` of a spec."""
 
 
 @dataclass(frozen=True)
@@ -150,31 +157,47 @@ def gradient(
     """
     spec = load_spec(source, (), **sections)
     chosen = resolved(spec, [parameters] if isinstance(parameters, str) else list(parameters))
-    expressions = parsed(spec, measures)
+    definitions = definitions_of(spec, measures)
+    for expression in expressions_of(spec, definitions).values():
+        _require_derivatives(expression)
     with one_thread_of_linear_algebra():
-        return _gradient(spec, expressions, chosen, check=check)
+        return _gradient(spec, definitions, chosen, check=check)
 
 
 def check_gradients(spec: RunSpec, method: Method) -> None:
-    """Raise SpecError if the gradients that a spec asks for cannot be computed."""
+    """Raise SpecError, with its key, if the gradients that a spec asks for cannot be computed."""
     if not spec.gradients:
         return
     try:
         if not spec.measures:
             raise SpecError("gradients are those of measures, and the spec has no `measures`", key="gradients")
+        for place, name in enumerate(spec.gradients):
+            try:
+                resolved(spec, [name])
+            except SpecError as error:
+                raise SpecError(error.message, key=path_text(("gradients", place))) from None
         resolved(spec, spec.gradients)
-        parsed(spec, list(spec.measures))
+        for name, one in expressions_of(spec, definitions_of(spec, list(spec.measures))).items():
+            try:
+                _require_derivatives(one)
+            except SpecError as error:
+                raise SpecError(error.message, key=path_text(("measures", name))) from None
         refuse(spec, method)
     except SpecError as error:
         raise spec.placed(error) from None
+
+
+def _require_derivatives(expression: MeasureExpression) -> None:
+    for quantity in expression.quantities:
+        require_derivative(quantity)
 
 
 def gradients_json(spec: RunSpec) -> str:
     """Return the gradients that a spec asks for as the attribute of an archive, or the reason why there are none."""
     try:
         with one_thread_of_linear_algebra():
-            measures = parsed(spec, list(spec.measures))
-            found = _gradient(spec, measures, resolved(spec, spec.gradients), check=True)
+            definitions = definitions_of(spec, list(spec.measures))
+            found = _gradient(spec, definitions, resolved(spec, spec.gradients), check=True)
     except (RunError, SpecError) as error:
         text = {name: {"reason": str(error)} for name in spec.measures}
     else:
@@ -182,54 +205,34 @@ def gradients_json(spec: RunSpec) -> str:
     return json.dumps(text, ensure_ascii=False, allow_nan=False)
 
 
-def parsed(spec: RunSpec, measures: Measures) -> dict[str, MeasureExpression]:
-    """Return the expressions of measures by name; raise SpecError if one is not valid or has no derivative."""
-    known = {one.name: one for one in spec.defined_measures()}
-    if isinstance(measures, str):
-        measures = [measures]
-    named = measures.items() if isinstance(measures, Mapping) else ((text, text) for text in measures)
-    found = {}
-    for name, given in named:
-        text, unit = (given, "") if isinstance(given, str) else (given.get("value", ""), given.get("unit", ""))
-        if text in known and not isinstance(measures, Mapping):
-            text, unit = known[name].expression, known[name].unit
-            if known[name].item is not None:
-                raise SpecError(f"the measure '{name}' of a plugin has no derivatives", key="measures")
-        found[name] = MeasureExpression.parse(text, spec, unit)
-    if not found:
-        raise SpecError("a gradient needs at least one measure", key="measures")
-    return found
-
-
-def _gradient(
-    spec: RunSpec, expressions: Mapping[str, MeasureExpression], parameters: Sequence[Parameter], *, check: bool
-) -> Gradient:
-    prepared = prepared_derivatives(spec, parameters)
+def _gradient(spec: RunSpec, definitions: Definitions, parameters: Sequence[Parameter], *, check: bool) -> Gradient:
+    prepared = prepared_derivatives(spec, parameters, definitions)
+    expressions, count = expressions_of(spec, definitions), len(parameters)
     with_nodes = any(map(uses_nodes, expressions.values()))
-    run = differentiated_run(spec, prepared.seeds, len(parameters), with_nodes=with_nodes)
+    measure = MeasureOfRun(differentiated_run(spec, prepared.seeds, count, with_nodes=with_nodes))
     values, slopes, doubts, sizes = [], [], [], []
-    measure = MeasureOfRun(run)
-    for expression in expressions.values():
-        value, slope = measure.of(expression)
+    for name, one in expressions.items():
+        value, slope = measure.of(one, slopes_of(one.program, prepared.seeds, of_measure(name), count))
         values.append(value)
         slopes.append(slope)
         sizes.append(max(abs(value), measure.size))
         doubts += measure.doubts
-    jacobian = np.array(slopes).reshape(len(values), len(parameters))
-    found = None
-    if check:
-
-        def measured(specs: Sequence[RunSpec]) -> np.ndarray:
-            return np.array([_values(one, expressions, with_nodes=with_nodes) for one in specs])
-
-        found = check_gradient(spec, parameters, measured, dict(zip(expressions, sizes, strict=True)), jacobian)
-    return Gradient(
+    gradient = Gradient(
         tuple(expressions), tuple(one.unit.text for one in expressions.values()), tuple(one.name for one in parameters),
-        np.array(values), jacobian, prepared.error, tuple(doubts), found,
+        np.array(values), np.array(slopes).reshape(len(values), count), prepared.error, tuple(doubts), None,
     )  # fmt: skip
+    if not check:
+        return gradient
+
+    def measured(specs: Sequence[RunSpec]) -> np.ndarray:
+        return np.array([_values(one, definitions, with_nodes=with_nodes) for one in specs])
+
+    direction = Direction.random(spec, parameters, prepared)
+    named = dict(zip(expressions, sizes, strict=True))
+    return replace(gradient, check=check_gradient(direction, measured, named, gradient.value, gradient.jacobian))
 
 
-def _values(spec: RunSpec, expressions: Mapping[str, MeasureExpression], *, with_nodes: bool) -> list[float]:
+def _values(spec: RunSpec, definitions: Definitions, *, with_nodes: bool) -> list[float]:
     """Return the measures of a run; nan if it stops early."""
     try:
         needs_more = with_nodes or spec.events
@@ -237,5 +240,5 @@ def _values(spec: RunSpec, expressions: Mapping[str, MeasureExpression], *, with
             differentiated_run(spec, {}, 0, with_nodes=with_nodes) if needs_more else plain_run(spec)
         )
     except RunError:
-        return [np.nan] * len(expressions)
-    return [measure.of(expression)[0] for expression in expressions.values()]
+        return [np.nan] * len(definitions)
+    return [measure.of(one)[0] for one in expressions_of(spec, definitions).values()]

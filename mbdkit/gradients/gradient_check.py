@@ -1,4 +1,8 @@
-"""The check of a gradient: its derivative in one direction beside central differences of runs at two distances."""
+"""The check of a gradient: its derivative in one direction beside differences of runs at two distances.
+
+The differences are central ones. If the spec is not valid on one side of a parameter, such as a damping of zero, they
+are one-sided ones of the same order.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.gradients.gradient_parameters import Parameter
+from mbdkit.gradients.prepared_derivatives import PreparedDerivatives
 from mbdkit.spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
 
@@ -37,13 +42,14 @@ class GradientCheck:
     derivative
         (M,) derivative of each measure in the direction, by the gradient.
     differences
-        (2, M) the same by central differences at both distances.
+        (2, M) the same by differences of second order at both distances.
     extrapolated
         (M,) the same extrapolated from both.
     error
         (M,) estimated error of the extrapolated differences.
     agrees
-        (M,) whether the derivative is within the estimated error, and some allowance, of the differences.
+        (M,) whether the derivative is within the estimated error, and some allowance, of the differences; true where
+        there is no derivative, so that nothing is claimed.
     names
         Names of the measures.
     """
@@ -65,6 +71,9 @@ class GradientCheck:
     def __str__(self) -> str:
         lines = []
         for m, name in enumerate(self.names):
+            if np.isnan(self.derivative[m]):
+                lines.append(f"{name}: there is no derivative to check")
+                continue
             verb = "agrees with" if self.agrees[m] else "DISAGREES with"
             lines.append(
                 f"{name}: the derivative in a random direction, {self.derivative[m]:.10g}, {verb} differences of runs, "
@@ -74,11 +83,59 @@ class GradientCheck:
         return "\n".join(lines)
 
 
+@dataclass(frozen=True)
+class Direction:
+    """A direction in which a gradient is checked.
+
+    Attributes
+    ----------
+    spec, parameters
+        The spec and its K parameters.
+    change
+        (K,) change of each parameter: its size with a random sign, or the sign that keeps the spec valid.
+    is_one_sided
+        Whether the spec is valid for changes in this direction only, but not in the opposite one.
+    """
+
+    spec: RunSpec
+    parameters: Sequence[Parameter]
+    change: np.ndarray
+    is_one_sided: bool
+
+    @classmethod
+    def random(cls, spec: RunSpec, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> Direction:
+        """Return a random direction, the same one in every call."""
+        signs = np.random.default_rng(18).choice([-1.0, 1.0], size=len(parameters))
+        signs = np.where(prepared.side != 0, prepared.side, signs)
+        return cls(spec, parameters, signs * prepared.scale, bool(np.any(prepared.side)))
+
+    def differences(self, measured: Callable[[Sequence[RunSpec]], np.ndarray], value: np.ndarray) -> np.ndarray:
+        """Return differences (2, M) of second order, at both `STEPS`; `value` (M,) is that of the spec itself."""
+        specs = VariedSpecs(self.spec.canonical_json())
+        places = (1, 2) if self.is_one_sided else (-1, 1)
+        runs = measured(
+            [
+                specs.spec(
+                    [
+                        (one.path, one.value + place * step * change)
+                        for one, change in zip(self.parameters, self.change, strict=True)
+                    ]
+                )
+                for step in STEPS
+                for place in places
+            ]
+        )
+        first, second, steps = runs[::2], runs[1::2], np.array(STEPS)[:, None]
+        if self.is_one_sided:
+            return np.asarray((4.0 * (first - value) - (second - value)) / (2.0 * steps))
+        return np.asarray((second - first) / (2.0 * steps))
+
+
 def check_gradient(
-    spec: RunSpec,
-    parameters: Sequence[Parameter],
+    direction: Direction,
     measured: Callable[[Sequence[RunSpec]], np.ndarray],
     sizes: Mapping[str, float],
+    value: np.ndarray,
     jacobian: np.ndarray,
 ) -> GradientCheck:
     """Check a gradient by four runs.
@@ -89,29 +146,17 @@ def check_gradient(
         Returns the measures (N, M) of N runs.
     sizes
         Sizes of the numbers that each measure is computed from, by its name.
-    jacobian
-        (M, K) their gradients.
+    value, jacobian
+        (M,) the measures, and (M, K) their gradients.
     """
-    signs = np.random.default_rng(18).choice([-1.0, 1.0], size=len(parameters))
-    direction = signs * np.array([one.scale for one in parameters])
-    specs = VariedSpecs(spec.canonical_json())
-    shares = [share for step in STEPS for share in (step, -step)]
-    runs = measured(
-        [
-            specs.spec(
-                [(one.path, one.value + share * change) for one, change in zip(parameters, direction, strict=True)]
-            )
-            for share in shares
-        ]
-    )
-    steps = np.array(STEPS)
-    differences = (runs[::2] - runs[1::2]) / (2.0 * steps[:, None])
+    differences = direction.differences(measured, value)
     ratio = (STEPS[1] / STEPS[0]) ** 2
     extrapolated = (ratio * differences[0] - differences[1]) / (ratio - 1.0)
-    derivative = jacobian @ direction
-    size = np.array([*sizes.values()])
-    error = np.abs(extrapolated - differences[0]) + ROUND_OFF * size / STEPS[0]
-    terms = np.sum(np.abs(jacobian * direction), axis=1)
+    derivative = jacobian @ direction.change
+    error = np.abs(extrapolated - differences[0]) + ROUND_OFF * np.array([*sizes.values()]) / STEPS[0]
+    terms = np.sum(np.abs(jacobian * direction.change), axis=1)
     deviation = np.abs(derivative - extrapolated)
-    agrees = deviation <= ALLOWED * error + SMALLEST * terms
-    return GradientCheck(direction, steps, derivative, differences, extrapolated, error, agrees, tuple(sizes))
+    agrees = (deviation <= ALLOWED * error + SMALLEST * terms) | np.isnan(derivative)
+    return GradientCheck(
+        direction.change, np.array(STEPS), derivative, differences, extrapolated, error, agrees, tuple(sizes)
+    )

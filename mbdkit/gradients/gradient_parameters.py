@@ -35,11 +35,6 @@ class Parameter:
     path: Path
     value: float
 
-    @property
-    def scale(self) -> float:
-        """Size by which changes are measured: the value, or 1 if that is 0."""
-        return abs(self.value) or 1.0
-
 
 def resolved(spec: RunSpec, names: Sequence[str]) -> tuple[Parameter, ...]:
     """Return the parameters with these names: keys of `parameters`, or key paths that begin with ``model.``.

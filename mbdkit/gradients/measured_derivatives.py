@@ -58,13 +58,23 @@ class MeasureOfRun:
         self.doubts: list[str] = []
         self.size = 0.0
 
-    def of(self, expression: MeasureExpression) -> tuple[float, np.ndarray]:
-        """Return the value of a measure and its derivatives (K,), in its unit."""
+    def of(self, expression: MeasureExpression, constants: np.ndarray | None = None) -> tuple[float, np.ndarray]:
+        """Return the value of a measure and its derivatives (K,), in its unit.
+
+        Parameters
+        ----------
+        constants
+            (I, K) derivatives of the numbers of its I instructions; None: zero.
+        """
         stack: list[_Operand] = []
         self.doubts, self.size = [], 0.0
         with np.errstate(all="ignore"):
-            for operation, number in expression.program:
-                self._execute(operation, number, stack, expression)
+            for place, (operation, number) in enumerate(expression.program):
+                if operation == "const":
+                    slope = np.zeros(self.count) if constants is None else constants[place]
+                    stack.append(_same(Value.number(number, slope)))
+                else:
+                    self._execute(operation, number, stack, expression)
         found = stack.pop().rows
         return float(found.value.reshape(-1)[0]) / expression.unit.factor, (
             found.slope.reshape(self.count, found.value.size)[:, 0] / expression.unit.factor
@@ -72,9 +82,7 @@ class MeasureOfRun:
 
     def _execute(self, operation: str, number: float, stack: list[_Operand], expression: MeasureExpression) -> None:
         """Apply an instruction to the stack; see `MeasureExpression`."""
-        if operation == "const":
-            stack.append(_same(Value.constant(np.array([number]), self.count)))
-        elif operation == "t":
+        if operation == "t":
             rows = Value.constant(self.run.rows.time, self.count)
             rows.slope[:, -1] = self.run.end
             stack.append(_Operand(rows, Value.constant(self.run.nodes.time, self.count)))
@@ -107,9 +115,10 @@ class MeasureOfRun:
         if quantity.attribute == "count":
             return Value.constant(np.array([float(len(found))]), self.count)
         if not found:
-            return Value.constant(np.array([np.nan]), self.count)
+            self.doubts.append(f"the event '{quantity.name}' does not happen, so that its time has no derivative")
+            return Value.number(np.nan, np.full(self.count, np.nan))
         one = found[0 if quantity.attribute == "time" else -1]
-        return Value(np.array([one.time]), one.slope[:, None])
+        return Value.number(one.time, one.slope)
 
     def _at(self, time: Value, operand: Value) -> Value:
         """Return an operand at a time, interpolated linearly between the rows around it."""
@@ -122,6 +131,8 @@ class MeasureOfRun:
         value = (1.0 - share) * operand.value[..., k] + share * operand.value[..., k + 1]
         slope = (1.0 - share) * operand.slope[..., k] + share * operand.slope[..., k + 1]
         moved = time.slope.reshape(self.count, time.value.size)[:, 0]
+        if k == len(rows) - 2:  # the last row moves with the end of the run
+            moved = moved - share * self.run.end
         slope = slope + np.multiply.outer(moved, rate)
         return Value(value[..., None], slope[..., None])
 
@@ -148,6 +159,8 @@ class MeasureOfRun:
                 np.trapezoid(values.value, time, axis=-1)[..., None],
                 np.trapezoid(values.slope, time, axis=-1)[..., None],
             )
+            last = 0.5 * (values.value[..., -2:-1] + values.value[..., -1:])
+            total = Value(total.value, total.slope + np.multiply.outer(self.run.end, last))
         if name == "integral":
             return total
         duration = self.run.rows.time[-1] - self.run.rows.time[0]
@@ -161,8 +174,9 @@ class MeasureOfRun:
         spread = float(np.max(values) - np.min(values))
         near = np.flatnonzero(values >= values[place] - UNIQUE * spread) if np.isfinite(spread) else np.array([place])
         apart = near[np.abs(near - place) > 1]
-        if len(apart) and not np.allclose(rows.slope[:, apart[0]], rows.slope[:, place], rtol=1e-6, atol=0.0):
-            times = self.run.rows.time
+        same = np.isclose(rows.slope[:, apart], rows.slope[:, [place]], rtol=1e-6, atol=0.0).all(axis=0)
+        if not np.all(same):
+            times, apart = self.run.rows.time, apart[~same]
             self.doubts.append(
                 f"the {'largest' if name == 'max' else 'smallest'} value in '{expression.text}' is taken at several "
                 f"times, such as t = {times[place]:.6g} s and {times[apart[0]]:.6g} s, so that it has no derivative; "

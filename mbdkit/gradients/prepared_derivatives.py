@@ -3,7 +3,8 @@
 The preparation turns a spec into arrays: it validates the model, builds and compiles the mechanism, and assembles its
 initial state. It is repeated with other values of one parameter. Arrays that depend on it linearly have the slope of a
 line through two points, which is exact but for rounding errors. All others are differentiated by differences of order
-8, whose error is estimated from that of order 6; the distance of the points is reduced until it is small.
+8, whose error is estimated from that of order 6; the distance of the points is reduced until it is small. The numbers
+in expressions of measures and events, which may depend on named parameters, are treated in the same way.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import Starts
+from mbdkit.engine.kernels.system import Topology
 from mbdkit.errors import SpecError
+from mbdkit.gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_of
 from mbdkit.gradients.gradient_parameters import Parameter
 from mbdkit.run_corners import knots_of
 from mbdkit.spec import RunSpec
@@ -27,7 +30,12 @@ from mbdkit.spec.varied_specs import VariedSpecs
 Arrays = Mapping[str, np.ndarray]
 
 WIDEST = 0.05
-"""Largest change of a parameter, as a share of its value."""
+"""Largest change of a parameter, as a share of its size."""
+SMALLEST_SIZE = 0.1
+"""Least size of a parameter, in SI units and with lengths in units of the mechanism's length if that is below 1 m.
+
+Changes as a share of a smaller value, such as an angle of 1e-9 rad, would be lost in rounding errors.
+"""
 FACTOR, MOST_ATTEMPTS = 4.0, 4
 """Reduction of the changes while differences are not accurate, and number of attempts."""
 ACCURATE = 1e-13
@@ -51,42 +59,70 @@ class PreparedDerivatives:
     Parameters
     ----------
     seeds
-        Derivatives (..., K) of the arrays of the mechanism, and of the initial state ``q`` and ``v``, by K parameters.
+        Derivatives (..., K) of the arrays of the mechanism, of the initial state ``q`` and ``v``, and of the numbers of
+        measures and events (`numbers_of`), by K parameters.
     error
         (K,) estimated errors of these derivatives by each parameter, relative to the largest derivative of an array.
+    scale
+        (K,) size of each parameter, by which its changes are measured.
+    side
+        (K,) 0, or the sign of the changes by which the spec stays valid, such as 1 for a damping of zero.
     """
 
     seeds: dict[str, np.ndarray]
     error: np.ndarray
+    scale: np.ndarray
+    side: np.ndarray
 
 
-def prepared_derivatives(spec: RunSpec, parameters: Sequence[Parameter]) -> PreparedDerivatives:
+def prepared_derivatives(
+    spec: RunSpec, parameters: Sequence[Parameter], definitions: Definitions = NO_MEASURES
+) -> PreparedDerivatives:
     """Return the derivatives of the prepared run by parameters.
+
+    Parameters
+    ----------
+    definitions
+        The measures, whose numbers may depend on the parameters.
 
     Raises
     ------
     SpecError
         If the structure of the mechanism depends on a parameter, or if the spec is not valid near its value.
     """
-    preparation = _Preparation(spec)
+    preparation = _Preparation(spec, definitions)
     found = [preparation.derivatives(one) for one in parameters]
     base = preparation.base
     seeds = {
-        name: np.stack([slopes.get(name, np.zeros(x.shape)) for slopes, _ in found], axis=-1)
+        name: np.stack([one.slopes.get(name, np.zeros(x.shape)) for one in found], axis=-1)
         for name, x in base.items()
-        if any(name in slopes for slopes, _ in found)
+        if any(name in one.slopes for one in found)
     }
     if "mass" in seeds:  # exact, and zero for ground
         weight = preparation.mechanism.topology.weight
         seeds["weight"] = -(weight**2)[..., None] * seeds["mass"]
-    return PreparedDerivatives(seeds, np.array([error for _, error in found]))
+    return PreparedDerivatives(
+        seeds,
+        np.array([one.error for one in found]),
+        np.array([preparation.scale(one) for one in parameters]),
+        np.array([one.side for one in found]),
+    )
+
+
+@dataclass(frozen=True)
+class _Derivatives:
+    """The derivatives of all arrays by one parameter that are not zero; see `PreparedDerivatives`."""
+
+    slopes: dict[str, np.ndarray]
+    error: float
+    side: int
 
 
 class _Preparation:
     """Prepares runs of a spec with other values of a parameter."""
 
-    def __init__(self, spec: RunSpec):
-        self.spec = spec
+    def __init__(self, spec: RunSpec, definitions: Definitions):
+        self.spec, self.definitions = spec, definitions
         self.specs = VariedSpecs(spec.canonical_json())
         self.starts = Starts()
         self.mechanism, self.base = self._arrays(spec)
@@ -96,16 +132,21 @@ class _Preparation:
         start = self.starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
         top = start.mechanism.topology
         arrays = {name: x for name, x in top._asdict().items() if x.dtype.kind == "f" and name not in LEFT_OUT}
-        return start.mechanism, {**arrays, "q": start.q0, "v": start.v0}
+        numbers = numbers_of(spec, self.definitions) if spec.parameters else {}
+        return start.mechanism, {**arrays, "q": start.q0, "v": start.v0, **numbers}
 
-    def derivatives(self, parameter: Parameter) -> tuple[dict[str, np.ndarray], float]:
-        """Return the derivatives by a parameter that are not zero, and their estimated error."""
+    def scale(self, parameter: Parameter) -> float:
+        """Return the size of a parameter, by which its changes are measured."""
+        return max(abs(parameter.value), SMALLEST_SIZE * min(1.0, self.mechanism.length))
+
+    def derivatives(self, parameter: Parameter) -> _Derivatives:
+        """Return the derivatives by a parameter."""
         try:
-            return self._with_places(parameter, CENTRAL)
+            return _Derivatives(*self._with_places(parameter, CENTRAL), 0)
         except SpecError as error:
-            for side in (FORWARD, BACKWARD):
+            for side, places in ((1, FORWARD), (-1, BACKWARD)):
                 with suppress(SpecError):
-                    return self._with_places(parameter, side)
+                    return _Derivatives(*self._with_places(parameter, places), side)
             if error.key == "gradients":
                 raise
             raise SpecError(
@@ -115,8 +156,8 @@ class _Preparation:
             ) from None
 
     def _with_places(self, parameter: Parameter, places: tuple[int, ...]) -> tuple[dict[str, np.ndarray], float]:
-        """Return the same by points at these places."""
-        unit = 2.0 ** np.floor(np.log2(WIDEST / 4.0 * self._scale(parameter)))
+        """Return the derivatives by a parameter that are not zero, and their error, by points at these places."""
+        unit = 2.0 ** np.floor(np.log2(WIDEST / 4.0 * self.scale(parameter)))
         points = {place: self._at(parameter, place * unit) for place in FEW[places]}
         slopes: dict[str, np.ndarray] = {}
         errors: dict[str, float] = {}
@@ -137,10 +178,6 @@ class _Preparation:
             unit, points = unit / FACTOR, {}
         return {name: x for name, x in slopes.items() if np.any(x)}, max(errors.values())
 
-    def _scale(self, parameter: Parameter) -> float:
-        """Return the size of the changes of a parameter."""
-        return abs(parameter.value) or min(1.0, self.mechanism.length)
-
     def _at(self, parameter: Parameter, change: float) -> tuple[float, dict[str, np.ndarray]]:
         """Return the value of a parameter near its own, and the arrays for it."""
         value = parameter.value + change
@@ -152,6 +189,12 @@ class _Preparation:
                 key="gradients",
             )
         mechanism, arrays = self._arrays(spec)
+        if any(x.shape != arrays[name].shape for name, x in self.base.items() if name not in Topology._fields):
+            raise SpecError(
+                f"the form of an expression depends on '{parameter.name}', such as that of an exponent; by such "
+                "parameters a run has no derivatives",
+                key="gradients",
+            )
         for name, x in self.mechanism.topology._asdict().items():
             other = getattr(mechanism.topology, name)
             if x.shape != other.shape or (x.dtype.kind == "i" and not np.array_equal(x, other)):
@@ -177,7 +220,7 @@ class _Preparation:
             )
             for some in (places, fewer)
         )
-        scale = self._scale(parameter)
+        scale = self.scale(parameter)
         size = max(float(np.max(np.abs(fine))), float(np.max(np.abs(base))) / scale)
         if name in ("q", "v"):  # which assembly changes by rounding errors of lengths and angles
             size = max(size, self.mechanism.length / scale)

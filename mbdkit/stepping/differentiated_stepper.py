@@ -217,10 +217,18 @@ class DifferentiatedStepper(CompiledStepper):
         return q, v
 
     def cut_with_derivatives(self, theta: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-        """End the run at the share `theta` of the last step; return time, positions, velocities and energies there."""
+        """End the run at the share `theta` of the last step; return time, positions, velocities and energies there.
+
+        Raises
+        ------
+        StepError
+            If that part of the step cannot be taken.
+        """
         self.cut(theta)
         steps = self.steps
         assert steps is not None
+        if not np.array_equal(steps.run.q[:, 0], self.run_state.q):
+            raise StepError("newton-failed", f"the step to t = {self.time:.6g} s cannot be taken in part")
         return self.time, np.copy(steps.run.q), np.copy(steps.run.v), np.copy(steps.run.energy)
 
     def _drive(self, plan: PinnedBundle, budget: int) -> tuple[int, int]:

@@ -57,6 +57,26 @@ WRONG = {
         "model.forces.m.value.interpolation",
         "cubic, quintic or linear",
     ),
+    "a gradient by no parameter": (
+        f"{SMALL}measures: {{a: final(energy.total)}}\ngradients:\n  - model.masses.0\n  - model.mases.0\n",
+        12,
+        "gradients[1]",
+        "did you mean 'masses'?",
+    ),
+    "a gradient without measures": (f"{SMALL}gradients: [model.masses.0]\n", 9, "gradients", "has no `measures`"),
+    "a gradient of a misalignment": (
+        f"{SMALL}measures: {{gap: max(joints.J1.misalignment)}}\ngradients: [model.masses.0]\n",
+        9,
+        "measures.gap",
+        "joints.J1.misalignment has no derivative by parameters: a misalignment is an error of the method",
+    ),
+    "a gradient of a method of SciPy": (
+        small("{name: gauss, stages: 2}", "{name: scipy-dop853}").replace("  step: 0.01\n", "")
+        + "measures: {a: final(energy.total)}\ngradients: [model.masses.0]\n",
+        5,
+        "integrator",
+        "has no derivatives by parameters here",
+    ),
     "unknown key at the top": (small("time:", "tiem:"), 6, "tiem", "did you mean 'time'?"),
     "unknown key below": (small("step:", "stpe:"), 8, "time.stpe", "did you mean 'step'?"),
     "unknown model": (small("double-pendulum", "duoble-pendulum"), 3, "model.name", "did you mean 'double-pendulum'?"),

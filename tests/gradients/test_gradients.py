@@ -11,6 +11,8 @@ import pytest
 
 import mbdkit
 from mbdkit.errors import SpecError
+from mbdkit.gradients import gradient_check
+from mbdkit.gradients.gradient_parameters import resolved
 
 SLIDER_CRANK: dict[str, Any] = {
     "mbdkit": 1,
@@ -109,26 +111,20 @@ def test_more_parameters_than_one_pass_takes_give_the_same_gradient() -> None:
     assert both.check.is_passed, str(both)
 
 
-def test_check_reports_a_wrong_gradient_with_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
-    from mbdkit.gradients import gradient_check
-
-    found = gradient_check.check_gradient(
-        mbdkit.RunSpec(**SLIDER_CRANK, **PENDULUM),
-        gradient_check_parameters(),
-        lambda specs: np.array([[float(str(spec.parameters["k"])) ** 2] for spec in specs]),
-        {"square": 1.0},
-        np.array([[2.1]]),
-    )
-    assert not found.is_passed
-    assert abs(found.extrapolated[0]) == pytest.approx(2.0)
-    assert "square: the derivative in a random direction" in str(found)
-    assert "DISAGREES" in str(found)
-
-
-def gradient_check_parameters() -> tuple[Any, ...]:
-    from mbdkit.gradients.gradient_parameters import Parameter
-
-    return (Parameter("k", ("parameters", "k"), 1.0),)
+def test_check_reports_a_wrong_gradient_with_numbers() -> None:
+    spec = mbdkit.RunSpec(**SLIDER_CRANK, **PENDULUM)
+    for change, is_one_sided in ((-1.0, False), (1.0, True)):
+        found = gradient_check.check_gradient(
+            gradient_check.Direction(spec, resolved(spec, ["k"]), np.array([change]), is_one_sided),
+            lambda specs: np.array([[float(str(one.parameters["k"])) ** 2] for one in specs]),
+            {"square": 1.0},
+            np.array([1.0]),
+            np.array([[2.1]]),
+        )
+        assert not found.is_passed
+        assert found.extrapolated[0] == pytest.approx(2.0 * change)
+        assert "square: the derivative in a random direction" in str(found)
+        assert "DISAGREES" in str(found)
 
 
 def test_a_peak_at_two_times_is_said_to_have_no_derivative() -> None:
@@ -247,11 +243,70 @@ def test_gradients_of_a_spec_are_stored_in_the_archive_and_printed(tmp_path: Pat
     ("sections", "message"),
     [
         ({"gradients": ["k"]}, "the spec has no `measures`"),
-        ({"gradients": ["kk"], "measures": {"a": "final(energy.kinetic)"}}, "there is no parameter 'kk'"),
+        ({"gradients": ["kk"], "measures": {"a": "final(energy.kinetic)"}}, "[0]: there is no parameter 'kk'"),
     ],
 )
 def test_gradients_of_a_spec_are_checked_before_the_run(sections: dict[str, Any], message: str) -> None:
     with pytest.raises(SpecError) as error:
         mbdkit.run({**SLIDER_CRANK, **PENDULUM, **sections})
     assert message in str(error.value)
-    assert error.value.key == "gradients"
+    assert error.value.key.startswith("gradients")
+
+
+def test_parameters_in_the_expression_of_a_measure_are_differentiated_too() -> None:
+    # expected: the product rule, since the stiffness also changes the run
+    spec = {**SLIDER_CRANK, "parameters": {"k": 1.0, "c": 1.0, "twice": "2*k"}, **PENDULUM}
+    measures = {
+        "energy": "final(energy.kinetic)",
+        "product": {"value": "twice*final(energy.kinetic)", "unit": "J"},
+        "angle": "final(bodies.rod.angle)",
+        "power": {"value": "final(-bodies.rod.angle)**(k + 0.5)", "unit": "rad"},
+    }
+    found = mbdkit.gradient(spec, measures, "k")
+    energy, _, angle, power = found.value
+    by_k = found["energy", "k"]
+    assert found["product", "k"] == pytest.approx(2.0 * energy + 2.0 * by_k, rel=1e-12)
+    assert found["power", "k"] == pytest.approx(power * (np.log(-angle) + 1.5 * found["angle", "k"] / angle), rel=1e-12)
+    assert found.check is not None
+    assert found.check.is_passed, str(found)
+
+
+def test_a_parameter_that_changes_the_form_of_an_expression_is_refused() -> None:
+    spec = {**SLIDER_CRANK, "parameters": {"k": 1.0, "c": 1.0, "n": 2.0}, **PENDULUM}
+    with pytest.raises(SpecError, match="the form of an expression depends on 'n'"):
+        mbdkit.gradient(spec, {"a": {"value": "final(bodies.rod.angle)**n", "unit": "rad"}}, "n")
+
+
+def test_a_parameter_at_the_limit_of_its_range_is_checked_on_the_valid_side() -> None:
+    spec = {**SLIDER_CRANK, "parameters": {"k": 1.0, "c": 0.0}, **PENDULUM}
+    found = mbdkit.gradient(spec, "final(energy.kinetic)", ["k", "c"])
+    assert found.check is not None
+    assert found.check.is_passed, str(found)
+    assert found.check.direction[1] > 0.0
+    assert found.check.error[0] < 1e-8
+
+
+def test_parameters_that_are_almost_zero_have_exact_derivatives() -> None:
+    # expected: the same as for the parameter zero; changes in proportion to its value would be lost in rounding errors
+    def by_turn(turn: float) -> float:
+        arm = {"mass": 1.0, "position": ["cos(0.5 + turn)", "sin(0.5 + turn)"]}
+        spec = {
+            "mbdkit": 1,
+            "parameters": {"turn": turn},
+            "model": {
+                "name": "mechanism",
+                "bodies": {"ball": arm},
+                "forces": {
+                    "s": {
+                        "type": "spring-damper",
+                        "from": [0.0, 0.0],
+                        "to": arm["position"],
+                        "bodies": ["ground", "ball"],
+                        "stiffness": 1.0,
+                    }
+                },
+            },
+        }
+        return float(mbdkit.gradient(spec, "final(bodies.ball.x)", "turn", check=False, **PENDULUM).jacobian[0, 0])
+
+    assert by_turn(1e-9) == pytest.approx(by_turn(0.0), rel=1e-8)

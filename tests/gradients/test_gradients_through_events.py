@@ -67,3 +67,40 @@ def test_state_and_integrals_at_an_event_that_ends_the_run_move_with_its_time() 
     np.testing.assert_allclose(found.jacobian[:, 0], [by_length, -sin(ANGLE), 0.0], rtol=0, atol=1e-9)
     assert found.check is not None
     assert found.check.is_passed, str(found)
+
+
+def test_functions_of_a_moving_end_move_with_it() -> None:
+    # expected: the angle at the moving end is zero, and `at` of the end is `final`; of the row before, the difference
+    # is a plain one in time; the check compares with differences of runs
+    measures = ["at(bodies.bob.angular_velocity, final(t))", "final(bodies.bob.angular_velocity)"]
+    found = mbdkit.gradient(pendulum("stop"), measures, "L", check=False)
+    assert found.jacobian[0, 0] == pytest.approx(found.jacobian[1, 0], rel=1e-12)
+    loaded = pendulum("stop")
+    loaded["model"]["forces"] = {"load": {"type": "torque", "body": "bob", "value": 0.3}}
+    by_rows = mbdkit.gradient(loaded, ["integral(energy.potential)", "at(bodies.bob.angle, final(t) - 0.002)"], "L")
+    assert by_rows.check is not None
+    assert by_rows.check.is_passed, str(by_rows)
+
+
+def test_parameters_and_forces_in_the_expression_of_an_event() -> None:
+    # expected: the angular velocity at the angle, by the balance of energy; for the pull, differences of runs
+    spec = pendulum("note")
+    spec["parameters"]["limit"] = 0.2
+    spec["events"] = {
+        "turned": {"when": "bob.angle - 0.5*limit", "action": "note"},
+        "pulled": {"when": "A.force - 20*limit", "action": "note"},
+    }
+    found = mbdkit.gradient(spec, ["events.turned.time", "events.pulled.time"], ["L", "limit"])
+    inertia = LENGTH**2 + INERTIA
+    rate = -sqrt(2.0 * GRAVITY * LENGTH * (cos(0.1) - cos(ANGLE)) / inertia)
+    assert found["events.turned.time", "limit"] == pytest.approx(0.5 / rate, rel=1e-9)
+    assert found.check is not None
+    assert found.check.is_passed, str(found)
+
+
+def test_an_event_that_does_not_happen_has_no_derivative() -> None:
+    spec = pendulum("note")
+    spec["events"]["low"]["when"] = "bob.angle + 20"
+    found = mbdkit.gradient(spec, "events.low.time", "L")
+    assert np.isnan(found.jacobian[0, 0])
+    assert "does not happen" in found.doubts[0]

@@ -1,0 +1,72 @@
+"""Expressions of measures and events, and their numbers, which may depend on named parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+import numpy as np
+
+from mbdkit.errors import SpecError
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.mechanism.time_expression import Program
+from mbdkit.spec import RunSpec
+
+Measures = str | Sequence[str] | Mapping[str, str | Mapping[str, str]]
+"""One expression, several, or expressions by name, as in the section `measures` of a spec."""
+
+Definitions = Mapping[str, tuple[str, str]]
+"""The expression of each measure and its unit, which is empty if it follows from the expression, by name."""
+
+NO_MEASURES: Definitions = MappingProxyType({})
+
+
+def definitions_of(spec: RunSpec, measures: Measures) -> Definitions:
+    """Return the definitions of measures, which may be names of those of a spec; raise SpecError if there are none."""
+    known = {one.name: one for one in spec.defined_measures()}
+    if isinstance(measures, str):
+        measures = [measures]
+    named = measures.items() if isinstance(measures, Mapping) else ((text, text) for text in measures)
+    found = {}
+    for name, given in named:
+        text, unit = (given, "") if isinstance(given, str) else (given.get("value", ""), given.get("unit", ""))
+        if text in known and not isinstance(measures, Mapping):
+            text, unit = known[name].expression, known[name].unit
+            if known[name].item is not None:
+                raise SpecError(f"the measure '{name}' of a plugin has no derivatives", key="measures")
+        found[name] = text, unit
+    if not found:
+        raise SpecError("a gradient needs at least one measure", key="measures")
+    return found
+
+
+def expressions_of(spec: RunSpec, definitions: Definitions) -> dict[str, MeasureExpression]:
+    """Return the expressions of measures with the named parameters of a spec; raise SpecError if one is not valid."""
+    return {name: MeasureExpression.parse(text, spec, unit) for name, (text, unit) in definitions.items()}
+
+
+def numbers_of(spec: RunSpec, definitions: Definitions) -> dict[str, np.ndarray]:
+    """Return the numbers of the instructions of all measures and events, by `of_measure` and `of_event`."""
+    measures = {of_measure(name): one.program for name, one in expressions_of(spec, definitions).items()}
+    events = {of_event(name): one.program for name, one in spec.watched().items()}
+    return {name: _numbers(program) for name, program in (measures | events).items()}
+
+
+def of_measure(name: str) -> str:
+    """Return the name of the array with the numbers of a measure."""
+    return f"measures.{name}"
+
+
+def of_event(name: str) -> str:
+    """Return the name of the array with the numbers of an event."""
+    return f"events.{name}"
+
+
+def slopes_of(program: Program, seeds: Mapping[str, np.ndarray], name: str, count: int) -> np.ndarray:
+    """Return the derivatives (I, K) of the numbers of a program by `count` parameters, from arrays by name."""
+    found = seeds.get(name)
+    return np.zeros((len(program), count)) if found is None else found
+
+
+def _numbers(program: Program) -> np.ndarray:
+    return np.array([number for _, number in program])
